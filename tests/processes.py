@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from sparseskin.launch.run.running import RunningGraph, remove_note, write_note
 
 PATIENCE_S = 300.0
 """When a wait is given up: far beyond what anything here takes, so it is no claim on speed."""
@@ -33,6 +37,19 @@ def note_of_graph(folder: Path) -> Path:
 
     wait_until(is_there, "the note of the graph")
     return found[0]
+
+
+@contextlib.contextmanager
+def announced(graph: RunningGraph) -> Iterator[None]:
+    """The note of a graph, and its control socket, where nobody answers."""
+    with socket.socket(socket.AF_UNIX) as listener:
+        if not os.path.lexists(graph.control):
+            listener.bind(graph.control)
+            listener.listen()
+        write_note(graph)
+        yield
+        remove_note(graph)
+    Path(graph.control).unlink(missing_ok=True)
 
 
 def processes_with(mark: str) -> dict[int, str]:

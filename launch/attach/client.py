@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.launch.run.running import GraphError, RunningGraph
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import COUNTED
@@ -32,9 +34,9 @@ def describe(graph: RunningGraph, node: str | None = None) -> dict[str, Any]:
     """The description of a graph: `sparseskin.launch.run.state.graph_description`.
     Raises GraphError if the graph does not answer.
     """
-    described = _exchange(graph, {"describe": node}, "description")
-    assert isinstance(described, dict)
-    return described
+    with _connected(graph) as client:
+        described: dict[str, Any] = _exchange(graph, client, {"describe": node}, "description")
+        return described
 
 
 def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
@@ -93,34 +95,41 @@ def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> Answer
     Raises GraphError if the graph does not answer.
     """
     request = {"id": "1", "node": node, "command": command, "value": value}
-    answer = _exchange(graph, request, "answer")
-    return Answer(answer["done"], answer["text"])
+    with _connected(graph) as client:
+        answer = _exchange(graph, client, request, "answer")
+        return Answer(answer["done"], answer["text"])
 
 
 def stop(graph: RunningGraph) -> None:
-    """End a graph as an interrupt does.
+    """End a graph as an interrupt does, and wait for its end.
     Raises GraphError if the graph does not answer.
     """
-    _exchange(graph, {"stop": True}, "stopping")
+    with _connected(graph) as client:
+        _exchange(graph, client, {"stop": True}, "stopping")
+        while client.receive() is not None:
+            select.select([client.connection], [], [])
 
 
-def _exchange(graph: RunningGraph, request: Mapping[str, Any], key: str) -> Any:
-    """Send one request, and wait for the object that answers it."""
-    from sparseskin.launch.run.control_socket import ControlClient
-
+@contextlib.contextmanager
+def _connected(graph: RunningGraph) -> Iterator[ControlClient]:
     client = ControlClient(graph.control)
     try:
-        client.send(request)
-        deadline = time.monotonic() + PATIENCE_S
-        while (left_s := deadline - time.monotonic()) > 0:
-            select.select([client.connection], [], [], left_s)
-            news = client.receive()
-            if news is None:
-                raise GraphError(f"{graph.label}: has ended, or is asked by too many at once")
-            for fields in news:
-                if key in fields:
-                    return fields[key]
-                raise GraphError(f"{graph.label}: runs a version that cannot be asked this")
+        yield client
     finally:
         client.close()
+
+
+def _exchange(
+    graph: RunningGraph, client: ControlClient, request: Mapping[str, Any], key: str
+) -> Any:
+    """Send one request, and wait for the object that answers it."""
+    client.send(request)
+    deadline = time.monotonic() + PATIENCE_S
+    while (left_s := deadline - time.monotonic()) > 0:
+        select.select([client.connection], [], [], left_s)
+        news = client.receive()
+        if news is None:
+            raise GraphError(f"{graph.label}: has ended, or is asked by too many at once")
+        if news:
+            return news[0][key]
     raise GraphError(f"{graph.label}: has not answered within {PATIENCE_S:g} s")

@@ -15,7 +15,6 @@ from types import FrameType
 from typing import Any, NamedTuple, Protocol
 
 import msgpack
-import zmq
 
 from sparseskin.launch.run.running import RunningGraph, is_running
 from sparseskin.messages import End
@@ -37,8 +36,8 @@ PATIENCE_S = 0.2
 EXIT_NOTHING = 1
 """Exit code of a command that read no message."""
 BATCH = 1024
-DRAIN_MS = 20
-"""Messages that are queued at the writer arrive within it."""
+DRAIN_S = 0.05
+"""Time in which messages that wait at the writer are read."""
 READ_AHEAD = 8
 """Messages that a patient observer receives before it reads them. The others stay in the queue of
 their writer, so that neither process wakes the other for each of them.
@@ -96,6 +95,11 @@ class TopicStream:
         How long messages may wait to be read together, seconds. Longer than it takes to send
         `QUEUE_FRAMES` of them, and those beyond are lost.
 
+    Raises
+    ------
+    KeyFileError
+        If the graph asks for a key that this user may not read.
+
     Attributes
     ----------
     unreadable : int
@@ -109,11 +113,16 @@ class TopicStream:
         self._patience_s = patience_s
         self._clock = SystemClock(graph.offset_ns)
         self._context = make_context()
-        self._reader = observer(
-            self._context, graph, topic, READ_AHEAD if patience_s else QUEUE_FRAMES
+        keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
+        ahead = READ_AHEAD if patience_s else QUEUE_FRAMES
+        self._reader = Reader(
+            *(self._context, f"observer_{os.getpid()}", (), [topic]),
+            present=False,
+            keys=keys,
+            read_ahead=ahead,
         )
-        self._least_age_ns: float = math.inf
-        self._has_all = False  # the age of the first is that of one that has not waited
+        node = graph.nodes[graph.writers()[topic]]
+        self._reader.connect(node.endpoint, node.key)
         self.unreadable = 0
         self.interrupted = False
 
@@ -145,33 +154,25 @@ class TopicStream:
                     return
             left_s = math.inf if duration_s is None else began_s + duration_s - now_s
             timeout_ms = max(1, round(min(POLL_MS, 1e3 * left_s)))
-            if self._reader.socket.poll(timeout_ms) and self._patience_s and self._has_all:
+            if self._reader.socket.poll(timeout_ms) and self._patience_s:
                 time.sleep(min(self._patience_s, left_s))
             yield self._read()
 
     def _read(self) -> list[Arrival]:
-        read: list[Arrival | None] = []
-        while len(read) < BATCH:
-            if (parts := self._reader.receive()) is not None:
-                read.append(_arrival(*parts, self._clock.now_ns()))
-            elif not (read and self._patience_s and self._more_waits(read[-1])):
-                break
-        if read:
-            self._has_all = len(read) < BATCH
-        found = [arrival for arrival in read if arrival is not None]
-        self.unreadable += len(read) - len(found)
+        """The messages that are there; of a patient observer those that wait at the writer, too."""
+        until_s = time.monotonic() + DRAIN_S if self._patience_s else 0.0
+        found: list[Arrival] = []
+        for _ in range(BATCH):
+            while (parts := self._reader.receive()) is None:
+                left_ms = round(1e3 * (until_s - time.monotonic()))
+                if left_ms <= 0 or not self._reader.socket.poll(left_ms):
+                    return found
+            arrival = _arrival(*parts, self._clock.now_ns())
+            if arrival is None:
+                self.unreadable += 1
+            else:
+                found.append(arrival)
         return found
-
-    def _more_waits(self, last: Arrival | None) -> bool:
-        """True if more is queued at the writer behind the last message: not where that is about as
-        new as the newest one was on arrival. The stamps of a recording share one offset.
-        """
-        if last is not None:
-            age_ns = last.at_ns - last.stamp_ns
-            self._least_age_ns = min(self._least_age_ns, age_ns)
-            if age_ns <= self._least_age_ns + self._patience_s * 1e9 / 4:
-                return False
-        return bool(self._reader.socket.poll(DRAIN_MS))
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.interrupted = True
@@ -210,34 +211,18 @@ def observe(
         for arrivals in stream.batches(duration_s):
             for arrival in arrivals:
                 n_counted += display.take(arrival)
-                ended = arrival.ends
-                if ended or n_counted == n:
+                if ended := arrival.ends or n_counted == n:
                     break
-            if ended or n_counted == n:
+            if ended:
                 break
             display.tick()
-    if ended:
+    if ended and n_counted != n:
         print(f"{topic}: the stream has ended", file=sys.stderr)
     if not n_counted:
         print(f"{topic}: no message came{quiet_reason(graph, topic)}", file=sys.stderr)
         return EXIT_NOTHING
     display.finish()
     return 0
-
-
-def observer(
-    context: zmq.Context[Any], graph: RunningGraph, topic: str, read_ahead: int = QUEUE_FRAMES
-) -> Reader:
-    """A reader of one topic of a graph that its writer does not wait for, with a queue of
-    `read_ahead` messages. Raises KeyFileError if the graph asks for a key that this user may not
-    read.
-    """
-    keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
-    name = f"observer_{os.getpid()}"
-    reader = Reader(context, name, (), [topic], present=False, keys=keys, read_ahead=read_ahead)
-    node = graph.nodes[graph.writers()[topic]]
-    reader.connect(node.endpoint, node.key)
-    return reader
 
 
 def quiet_reason(graph: RunningGraph, topic: str) -> str:

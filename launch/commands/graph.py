@@ -26,7 +26,7 @@ from sparseskin.launch.attach.text import (
     typed_value,
     wrapped,
 )
-from sparseskin.launch.run.running import GraphError, choose_graph, running_graphs, wait_for_end
+from sparseskin.launch.run.running import GraphError, choose_graph, running_graphs
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
@@ -71,7 +71,6 @@ def configure_stop(parser: argparse.ArgumentParser) -> None:
 def _stop(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph, option="")
     stop(graph)
-    wait_for_end(graph)
     print(f"{graph.label} has ended: {', '.join(graph.nodes)}")
     return 0
 

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparseskin.launch.launchfile import bundled_names
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.files import overwrite
 
 from .options import (
     add_commands,
@@ -35,11 +37,6 @@ STATUS_LINE = (
     "that of the taxels themselves; the latency from acquisition to reconstruction, median (p50) "
     "and 99th percentile (p99)."
 )
-PICTURES = {
-    "dot": "write the graph as DOT text",
-    "svg": "draw the graph (needs the program dot of Graphviz)",
-    "png": "the same as a PNG",
-}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -62,9 +59,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help=about)
     about = "run the part of this host, of a graph of several"
     parser.add_argument("--host", metavar="NAME", help=about)
-    for form, drawn in PICTURES.items():
-        about = f"with --dry-run: {drawn}"
-        parser.add_argument(f"--{form}", metavar=f"F.{form}", type=Path, help=about)
+    about = "with --dry-run: write the graph as DOT text, of which Graphviz draws a picture"
+    parser.add_argument("--dot", metavar="F.dot", type=Path, help=about)
     parser.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
     add_page(parser)
     add_summary(parser)
@@ -79,7 +75,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.launchfile.load import load
-    from sparseskin.launch.launchfile.spec import LaunchError
     from sparseskin.nodes.lookup import imported_modules
     from sparseskin.nodes.monitor.node import Monitor
 
@@ -100,16 +95,18 @@ def _launch(arguments: argparse.Namespace) -> int:
         monitors = [node.name for node in launch.nodes.values() if issubclass(node.cls, Monitor)]
         changes = [f"{name}.{change}" for name in monitors for change in wanted]
         launch = load(arguments.name, [*arguments.set, *changes], arguments.record)
-    pictures = {form: getattr(arguments, form) for form in PICTURES if getattr(arguments, form)}
     if arguments.dry_run:
-        from sparseskin.launch.launchfile.graph_text import graph_text, write_graph
+        from sparseskin.launch.launchfile.graph_text import dot_of, graph_text
 
-        for form, path in pictures.items():
-            write_graph(launch, form, path)
+        if arguments.dot is not None:
+            try:
+                overwrite(arguments.dot, dot_of(launch).encode())
+            except OSError as error:
+                raise SettingsError(f"--dot {arguments.dot}: {error.strerror}") from error
         print(graph_text(launch))
         return 0
-    if pictures:
-        raise LaunchError(["--dot, --svg, --png: only with --dry-run"])
+    if arguments.dot is not None:
+        raise SettingsError("--dot: only with --dry-run")
     return _run(launch.part(arguments.host), arguments)
 
 

@@ -1,17 +1,12 @@
-"""A graph as text for a terminal, as DOT text, and as a picture that Graphviz draws of that."""
+"""A graph as text for a terminal, and as DOT text, of which Graphviz draws a picture."""
 
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
-from pathlib import Path
 
 from sparseskin.launch.attach.text import table
 from sparseskin.messages.text import printable
 from sparseskin.messages.topics import split_topic
-from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.files import overwrite
 
 from .spec import LaunchFile, NodeSpec
 
@@ -76,29 +71,6 @@ def dot_of(launch: LaunchFile) -> str:
         ends = f"{_quoted(writer)} -> {_quoted(reader)}"
         lines.append(f"{ends} [label={_quoted(_label(names))}]")
     return "\n".join([*lines, "}"]) + "\n"
-
-
-def write_graph(launch: LaunchFile, form: str, path: Path) -> None:
-    """Write a graph as "dot" text, or as a picture, "svg" or "png".
-    Raises SettingsError if the file cannot be written, or a picture is wanted and Graphviz is not
-    installed.
-    """
-    data = dot_of(launch).encode()
-    if form != "dot":
-        program = shutil.which("dot")
-        if program is None:
-            raise SettingsError(
-                f"--{form}: drawn by the program dot, which is not installed "
-                "(apt install graphviz; --dot needs nothing)"
-            )
-        drawn = subprocess.run([program, f"-T{form}"], input=data, capture_output=True, check=False)
-        if drawn.returncode:
-            raise SettingsError(f"--{form}: dot: {drawn.stderr.decode(errors='replace').strip()}")
-        data = drawn.stdout
-    try:
-        overwrite(path, data)
-    except OSError as error:
-        raise SettingsError(f"--{form} {path}: {error.strerror}") from error
 
 
 def _box(spec: NodeSpec) -> str:

@@ -19,6 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.files import is_served
+
+from .running import GraphError
 
 if TYPE_CHECKING:
     from .fleet import Fleet
@@ -100,6 +103,7 @@ class ControlServer:
 
     `take` is called with (request, reply); `describe` with the name of a node, or None, and returns
     the description of the graph.
+    Raises GraphError if the socket cannot be made, or another process listens there.
     """
 
     def __init__(
@@ -114,10 +118,15 @@ class ControlServer:
         self._take = take
         self._describe = describe
         self._clients: list[Connection] = []
+        if is_served(Path(path)):  # a process of another container can have the same number
+            raise GraphError(f"{path}: a graph listens there; SPARSESKIN_RUNTIME_DIR names another")
         self._socket = socket.socket(socket.AF_UNIX)
-        Path(path).unlink(missing_ok=True)  # left by a process that had the same number
-        self._socket.bind(path)
-        os.chmod(path, 0o600)
+        try:
+            Path(path).unlink(missing_ok=True)  # left by a process that had the same number
+            self._socket.bind(path)
+            os.chmod(path, 0o600)
+        except OSError as error:
+            raise GraphError(f"{path}: {error.strerror}") from error
         self._socket.listen(MAX_CLIENTS)
         self._socket.setblocking(False)
         fleet.watch(self._socket, self._accept)

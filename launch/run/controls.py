@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sparseskin.launch.launchfile.spec import LAUNCHER, LaunchFile
-from sparseskin.nodes.errors import RefusedError
+from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import MAX_DEPTH, is_shallow
 
@@ -18,7 +18,8 @@ from .control_socket import ControlClient, ControlServer
 from .fleet import Fleet
 from .live_recording import LiveRecording
 from .process import NodeProcess, awake_s
-from .state import graph_description, graph_state, hosts_state
+from .running import GraphError, RunningGraph
+from .state import graph_description, graph_state
 
 NEWS_S = 0.5
 """Longest time between two published states of the graph; a change is published at once."""
@@ -122,22 +123,17 @@ def _answer(asked: _Open, done: bool, text: str) -> None:
 
 
 class Controls:
-    """Requests to the nodes of a graph of this launcher, and news of it.
-
-    Parameters
-    ----------
-    path : str or None
-        Path of the control socket; None: no socket.
+    """Requests to the nodes of a graph of this launcher, and news of it, at the control socket
+    `path` and for nodes that watch the graph.
+    Raises GraphError if the socket cannot be made.
     """
 
-    def __init__(self, launch: LaunchFile, fleet: Fleet, path: str | None) -> None:
+    def __init__(self, launch: LaunchFile, fleet: Fleet, path: str) -> None:
         self._launch = launch
         self._fleet = fleet
         self._recording = LiveRecording(launch, fleet)
         self._requests = Requests(fleet.nodes, self._recording.command)
-        self._server = (
-            ControlServer(path, fleet, self._requests.take, self._describe) if path else None
-        )
+        self._server = ControlServer(path, fleet, self._requests.take, self._describe)
         self._next_s = 0.0
         self._conditions: list[str] = []
         fleet.hear = self._hear
@@ -145,30 +141,25 @@ class Controls:
     def serve(self) -> None:
         """Publish the state of the graph; answer in place of nodes that are late."""
         self._requests.expire()
-        if self._server is not None:
-            self._server.flush()
+        self._server.flush()
         conditions = [self._fleet.condition(node) for node in self._fleet]
         if conditions == self._conditions and awake_s() < self._next_s:
             return
         self._conditions = conditions
         self._next_s = awake_s() + NEWS_S
         watching = [node for node in self._fleet if node.spec.cls.watches and node.ready]
-        if not watching and not (self._server and self._server.watched):
-            return
-        state = graph_state(self._launch.name, self._fleet, self._recording.out)
-        state["hosts"] = hosts_state(self._launch, self._fleet)
-        for node in watching:
-            node.news("graph", state)
-        if self._server is not None:
+        if watching or self._server.watched:
+            state = graph_state(self._launch, self._fleet, self._recording.out)
+            for node in watching:
+                node.news("graph", state)
             self._server.publish({"graph": state})
 
     def close(self) -> None:
         """Accept no more requests."""
-        if self._server is not None:
-            self._server.close()
+        self._server.close()
 
     def _describe(self, node: str | None) -> dict[str, Any]:
-        return graph_description(self._launch.name, self._fleet, self._recording.out, node)
+        return graph_description(self._launch, self._fleet, self._recording.out, node)
 
     def _hear(self, node: NodeProcess, event: dict[str, Any]) -> None:
         self._recording.hear(node, event["event"])
@@ -182,13 +173,15 @@ class Controls:
 
 class RemoteControls:
     """Passes requests of the nodes here on to the graph that they joined, and its news back.
-
-    Raises SparseskinError if no graph listens at the path of its control socket.
+    Raises GraphError if that graph has ended.
     """
 
-    def __init__(self, fleet: Fleet, path: str) -> None:
+    def __init__(self, fleet: Fleet, joined: RunningGraph) -> None:
         self._fleet = fleet
-        self._client: ControlClient | None = ControlClient(path)
+        try:
+            self._client: ControlClient | None = ControlClient(joined.control)
+        except SparseskinError as error:
+            raise GraphError(f"{joined.label}: has just ended") from error
         self._askers: dict[str, NodeProcess] = {}
         self._client.send({"watch": True})
         fleet.watch(self._client.connection, self._listen)
@@ -226,8 +219,8 @@ class RemoteControls:
         if event["event"] != "request":
             return
         request = {key: event.get(key) for key in ("id", "node", "command", "value")}
-        if self._client is None or not self._client.send(request):
+        if self._client is not None and self._client.send(request):
+            self._askers[str(request["id"])] = node
+        else:
             gone = {"id": request["id"], "node": request["node"], "done": False}
             node.command("answer", value={**gone, "text": "the graph is gone"})
-            return
-        self._askers[str(request["id"])] = node

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import selectors
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
+from sparseskin.launch.launchfile.hosts import Credentials
 from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link
+from sparseskin.nodes.network.keys import read_key_pair
+from sparseskin.nodes.network.sockets import Peer
 
-from .configs import node_config, peer_of
 from .process import NodeProcess, awake_s, exit_text
 from .restarts import Restarts
-from .running import RunningGraph
+from .running import RunningGraph, RunningNode, page_path, socket_path
 
 START_S = 90.0
 """Longest start of all nodes together, seconds: three times what compiling all loops takes."""
 GRACE_S = 2.0
 """Time from one request to end to the next, more forceful one, seconds."""
 POLL_S = 0.1
-
-MAX_FAILURES = 10
-"""Failures of a node whose reasons are kept."""
+ANY_PORT = "tcp://127.0.0.1:*"
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -35,14 +38,17 @@ Hear = Callable[[NodeProcess, dict[str, Any]], None]
 class Fleet:
     """The node processes of a graph; parameters as of `Launcher`, and of its terminal.
 
+    Raises KeyFileError if the graph that is joined asks for a key that this user may not read.
+
     Attributes
     ----------
+    nodes : dict of str to NodeProcess
+    restarts : dict of str to Restarts
+        By the name of the node.
     exit_code : int
         Not 0 once a node has failed that the graph needs.
     late_code : int
         Not 0 once a node has failed that it can do without, or has raised an error and gone on.
-    page_token : str
-        Token of the graph's live pages.
     supervised : bool
         True while a node that fails is restarted as its policy states.
     hear : callable
@@ -63,19 +69,29 @@ class Fleet:
         self._log = log
         self._record = record
         self._max_frames = max_frames
-        self._joined = joined
+        self._joins = joined is not None
         self._selector = selectors.DefaultSelector()
-        self._restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
-        self._failures: dict[str, list[str]] = {}
-        self._due_s: dict[str, float] = {}
-        self._endpoints: dict[str, str] = {}
-        self._to_pause: set[str] = set()
         self._links = list(launch.links)
-        self.page_token = secrets.token_urlsafe(24)
+        self._to_pause: set[str] = set()
+        self._page_token = secrets.token_urlsafe(24)
+        self.restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
         self.nodes: dict[str, NodeProcess] = {}
         self.exit_code = self.late_code = 0
         self.supervised = False
         self.hear: Hear = lambda node, event: None
+        keys = launch.credentials
+        if joined is not None and joined.key_file:
+            pair = read_key_pair(Path(joined.key_file))
+            keys = Credentials(pair, joined.key_file, {}, {}, {})
+        self._keys = keys
+        self._public = keys.own.public if keys else ""
+        servers = keys.servers if keys else {}
+        self._peers = {
+            name: Peer(name, spec.public, spec.host, servers.get(spec.host, self._public))
+            for name, spec in launch.elsewhere.items()
+        }
+        for name, node in joined.nodes.items() if joined else ():
+            self._peers[name] = Peer(name, node.endpoint, key=node.key)
 
     def __iter__(self) -> Iterator[NodeProcess]:
         return iter(list(self.nodes.values()))
@@ -83,23 +99,33 @@ class Fleet:
     def spawn(self) -> None:
         """Start all processes of the launch file."""
         for spec in self._launch.nodes.values():
-            self._start_process(spec)
+            self._start_process(spec, late=self._joins)
 
     def add(self, spec: NodeSpec, topics: list[str]) -> None:
         """Start one process more in a graph that runs; it reads the topics."""
         writers = {topic: node.name for node in self for topic in node.spec.outputs}
         self._links += [Link(topic, writers[topic], spec.name) for topic in topics]
-        self._restarts[spec.name] = Restarts(spec.restart)
+        self.restarts[spec.name] = Restarts(spec.restart)
         self._start_process(spec, late=True)
+
+    def note(self) -> RunningGraph:
+        """The note by which others find this graph and its topics, once all nodes are bound."""
+        nodes = {
+            node.name: RunningNode(
+                *(node.spec.type_name, node.endpoint, list(node.spec.outputs), self._public)
+            )
+            for node in self
+        }
+        key_file = self._keys.file if self._keys else ""
+        about = self._launch.name, os.getpid(), self._offset_ns, self._launch.text
+        return RunningGraph(*about, nodes, key_file, self._page_token)
 
     def connect(self, node: NodeProcess, distant: bool = False) -> None:
         """Send a node the endpoints of its writers on this host, or of those on other hosts."""
         writers = {link.writer for link in self._links if link.reader == node.name}
-        here = {writer for writer in writers if writer not in self._launch.elsewhere}
-        names = sorted(writers - here if distant else here)
-        peers = [peer_of(self._launch, self._joined, name, self._endpoints) for name in names]
-        if peers or not distant:
-            node.command("connect", peers=peers)
+        names = sorted(name for name in writers if (name in self._launch.elsewhere) == distant)
+        if names or not distant:
+            node.command("connect", peers=[asdict(self._peers[name]) for name in names])
 
     def command_all(self, command: str) -> None:
         for node in self:
@@ -107,14 +133,8 @@ class Fleet:
 
     def condition(self, node: NodeProcess) -> str:
         """Condition of a node, in a word or two."""
-        return "restarting" if node.name in self._due_s else node.condition
-
-    def n_restarts(self, name: str) -> int:
-        return self._restarts[name].total
-
-    def failures(self, name: str) -> list[str]:
-        """Why a node failed each time that it was started again; the last `MAX_FAILURES`."""
-        return list(self._failures.get(name, ()))
+        due = self.restarts[node.name].due_s is not None
+        return "restarting" if due else node.condition
 
     def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
         """Wait for another file descriptor than a pipe, too."""
@@ -125,21 +145,17 @@ class Fleet:
 
     def serve(self) -> None:
         """Wait for events of the nodes, at most `POLL_S`, and handle them."""
-        for data in {id(key.data): key.data for key, _ in self._selector.select(POLL_S)}.values():
-            if isinstance(data, NodeProcess):
-                self._listen(data)
-            else:
-                data()
+        self._listen_to_all()
         now_s = awake_s()
         for node in self:
             self._check(node, now_s)
-        for name in [name for name, due_s in self._due_s.items() if due_s <= now_s]:
-            self._start_again(name)
+            due_s = self.restarts[node.name].due_s
+            if due_s is not None and due_s <= now_s:
+                self._start_again(node)
 
     def end_all(self) -> None:
         """End every process: command, then SIGTERM, then SIGKILL; log the use of signals."""
         self.supervised = False
-        self._due_s.clear()
         self.command_all("stop")
         for node in self:
             if not node.endpoint:  # still starting: it does not listen yet
@@ -147,47 +163,77 @@ class Fleet:
         for number in (signal.SIGTERM, signal.SIGKILL):
             deadline = awake_s() + GRACE_S
             while self._alive() and awake_s() < deadline:
-                self._selector.select(POLL_S)
-                for node in self:
-                    self._listen(node)
+                self._listen_to_all()
             for node in self._alive():
                 self._log(f"[launch] {node.name} does not end: {number.name}")
                 node.send_signal(number)
         for node in self:
             self._close(node)
-        self._selector.close()
 
-    def _start_process(self, spec: NodeSpec, late: bool = False, endpoint: str = "") -> None:
-        config = node_config(
-            self._launch,
-            spec,
-            self._links,
-            joined=self._joined,
-            offset_ns=self._offset_ns,
-            max_frames=self._max_frames,
-            late=late or self._joined is not None,
-            page_token=self.page_token,
-            number=list(self._restarts).index(spec.name),
-        )
-        if endpoint:
-            config["endpoint"] = endpoint
+    def _listen_to_all(self) -> None:
+        for data in {id(key.data): key.data for key, _ in self._selector.select(POLL_S)}.values():
+            if isinstance(data, NodeProcess):
+                self._listen(data)
+            else:
+                data()
+
+    def _start_process(self, spec: NodeSpec, late: bool, endpoint: str = "") -> None:
+        launch, keys, links = self._launch, self._keys, self._links
+        elsewhere = launch.elsewhere
+        number = list(self.restarts).index(spec.name)
+        if not endpoint:
+            endpoint = f"ipc://{socket_path(number)}" if launch.transport == "ipc" else ANY_PORT
+        inputs = {link.topic: link.writer for link in links if link.reader == spec.name}
+        readers = sorted({link.reader for link in links if link.writer == spec.name})
+        config = {
+            "name": spec.name,
+            "type": spec.type_name,
+            "settings": spec.values,
+            "folder": launch.folder,
+            **asdict(spec.scheduling),
+            "endpoint": endpoint,
+            "inputs": list(inputs),
+            "readers": readers,
+            "offset_ns": self._offset_ns,
+            "max_frames": self._max_frames,
+            "late": late,
+            "page_token": self._page_token,
+            "page_file": page_path(number),
+            "public": spec.public,
+            "distant_readers": [
+                name for name in readers if name in elsewhere and not elsewhere[name].cls.observes
+            ],
+            "distant_inputs": {
+                topic: elsewhere[writer].host
+                for topic, writer in inputs.items()
+                if writer in elsewhere
+            },
+            "security": keys
+            and {
+                "own": [keys.own.public, keys.own.secret],
+                "allowed": dict(keys.allowed),
+                "known": dict(keys.known),
+            },
+        }
         node = NodeProcess(spec, config)
         self.nodes[spec.name] = node
         for pipe in node.pipes:
             self._selector.register(pipe, selectors.EVENT_READ, node)
 
-    def _start_again(self, name: str) -> None:
-        """Start a node that died, at the endpoint where its readers look for it."""
-        del self._due_s[name]
-        dead = self.nodes[name]
+    def _start_again(self, dead: NodeProcess) -> None:
+        """Start a node that died, at the endpoint where its readers look for it, and paused where
+        it was.
+        """
+        restarts = self.restarts[dead.name]
+        restarts.due_s = None
         self._close(dead)
-        self._log(f"[launch] {name} is started again (restart {self.n_restarts(name)})")
+        self._log(f"[launch] {dead.name} is started again (restart {restarts.total})")
         if dead.state.get("paused"):
-            self._to_pause.add(name)
-        endpoint = self._endpoints.get(name, "")
-        spec = dead.spec.with_live(dead.settings).again(self.n_restarts(name))
+            self._to_pause.add(dead.name)
+        spec = dead.spec.with_live(dead.settings).again(restarts.total)
+        bound = self._peers.get(dead.name)
         try:
-            self._start_process(spec, late=True, endpoint=endpoint)
+            self._start_process(spec, late=True, endpoint=bound.endpoint if bound else "")
         except SparseskinError as error:
             self._died(dead, EXIT_FAILED, str(error))
 
@@ -218,7 +264,7 @@ class Fleet:
         elif node.ended:
             if not node.closed:
                 self._close(node)
-        elif node.name not in self._due_s:
+        elif self.restarts[node.name].due_s is None:
             self._listen(node)
             if not node.ended:
                 self._died(node, EXIT_FAILED, f"{node.name} ended too early: {exit_text(code)}")
@@ -240,7 +286,8 @@ class Fleet:
             self._record(f"[{node.name}] {line}")
         match event["event"]:
             case "bound":
-                node.endpoint = self._endpoints[node.name] = event["endpoint"]
+                node.endpoint = event["endpoint"]
+                self._peers[node.name] = Peer(node.name, node.endpoint, key=self._public)
                 if self.supervised:
                     self.connect(node)
             case "ready":
@@ -278,17 +325,13 @@ class Fleet:
     def _died(self, node: NodeProcess, code: int, text: str) -> None:
         """A process has ended before its time: start it again, or end the graph with it."""
         line = text if text.startswith("[") else f"[launch] {text}"
-        restarts = self._restarts[node.name]
         if self.supervised and code != EXIT_USAGE:
-            due_s = restarts.next_s(awake_s())
-            if due_s is not None:
-                self._due_s[node.name] = due_s
-                why = text.removeprefix(f"[{node.name}] ").removeprefix(f"{node.name} ")
-                self._failures.setdefault(node.name, []).append(why)
-                del self._failures[node.name][:-MAX_FAILURES]
+            why = text.removeprefix(f"[{node.name}] ").removeprefix(f"{node.name} ")
+            given_up = self.restarts[node.name].failed(awake_s(), why)
+            if given_up is None:
                 self._log(line)
                 return
-            line += restarts.spent
+            line += given_up
         node.ended = True
         self._log(line)
         self._fail(node, code)

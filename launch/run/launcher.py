@@ -6,36 +6,25 @@ import contextlib
 import os
 import signal
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from types import FrameType
 from typing import Any
 
-from sparseskin.launch.launchfile.load import LaunchFile
+from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.errors import SparseskinError
 
-from .configs import note_of
 from .controls import Controls, RemoteControls
 from .fleet import EXIT_FAILED, START_S, Fleet
-from .process import NodeProcess, awake_s
-from .running import GraphError, Note, RunningGraph, announced, control_path, is_running
+from .process import awake_s
+from .running import RunningGraph, is_running, remove_files, remove_note, write_note
 from .state import hosts_state
 from .terminal import Terminal
-from .waiting import (
-    AGAIN_S,
-    HOST_S,
-    READER_S,
-    SLOW_S,
-    LateLog,
-    all_read,
-    lacks_readers,
-    late_at_end,
-    late_at_start,
-    missing_nodes,
-)
+from .waiting import LateLog, late_at_end, waits_for
 
 DRAIN_S = 5.0
 """Longest time for frames under way to reach the end of the graph after its sources, seconds."""
+REST_S = 1.0
+"""Time for what a graph that was joined and is gone has sent last, seconds."""
 LOOK_S = 0.5
 QUIT_KEYS = ("q", "\x03")
 
@@ -70,14 +59,11 @@ class Launcher:
         self._joined = joined
         self._keys = dict(keys or {})
         self._look_at_s = 0.0
-        self._offset_ns = joined.offset_ns if joined else wall_offset_ns()
-        self._fleet = Fleet(
-            launch, self._offset_ns, terminal.log, max_frames, joined, terminal.record
-        )
+        offset_ns = joined.offset_ns if joined else wall_offset_ns()
+        self._starting = RunningGraph(launch.name, os.getpid(), offset_ns, "", {})
+        self._fleet = Fleet(launch, offset_ns, terminal.log, max_frames, joined, terminal.record)
         self._controls: Controls | RemoteControls | None = None
-        self._late = [
-            LateLog(lambda: missing_nodes(self._fleet, launch), terminal.log, HOST_S, AGAIN_S)
-        ]
+        self._late = LateLog(self._late_lines, terminal.log)
         writers = {link.writer for link in launch.links}
         self._sinks = [name for name in launch.nodes if name not in writers]
         self._interrupts = 0
@@ -88,45 +74,26 @@ class Launcher:
         """Run the graph until its streams end; return the exit code: 0, 1 for a node that
         failed, 2 for one that refused its settings, 128 + the signal for an interrupt. An interrupt
         is the intended end of nodes that have joined another graph: 0.
-        Raises SparseskinError before any node starts if the runtime folder cannot be used.
+        Raises SparseskinError before any node starts if the runtime folder cannot be used, or the
+        graph that is joined has ended.
         """
-        unjoinable = RunningGraph(self._launch.name, os.getpid(), self._offset_ns, "", {})
-        with announced(replace(unjoinable, starting=self._joined is None)) as note:
-            return self._run(note, unjoinable)
-
-    def _run(self, note: Note, unjoinable: RunningGraph) -> int:
+        if self._joined is None:
+            self._controls = Controls(self._launch, self._fleet, self._starting.control)
+        else:
+            self._controls = RemoteControls(self._fleet, self._joined)
         old = {
             number: signal.signal(number, self._on_signal)
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         }
         try:
-            if self._launch.insecure and self._launch.hosts and not self._launch.security:
-                self._terminal.log(
-                    "[launch] warning: insecure = true and no keys: whoever reaches this network "
-                    "can read all topics and pretend to be any node"
-                )
-            self._fleet.spawn()
-            if self._handshake():
-                self._serve_controls()
-                if self._joined is None:
-                    endpoints = {node.name: node.endpoint for node in self._fleet}
-                    token = self._fleet.page_token
-                    note.announce(note_of(self._launch, endpoints, self._offset_ns, token))
-                with self._terminal.keyboard(bool(self._keys)):
-                    self._fleet.supervised = self._joined is None
-                    self._fleet.command_all("start")
-                    self._log_late(lambda node: lacks_readers(node, self._launch.name), READER_S)
-                    self._until(self._all_ended, None)
-                    self._fleet.supervised = False
-                    del self._late[1:]
-                    if not self._all_ended():
-                        self._drain()
+            self._run()
         finally:
-            if self._controls is not None:
-                self._controls.close()
-            with contextlib.suppress(SparseskinError):
-                note.announce(unjoinable)  # without nodes: nobody can join it any more
+            with contextlib.suppress(OSError, SparseskinError):
+                remove_note(self._starting)
             self._fleet.end_all()
+            self._controls.close()
+            with contextlib.suppress(OSError, SparseskinError):
+                remove_files(os.getpid())
             for number, handler in old.items():
                 signal.signal(number, handler)
             self._terminal.status("")
@@ -134,6 +101,27 @@ class Launcher:
             if n_errors := node.counts.get("errors", 0):
                 self._terminal.log(f"[launch] {node.name} raised {n_errors} errors (see its log)")
         return self._exit_code or self._fleet.late_code
+
+    def _run(self) -> None:
+        if self._joined is None:
+            write_note(self._starting)
+        if self._launch.insecure and self._launch.hosts and not self._launch.security:
+            self._terminal.log(
+                "[launch] warning: insecure = true and no keys: whoever reaches this network "
+                "can read all topics and pretend to be any node"
+            )
+        self._fleet.spawn()
+        if not self._handshake():
+            return
+        if self._joined is None:
+            write_note(self._fleet.note())
+        with self._terminal.keyboard(bool(self._keys)):
+            self._fleet.supervised = self._joined is None
+            self._fleet.command_all("start")
+            self._until(self._all_ended, None)
+            self._fleet.supervised = False
+            if not self._all_ended():
+                self._drain()
 
     def summary(self) -> dict[str, Any]:
         """Reports and counts of the nodes."""
@@ -147,8 +135,8 @@ class Launcher:
             merged["nodes"][node.name] = {
                 **found,
                 "type": node.spec.type_name,
-                "restarts": self._fleet.n_restarts(node.name),
-                "failures": self._fleet.failures(node.name),
+                "restarts": self._fleet.restarts[node.name].total,
+                "failures": list(self._fleet.restarts[node.name].failures),
                 **node.counts,
             }
         return merged
@@ -162,30 +150,27 @@ class Launcher:
         if self._joined is None and not self._fleet.exit_code:
             self._signal_code = self._signal_code or 128 + number
 
-    def _serve_controls(self) -> None:
-        if self._joined is None:
-            self._controls = Controls(self._launch, self._fleet, control_path())
-            return
-        try:
-            self._controls = RemoteControls(self._fleet, self._joined.control)
-        except SparseskinError as error:
-            raise GraphError(f"{self._joined.label}: has just ended") from error
-
     def _handshake(self) -> bool:
         """Join the nodes; False if one of them failed or was late."""
-        self._log_late(lambda node: late_at_start(node, SLOW_S), SLOW_S)
-        if not self._until(lambda: all(node.endpoint for node in self._fleet), START_S):
-            return self._name_late("has not started", lambda node: not node.endpoint)
-        for node in self._fleet:
-            self._fleet.connect(node)
+        fleet = self._fleet
         # Parts start in any order: however long another host takes, it is waited for.
         limit_s = None if self._launch.elsewhere else START_S
-        self._log_late(lambda node: late_at_start(node, SLOW_S), SLOW_S)
-        if not self._until(lambda: all(node.ready for node in self._fleet), limit_s):
-            return self._name_late("is not ready", lambda node: not node.ready)
-        where = f" on {self._launch.host}" if self._launch.host else ""
-        self._terminal.log(f"[launch] ready{where}: {', '.join(self._fleet.nodes)}")
-        return True
+        done = self._until(lambda: all(node.endpoint for node in fleet), START_S)
+        if done:
+            for node in fleet:
+                fleet.connect(node)
+            done = self._until(lambda: all(node.ready for node in fleet), limit_s)
+        if done:
+            where = f" on {self._launch.host}" if self._launch.host else ""
+            self._terminal.log(f"[launch] ready{where}: {', '.join(fleet.nodes)}")
+        elif not self._exit_code and not self._interrupts:
+            fleet.exit_code = EXIT_FAILED
+            for line in self._late_lines():
+                self._terminal.log(f"[launch] after {START_S:g} s: {line}")
+        return done
+
+    def _late_lines(self) -> list[str]:
+        return list(filter(None, (waits_for(node, self._launch) for node in self._fleet)))
 
     def _look_around(self) -> None:
         """Pass on keys, and end where the graph that was joined is gone."""
@@ -201,21 +186,8 @@ class Launcher:
                 self._gone = True
                 self._interrupts += 1
 
-    def _name_late(self, what: str, is_late: Callable[[NodeProcess], bool]) -> bool:
-        if not self._exit_code and not self._interrupts:
-            self._fleet.exit_code = EXIT_FAILED
-            for node in filter(is_late, self._fleet):
-                lack = f": no subscription from {', '.join(node.lacks)}" if node.lacks else ""
-                self._terminal.log(f"[launch] {node.name} {what} after {START_S:g} s{lack}")
-        return False
-
     def _all_ended(self) -> bool:
         return all(node.ended or node.failed for node in self._fleet)
-
-    def _log_late(self, line_of: Callable[[NodeProcess], str], after_s: float) -> None:
-        """Log once, in place of what was to be logged before, the nodes that are late by then."""
-        log = self._terminal.log
-        self._late[1:] = [LateLog(lambda: map(line_of, self._fleet), log, after_s)]
 
     def _all_drained(self) -> bool:
         """True if all have ended but those that wait for a node that is dead."""
@@ -239,15 +211,15 @@ class Launcher:
             if deadline is not None and awake_s() >= deadline:
                 return False
             self._serve()
+            if not draining:
+                self._late.look()
         return True
 
     def _serve(self) -> None:
+        assert self._controls is not None
         self._look_around()
         self._fleet.serve()
-        for late in self._late:
-            late.look()
-        if self._controls is not None:
-            self._controls.serve()
+        self._controls.serve()
         nodes = self._fleet.nodes
         lines = [nodes[name].line for name in self._sinks if name in nodes]
         self._terminal.status("  ||  ".join(filter(None, lines)))
@@ -255,13 +227,11 @@ class Launcher:
     def _drain(self) -> None:
         """Stop the sources, and let frames under way reach the end of the graph."""
         if self._joined is not None:  # the sources are not ours
-            if self._gone:  # what they sent last may still wait here
-                self._until(all_read(self._fleet), DRAIN_S, draining=True)
-                if not self._all_ended():
-                    self._terminal.log(
-                        f"[launch] {self._joined.label} was gone before its streams had ended: "
-                        "its last messages may be missing"
-                    )
+            if self._gone and not self._until(self._all_ended, REST_S, draining=True):
+                self._terminal.log(
+                    f"[launch] {self._joined.label} was gone before its streams had ended: "
+                    "its last messages may be missing"
+                )
             return
         for node in self._fleet:
             # One that is still starting has no handler yet; it has nothing to drain either.

@@ -10,6 +10,7 @@ from sparseskin.nodes.settings import Settings, setting
 NEVER = "never"
 ON_FAILURE = "on-failure"
 POLICIES = (NEVER, ON_FAILURE)
+MAX_FAILURES = 10
 
 
 @dataclass(frozen=True)
@@ -38,30 +39,39 @@ class RestartPolicy(Settings):
 
 
 class Restarts:
-    """The restarts of one node, counted within a sliding window."""
+    """The restarts of one node, counted within a sliding window.
+
+    Attributes
+    ----------
+    total : int
+        Restarts so far.
+    failures : deque of str
+        Why the node failed each time that it was started again, the last `MAX_FAILURES`.
+    due_s : float or None
+        Time of the next restart; None while none is due.
+    """
 
     def __init__(self, policy: RestartPolicy) -> None:
-        self.policy = policy
-        self.total = 0
+        self._policy = policy
         self._times_s: deque[float] = deque()
+        self.total = 0
+        self.failures: deque[str] = deque(maxlen=MAX_FAILURES)
+        self.due_s: float | None = None
 
-    def next_s(self, now_s: float) -> float | None:
-        """Count a failure; return the time of the restart, None for no restart."""
-        policy = self.policy
-        while self._times_s and self._times_s[0] <= now_s - policy.restart_window_s:
-            self._times_s.popleft()
-        if not policy.restarts or len(self._times_s) >= policy.max_restarts:
-            return None
-        delay_s = policy.restart_delay_s * 2.0 ** len(self._times_s)
-        self._times_s.append(now_s)
-        self.total += 1
-        return now_s + min(policy.restart_max_delay_s, delay_s)
-
-    @property
-    def spent(self) -> str:
-        """Reason why there is no further restart, where the policy allows some."""
-        if not self.policy.restarts:
+    def failed(self, now_s: float, why: str) -> str | None:
+        """Count a failure, and set the time of the restart; where there is none, return the reason,
+        "" of a node that is never restarted.
+        """
+        policy, times_s = self._policy, self._times_s
+        if not policy.restarts:
             return ""
-        return (
-            f" ({len(self._times_s)} restarts within {self.policy.restart_window_s:g} s: given up)"
-        )
+        while times_s and times_s[0] <= now_s - policy.restart_window_s:
+            times_s.popleft()
+        if len(times_s) >= policy.max_restarts:
+            return f" ({len(times_s)} restarts within {policy.restart_window_s:g} s: given up)"
+        delay_s = policy.restart_delay_s * 2.0 ** len(times_s)
+        times_s.append(now_s)
+        self.total += 1
+        self.failures.append(why)
+        self.due_s = now_s + min(policy.restart_max_delay_s, delay_s)
+        return None

@@ -1,36 +1,31 @@
 """The graphs that run on this host: notes and sockets in the runtime folder of the user.
 
-A launcher leaves a note of its graph while it runs, and locks it. A lock ends with its process,
-however that ends, so a note that is not locked is of a graph that is gone: it and the sockets
-and pages of that process are removed. Whoever makes, locks or removes a note holds the lock of the
-folder.
+A launcher listens at its control socket while it runs, and leaves a note of its graph beside it. A
+note without a listener is of a graph that is gone: it and the sockets and pages of that process are
+removed.
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import json
 import os
 import re
 import stat
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import check_private, is_served
 from sparseskin.nodes.lookup import did_you_mean
 
-MAX_SOCKET_PATH_BYTES = 107
-"""Longest path of a socket: sun_path of unix(7), less its end."""
+MAX_FOLDER_BYTES = 88
+"""Longest path of the runtime folder: sun_path of unix(7) has 107, less the name of a socket."""
 PART = ".part"
-"""Ending of the name of a note that is being made."""
-MAX_NOTE_BYTES = 1 << 24
+"""Ending of the name of a note that is being written."""
 PATIENCE_S = 30.0
 """Longest time that a command waits for a graph that is starting, seconds."""
 POLL_S = 0.1
@@ -55,9 +50,7 @@ class RunningNode:
 
 @dataclass(frozen=True)
 class RunningGraph:
-    """A graph that runs on this host; it has no nodes while it starts, and where it has joined
-    another one.
-    """
+    """A graph that runs on this host; it has no nodes while it starts."""
 
     name: str
     pid: int
@@ -68,8 +61,6 @@ class RunningGraph:
     """File of the secret key with which programs of this user may read; "" without keys."""
     page_token: str = ""
     """Token that its live pages ask for."""
-    starting: bool = False
-    """True until it can be joined."""
 
     @property
     def label(self) -> str:
@@ -81,6 +72,11 @@ class RunningGraph:
         """Path of its control socket."""
         return str(runtime_folder() / f"{self.pid}.sock")
 
+    @property
+    def starting(self) -> bool:
+        """True until it can be joined."""
+        return not self.nodes
+
     def writers(self) -> dict[str, str]:
         """Name of the node that writes each topic."""
         return {topic: name for name, node in self.nodes.items() for topic in node.outputs}
@@ -88,7 +84,7 @@ class RunningGraph:
 
 def runtime_folder() -> Path:
     """Folder of notes and sockets, which no other user may enter.
-    Raises GraphError if it is not private, or cannot be made.
+    Raises GraphError if it is not private, cannot be made, or its path is too long for a socket.
     """
     import tempfile  # with it come compression and random numbers, which a key press waits for
 
@@ -100,6 +96,8 @@ def runtime_folder() -> Path:
         folder = runtime / "sparseskin"
     else:
         folder = Path(tempfile.gettempdir()) / f"sparseskin-{os.geteuid()}"
+    if len(os.fsencode(folder)) > MAX_FOLDER_BYTES:
+        raise GraphError(f"{folder}: too long for the path of a socket{_ELSEWHERE}")
     try:
         if not folder.is_symlink():
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -109,11 +107,6 @@ def runtime_folder() -> Path:
     except SparseskinError as error:
         raise GraphError(f"{error}{_ELSEWHERE}") from error
     return folder
-
-
-def control_path() -> str:
-    """Path of the control socket of the graph that this process launches."""
-    return str(runtime_folder() / f"{os.getpid()}.sock")
 
 
 def socket_path(number: int) -> str:
@@ -126,96 +119,80 @@ def page_path(number: int) -> str:
     return str(runtime_folder() / f"{os.getpid()}.{number}.html")
 
 
-class Note:
-    """The note of a graph of this process, locked from its creation on.
-
-    Raises GraphError if the paths of the sockets in the folder are too long, or a process of
-    another container has the same number.
+def write_note(graph: RunningGraph) -> None:
+    """Write the note of a graph that listens at its control socket, in place of an earlier one.
+    Raises GraphError if that cannot be done.
     """
-
-    def __init__(self, graph: RunningGraph) -> None:
-        if len(os.fsencode(socket_path(10**4))) > MAX_SOCKET_PATH_BYTES:
-            raise GraphError(f"{runtime_folder()}: too long for the path of a socket{_ELSEWHERE}")
-        self._path, self._size = runtime_folder() / f"{graph.label}.json", 0
-        with _locked(self._path.parent):
-            running = _remove_stale()
-            for other in running:
-                if other.pid == graph.pid:
-                    folder = self._path.parent
-                    raise GraphError(f"{folder}: {other.label} has this number too{_ELSEWHERE}")
-            try:
-                part = self._path.with_name(f"{graph.pid}{PART}")
-                part.unlink(missing_ok=True)  # left by a process that had the same number
-                flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
-                self._file = os.fdopen(os.open(part, flags, 0o600), "w")
-                fcntl.flock(self._file, fcntl.LOCK_EX)
-                self._write(graph)
-                part.rename(self._path)
-            except OSError as error:
-                raise GraphError(f"{self._path}: {error.strerror}") from error
-
-    def announce(self, graph: RunningGraph) -> None:
-        """Replace the text of the note: a graph with nodes can be joined."""
-        try:
-            with _locked(self._path.parent):
-                self._write(graph)
-        except OSError as error:
-            raise GraphError(f"{self._path}: {error.strerror}") from error
-
-    def _write(self, graph: RunningGraph) -> None:
-        """Write the text in one go, over all of the last one: a process that is killed meanwhile
-        leaves the one or the other.
-        """
-        text = json.dumps(asdict(graph)).encode()
-        self._size = max(self._size, len(text))
-        if os.pwrite(self._file.fileno(), text.ljust(self._size), 0) < self._size:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    def remove(self) -> None:
-        """Remove the note, and the sockets and pages that nodes which were killed have left."""
-        with _locked(self._path.parent):
-            if _remove_of(self._path.parent, self._path.stem.rpartition("-")[2]):
-                self._path.unlink(missing_ok=True)
-            self._file.close()
-
-
-@contextlib.contextmanager
-def announced(graph: RunningGraph) -> Iterator[Note]:
-    """Leave a note of a graph for as long as the context lasts."""
-    note = Note(graph)
+    folder = runtime_folder()
+    part = folder / f"{graph.pid}{PART}"
     try:
-        yield note
-    finally:
-        note.remove()
+        part.write_text(json.dumps(asdict(graph)))
+        part.replace(folder / f"{graph.label}.json")
+    except OSError as error:
+        raise GraphError(f"{folder / graph.label}.json: {error.strerror}") from error
+
+
+def remove_note(graph: RunningGraph) -> None:
+    """Remove the note of a graph: nobody can find it any more."""
+    (runtime_folder() / f"{graph.label}.json").unlink(missing_ok=True)
 
 
 def running_graphs(starting: bool = False) -> list[RunningGraph]:
     """All graphs that run and can be joined, and with `starting` those that are starting; what
     graphs that are gone have left is removed.
     """
-    with _locked(runtime_folder()):
-        return [one for one in _remove_stale() if one.nodes or (starting and one.starting)]
+    folder, found = runtime_folder(), []
+    for path in sorted(folder.glob("*.json")):
+        with contextlib.suppress(*_NO_NOTE):
+            graph = _read_note(path)
+            if is_running(graph):
+                found.append(graph)
+            elif remove_files(graph.pid):
+                path.unlink()
+    # A node that was still starting as its launcher was killed makes files after the note is gone.
+    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
+    with contextlib.suppress(OSError):
+        for number in {path.name.partition(".")[0] for path in folder.iterdir()} - noted:
+            if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
+                remove_files(int(number))
+    return [graph for graph in found if starting or not graph.starting]
 
 
 def is_running(graph: RunningGraph) -> bool:
-    """True if a graph still runs."""
+    """True if the launcher of a graph listens at its control socket."""
     try:
-        folder = runtime_folder()
-        with _locked(folder), _open(folder / f"{graph.label}.json") as note:
-            return _is_locked(note) and bool(_graph(note).nodes)
-    except FileNotFoundError:
-        return False
+        return is_served(Path(graph.control))
     except OSError:  # no descriptor is free
         return True
 
 
-def wait_for_end(graph: RunningGraph) -> None:
-    """Wait until the launcher of a graph has ended, and with it its nodes."""
-    with (
-        contextlib.suppress(FileNotFoundError),
-        _open(runtime_folder() / f"{graph.label}.json") as note,
-    ):
-        fcntl.flock(note, fcntl.LOCK_SH)
+def remove_files(pid: int) -> bool:
+    """Remove the sockets, the pages and the part of a note that a process has left; False if
+    somebody listens to one of the sockets.
+    """
+    made = re.compile(rf"{pid}(\.\d+)?\.sock|{pid}(\.\d+\.html|{PART})")
+    served = False
+    for path in runtime_folder().glob(f"{pid}.*"):
+        with contextlib.suppress(FileNotFoundError):  # its process ends
+            is_socket, mode = path.suffix == ".sock", path.lstat().st_mode
+            if made.fullmatch(path.name) and (stat.S_ISSOCK if is_socket else stat.S_ISREG)(mode):
+                if is_socket and is_served(path):
+                    served = True
+                else:
+                    path.unlink()
+    return not served
+
+
+def _read_note(path: Path) -> RunningGraph:
+    """The graph that a note describes; any of `_NO_NOTE` where this program has not written it."""
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise ValueError(f"{path}: is no file")
+    fields: dict[str, Any] = json.loads(path.read_bytes())
+    nodes = {name: RunningNode(**node) for name, node in fields.pop("nodes").items()}
+    graph = RunningGraph(**fields, nodes=nodes)
+    if graph.label != path.stem or not isinstance(graph.pid, int):
+        raise ValueError(f"{path}: is no note")
+    return graph
 
 
 def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
@@ -248,8 +225,8 @@ def _wait_for_start(name: str | None) -> list[RunningGraph]:
     while True:
         found = running_graphs(starting=True)
         matching = _named(found, name)
-        if not matching or any(graph.nodes for graph in matching):
-            return [graph for graph in found if graph.nodes]
+        if not matching or not all(graph.starting for graph in matching):
+            return [graph for graph in found if not graph.starting]
         label, now_s = matching[0].label, time.monotonic()
         if given_up_s is None:
             given_up_s = now_s + PATIENCE_S
@@ -260,78 +237,3 @@ def _wait_for_start(name: str | None) -> list[RunningGraph]:
                 "waits for"
             )
         time.sleep(POLL_S)
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(fd)
-
-
-def _remove_stale() -> list[RunningGraph]:
-    """Remove what graphs that are gone have left; the graphs that run."""
-    folder, found = runtime_folder(), []
-    for path in sorted(folder.glob("*.json")):
-        with contextlib.suppress(*_NO_NOTE), _open(path) as note:
-            graph = _graph(note)
-            if graph.label != path.stem or not isinstance(graph.pid, int):
-                continue  # not written by this program
-            if _is_locked(note):
-                found.append(graph)
-            elif _remove_of(folder, str(graph.pid)):
-                path.unlink(missing_ok=True)
-    # A node that was still starting as its launcher was killed makes files after the note is gone.
-    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
-    with contextlib.suppress(OSError):
-        for number in {path.name.partition(".")[0] for path in folder.iterdir()} - noted:
-            if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
-                _remove_of(folder, number)
-    return found
-
-
-def _remove_of(folder: Path, number: str) -> bool:
-    """Remove the sockets, the pages and the part of a note of a process; False if somebody listens
-    to one of the sockets.
-    """
-    made = re.compile(rf"{number}(\.\d+)?\.sock|{number}(\.\d+\.html|{PART})")
-    served = False
-    for path in folder.glob(f"{number}.*"):
-        with contextlib.suppress(FileNotFoundError):  # its process ends
-            is_socket, mode = path.suffix == ".sock", path.lstat().st_mode
-            if made.fullmatch(path.name) and (stat.S_ISSOCK if is_socket else stat.S_ISREG)(mode):
-                if is_socket and is_served(path):
-                    served = True
-                else:
-                    path.unlink()
-    return not served
-
-
-def _open(path: Path) -> IO[str]:
-    """Open a regular file of this user; whatever else has its name raises ValueError."""
-    fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    file = os.fdopen(fd)
-    found = os.fstat(fd)
-    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
-        file.close()
-        raise ValueError(f"{path}: is no note")
-    return file
-
-
-def _is_locked(note: IO[str]) -> bool:
-    try:
-        fcntl.flock(note, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    fcntl.flock(note, fcntl.LOCK_UN)
-    return False
-
-
-def _graph(note: IO[str]) -> RunningGraph:
-    """The graph that a note describes; any of `_NO_NOTE` if it describes none."""
-    fields: dict[str, Any] = json.loads(note.read(MAX_NOTE_BYTES))
-    nodes = {name: RunningNode(**node) for name, node in fields.pop("nodes").items()}
-    return RunningGraph(**fields, nodes=nodes)

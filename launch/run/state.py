@@ -15,25 +15,26 @@ from .fleet import Fleet
 from .process import NodeProcess
 
 
-def graph_state(name: str, fleet: Fleet, recording: str | None) -> dict[str, Any]:
+def graph_state(launch: LaunchFile, fleet: Fleet, recording: str | None) -> dict[str, Any]:
     """The state of a graph, as it is published to all that watch it; `recording` is the file that
     is recorded on request, if any.
     """
     return {
-        "name": name,
+        "name": launch.name,
         "recording": recording,
         "nodes": [_node_state(fleet, node) for node in _present(fleet)],
+        "hosts": hosts_state(launch, fleet),
     }
 
 
 def graph_description(
-    name: str, fleet: Fleet, recording: str | None, node: str | None
+    launch: LaunchFile, fleet: Fleet, recording: str | None, node: str | None
 ) -> dict[str, Any]:
     """The description of a graph, for a program that asks once: with the settings of `node`, each
     with its type, range and meaning.
     """
     return {
-        "name": name,
+        "name": launch.name,
         "pid": os.getpid(),
         "host": socket.gethostname(),
         "recording": recording,
@@ -52,7 +53,7 @@ def _common(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
         "name": node.name,
         "type": node.spec.type_name,
         "condition": fleet.condition(node),
-        "restarts": fleet.n_restarts(node.name),
+        "restarts": fleet.restarts[node.name].total,
         "line": node.line,
         "refusal": node.refusal,
         "state": node.state,

@@ -131,8 +131,6 @@ def test_a_command_of_the_pages_is_accepted(
     if "--record" not in arguments:
         (workplace / "drag.mcap").write_bytes(bag.read_bytes())
     assert cli.make_parser(arguments).parse_args(arguments).run
-    if shutil.which("dot") is None and "--svg" in arguments:
-        arguments[arguments.index("--svg")] = "--dot"
     if "lerobot" in arguments:
         pytest.importorskip("pyarrow")
     if " ".join(arguments).startswith(QUICK):

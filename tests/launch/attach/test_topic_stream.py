@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import wait_until
+from processes import announced
 
 from sparseskin.launch.attach.stream import Arrival, Losses, TopicStream
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.run.running import RunningGraph, RunningNode, announced
+from sparseskin.launch.run.running import RunningGraph, RunningNode
 from sparseskin.messages import End, Message, Taxels, decode, size_bytes
 from sparseskin.nodes.network.gate import Gate
 from sparseskin.nodes.network.keys import KeyFileError, make_key_files, read_key_pair

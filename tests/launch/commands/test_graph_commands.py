@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 from conftest import PATIENCE_S
+from processes import announced
 from shells import words
 
 from sparseskin.launch.commands.cli import COMMANDS, main, plugins
-from sparseskin.launch.run.running import RunningGraph, RunningNode, announced
+from sparseskin.launch.run.running import RunningGraph, RunningNode
 
 NODES = {"sensor": RunningNode("sensor", "ipc://none", ["/skin/skin"])}
 

@@ -21,7 +21,7 @@ LINES = {
     "launch path_40 --record none/a.mcap": "--record: none/a.mcap: its folder does not exist",
     "launch path_40 --record a.bag": "--record: a.bag: expected a name that ends in .mcap",
     "launch path_40 --log-dir old.toml": "--log-dir: old.toml: Not a directory",
-    "launch path_40 --svg g.svg": "--dot, --svg, --png: only with --dry-run",
+    "launch path_40 --dot g.dot": "--dot: only with --dry-run",
     "launch path_40 --dry-run --dot no/g.dot": "--dot no/g.dot: No such file or directory",
     "launch path_40 --frames -4": "argument --frames",
     "launch path_40 --frame 4": "--frame (did you mean '--frames'?)",

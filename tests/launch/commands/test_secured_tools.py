@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 from conftest import Program, StartProgram, free_port, wait_until
+from processes import announced
 
-from sparseskin.launch.run.running import RunningGraph, announced, running_graphs
+from sparseskin.launch.run.running import RunningGraph, running_graphs
 from sparseskin.nodes.network.keys import make_key_files, read_public_key
 from sparseskin.nodes.recorder.bag.reader import BagReader
 

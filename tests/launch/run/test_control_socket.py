@@ -20,6 +20,7 @@ from sparseskin.launch.run.control_socket import (
     ControlClient,
     ControlServer,
 )
+from sparseskin.launch.run.running import GraphError
 from sparseskin.nodes.errors import SparseskinError
 
 
@@ -178,6 +179,11 @@ def test_a_client_learns_that_the_graph_is_gone(line: Line) -> None:
     assert client.receive() is None
     assert not client.send({"id": "2"})
     assert not Path(line.path).exists()
+
+
+def test_two_graphs_with_one_number_do_not_share_a_socket(line: Line) -> None:
+    with pytest.raises(GraphError, match="a graph listens there; SPARSESKIN_RUNTIME_DIR names"):
+        Line(Path(line.path))
 
 
 def test_only_the_user_may_connect(line: Line) -> None:

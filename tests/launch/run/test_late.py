@@ -11,14 +11,12 @@ import pytest
 from conftest import StartProgram, wait_until
 from fake_node import FakeNode
 
-from sparseskin.launch.run.waiting import (
-    LateLog,
-    all_read,
-    lacks_readers,
-    late_at_end,
-    late_at_start,
-)
+from sparseskin.launch.launchfile.hosts import Host
+from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
+from sparseskin.launch.run.state import hosts_state
+from sparseskin.launch.run.waiting import AFTER_S, AGAIN_S, LateLog, late_at_end, waits_for
 from sparseskin.nodes.graph import Link
+from sparseskin.nodes.node import Node
 from sparseskin.nodes.player.settings import PlayerSettings
 
 LINKS = [
@@ -28,10 +26,15 @@ LINKS = [
 ]
 
 
-def says(node: FakeNode, received: int) -> None:
-    """A heartbeat of a node comes."""
-    node.heard_s += 0.5
-    node.counts = {"received": received}
+PART = LaunchFile(
+    *("drag", "", "ipc", {}, []),
+    hosts={name: Host("127.0.0.1") for name in ("edge", "desk", "wall")},
+    host="edge",
+    elsewhere={
+        name: NodeSpec(name, "none", Node, {}, None, host=host)
+        for name, host in (("echo", "desk"), ("screen", "wall"))
+    },
+)
 
 
 def nodes(*made: FakeNode) -> Any:
@@ -41,30 +44,35 @@ def nodes(*made: FakeNode) -> Any:
 def test_each_node_that_is_not_ready_reports_what_it_waits_for() -> None:
     made = nodes(
         FakeNode("sensor", endpoint=""),
-        FakeNode("compressor", lacks=["monitor", "reconstructor"]),
+        FakeNode("compressor", lacks=["echo", "monitor", "reconstructor"]),
         FakeNode("recorder"),
-        FakeNode("monitor", ready=True),
+        FakeNode("monitor", SimpleNamespace(settings=None), ready=True),
+        FakeNode("player", failed=True),
     )
-    assert [late_at_start(node, 5.0) for node in made] == [
-        "sensor has not started: it imports, or opens its device (5 s)",
-        "compressor waits for a subscription from monitor, reconstructor (5 s)",
-        "recorder has not answered yet (5 s)",
+    assert [waits_for(node, PART) for node in made] == [
+        "sensor has not started: it imports, or opens its device",
+        "compressor waits for a subscription from echo on desk, monitor, reconstructor",
+        "recorder has not answered yet",
+        "",
         "",
     ]
 
 
-def test_all_is_read_once_the_counts_are_the_same_over_two_heartbeats() -> None:
-    recorder, monitor = FakeNode("recorder"), FakeNode("monitor")
-    done = all_read(nodes(recorder, monitor, FakeNode("late", ended=True)))
-    for received in (0, 64, 65):
-        for node in (recorder, monitor):
-            says(node, received)
-        assert not done()
-        assert not done()  # silence is no heartbeat
-    for received, both in ((65, False), (65, True), (70, False)):
-        says(monitor, 65)
-        says(recorder, received)
-        assert done() == both
+def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_clock_is_reported() -> (
+    None
+):
+    desk, wall = hosts_state(
+        PART,
+        nodes(
+            FakeNode(heard={"echo": True, "screen": False}, clocks={"desk": (3_000_000, 900_000)}),
+            FakeNode(heard={"echo": True}, clocks={"desk": (2_500_000, 400_000)}),
+        ),
+    ).values()
+    assert (desk["heard"], desk["silent"]) == (True, [])
+    assert (wall["heard"], wall["silent"]) == (False, ["screen"])
+    assert desk["clock_offset_ms"] == pytest.approx(2.5)
+    assert desk["clock_uncertainty_ms"] == pytest.approx(0.4)
+    assert wall["clock_offset_ms"] is None
 
 
 def test_who_has_not_ended_waits_for_those_before_it() -> None:
@@ -81,16 +89,23 @@ def test_who_has_not_ended_waits_for_those_before_it() -> None:
     ]
 
 
-def test_what_is_late_is_logged_once_after_a_while() -> None:
-    now_s, lines, late = [100.0], list[str](), ["", "sensor has not answered yet"]
-    log = LateLog(lambda: late, lines.append, 5.0, now_s=lambda: now_s[0])
-    for now_s[0] in (100.0, 104.9):
+def test_what_is_late_is_logged_after_a_while_and_again_now_and_then() -> None:
+    now_s, logged, late = [100.0], list[str](), ["a"]
+    log = LateLog(lambda: list(late), logged.append, now_s=lambda: now_s[0])
+    for step_s, changed, n in (
+        (0.0, ["a"], 0),
+        (AFTER_S - 0.1, ["a"], 0),
+        (0.2, ["a"], 1),
+        (AGAIN_S - 0.2, ["a"], 1),
+        (0.3, ["a"], 2),
+        (AGAIN_S, ["b"], 2),
+        (AFTER_S, ["b"], 3),
+        (2 * AGAIN_S, [], 3),
+    ):
+        now_s[0], late[:] = now_s[0] + step_s, changed
         log.look()
-        assert lines == []
-    for now_s[0] in (105.0, 105.1, 200.0):
-        log.look()
-        late[0] = "another"
-    assert lines == ["[launch] sensor has not answered yet"]
+        assert len(logged) == n, (step_s, changed)
+    assert logged == ["[launch] a", "[launch] a", "[launch] b"]
 
 
 LATCHED, SENT = ({"published": {topic: 1}} for topic in ("/skin/skin", "/skin/taxels"))
@@ -114,13 +129,8 @@ def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(
     stated: dict[str, Any], fields: dict[str, Any], line: str
 ) -> None:
     spec = SimpleNamespace(settings=PlayerSettings(**stated))
-    (node,) = nodes(FakeNode("player", spec, **fields))
-    assert lacks_readers(node, "drag") == line
-
-
-def test_what_is_no_player_waits_for_nobody() -> None:
-    (node,) = nodes(FakeNode("sensor", SimpleNamespace(settings=None)))
-    assert lacks_readers(node, "drag") == ""
+    (node,) = nodes(FakeNode("player", spec, ready=True, **fields))
+    assert waits_for(node, PART) == line
 
 
 @pytest.mark.slow

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import socket
 import subprocess
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -19,15 +17,13 @@ from urllib.parse import urlsplit
 import pytest
 from conftest import Program, StartProgram, note_of_graph, wait_until
 from other_user import NOBODY, Run, become_nobody, give
+from processes import announced
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.run import running
 from sparseskin.launch.run.running import (
-    GraphError,
     RunningGraph,
     RunningNode,
-    announced,
-    control_path,
+    is_running,
     running_graphs,
     runtime_folder,
     socket_path,
@@ -119,7 +115,6 @@ def test_a_folder_whose_path_is_too_long_for_a_socket_is_refused(
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder / ("x" * 100)))
     assert main(LAUNCH) == 2
     assert "too long for the path of a socket" in capsys.readouterr().err
-    assert running_graphs() == []
 
 
 def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody: Run) -> None:
@@ -245,45 +240,6 @@ def test_what_a_node_made_after_the_note_was_removed_is_removed_too(folder: Path
     assert {path.name for path in folder.iterdir()} == others
 
 
-def test_a_note_is_at_no_moment_there_and_unlocked(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found: list[list[RunningGraph]] = []
-    beside = threading.Thread(target=lambda: found.append(running_graphs()))
-    flock = fcntl.flock
-
-    def lock(file: Any, how: int) -> None:
-        # Between the creation of the note and its lock, another command looks for stale ones.
-        if not isinstance(file, int) and not beside.ident:
-            beside.start()
-        flock(file, how)
-
-    monkeypatch.setattr(running.fcntl, "flock", lock)
-    with announced(GRAPH):
-        beside.join()
-        assert found == [[GRAPH]]
-
-
-def test_a_graph_that_starts_or_ends_cannot_be_joined(folder: Path) -> None:
-    starting = RunningGraph("path_40", 7, 0, "", {})
-    with announced(starting) as note:
-        assert running_graphs() == []
-        assert not running.is_running(GRAPH)
-        note.announce(GRAPH)
-        assert running_graphs() == [GRAPH]
-        assert running.is_running(GRAPH)
-        note.announce(starting)
-        assert not running.is_running(GRAPH)
-    assert not list(folder.iterdir())
-
-
-def test_two_graphs_with_one_number_do_not_share_sockets(folder: Path) -> None:
-    other = RunningGraph("lift", 7, 0, "", {})
-    with announced(GRAPH), pytest.raises(GraphError, match="path_40-7 has this number too"):
-        announced(other).__enter__()
-    assert not list(folder.iterdir())
-
-
 def test_a_graph_counts_as_running_while_no_file_can_be_opened(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -291,8 +247,8 @@ def test_a_graph_counts_as_running_while_no_file_can_be_opened(
         raise OSError(24, "Too many open files")
 
     with announced(GRAPH), monkeypatch.context() as patch:
-        patch.setattr(running.os, "open", full)
-        assert running.is_running(GRAPH)
+        patch.setattr(socket, "socket", full)
+        assert is_running(GRAPH)
 
 
 def test_an_environment_of_another_user_is_not_used(
@@ -304,4 +260,4 @@ def test_an_environment_of_another_user_is_not_used(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "theirs"))
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     assert runtime_folder() == folder / f"sparseskin-{os.geteuid()}"
-    assert Path(control_path()).parent == Path(socket_path(0)).parent == runtime_folder()
+    assert Path(GRAPH.control).parent == Path(socket_path(0)).parent == runtime_folder()

@@ -67,7 +67,8 @@ def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_e
 ) -> None:
     write(tmp_path)
     edge = part(start, "edge", "--frames", "300")
-    assert edge.wait_for("[launch] waits for ") == "echo, recorder on desk"
+    line = edge.wait_for("[launch] sensor waits for a subscription from ")
+    assert line == "echo, recorder on desk"
     desk = part(start, "desk")
     for program in (edge, desk):
         code, _, stderr = program.finish()
