@@ -82,7 +82,7 @@ class Node(Generic[S]):
     required: ClassVar[bool] = True
     """True if the graph ends when this node fails."""
     watches: ClassVar[bool] = False
-    """True if the launcher sends the state of all nodes, as a command "graph"."""
+    """True if the state of all nodes is sent, again and again, as a command "graph"."""
     observes: ClassVar[bool] = False
     """True if no source waits until this node has processed its frames."""
     patience_s: ClassVar[float] = 0.0

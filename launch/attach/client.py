@@ -9,10 +9,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.launch.run.running import GraphError, RunningGraph
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.process.control import COUNTED
+from sparseskin.nodes.process.control import COUNTED, ControlClient
 
 PATIENCE_S = 30.0
 """Longest time that a launcher may take to answer, seconds; after 20 s it answers in place of a

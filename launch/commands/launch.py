@@ -8,7 +8,7 @@ import argparse
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.launchfile import bundled_names
 from sparseskin.nodes.errors import SettingsError
@@ -128,7 +128,7 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
     try:
         if sensed or code != EXIT_USAGE:
             if patches:
-                print(summary_table(patches))
+                print(summary_table(_titled(patches, launch.name)))
             print_ends(summary["nodes"])
             sys.stdout.flush()
     finally:  # stdout may be on a full disk
@@ -140,6 +140,16 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
             print(f"{name}: not one frame was reconstructed", file=sys.stderr)
             code = code or 1
     return code
+
+
+def _titled(patches: dict[str, Any], graph: str) -> dict[str, Any]:
+    """Summaries of patches whose tables have the name of the graph in their title."""
+    return {
+        name: {**patch, "scene": f"{graph}, {scene}"}
+        if (scene := patch["scene"]) not in (None, graph)
+        else patch
+        for name, patch in patches.items()
+    }
 
 
 def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:

@@ -8,9 +8,8 @@ that can serve several patches, and states none, is made once for each batch.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.messages.topics import MAX_NAMES, MAX_PATCHES, check_name
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.skin_file import MAX_FILE_CHARS, load_skin, parse_skin
@@ -35,8 +34,6 @@ SKIN = "skin"
 MAX_BODY = 4096
 """Most patches of a body."""
 _OF_SKIN = ("rows", "cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
-_UNIT_NORM = 1e-3
-"""Allowed difference of the norm of an orientation from 1."""
 
 
 @dataclass(frozen=True)
@@ -60,34 +57,18 @@ class PatchTable(Settings):
     skin: str = setting("", "name of its skin.toml, in place of keys of the skin")
     host: str = setting("", "host of its nodes; by default as they state")
     compressor: dict[str, Any] | None = setting(None, "settings of its compressor")
-    position_mm: tuple[float, ...] = setting((0.0, 0.0, 0.0), "middle of the patch on the body, mm")
-    orientation: tuple[float, ...] = setting(
-        (1.0, 0.0, 0.0, 0.0),
-        "unit quaternion from the patch's frame (columns, rows, outward normal) to the body's",
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for key, n in (("position_mm", 3), ("orientation", 4)):
-            if len(getattr(self, key)) != n:
-                value = list(getattr(self, key))
-                raise SettingsError(f"{key}: expected {n} finite numbers, got {value}")
-        if abs(math.hypot(*self.orientation) - 1) > _UNIT_NORM:
-            raise SettingsError("orientation: expected [w, x, y, z] of norm 1")
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """One patch of a body: its name, its skin, and what the body file states of it."""
+    """One patch of a body: its name, its skin, the host of its nodes, and the settings of its
+    compressor that are in place of the node's.
+    """
 
     name: str
     skin: SkinDescription
-    stated: PatchTable = PatchTable()
-
-    @property
-    def compressor(self) -> dict[str, Any]:
-        """Settings of its compressor, in place of the node's."""
-        return self.stated.compressor or {}
+    host: str = ""
+    compressor: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def kind(self) -> tuple[Any, ...]:
@@ -97,7 +78,7 @@ class Patch:
         settings = repr(sorted(self.compressor.items()))
         layout = None if s.placement is None else s.placement.layout
         of_skin = (*s.shape, s.pitch_mm, s.f_max, mask, s.noise, s.noise_mid, layout)
-        return (*of_skin, self.stated.host, settings)
+        return (*of_skin, self.host, settings)
 
     @property
     def simulated(self) -> dict[str, Any]:
@@ -162,8 +143,8 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
     ----------
     path : path
         A TOML file of tables [[patches]]: name, and either the keys of a skin.toml (rows and cols
-        are required, f_max is by default 2.5, pitch_mm 5) or skin = "FILE.toml"; position_mm
-        [x, y, z], orientation [w, x, y, z], host, and compressor, a table of settings.
+        are required, f_max is by default 2.5, pitch_mm 5) or skin = "FILE.toml"; host, and
+        compressor, a table of settings.
     fault : callable
         Receives each error as one line that begins with the file and the place in it.
     """
@@ -198,7 +179,7 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
     """One table [[patches]]; SparseskinError with its place if it is not as stated."""
     if not isinstance(table, dict):
         raise SparseskinError(f"{where}: expected a table [[patches]]")
-    known = (*(field.name for field in dataclasses.fields(PatchTable)), *_OF_SKIN)
+    known = (*(one.name for one in dataclasses.fields(PatchTable)), *_OF_SKIN)
     for key in table:
         if key not in known:
             raise SparseskinError(f"{where}.{key[:40]}: unknown key{did_you_mean(key, known)}")
@@ -222,16 +203,15 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
         skin = parse_skin(values, where, folder)
     if skin.unit != "N":
         raise SparseskinError(f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N")
-    found = Patch(name, skin, stated)
+    compressor = stated.compressor or {}
     for key in ("patch", "patches"):
-        if key in found.compressor:
+        if key in compressor:
             raise SparseskinError(f"{where}.compressor.{key}: is given by the body")
     try:
-        values = {**found.compressor, "patches": [name, f"{name}_"]}
-        CompressorSettings.from_mapping(values).check()
+        CompressorSettings.from_mapping({**compressor, "patches": [name, f"{name}_"]}).check()
     except SparseskinError as error:
         raise SparseskinError(f"{where}.compressor.{error}") from error
-    return found
+    return Patch(name, skin, stated.host, compressor)
 
 
 def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
@@ -276,7 +256,7 @@ def expand(
             values["simulated"] = first.simulated
         if "ratio" in fields:
             values |= first.compressor
-        if first.stated.host:
-            values["host"] = first.stated.host
+        if first.host:
+            values["host"] = first.host
         found[name if len(batches) == 1 else f"{name}_{k}"] = {**table, **values}
     return found

@@ -18,80 +18,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import is_served
+from sparseskin.nodes.process.control import Connection
 
 from .running import GraphError
 
 if TYPE_CHECKING:
     from .fleet import Fleet
-
-
-MAX_QUEUED_BYTES = 1 << 20
-"""A peer that does not read is dropped once this much is queued for it."""
-
-
-class Connection:
-    """One connection, one JSON object a line; no method blocks."""
-
-    def __init__(self, connection: socket.socket, max_line_bytes: int) -> None:
-        connection.setblocking(False)
-        self._max_line_bytes = max_line_bytes
-        self.connection = connection
-        self.watches = False
-        self._rest = b""
-        self._unsent = b""
-
-    def lines(self) -> list[bytes] | None:
-        """Complete lines that have arrived; None once the connection has ended and all are read."""
-        try:
-            chunk = self.connection.recv(65536)
-        except BlockingIOError:
-            return []
-        except OSError:
-            return None
-        *lines, self._rest = (self._rest + chunk).split(b"\n")
-        return None if not chunk or len(self._rest) > self._max_line_bytes else lines
-
-    def send(self, fields: Mapping[str, Any]) -> bool:
-        """Send one object; False as for `flush`."""
-        self._unsent += json.dumps(fields).encode() + b"\n"
-        return self.flush()
-
-    def flush(self) -> bool:
-        """Send what is queued; False once too much is queued, or the connection has ended."""
-        try:
-            while self._unsent:
-                self._unsent = self._unsent[self.connection.send(self._unsent) :]
-        except BlockingIOError:
-            return len(self._unsent) < MAX_QUEUED_BYTES
-        except OSError:
-            return False
-        return True
-
-
-class ControlClient(Connection):
-    """The end of a program that asks something of a running graph.
-    Raises SparseskinError if nobody listens there.
-    """
-
-    def __init__(self, path: str) -> None:
-        made = socket.socket(socket.AF_UNIX)
-        try:
-            made.connect(path)
-        except OSError as error:
-            made.close()
-            raise SparseskinError(f"{path}: no graph listens there: {error.strerror}") from error
-        super().__init__(made, MAX_QUEUED_BYTES)
-
-    def receive(self) -> list[dict[str, Any]] | None:
-        """The objects that have arrived; None once the graph is gone."""
-        self.flush()
-        lines = self.lines()
-        return None if lines is None else [json.loads(line) for line in lines]
-
-    def close(self) -> None:
-        self.connection.close()
 
 
 MAX_CLIENTS = 32
@@ -142,8 +75,10 @@ class ControlServer:
             self._drop(client)
 
     def publish(self, fields: dict[str, Any]) -> None:
-        """Send one object to all clients that watch."""
-        for client in [client for client in self._clients if client.watches]:
+        """Send one object, which a newer one will replace, to all clients that watch and have read
+        what was sent before.
+        """
+        for client in [one for one in self._clients if one.watches and one.idle]:
             self._send(client, fields)
 
     def close(self) -> None:

@@ -1,5 +1,5 @@
-"""The controls of a running graph: requests to its nodes, from nodes that watch it and from
-programs at its control socket, their answers, and the state of the graph for both.
+"""The controls of a running graph: requests to its nodes at its control socket, their answers, and
+the state of the graph.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from sparseskin.launch.launchfile.spec import LAUNCHER, LaunchFile
-from sparseskin.nodes.errors import RefusedError, SparseskinError
+from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import MAX_DEPTH, is_shallow
 
-from .control_socket import ControlClient, ControlServer
+from .control_socket import ControlServer
 from .fleet import Fleet
 from .live_recording import LiveRecording
 from .process import NodeProcess, awake_s
-from .running import GraphError, RunningGraph
 from .state import graph_description, graph_state
 
 NEWS_S = 0.5
@@ -123,8 +122,7 @@ def _answer(asked: _Open, done: bool, text: str) -> None:
 
 
 class Controls:
-    """Requests to the nodes of a graph of this launcher, and news of it, at the control socket
-    `path` and for nodes that watch the graph.
+    """Requests to the nodes of a graph of this launcher, and news of it, at its control socket.
     Raises GraphError if the socket cannot be made.
     """
 
@@ -147,11 +145,8 @@ class Controls:
             return
         self._conditions = conditions
         self._next_s = awake_s() + NEWS_S
-        watching = [node for node in self._fleet if node.spec.cls.watches and node.ready]
-        if watching or self._server.watched:
+        if self._server.watched:
             state = graph_state(self._launch, self._fleet, self._recording.out)
-            for node in watching:
-                node.news("graph", state)
             self._server.publish({"graph": state})
 
     def close(self) -> None:
@@ -163,64 +158,6 @@ class Controls:
 
     def _hear(self, node: NodeProcess, event: dict[str, Any]) -> None:
         self._recording.hear(node, event["event"])
-        match event["event"]:
-            case "request":
-                self._requests.take(event, lambda answer: node.command("answer", value=answer))
-            case "answer":
-                self._requests.answered(event)
-                self._next_s = 0.0
-
-
-class RemoteControls:
-    """Passes requests of the nodes here on to the graph that they joined, and its news back.
-    Raises GraphError if that graph has ended.
-    """
-
-    def __init__(self, fleet: Fleet, joined: RunningGraph) -> None:
-        self._fleet = fleet
-        try:
-            self._client: ControlClient | None = ControlClient(joined.control)
-        except SparseskinError as error:
-            raise GraphError(f"{joined.label}: has just ended") from error
-        self._askers: dict[str, NodeProcess] = {}
-        self._client.send({"watch": True})
-        fleet.watch(self._client.connection, self._listen)
-        fleet.hear = self._hear
-
-    def serve(self) -> None:
-        """Send what is queued."""
-        if self._client is not None:
-            self._client.flush()
-
-    def close(self) -> None:
-        """Leave the graph."""
-        if self._client is not None:
-            self._fleet.unwatch(self._client.connection)
-            self._client.close()
-            self._client = None
-
-    def _listen(self) -> None:
-        assert self._client is not None
-        news = self._client.receive()
-        if news is None:
-            self.close()
-            return
-        for fields in news:
-            if "graph" in fields:
-                for node in self._fleet:
-                    if node.spec.cls.watches and node.ready:
-                        node.news("graph", fields["graph"])
-            elif "answer" in fields:
-                asker = self._askers.pop(fields["answer"]["id"], None)
-                if asker is not None:
-                    asker.command("answer", value=fields["answer"])
-
-    def _hear(self, node: NodeProcess, event: dict[str, Any]) -> None:
-        if event["event"] != "request":
-            return
-        request = {key: event.get(key) for key in ("id", "node", "command", "value")}
-        if self._client is not None and self._client.send(request):
-            self._askers[str(request["id"])] = node
-        else:
-            gone = {"id": request["id"], "node": request["node"], "done": False}
-            node.command("answer", value={**gone, "text": "the graph is gone"})
+        if event["event"] == "answer":
+            self._requests.answered(event)
+            self._next_s = 0.0

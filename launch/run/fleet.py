@@ -20,7 +20,7 @@ from sparseskin.nodes.network.sockets import Peer
 
 from .process import NodeProcess, awake_s, exit_text
 from .restarts import Restarts
-from .running import RunningGraph, RunningNode, page_path, socket_path
+from .running import RunningGraph, RunningNode, control_path, page_path, socket_path
 
 START_S = 90.0
 """Longest start of all nodes together, seconds: three times what compiling all loops takes."""
@@ -69,7 +69,7 @@ class Fleet:
         self._log = log
         self._record = record
         self._max_frames = max_frames
-        self._joins = joined is not None
+        self._joined = joined
         self._selector = selectors.DefaultSelector()
         self._links = list(launch.links)
         self._to_pause: set[str] = set()
@@ -99,7 +99,7 @@ class Fleet:
     def spawn(self) -> None:
         """Start all processes of the launch file."""
         for spec in self._launch.nodes.values():
-            self._start_process(spec, late=self._joins)
+            self._start_process(spec, late=self._joined is not None)
 
     def add(self, spec: NodeSpec, topics: list[str]) -> None:
         """Start one process more in a graph that runs; it reads the topics."""
@@ -181,6 +181,7 @@ class Fleet:
         launch, keys, links = self._launch, self._keys, self._links
         elsewhere = launch.elsewhere
         number = list(self.restarts).index(spec.name)
+        pid = self._joined.pid if self._joined else os.getpid()
         if not endpoint:
             endpoint = f"ipc://{socket_path(number)}" if launch.transport == "ipc" else ANY_PORT
         inputs = {link.topic: link.writer for link in links if link.reader == spec.name}
@@ -197,6 +198,7 @@ class Fleet:
             "offset_ns": self._offset_ns,
             "max_frames": self._max_frames,
             "late": late,
+            "control": control_path(pid) if spec.cls.watches else "",
             "page_token": self._page_token,
             "page_file": page_path(number),
             "public": spec.public,
@@ -316,8 +318,6 @@ class Fleet:
                 self.late_code = self.late_code or EXIT_FAILED
             case "answer":
                 node.settings, node.state = event["settings"], event["state"]
-            case "request":
-                pass
             case _:
                 self._log(f"[{node.name}] {event}")
         self.hear(node, event)

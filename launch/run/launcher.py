@@ -13,10 +13,10 @@ from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.errors import SparseskinError
 
-from .controls import Controls, RemoteControls
+from .controls import Controls
 from .fleet import EXIT_FAILED, START_S, Fleet
 from .process import awake_s
-from .running import RunningGraph, is_running, remove_files, remove_note, write_note
+from .running import GraphError, RunningGraph, is_running, remove_files, remove_note, write_note
 from .state import hosts_state
 from .terminal import Terminal
 from .waiting import LateLog, late_at_end, waits_for
@@ -62,7 +62,7 @@ class Launcher:
         offset_ns = joined.offset_ns if joined else wall_offset_ns()
         self._starting = RunningGraph(launch.name, os.getpid(), offset_ns, "", {})
         self._fleet = Fleet(launch, offset_ns, terminal.log, max_frames, joined, terminal.record)
-        self._controls: Controls | RemoteControls | None = None
+        self._controls: Controls | None = None
         self._late = LateLog(self._late_lines, terminal.log)
         writers = {link.writer for link in launch.links}
         self._sinks = [name for name in launch.nodes if name not in writers]
@@ -79,8 +79,8 @@ class Launcher:
         """
         if self._joined is None:
             self._controls = Controls(self._launch, self._fleet, self._starting.control)
-        else:
-            self._controls = RemoteControls(self._fleet, self._joined)
+        elif not is_running(self._joined):
+            raise GraphError(f"{self._joined.label}: has just ended")
         old = {
             number: signal.signal(number, self._on_signal)
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -91,7 +91,8 @@ class Launcher:
             with contextlib.suppress(OSError, SparseskinError):
                 remove_note(self._starting)
             self._fleet.end_all()
-            self._controls.close()
+            if self._controls is not None:
+                self._controls.close()
             with contextlib.suppress(OSError, SparseskinError):
                 remove_files(os.getpid())
             for number, handler in old.items():
@@ -216,10 +217,10 @@ class Launcher:
         return True
 
     def _serve(self) -> None:
-        assert self._controls is not None
         self._look_around()
         self._fleet.serve()
-        self._controls.serve()
+        if self._controls is not None:
+            self._controls.serve()
         nodes = self._fleet.nodes
         lines = [nodes[name].line for name in self._sinks if name in nodes]
         self._terminal.status("  ||  ".join(filter(None, lines)))

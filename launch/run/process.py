@@ -145,12 +145,6 @@ class NodeProcess:
         """Send a command; a process that is gone is noticed by its exit code."""
         self._write({"command": command, **fields})
 
-    def news(self, command: str, value: Any) -> None:
-        """Send a value that a newer one will replace: not while older commands are queued."""
-        self.flush()
-        if not self._unsent:
-            self.command(command, value=value)
-
     def flush(self) -> None:
         """Send what is queued; a process that hangs must not hold up the others."""
         assert self._popen.stdin is not None

@@ -70,7 +70,7 @@ class RunningGraph:
     @property
     def control(self) -> str:
         """Path of its control socket."""
-        return str(runtime_folder() / f"{self.pid}.sock")
+        return control_path(self.pid)
 
     @property
     def starting(self) -> bool:
@@ -107,6 +107,11 @@ def runtime_folder() -> Path:
     except SparseskinError as error:
         raise GraphError(f"{error}{_ELSEWHERE}") from error
     return folder
+
+
+def control_path(pid: int) -> str:
+    """Path of the control socket of the graph of a launcher."""
+    return str(runtime_folder() / f"{pid}.sock")
 
 
 def socket_path(number: int) -> str:

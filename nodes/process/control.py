@@ -1,17 +1,22 @@
-"""Control channel between a node process and its launcher: one JSON object a line.
+"""Control channels of a launcher: one JSON object a line.
 
-Commands arrive on stdin, events leave on stdout; everything else that the process prints goes to
-stderr.
+Commands to a node process arrive on its stdin, events leave on its stdout; everything else that it
+prints goes to stderr. Nodes that watch their graph, and other programs of the user, ask at the
+control socket of the launcher.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import socket
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from typing import Any, TextIO
+
+from sparseskin.nodes.errors import SparseskinError
 
 PARENT_CHECK_S = 1.0
 MAX_DEPTH = 4
@@ -75,3 +80,75 @@ class Control:
             pass
         *lines, self._rest = self._rest.split(b"\n")
         return [json.loads(line) for line in lines if line]
+
+
+MAX_QUEUED_BYTES = 1 << 20
+"""A peer that does not read is dropped once this much is queued for it."""
+
+
+class Connection:
+    """One connection, one JSON object a line; no method blocks."""
+
+    def __init__(self, connection: socket.socket, max_line_bytes: int) -> None:
+        connection.setblocking(False)
+        self._max_line_bytes = max_line_bytes
+        self.connection = connection
+        self.watches = False
+        self._rest = b""
+        self._unsent = b""
+
+    @property
+    def idle(self) -> bool:
+        """True if nothing is queued."""
+        return not self._unsent
+
+    def lines(self) -> list[bytes] | None:
+        """Complete lines that have arrived; None once the connection has ended and all are read."""
+        try:
+            chunk = self.connection.recv(65536)
+        except BlockingIOError:
+            return []
+        except OSError:
+            return None
+        *lines, self._rest = (self._rest + chunk).split(b"\n")
+        return None if not chunk or len(self._rest) > self._max_line_bytes else lines
+
+    def send(self, fields: Mapping[str, Any]) -> bool:
+        """Send one object; False as for `flush`."""
+        self._unsent += json.dumps(fields).encode() + b"\n"
+        return self.flush()
+
+    def flush(self) -> bool:
+        """Send what is queued; False once too much is queued, or the connection has ended."""
+        try:
+            while self._unsent:
+                self._unsent = self._unsent[self.connection.send(self._unsent) :]
+        except BlockingIOError:
+            return len(self._unsent) < MAX_QUEUED_BYTES
+        except OSError:
+            return False
+        return True
+
+
+class ControlClient(Connection):
+    """The end of a program that asks something of a running graph.
+    Raises SparseskinError if nobody listens there.
+    """
+
+    def __init__(self, path: str) -> None:
+        made = socket.socket(socket.AF_UNIX)
+        try:
+            made.connect(path)
+        except OSError as error:
+            made.close()
+            raise SparseskinError(f"{path}: no graph listens there: {error.strerror}") from error
+        super().__init__(made, MAX_QUEUED_BYTES)
+
+    def receive(self) -> list[dict[str, Any]] | None:
+        """The objects that have arrived; None once the graph is gone."""
+        self.flush()
+        lines = self.lines()
+        return None if lines is None else [json.loads(line) for line in lines]
+
+    def close(self) -> None:
+        self.connection.close()

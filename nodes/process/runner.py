@@ -7,6 +7,7 @@ import json
 import secrets
 import signal
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -25,7 +26,7 @@ from sparseskin.nodes.node_host import NodeHost
 from sparseskin.nodes.registry import make_settings, node_class
 
 from .backlog import Backlog
-from .control import Control
+from .control import Control, ControlClient
 from .memory import FreeMemory
 from .scheduling import Scheduling
 
@@ -52,8 +53,8 @@ class Runner:
         Control channel to the launcher; dict of name, type, settings, endpoint, inputs (topics),
         readers (names of the nodes that read this one), offset_ns (of the graph's clock); optional
         max_frames (of a source), folder (in which modules are searched too), late (the node joins a
-        running graph), page_token, page_file, cpus and priority (`Scheduling`), and the keys of
-        `Network`.
+        running graph), control (path of the control socket, of a node that watches its graph),
+        page_token, page_file, cpus and priority (`Scheduling`), and the keys of `Network`.
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:
@@ -88,6 +89,12 @@ class Runner:
         self.writer = self.network.writer
         self.reader: Reader | None = None
         self.network.poller.register(control.fd, zmq.POLLIN)
+        self.client: ControlClient | None = None
+        self.client_lock = threading.Lock()  # a node may have threads of its own
+        if path := config.get("control"):
+            self.client = ControlClient(path)
+            self.client.send({"watch": True})
+            self.network.poller.register(self.client.connection.fileno(), zmq.POLLIN)
         self.connected = self.ready = self.started = self.stopping = self.end_reported = False
         self.draining = self.failed = self.terminated = False
         self.asks: deque[int] = deque()
@@ -107,7 +114,21 @@ class Runner:
         self.control.emit("raised", trace=trace_of(error))
 
     def _ask(self, request: dict[str, Any]) -> None:
-        self.control.emit("request", **request)
+        with self.client_lock:
+            if self.client is not None:
+                self.client.send(request)
+
+    def _hear(self, client: ControlClient) -> None:
+        """Pass the state of the graph, and answers, on to the node."""
+        with self.client_lock:
+            news = client.receive()
+            if news is None:  # the launcher has ended
+                self.network.poller.unregister(client.connection.fileno())
+                client.close()
+                self.client = None
+        for fields in news or ():
+            for name, value in fields.items():
+                self._command(name, value, None)
 
     def run(self) -> None:
         """Serve until the launcher sends "stop" or ends."""
@@ -128,6 +149,8 @@ class Runner:
                 self._answer()
             if self.control.fd in ready:
                 self._execute_commands()
+            if self.client is not None and self.client.connection.fileno() in ready:
+                self._hear(self.client)
             if self.draining and self._source is not None:
                 self._publish(self.host.finish(max(0, self.last_stamp_ns)))
             self.network.serve()

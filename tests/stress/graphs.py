@@ -21,12 +21,12 @@ from typing import Any, NamedTuple, Self
 import zmq
 from processes import note_of_graph, processes_with, wait_until
 
-from sparseskin.launch.run.control_socket import ControlClient
 from sparseskin.messages import MessageError, decode
 from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import Reader, make_context
+from sparseskin.nodes.process.control import ControlClient
 
 FULL = bool(os.environ.get("SPARSESKIN_STRESS"))
 """True if tests run at the sizes whose figures stand in the documents: `make stress`."""

@@ -64,10 +64,6 @@ def test_where_sessions_are_not_weighed_the_process_itself_gives_way(
     assert nices == [module.NICE]
 
 
-def test_it_ends_with_the_exit_code_of_what_it_did(begin: Begin) -> None:
-    assert begin("give_way(); sys.exit(3)").wait() == 3
-
-
 @weighs_sessions
 def test_it_ends_with_the_code_of_a_signal_that_ended_its_work(begin: Begin) -> None:
     process = begin(WAIT)

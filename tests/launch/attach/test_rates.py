@@ -80,12 +80,6 @@ def test_a_delay_is_from_stamp_to_arrival() -> None:
     assert text.startswith("delay p50 50.00, p99 99.00, max 100.00 ms | mean 50.00, std 29.15 ms")
 
 
-def test_a_window_is_of_the_last_messages() -> None:
-    made = samples(*(arrival(k, k * k) for k in range(10)))
-    assert made.last(4)[:, 2].tolist() == [6, 7, 8, 9]
-    assert made.last(99)[:, 2].tolist() == list(range(10))
-
-
 def test_where_too_few_came_there_is_no_figure() -> None:
     for made in (samples(), samples(arrival(0, 1))):
         assert text_of("hz", figures_of(made.last(9))) == ""
@@ -94,24 +88,34 @@ def test_where_too_few_came_there_is_no_figure() -> None:
     assert text_of("delay", figures_of(samples(arrival(0, 1)).last(9))) != ""
 
 
-def test_what_was_sent_before_the_first_that_came_is_no_loss() -> None:
-    assert samples(arrival(70, 1), arrival(71, 2), arrival(75, 3)).lost == 3
-
-
-def test_an_end_reports_how_many_were_lost_last() -> None:
-    made = samples(arrival(70, 1), end(75))
-    assert (made.n, made.lost) == (1, 4)
-    assert samples(end(75)).lost == 0
-
-
-def test_a_publisher_that_was_started_again_begins_anew() -> None:
-    made = samples(arrival(8, 1), arrival(9, 2), arrival(3, 50, run="b"), arrival(5, 60, run="b"))
-    assert made.lost == 1
-    assert made.last(1000)[:, 2].tolist() == [3, 5]
-
-
-def test_a_recording_that_is_played_in_a_loop_loses_nothing_at_its_end() -> None:
-    assert samples(arrival(8, 1), arrival(9, 2), arrival(0, 3), arrival(1, 4)).lost == 0
+@pytest.mark.parametrize(
+    ("arrivals", "lost", "kept"),
+    [
+        (
+            [arrival(70, 1), arrival(71, 2), arrival(75, 3)],
+            3,
+            [70, 71, 75],
+        ),  # none before the first
+        ([arrival(70, 1), end(75)], 4, [70]),
+        ([end(75)], 0, []),
+        (
+            [arrival(8, 1), arrival(9, 2), arrival(3, 50, run="b"), arrival(5, 60, run="b")],
+            1,
+            [3, 5],
+        ),
+        (
+            [arrival(8, 1), arrival(9, 2), arrival(0, 3), arrival(1, 4)],
+            0,
+            [0, 1],
+        ),  # played in a loop
+    ],
+)
+def test_gaps_in_the_numbers_of_one_run_are_losses(
+    arrivals: list[Arrival], lost: int, kept: list[int]
+) -> None:
+    made = samples(*arrivals)
+    assert made.lost == lost
+    assert made.last(1000)[:, 2].tolist() == kept
 
 
 def test_a_long_run_is_bounded_and_its_last_messages_are_kept() -> None:

@@ -88,6 +88,8 @@ def take(stream: TopicStream, n: int) -> list[Arrival]:
 def test_it_sees_the_messages_as_they_are_sent_and_when(publisher: Publisher) -> None:
     with TopicStream(publisher.graph, TOPIC) as stream:
         publisher.wait_for_subscription()
+        assert publisher.writer.present == set()  # no writer waits for it
+        assert not publisher.writer.awaits(publisher.writer.ask())
         publisher.send(3)
         publisher.end()
         *frames, end = take(stream, 4)
@@ -98,16 +100,6 @@ def test_it_sees_the_messages_as_they_are_sent_and_when(publisher: Publisher) ->
     for one in frames:
         assert decode(one.topic, one.payload).stamp_ns == one.stamp_ns < one.at_ns
         assert one.n_bytes == size_bytes(decode(one.topic, one.payload))
-
-
-def test_its_publisher_does_not_know_of_it_and_waits_for_nothing(publisher: Publisher) -> None:
-    with TopicStream(publisher.graph, TOPIC) as stream:
-        publisher.wait_for_subscription()
-        assert publisher.writer.present == set()
-        ask = publisher.writer.ask()
-        assert not publisher.writer.awaits(ask)
-        publisher.send(1)
-        assert len(take(stream, 1)) == 1
 
 
 def test_one_that_does_not_read_holds_up_nobody_and_learns_what_it_lost(
@@ -141,7 +133,7 @@ def test_a_patient_reader_receives_what_is_queued_at_the_writer(publisher: Publi
     assert [one.seq for one in found] == list(range(QUEUE_FRAMES // 2 + 1))
 
 
-@pytest.mark.parametrize("payload", [b"", b"nonsense", b"\x80", b"\x81\xa6schema\xa3end", b"\xc1"])
+@pytest.mark.parametrize("payload", [b"", b"nonsense", b"\x81\xa6schema\xa3end"])
 def test_invalid_messages_are_counted_and_skipped(publisher: Publisher, payload: bytes) -> None:
     with TopicStream(publisher.graph, TOPIC) as stream:
         publisher.wait_for_subscription()

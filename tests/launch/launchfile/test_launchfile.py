@@ -74,44 +74,17 @@ def test_every_scene_has_a_launch_file_that_checks(name: str) -> None:
         ),
         ("= 20", "= 0", "13: nodes.reconstructor.iterations: 0 is outside 1..1000"),
         (
-            "= 20",
-            '= "20"',
-            "13: nodes.reconstructor.iterations: expected a whole number or nothing, got '20'",
-        ),
-        (
             '"compressor"',
             '"compresor"',
             '9: nodes.compressor.type: type "compresor" is not known (did you mean '
             "'compressor'?); or \"module:Class\" for your own",
         ),
-        (
-            '"compressor"',
-            '"math:sqrt"',
-            '9: nodes.compressor.type: type "math:sqrt": not a subclass of '
-            "sparseskin.nodes.node.Node",
-        ),
         ('type = "monitor"', "", "15: nodes.monitor: the key 'type' is missing or not a text"),
         ("[graph]", "[grap]", "1: grap: unknown table (did you mean 'graph'?)"),
-        ("nodes.compressor", "node.compressor", "8: node: unknown table (did you mean 'nodes'?)"),
-        (
-            "description",
-            "descripton",
-            "2: graph.descripton: unknown key (did you mean 'description'?)",
-        ),
-        (
-            'description = "a test"',
-            'transport = "udp"',
-            "2: graph.transport: 'udp' is not allowed; allowed: ipc, tcp",
-        ),
         (
             "scene:path_40",
             "scene:path_41",
             "6: nodes.sensor.source: no scene is called 'path_41' (did you mean 'path_40'?)",
-        ),
-        (
-            "scene:path_40",
-            "file:none.npz",
-            "6: nodes.sensor.source: none.npz: there is no such file",
         ),
         (
             "[nodes.sensor]",
@@ -148,17 +121,6 @@ def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             ["{0}: 5000 leaves no measurement of 1600 taxels; allowed: 1..1600"],
         ),
         (
-            ["compressor.m=1601"],
-            ["{0}: phi: m = 1601 is not allowed; allowed: 1..1600 (n = 1600 taxels)"],
-        ),
-        (
-            ["compressor.rows=rotating", "compressor.m=3"],
-            [
-                '{0}: "rotating" is not allowed for m = 3 of n = 1600; '
-                "allowed: m of 25 or more (N/64)"
-            ],
-        ),
-        (
             ["compressor.phi=phi_of_check:Own"],
             [
                 f"{RECONSTRUCTOR}phi: the compressor's 'phi_of_check:Own' is not built in, and "
@@ -173,13 +135,6 @@ def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
                 "f.toml:13: nodes.reconstructor.iterations: solver interpolation has none; "
                 "allowed: to leave it out, or a solver that has it (preset paper)",
                 '{0}: solver "interpolation": phi "sbhe" mixes taxels; allowed: acts, subsample',
-            ],
-        ),
-        (
-            ["compressor.phi=acts"],
-            [
-                f'{RECONSTRUCTOR}solver: solver "skin": phi "acts" reads other taxels each frame; '
-                "allowed: interpolation"
             ],
         ),
     ],
@@ -229,10 +184,8 @@ def own_solver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             "3",
             f"is no option of solver {SOLVER} (did you mean 'n_rounds'?); allowed: n_rounds, seed",
         ),
-        ("basis", "3", f"is no option of solver {SOLVER}; allowed: n_rounds, seed"),
         ("lambda_n", "3", "is a setting of its own; allowed: lambda_n"),
         ("seed", "[3]", "[3] is not allowed; allowed: a finite number, a text, true or false"),
-        ("seed", "nan", "nan is not allowed; allowed: a finite number, a text, true or false"),
     ],
 )
 def test_an_option_is_one_that_its_solver_has(check, key: str, value: str, fault: str) -> None:
@@ -244,16 +197,6 @@ def test_an_option_is_one_that_its_solver_has(check, key: str, value: str, fault
             f"--set reconstructor.options.{key}={value}: {fault}",
         ]
     )
-
-
-def test_a_solver_without_options_refuses_each(check) -> None:
-    fault = "is no option of solver skin; it has none beside the settings iterations and lambda_n"
-    table = "[nodes.reconstructor.options]\nn_rounds = 3\n\n[nodes.monitor]"
-    text = GOOD.replace("[nodes.monitor]", table)
-    assert sorted(check(text, "reconstructor.options.seed=1")) == [
-        f"--set reconstructor.options.seed=1: {fault}",
-        f"f.toml:16: nodes.reconstructor.options.n_rounds: {fault}",
-    ]
 
 
 @pytest.mark.usefixtures("own_solver")
@@ -421,39 +364,20 @@ def _graph_of(source: str, **compressor: object) -> str:
     return text.replace('type = "compressor"\n', f'type = "compressor"\n{settings}')
 
 
-def _write_recordings() -> None:
-    """Recordings of 6 x 8 taxels, of each format that has a shape; 40 of them exist in two."""
-    frames = np.full((2, 6, 8), 0.5, np.float32)
-    mask = np.ones((6, 8), np.bool_)
-    mask[:, 0] = mask[0, 1] = mask[0, 2] = False
-    np.save("whole.npy", frames)
-    np.savez("masked.npz", forces=frames, mask=mask)
-    np.savetxt("plain.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
-    Path("driver.py").write_text("def frames():\n    yield 0, [[0.0]]\n")
-
-
 @pytest.mark.parametrize(
-    ("source", "n"),
-    [
-        ('file:whole.npy"\n#"', 48),
-        ('file:masked.npz"\n#"', 40),
-        ('file:plain.csv"\nn_rows = 6\nunit = "N', 48),
-        ('driver:frames"\nn_rows = 6\nn_cols = 8\nunit = "N', 48),
-    ],
+    "source", ['file:whole.npy"\n#"', 'file:plain.csv"\nn_rows = 6\nunit = "N']
 )
 def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
-    check, source: str, n: int
+    check, source: str
 ) -> None:
-    _write_recordings()
-    (line,) = check(_graph_of(source, m=n + 1))
+    frames = np.full((2, 6, 8), 0.5, np.float32)
+    np.save("whole.npy", frames)
+    np.savetxt("plain.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
+    (line,) = check(_graph_of(source, m=49))
     assert line.endswith(
-        f"nodes.compressor.m: phi: m = {n + 1} is not allowed; allowed: 1..{n} (n = {n} taxels)"
+        "nodes.compressor.m: phi: m = 49 is not allowed; allowed: 1..48 (n = 48 taxels)"
     )
-    (line,) = check(_graph_of(source, ratio=5000.0))
-    assert line.endswith(
-        f"nodes.compressor.ratio: 5000 leaves no measurement of {n} taxels; allowed: 1..{n}"
-    )
-    Path("f.toml").write_text(_graph_of(source, m=n))
+    Path("f.toml").write_text(_graph_of(source, m=48))
     load("f.toml")
 
 

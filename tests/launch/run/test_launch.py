@@ -71,10 +71,11 @@ class Held(FistaSolver):
 """
 
 
-def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_path: Path) -> None:
-    # As fast as the sensor can: whatever is not joined at the start would be lost.
+def test_not_one_frame_is_lost_from_the_first_on(start: StartProgram, tmp_path: Path) -> None:
+    # As fast as the sensor can: whatever is not joined at the start would be lost. Twice what a
+    # queue holds: only a sensor that waits for its readers loses nothing.
     program = start(
-        *("launch", "lift_box_40", "--frames", "1000", "--summary", "out.json"),
+        *("launch", "lift_box_40", "--frames", "2000", "--summary", "out.json"),
         *("--set", "sensor.source=scene:path_40", "--set", "sensor.rate_hz=0"),
         *("--set", "reconstructor.iterations=1"),
     )
@@ -82,15 +83,15 @@ def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_p
     assert code == 0, stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     patch = summary["patches"]["skin"]
-    assert patch["frames"] == {"sensed": 1000, "reconstructed": 1000, **NONE_MISSING}
+    assert patch["frames"] == {"sensed": 2000, "reconstructed": 2000, **NONE_MISSING}
     found = {key: patch[key] for key in ("scene", "phi", "rows", "basis", "solver", "n", "m")}
     assert found == {
         **{"scene": "path_40", "phi": "sbhe", "rows": "rotating", "basis": "", "solver": "skin"},
         **{"n": 1600, "m": 534},
     }
     assert patch["ratio"] == pytest.approx(1600 / 534)
-    assert patch["bytes_in"] > 1000 * 1600 * 4
-    assert 1000 * 534 * 4 < patch["bytes_out"] < patch["bytes_in"]
+    assert patch["bytes_in"] > 2000 * 1600 * 4
+    assert 2000 * 534 * 4 < patch["bytes_out"] < patch["bytes_in"]
     for key in ("noisy", "reconstruction"):
         extent = patch["psnr_db"][key]["all"]
         assert extent["min"] <= extent["mean"] <= extent["max"]
@@ -100,29 +101,8 @@ def test_not_one_of_the_first_thousand_frames_is_lost(start: StartProgram, tmp_p
     for node in summary["nodes"].values():
         assert not any(node["lost"].values())
         assert not node["refused"]
-    assert "sensed 1000, reconstructed 1000, lost 0" in stdout
+    assert "sensed 2000, reconstructed 2000, lost 0" in stdout
     assert program.survivors() == {}
-
-
-def test_as_fast_as_it_is_read_nothing_is_lost_beyond_any_queue(
-    start: StartProgram, tmp_path: Path
-) -> None:
-    (tmp_path / "small.py").write_text(
-        "import itertools, numpy as np\n"
-        "def frames():\n"
-        "    forces = np.zeros((16, 16), np.float32)\n"
-        "    forces[4:8, 4:8] = 1.0\n"
-        "    for k in itertools.count(): yield k, forces\n"
-    )
-    # Three times what the queues hold: only a sensor that waits for its readers loses nothing.
-    code, _, stderr = start(
-        *("launch", "path_40", "--frames", "6000", "--summary", "out.json"),
-        *("--set", "sensor.source=small:frames", "--set", "sensor.rate_hz=0"),
-        *("--set", "reconstructor.preset=paper", "--set", "reconstructor.depth=1"),
-    ).finish()
-    assert code == 0, stderr
-    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
-    assert frames == {"sensed": 6000, "reconstructed": 6000, **NONE_MISSING}
 
 
 @pytest.mark.parametrize("transport", ["ipc", slow("tcp")])
@@ -181,16 +161,10 @@ def test_a_killed_launcher_leaves_nothing(start: StartProgram, ready: bool) -> N
     wait_until(lambda: not program.survivors(), "the nodes to notice")
 
 
-KILLED = "[launch] {} ended too early: killed by SIGKILL"
-
-
 @pytest.mark.parametrize(
     ("victim", "number", "line"),
     [
-        slow("sensor", signal.SIGKILL, KILLED),
-        slow("compressor", signal.SIGKILL, KILLED),
-        ("reconstructor", signal.SIGKILL, KILLED),
-        slow("monitor", signal.SIGKILL, KILLED),
+        ("reconstructor", signal.SIGKILL, "[launch] {} ended too early: killed by SIGKILL"),
         ("sensor", signal.SIGTERM, "[{}] error: terminated (SIGTERM)"),
     ],
 )
@@ -267,27 +241,16 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
     assert frames["lost"] == missed[1] + missed[2]  # at the compressor and the reconstructor
 
 
-def test_a_driver_is_closed_when_the_graph_ends(start: StartProgram, tmp_path: Path) -> None:
-    (tmp_path / "polite.py").write_text(
-        "import itertools, numpy as np, pathlib\n"
-        "def frames():\n"
-        "    try:\n"
-        "        for k in itertools.count(): yield k, np.zeros((5, 4))\n"
-        "    finally:\n"
-        "        pathlib.Path('closed').touch()\n"
-    )
-    arguments = ("--set", "sensor.source=polite:frames", "--set", "sensor.rate_hz=100")
-    assert start("launch", "replay", *arguments, "--frames", "5").finish()[0] == 0
-    assert (tmp_path / "closed").exists()
-
-
 def test_readings_outside_the_range_are_clipped_but_not_silently(
     start: StartProgram, tmp_path: Path
 ) -> None:
     (tmp_path / "upside.py").write_text(
         "import numpy as np\n"
         "def frames():\n"
-        "    for k in range(10): yield k, np.full((5, 4), 3.5 if k == 7 else -1.0 - k)\n"
+        "    try:\n"
+        "        for k in range(10): yield k, np.full((5, 4), 3.5 if k == 7 else -1.0 - k)\n"
+        "    finally:\n"
+        "        open('closed', 'w').close()\n"
     )
     code, stdout, stderr = start(
         *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json"),
@@ -295,26 +258,13 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
     ).finish()
     assert code == 0
     assert "the source ended after 10 of the 12 frames" in stderr
+    assert (tmp_path / "closed").exists()
     assert "readings clipped to the range: 20 below 0 N (lowest -1)" in stderr
+    assert " skin: replay, upside:frames " in stdout
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["nodes"]["sensor"]["clipped"] == 200
     line = "20 above 2.5 N (highest 3.5), 180 below 0 N (lowest -10)"
     assert stdout.splitlines()[-1] == f"sensor: readings clipped to the range: {line}"
-
-
-def test_a_graph_that_reconstructs_nothing_has_failed(start: StartProgram, tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(
-        "from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver\n"
-        "class Broken(FistaSolver):\n"
-        "    def step(self): raise RuntimeError('diverged\\nbadly')\n"
-    )
-    code, _, stderr = start(
-        *("launch", "path_40", "--frames", "20"),
-        *("--set", "reconstructor.solver=mine:Broken"),
-    ).finish()
-    assert code == 1
-    assert "[reconstructor] failed: RuntimeError: diverged badly (mine.py:3)\n" in stderr
-    assert "skin: not one frame was reconstructed" in stderr
 
 
 def test_a_run_in_which_a_node_raised_errors_is_no_success(

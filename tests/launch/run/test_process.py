@@ -5,31 +5,27 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from conftest import StartProgram, note_of_graph, wait_until
 
-from sparseskin.launch.launchfile.load import load
-from sparseskin.launch.run.control_socket import ControlClient
-from sparseskin.launch.run.fleet import Fleet
 from sparseskin.launch.run.process import (
     CHUNK_BYTES,
     LOG_BYTES,
     MAX_LINE_BYTES,
+    AwakeClock,
     LogLines,
-    awake_s,
 )
-from sparseskin.launch.run.restarts import ON_FAILURE, RestartPolicy
 from sparseskin.launch.run.running import running_graphs
+from sparseskin.nodes.process.control import ControlClient
 from sparseskin.nodes.process.proc import n_files
 
 FLOODING = """
 import itertools, os, threading, time
 import numpy as np
 def flood():
-    while True: os.write(2, {text!r} * 1000)
+    while True: os.write(2, b"flood" * 1000)
 def frames():
     threading.Thread(target=flood, daemon=True).start()
     for k in itertools.count(): time.sleep(0.05); yield k, np.zeros((8, 8))
@@ -67,50 +63,30 @@ def test_a_line_without_an_end_takes_no_memory_without_end() -> None:
         assert len(log._rest) <= MAX_LINE_BYTES
 
 
-@pytest.mark.parametrize(
-    ("text", "number"), [(b"flood\n", signal.SIGINT), (b"flood", signal.SIGTERM)]
-)
 def test_a_launcher_hears_signals_while_a_node_floods_its_log(
-    start: StartProgram, tmp_path: Path, text: bytes, number: signal.Signals
+    start: StartProgram, tmp_path: Path
 ) -> None:
-    (tmp_path / "flooding.py").write_text(FLOODING.format(text=text))
+    (tmp_path / "flooding.py").write_text(FLOODING)
     program = start(
         *("launch", "replay", "--set", "sensor.source=flooding:frames"),
         *("--set", "monitor.page=false"),
     )
     program.wait_for("[launch] ready")
     program.wait_for("lines were cut (more than 100 kB a second)")
-    os.kill(program.process.pid, number)
+    os.kill(program.process.pid, signal.SIGTERM)
     code, _, stderr = program.finish()
-    assert code == 128 + number
+    assert code == 128 + signal.SIGTERM
     assert "Traceback" not in stderr
     wait_until(lambda: not program.survivors(), "the end of all processes")
 
 
-def test_nodes_that_were_stopped_with_their_launcher_are_not_killed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    now_s = 1e6
-    monkeypatch.setattr(awake_s, "_now_s", lambda: now_s)
-    fleet, sent = Fleet(load("path_40"), 0, lambda line: None), []
-    fleet.supervised = True
-    policy = RestartPolicy(ON_FAILURE, hang_s=10.0)
-    node: Any = SimpleNamespace(
-        name="sensor",
-        exit_code=lambda: None,
-        ready=True,
-        ended=False,
-        heard_s=awake_s(),
-        spec=SimpleNamespace(restart=policy),
-        send_signal=sent.append,
-    )
-    now_s += 14.0
-    fleet._check(node, awake_s())
-    assert sent == []
-    for _ in range(10):  # its own silence
-        now_s += 1.0
-        fleet._check(node, awake_s())
-    assert sent == [signal.SIGKILL]
+def test_the_clock_stands_still_while_the_launcher_does() -> None:
+    now_s = [100.0]
+    clock = AwakeClock(lambda: now_s[0])
+    began_s = clock()
+    for step_s, passed_s in ((0.5, 0.5), (14.0, 1.5), (1.0, 2.5)):
+        now_s[0] += step_s
+        assert clock() - began_s == pytest.approx(passed_s)
 
 
 def test_a_live_recording_leaves_no_descriptor_open(

@@ -144,11 +144,16 @@ def test_a_link_in_the_place_of_a_run_is_not_followed_as_old_runs_are_removed(
     assert (tmp_path / "sensor.log").read_text() == "mine\n"
 
 
-def test_a_folder_that_another_has_put_there_is_not_used(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_or_that_another_has_put_there_is_refused(
+    tmp_path: Path,
+) -> None:
     folder = RunLog(tmp_path, "drag", NOW_S).folder
+    assert folder.stat().st_mode & 0o077 == 0
     with pytest.raises(LaunchError, match="File exists"):
         RunLog(tmp_path, "drag", NOW_S)
-    assert folder.stat().st_mode & 0o077 == 0
+    (tmp_path / "file").touch()
+    with pytest.raises(LaunchError, match=r"log_dir: .*/file: Not a directory"):
+        RunLog(tmp_path / "file", "drag", NOW_S)
 
 
 def test_a_full_disk_keeps_neither_table_nor_summary_back(
@@ -172,27 +177,6 @@ def test_a_full_disk_keeps_neither_table_nor_summary_back(
     assert "Traceback" not in stderr
     assert "sensed 100, reconstructed 100" in stdout
     assert json.loads((tmp_path / "summary.json").read_text())["patches"]
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(LaunchError, match=r"log_dir: .*/file: Not a directory"):
-        RunLog(tmp_path / "file", "drag", NOW_S)
-
-
-def test_a_disk_that_is_full_ends_the_files_and_not_the_terminal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = RunLog(tmp_path, "drag", NOW_S)
-    (log.folder / "sensor.log").symlink_to("/dev/full")
-    terminal = Terminal(log, lambda: NOW_S)
-    for k in range(3):
-        terminal.log(f"[sensor] {k}")
-    lines = [
-        line.removeprefix(f"{time_text(NOW_S)} ") for line in capsys.readouterr().err.split("\n")
-    ]
-    told = f"[launch] no more logs: {log.folder}: No space left on device"
-    assert lines == ["[sensor] 0", told, "[sensor] 1", "[sensor] 2", ""]
 
 
 def test_folders_are_the_users_own(monkeypatch: pytest.MonkeyPatch) -> None:
