@@ -9,8 +9,6 @@ from other_user import NOBODY, give
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.files import overwrite
-from sparseskin.nodes.recorder.bag.format import BagError
-from sparseskin.nodes.recorder.bag.writer import BagWriter
 
 
 def test_a_file_is_written_over_and_a_link_of_ones_own_followed(tmp_path: Path) -> None:
@@ -35,12 +33,3 @@ def test_a_link_of_another_user_is_not_followed(
     assert main(["launch", "path_40", option, "out", *words]) == 2
     assert f"{option} out: is a link of user {NOBODY}\n" in capsys.readouterr().err
     assert Path("profile").read_text() == "mine\n"
-
-
-@pytest.mark.parametrize("name", ["run.mcap", "run.mcap.part"])
-def test_a_recording_is_written_through_no_link(name: str, tmp_path: Path) -> None:
-    (tmp_path / "profile").write_text("mine\n")
-    (tmp_path / name).symlink_to("profile")
-    with pytest.raises(BagError, match=f"{name}: exists already"):
-        BagWriter(tmp_path / "run.mcap", {})
-    assert (tmp_path / "profile").read_text() == "mine\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,16 +90,3 @@ def test_a_seek_reports_the_states_that_hold_there(recording: str, verbatim: boo
     assert bus.hosts["reconstructor"].counts.refused == {}
     assert len(rest) == N_FRAMES
     assert rest[0].phi == PHIS[0].fingerprint
-
-
-def test_the_states_of_a_recording_without_changes_come_once(tmp_path: Path) -> None:
-    phi = PHIS[0]
-    told = {**phi.describe(), "fingerprint": phi.fingerprint}
-    state = PhiState(stamp_ns=1, patch="skin", **told)
-    y = Measurements(stamp_ns=9, patch="skin", y=np.ones(phi.m, np.float32), phi=phi.fingerprint)
-    path = tmp_path / "plain.mcap"
-    make_bag(path, [skin_state(), state, y, replace(y, stamp_ns=20)])
-    bus = graph(str(path))
-    # The last frame brings the two ends with it.
-    assert [len(messages) for messages in bus.frames()] == [2, 4]
-    assert bus.hosts["reconstructor"].counts.inputs["/skin/phi"].received == 1

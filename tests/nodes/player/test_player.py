@@ -5,17 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import LaunchError, load
-from sparseskin.messages import Measurements, Message, Reconstruction, Truth, decode, encode
+from sparseskin.messages import Measurements, Message, Reconstruction, decode, encode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.errors import RefusedError, SparseskinError
-from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.player.node import Player
 from sparseskin.nodes.reconstructor.node import Reconstructor
@@ -153,41 +151,6 @@ def test_a_faster_rate_is_shown_and_what_is_no_command_is_refused(
         node.command("jump", None)
     with pytest.raises(RefusedError, match="at rate 0"):
         player(recording[0], rate=0.0).command("faster", None)
-
-
-def test_recorded_taxels_through_another_solver_are_judged_by_the_recorded_truth(
-    recording: tuple[Path, list[Message]],
-) -> None:
-    settings = Player.Settings(file=str(recording[0]), schemas=("skin", "taxels", "truth"))
-    bus = Bus(
-        {
-            "player": (Player, settings),
-            "compressor": (Compressor, Compressor.Settings(ratio=2.0)),
-            "reconstructor": (Reconstructor, Reconstructor.Settings(preset="paper")),
-            "monitor": (Monitor, Monitor.Settings()),
-        }
-    )
-    bus.run()
-    patch = bus.reports()["monitor"]["patches"]["skin"]
-    assert (patch["m"], patch["reference"], patch["iterations"]) == (800, "truth", 30)
-    assert patch["frames"]["reconstructed"] == N_FRAMES
-
-
-def test_recorded_measurements_reconstructed_by_the_same_solver_give_the_same_bits(
-    recording: tuple[Path, list[Message]],
-) -> None:
-    path, seen = recording
-    schemas = ("skin", "taxels", "truth", "phi", "measurements")
-    bus = Bus(
-        {
-            "player": (Player, Player.Settings(file=str(path), schemas=schemas)),
-            "reconstructor": (Reconstructor, Reconstructor.Settings(iterations=3)),
-        }
-    )
-    made = [m for messages in bus.frames() for m in messages]
-    for kind in (Truth, Reconstruction):
-        old, new = ([m.forces for m in ms if isinstance(m, kind)] for ms in (seen, made))
-        assert np.array_equal(old, new)
 
 
 def test_the_recording_names_versions_and_lost_messages(

@@ -100,11 +100,12 @@ def test_the_end_of_a_stream_is_kept_but_not_counted_as_a_frame(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("taken", ["a.mcap", "a.mcap.part"])
-def test_nothing_is_overwritten(tmp_path: Path, taken: str) -> None:
-    (tmp_path / taken).write_bytes(b"precious")
+def test_nothing_is_overwritten_and_no_link_followed(tmp_path: Path, taken: str) -> None:
+    (tmp_path / "other").write_bytes(b"precious")
+    (tmp_path / taken).symlink_to("other")
     with pytest.raises(BagError, match="exists already"):
         BagWriter(tmp_path / "a.mcap", {})
-    assert (tmp_path / taken).read_bytes() == b"precious"
+    assert (tmp_path / "other").read_bytes() == b"precious"
 
 
 def test_a_file_that_took_the_name_meanwhile_is_not_overwritten(tmp_path: Path) -> None:

@@ -97,11 +97,3 @@ def test_exports_are_of_each_patch(
         np.testing.assert_array_equal(found["forces"], FORCES[:, p])
     with pytest.raises(SparseskinError, match="has patches back, palm, sole: state one of them"):
         read_recording(bag)
-
-
-def test_a_bag_of_single_patches_is_read_as_it_is(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "a.mcap", {}) as writer:
-        record(writer, Taxels(stamp_ns=0, patch="palm", forces=FORCES[0, 0]))
-        writer.close({})
-    with BagReader(tmp_path / "a.mcap") as whole:
-        assert split_bag(whole) is whole

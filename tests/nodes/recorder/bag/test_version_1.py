@@ -69,14 +69,6 @@ def test_patches_that_are_unchanged_have_the_forces_of_the_frame_before() -> Non
     assert len(of_patch) == 20
 
 
-def test_one_patch_keeps_its_numbers_and_standard_deviations() -> None:
-    found = [one for one in messages(BITS) if isinstance(one, Reconstruction)]
-    for one in found:
-        assert one.sd is not None
-        assert one.sd.shape == one.forces.shape == (1, 6, 8)
-        assert [len(part) for part in (one.iterations, one.residual, one.error)] == [1, 1, 1]
-
-
 @pytest.mark.parametrize("path", [BODY, BITS])
 def test_a_copy_is_a_recording_of_today(path: Path, tmp_path: Path) -> None:
     with BagReader(path) as bag:
