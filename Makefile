@@ -3,23 +3,19 @@ BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 # Tests start a thousand processes: each would compile the package anew if none kept its bytecode.
 export PYTHONDONTWRITEBYTECODE =
-# Many tests wait for other processes: two test processes a core.
-WORKERS := $(shell echo $$((2 * $$(nproc))))
+# Some tests wait for other processes: one test process more than cores.
+WORKERS := $(shell echo $$((1 + $$(nproc))))
 # Modules are compiled when they are first imported: most of these packages' are never.
 INSTALL_SOME := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 
-.PHONY: demo page-draw shots charts charts-quick stress stress-quick
+.PHONY: demo shots charts charts-quick stress stress-quick
 .PHONY: test test-all test-core coverage test-kernels check mutants docs hooks clean
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
 demo: .venv/installed
 	$(BIN)/sparseskin launch drag_wrench_64 --set sensor.rate_hz=100
-
-# Time that the page takes to draw skins of points (needs chromium, chromium-driver; half a minute).
-page-draw: .venv/installed-dev
-	PYTHONPATH=tests $(BIN)/python tests/draw_times.py
 
 # Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
 shots: .venv/installed-dev
@@ -37,7 +33,7 @@ test: .venv/installed-dev
 
 # All tests, those that are slow by nature too (kills, soak, browser, network namespaces).
 test-all: .venv/installed-dev
-	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20
+	SPARSESKIN_EXAMPLES=100 $(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20
 
 # All tests of the core, in a copy of the repository without the plug-ins.
 test-core: .venv/installed-dev

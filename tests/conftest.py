@@ -23,8 +23,10 @@ from sparseskin.nodes import extensions
 
 __all__ = ["note_of_graph", "wait_until"]
 
-# No test fails because the host is busy.
-hypothesis.settings.register_profile("busy host", deadline=None)
+# No test fails because the host is busy. Few examples of each property, and in CI more.
+hypothesis.settings.register_profile(
+    "busy host", deadline=None, max_examples=int(os.environ.get("SPARSESKIN_EXAMPLES", "25"))
+)
 hypothesis.settings.load_profile("busy host")
 # Numpy, the reference, in all processes, unless a test asks for compiled loops.
 os.environ.setdefault("SPARSESKIN_FAST", "off")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import doctest
+import importlib
 import subprocess
 import sys
 import warnings
@@ -41,6 +43,13 @@ def test_the_module_is_the_command() -> None:
     command = [sys.executable, "-m", "sparseskin", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == f"sparseskin {sparseskin.__version__}"
+
+
+@pytest.mark.parametrize("module", ["arrays", "stream"])
+def test_examples_in_docstrings_give_what_they_state(module: str) -> None:
+    found = doctest.testmod(importlib.import_module(f"sparseskin.{module}"))
+    assert found.attempted > 0
+    assert found.failed == 0
 
 
 def test_compress_measures_existing_taxels_alone() -> None:

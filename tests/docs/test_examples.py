@@ -17,6 +17,7 @@ DRIVERS = {"serial_skin", "udp_skin"}
 #: Run below, as a job of several processes.
 JOBS = {"mpi_pool"}
 WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m", "calibrate"}
+SLOW = WITH_PICTURE | {"run_graph", "noisy_scene", "own_solver", "noise_around_zero", "mujoco_skin"}
 ARGUMENTS = {"board_emulator": ["--frames", "3"]}
 #: A word of what an example prints last, so that one that prints nothing is noticed.
 LAST_LINE = {
@@ -44,9 +45,8 @@ NEEDS = {"mujoco_skin": "mujoco"}
 
 
 def names() -> list[object]:
-    slow = [pytest.mark.slow]
     found = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem not in DRIVERS | JOBS)
-    return [pytest.param(name, marks=slow if name in WITH_PICTURE else []) for name in found]
+    return [pytest.param(name, marks=pytest.mark.slow if name in SLOW else []) for name in found]
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
@@ -64,6 +64,8 @@ def test_an_example_runs_and_prints_its_result(
 ) -> None:
     if name in NEEDS:
         pytest.importorskip(NEEDS[name], reason=f"{NEEDS[name]} is not installed")
+    if name == "choosing_m":
+        monkeypatch.setenv("SPARSESKIN_FAST", "auto")  # 4,800 frames
     arguments = ["out.png"] if name in WITH_PICTURE else ARGUMENTS.get(name, [])
     run(name, tmp_path, monkeypatch, *arguments)
     assert LAST_LINE[name] in capsys.readouterr().out.splitlines()[-1]

@@ -55,22 +55,10 @@ class GraphError(Exception):
 class GraphRun:
     """One run of `sparseskin launch`, to be used in a `with`: nothing of it outlives that.
 
-    Parameters
-    ----------
-    launch : str
-        Text of a launch file, or the name of one; nodes of this folder are "stress.MODULE:CLASS".
-    *arguments : str
-        Further arguments of the command.
-    folder : Path, optional
-        Empty folder in which it runs, and which keeps its output and its files; by default a
-        temporary one, which is removed at the end.
-    environment : mapping of str to str, optional
-        Environment variables that differ from those of this process.
-
-    Raises
-    ------
-    GraphError
-        If the graph does not become ready.
+    `launch`: text of a launch file, or the name of one; nodes of this folder are
+    "stress.MODULE:CLASS". `folder`: empty, keeps what it writes; by default a temporary one.
+    `environment`: variables that differ from those of this process. Raises GraphError if the graph
+    does not become ready.
     """
 
     def __init__(
@@ -88,7 +76,6 @@ class GraphRun:
             launch = "graph.toml"
         self._mark = uuid.uuid4().hex
         self.notes = self.folder / "notes"
-        """Folder of this run's notes, so that no other graph on the host is found in its place."""
         self.environment = {
             **os.environ,
             _MARK: self._mark,
@@ -98,7 +85,6 @@ class GraphRun:
             **(environment or {}),
         }
         self.stack = contextlib.ExitStack()
-        """Contexts that end before the graph is killed."""
         out, err = ((self.folder / f"{name}.txt").open("wb") for name in ("stdout", "stderr"))
         with out, err:
             arguments = ("launch", launch, "--summary", "summary.json", *arguments)
@@ -145,14 +131,11 @@ class GraphRun:
 
     def page(self) -> str:
         """Address of the live page, once it is served."""
-        found = re.search(r"live page: (\S+)", self.wait_for("live page: "))
-        assert found is not None
-        return found[1]
+        return self.wait_for("live page: ").partition("live page: ")[2].split()[0]
 
-    def note(self) -> dict[str, Any]:
+    def note(self) -> Any:
         """The launcher's note of the graph, by which other programs find it."""
-        found: dict[str, Any] = json.loads(note_of_graph(self.notes).read_text())
-        return found
+        return json.loads(note_of_graph(self.notes).read_text())
 
     def processes(self) -> dict[int, str]:
         """Command lines of all processes of this run, by process number."""
@@ -204,10 +187,9 @@ class GraphRun:
         except subprocess.TimeoutExpired as error:
             raise GraphError(f"the graph does not end: {self.log[-5:]}") from error
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Any:
         """The summary that the graph has written as it ended."""
-        found: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
-        return found
+        return json.loads((self.folder / "summary.json").read_text())
 
     def left_behind(self) -> list[str]:
         """Processes, notes and unfinished files that are there after the end; to be empty."""
@@ -247,8 +229,7 @@ def launch_text(
 
 def graph_text(graph: Mapping[str, Any] | None = None, **changed: Mapping[str, Any]) -> str:
     """Launch file of the graph to which faults are done, with changed settings of the graph and of
-    nodes by name. Faults follow each other within the restart window, and each is to count as the
-    first.
+    nodes by name. With this restart window each fault counts as the first.
     """
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"source": "scene:path_40", "rate_hz": RATE_HZ},
@@ -269,13 +250,7 @@ class Seen(NamedTuple):
 
 
 class Probe:
-    """Notes each frame of the patch "skin" that is acquired or reconstructed, in a thread.
-
-    Attributes
-    ----------
-    sensed, reconstructed : list of Seen
-        Frames that have come so far, in order.
-    """
+    """Notes each frame of the patch "skin" that is acquired or reconstructed, in a thread."""
 
     def __init__(self, graph: GraphRun) -> None:
         note = graph.note()
@@ -308,8 +283,8 @@ class Probe:
 
     def lost(self, since_ns: int) -> tuple[int, int]:
         """Frames acquired since a time and not reconstructed, and frames acquired; from the first
-        whose reconstruction came, as that subscription may begin after the other, up to the newest
-        that was reconstructed, for later ones may still be on their way.
+        to the last reconstructed one, as one subscription may begin after the other, and later
+        frames may be on their way.
         """
         done = {seen.stamp_ns for seen in list(self.reconstructed)}
         until_ns = max(done, default=0)

@@ -12,11 +12,9 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.baselines.sampling import (
     CODECS,
-    DEAD_ZONE_N,
     NEWEST,
     Codec,
     Filtered,
-    Hold,
     Lattice,
     acts_values,
     adaptive_values,
@@ -55,16 +53,6 @@ def test_classes_hold_every_taxel_once_and_are_of_equal_density(
     assert max(one.size for one in members) <= mask.size / k + max(shape)
 
 
-@pytest.mark.parametrize(("k", "least"), [(2, 2), (4, 4), (8, 8)])
-def test_taxels_of_a_class_are_as_far_from_each_other_as_on_a_square_lattice(
-    k: int, least: int
-) -> None:
-    for one in classes(np.ones((16, 16), dtype=np.bool_), k):
-        i, j = np.divmod(one, 16)
-        distance2 = (i[:, None] - i) ** 2 + (j[:, None] - j) ** 2
-        assert distance2[distance2 > 0].min() == least
-
-
 def test_the_lattice_reproduces_a_plane_between_its_taxels_with_its_share_of_values() -> None:
     i, j = np.indices((16, 16))
     plane = (1 + 2 * i + 3 * j).astype(np.float32)
@@ -83,13 +71,6 @@ def test_the_lattice_reads_no_cell_without_a_taxel_even_if_few_exist() -> None:
         assert (solved.forces == np.where(mask, 3, 0)).all()
 
 
-def test_hold_has_a_still_frame_whole_after_as_many_frames_as_classes() -> None:
-    hold = Hold(EVERY, 4)
-    errors = [np.abs(hold.reconstruct(press(6)).forces - press(6)).max() for _ in range(4)]
-    assert errors[2] > 0
-    assert errors[3] == 0
-
-
 def test_the_filter_halves_the_noise_of_a_still_force() -> None:
     frames, kept = still(1.25), Filtered(NoiseModel())
     last = [kept.reconstruct(frame).forces for frame in frames][-1]
@@ -106,13 +87,6 @@ def test_the_filter_follows_a_jump_at_once_and_leaves_its_input_as_it_is() -> No
     before = pressed.copy()
     np.testing.assert_allclose(kept.reconstruct(pressed).forces, pressed, rtol=1e-6)
     np.testing.assert_array_equal(pressed, before)
-
-
-def test_the_filter_sets_what_is_in_its_dead_zone_to_0() -> None:
-    ramp = np.linspace(0, 0.06, 64, dtype=np.float32).reshape(8, 8)
-    forces = Filtered(NoiseModel()).reconstruct(ramp).forces
-    assert set(forces[forces < DEAD_ZONE_N]) == {0}
-    assert forces.max() == np.float32(0.06)
 
 
 @pytest.mark.parametrize("kind", CODECS)

@@ -31,26 +31,11 @@ def test_without_a_package_of_the_extra_one_line_names_it_and_the_extra(
     assert error.count("\n") == 1
 
 
-def test_a_folder_that_cannot_be_made_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    assert main(["study", "paper-tables", "--out", str(tmp_path / "file" / "out")]) == 2
-    assert str(tmp_path / "file") in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("seed", ["-1", "1.5", "4294967296"])
 def test_a_seed_that_no_generator_takes_is_refused(seed: str) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["study", "paper-tables", "--seed", seed])
     assert ended.value.code == 2
-
-
-def test_the_help_lists_every_study(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["study", "--help"])
-    out = capsys.readouterr().out
-    assert all(f"{name} " in out for name in command.STUDIES)
 
 
 @pytest.mark.parametrize("options", [("--recordings", "."), ("--seeds", "2"), ("--constants",)])

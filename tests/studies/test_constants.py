@@ -9,7 +9,6 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.studies.accuracy import constants, experiments
 from sparseskin.studies.accuracy.experiments import Runs
@@ -28,11 +27,6 @@ def test_constants_are_halved_and_doubled_within_what_they_may_be(
     found = [constants.changed(name, times) for times in constants.TIMES]
     assert found == pytest.approx([halved, doubled])
     assert [type(one) for one in found] == 2 * [type(getattr(SkinTuning(), name))]
-
-
-def test_a_count_of_one_is_not_halved_to_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(constants, "VALUES", {"averaged": 1})
-    assert constants.changed("averaged", 0.5) == 1
 
 
 def test_every_constant_has_a_candidate_halved_and_doubled() -> None:
@@ -66,12 +60,3 @@ def test_a_changed_constant_changes_the_scores_and_has_a_row(
     medians = recordings[recordings["rows"] == "fixed"].set_index("method")["median"]
     by = 100 * (medians["averaged x 2"] / medians[constants.UNCHANGED] - 1)
     assert table.loc["averaged = 3", "error, fixed rows, %"].endswith(f" / {by:+.1f}")
-
-
-def test_without_recordings_the_option_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["study", "accuracy", "--constants", "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert "--constants: needs recordings, by --recordings DIR" in error
-    assert error.count("\n") == 1

@@ -10,9 +10,8 @@ from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, make_solver
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.studies.evaluate import (
-    SUM_SOLVERS,
     Reading,
     evaluate,
     make_method,
@@ -24,10 +23,6 @@ RNG = np.random.default_rng(0)
 TRUTHS = [np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32)]
 TRUTHS[1][2:4, 2:4] = 1.0
 FRAMES = [(truth, truth + np.float32(0.02)) for truth in TRUTHS]
-
-
-def test_all_solvers_but_those_that_choose_taxels_anew_are_solvers_of_sums() -> None:
-    assert set(SOLVERS) - set(SUM_SOLVERS) == {"interpolation"}
 
 
 def test_a_reading_is_scored_against_the_closed_form() -> None:

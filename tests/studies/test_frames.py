@@ -10,13 +10,10 @@ import pytest
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.convert.to_bag import import_file
-from sparseskin.studies.accuracy.experiments import rated_frames, readable
+from sparseskin.studies.accuracy.experiments import readable
 from sparseskin.studies.frames import (
-    PressFrames,
     RecordedFrames,
     SceneFrames,
-    UntouchedFrames,
-    digest_of,
     files_in,
     first_contact,
     part_of,
@@ -69,25 +66,6 @@ def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_
     assert [len(list(part)) for part in frames.open(0).parts()] == [5, 3]
 
 
-def test_a_lower_rate_has_fewer_frames_of_the_same_span() -> None:
-    fast, slow = (next(rated_frames(True, (rate_hz,))) for rate_hz in (1000, 100))
-    assert (fast.first, fast.stop, slow.every) == (slow.first, slow.stop, 10 * fast.every)
-
-
-def test_presses_have_the_taxels_and_the_speed_that_are_stated() -> None:
-    take = PressFrames("peg", (10, 10), 30, n_scattered=42).open(0)
-    assert take.n == 42
-    ((truth, taxels), *others) = pairs_of(PressFrames("peg", (10, 10), 30, skip=3))
-    assert truth.shape == taxels.shape == (10, 10)
-    assert len(others) == 26
-
-
-def test_an_untouched_skin_has_noise_of_its_own_in_each_frame() -> None:
-    (_, one), (truth, other) = pairs_of(UntouchedFrames(8, 2))
-    assert not truth.any()
-    assert (one != other).any()
-
-
 def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path: Path) -> None:
     frames = np.zeros((100, 4, 4), dtype=np.float32)
     frames[20:40] = 1
@@ -110,15 +88,6 @@ def test_a_bag_of_a_recording_is_the_same_as_its_file(folder: Path) -> None:
     np.testing.assert_array_equal(bag.mask, file.mask)
     assert (bag.f_max, bag.norm, bag.total) == (file.f_max, file.norm, file.total)
     assert (file.n, file.unscored) == (114, 8)
-
-
-def test_a_digest_changes_with_the_content_of_a_file(folder: Path) -> None:
-    path = folder / "press.npz"
-    before = digest_of(path)
-    path.write_bytes(path.read_bytes() + b"0")
-    assert digest_of(path) != before
-    with pytest.raises(StudyError, match="No such file"):
-        digest_of(folder / "none")
 
 
 def test_unusable_files_get_one_line_each_and_are_skipped(

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.accuracy.experiments import CANDIDATES, READINGS, SIMPLE
 from sparseskin.studies.baselines.sampling import CODECS
@@ -67,15 +66,6 @@ def test_a_seed_changes_what_is_random_and_nothing_else(tmp_path: Path) -> None:
     assert len({str(db) for db in rows["psnr_db"]}) == 4
 
 
-def test_changes_of_a_candidate_are_of_its_measurement_alone(tmp_path: Path) -> None:
-    rotating = Candidate(PRESETS["skin"], changes={"rows": ROTATING})
-    take = PRESS.open(0)
-    phis = [one.make(Measurement(3), take, 0).phis for one in (rotating, PAPER)]  # type: ignore[attr-defined]
-    assert list(map(len, phis)) == [3, 1]
-    adaptive = Candidate(PRESETS["skin"], changes={"phi": "adaptive"})
-    assert adaptive.make(Measurement(3), take, 0).phi.m < 40  # type: ignore[attr-defined]
-
-
 def test_what_does_not_go_together_is_refused_by_name_and_the_others_are_run(
     tmp_path: Path,
 ) -> None:
@@ -110,10 +100,6 @@ def test_an_estimate_of_nothing_loses_every_contact_and_has_no_ghost() -> None:
     assert found["estimate_median"] is None
 
 
-def test_an_estimate_of_something_everywhere_is_a_ghost_in_every_untouched_frame() -> None:
-    assert SCORES["ghosts"](constant(1)) == 100
-
-
 def test_marks_and_estimates_are_compared_with_the_true_errors() -> None:
     scores, truth = Scores(), np.ones((4, 4), np.float32)
     for k in range(20):
@@ -137,12 +123,3 @@ def test_first_frames_of_contacts_are_those_without_one_before() -> None:
     dbs = [20 * np.log10(2.5 / force) for force in (1.0, 2.0)]
     assert SCORES["first_db"](scores) == pytest.approx(np.mean(dbs), abs=1e-4)
     assert SCORES["mean_db"](Scores()) is None
-
-
-def test_percentiles_are_of_the_solve_times() -> None:
-    scores, zeros = Scores(), np.zeros((2, 2), np.float32)
-    for ms in range(1, 102):
-        scores.add(Solved(zeros, wall_s=ms / 1e3, cpu_s=ms / 2e3), zeros)
-    assert SCORES["median_ms"](scores) == pytest.approx(25.5)
-    assert SCORES["p99_ms"](scores) == pytest.approx(100)
-    assert SCORES["cpu_share"](scores) == pytest.approx(0.5)

@@ -24,13 +24,6 @@ def test_the_stages_of_a_frame_add_up_to_its_age() -> None:
     assert [sum(first), sum(second)] == [1700, 1500]
 
 
-def test_frames_that_are_lost_on_the_way_are_left_out() -> None:
-    sensor = np.array([[k, 10] for k in range(0, 5000, 1000)])
-    edge = np.array([[k, 20, 30] for k in range(0, 5000, 1000)])
-    host = np.array([[k, 40, 50, 60, 70] for k in (0, 1000, 4000)])
-    assert stages_ns(sensor, edge, host).shape == (3, len(STAGES))
-
-
 def test_quantiles_and_the_stages_around_them() -> None:
     stages = np.random.default_rng(1).uniform(0, 1, (4000, len(STAGES)))
     found, total = figures(stages), stages.sum(axis=1)

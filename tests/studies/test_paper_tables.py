@@ -9,30 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
-from sparseskin.studies.frames import SceneFrames, first_contact, scene_frames
+from sparseskin.studies.frames import SceneFrames, first_contact
 from sparseskin.studies.paper import tables
 from sparseskin.studies.paper.few_levels_haar import FewLevelsHaarBasis
 from sparseskin.studies.paper.numbers import ITERATIONS, PAPER, RATIOS
-from sparseskin.studies.paper.results import FITTED, Results, deviations_db
-
-
-@given(
-    n_rows=st.sampled_from([1, 2, 5, 8, 12, 40]),
-    n_cols=st.sampled_from([1, 3, 4, 32, 40]),
-    seed=st.integers(0, 99),
-)
-def test_haar_of_few_levels_is_orthonormal(n_rows: int, n_cols: int, seed: int) -> None:
-    basis = FewLevelsHaarBasis(n_rows, n_cols)
-    rng = np.random.default_rng(seed)
-    u, v = rng.standard_normal((2, n_rows, n_cols), dtype=np.float32)
-    np.testing.assert_allclose(basis.synthesis(basis.analysis(u)), u, atol=1e-5)
-    inner = float((basis.analysis(u) * v).sum(dtype=np.float64))
-    assert inner == pytest.approx(float((u * basis.synthesis(v)).sum(dtype=np.float64)), abs=1e-3)
+from sparseskin.studies.paper.results import FITTED, Results
 
 
 def test_it_stops_where_a_side_gets_odd_and_is_haar_where_none_does() -> None:
@@ -65,18 +49,6 @@ def test_a_peg_of_fourteen_taxels_has_few_coefficients_and_d4_has_more() -> None
     assert (d4[touched] >= d2[touched]).all()
 
 
-def test_maps_are_of_the_frames_that_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "MAPPED", "path_40")
-    frame = first_contact("path_40", 0) + 3
-    found = tables.frame_maps({"frames": [frame], "seed": 0})
-    ((truth, taxels, forces),) = found["maps"]
-    ((expected, read),) = scene_frames("path_40", 0, frame, frame + 1)
-    np.testing.assert_allclose(truth, expected, atol=1e-4)
-    np.testing.assert_allclose(taxels, read, atol=1e-4)
-    assert np.shape(forces) == (40, 40)
-    assert found["psnr_db"][0][0] > 40
-
-
 def made_up() -> Results:
     """Figures of ten frames a scene."""
     rng = np.random.default_rng(0)
@@ -94,25 +66,6 @@ def made_up() -> Results:
         psnr={(name, *of): psnr() for name in PAPER for of in methods},
         times_ms={(name, str(k)): 1.0 for name in PAPER for k in ITERATIONS},
     )
-
-
-def test_a_deviation_is_zero_where_the_upper_ends_are_the_papers() -> None:
-    ends = {1600: {4: 62.625, 3: 60.425, 2: 58.0}, 4096: {4: 54.85, 3: 54.0, 2: 53.4}}
-    highest = {
-        (side, few, ratio): [ends[side**2][ratio], ends[side**2][ratio] + 2]
-        for side, few in ((40, True), (64, True))
-        for ratio in RATIOS
-    }
-    assert deviations_db(highest, few_levels=True) == pytest.approx([0, 2])
-
-
-def test_the_frames_of_the_maps_are_of_median_and_of_least_psnr() -> None:
-    results = made_up()
-    psnr = np.array(results.psnr["path_40", 3, "20"])
-    chosen = results.chosen_frames("path_40")
-    contact = range(5, 10)
-    assert chosen["worst"] == min(contact, key=lambda k: psnr[k])
-    assert chosen["representative"] == sorted(contact, key=lambda k: psnr[k])[2]
 
 
 def test_reasons_state_what_the_text_of_the_page_asks_for() -> None:

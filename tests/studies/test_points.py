@@ -134,10 +134,6 @@ def fail_on_two(point: dict[str, Any]) -> dict[str, Any]:
     return double(point)
 
 
-def nothing_finite(point: dict[str, Any]) -> dict[str, Any]:
-    return {"ratio": float("nan")}
-
-
 def test_points_are_computed_once_and_again_when_they_were_forgotten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -160,14 +156,6 @@ def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path:
     assert n_lines(tmp_path / POINTS_FILE) == 3
 
 
-def test_off_a_terminal_progress_is_one_line_at_the_end(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    points = [{"k": k} for k in range(3)]
-    compute(double, points, tmp_path, "serial", "some")
-    assert capsys.readouterr().err == "some: 3 of 3 points computed\n"
-
-
 def test_points_of_other_code_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -177,17 +165,6 @@ def test_points_of_other_code_are_reported(
     monkeypatch.setattr(points_module, "code_fingerprint", lambda: "another")
     compute(double, [{"k": 1}, {"k": 2}, {"k": 3}], tmp_path, "serial", "doubles")
     assert "2 of 3 points are known from an earlier run, 2 of them by" in capsys.readouterr().err
-
-
-def test_a_point_is_known_where_its_function_has_moved_to_another_module(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
-    (record,) = map(json.loads, (tmp_path / POINTS_FILE).read_text().splitlines())
-    assert record["function"] == f"{__name__}:double"
-    monkeypatch.setattr(double, "__module__", "moved.elsewhere")
-    compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
-    assert "1 of 1 points are known" in capsys.readouterr().err
 
 
 def test_a_line_without_its_end_is_cut_off(tmp_path: Path) -> None:
@@ -202,12 +179,6 @@ def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path: Path) -> 
     with pytest.raises(StudyError, match=r"point k = 2: ValueError: two is not allowed"):
         compute(fail_on_two, [{"k": k} for k in range(3)], tmp_path, "serial", "some")
     assert n_lines(tmp_path / POINTS_FILE) == 2
-
-
-def test_figures_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(StudyError, match="point k = 0: ValueError"):
-        compute(nothing_finite, [{"k": 0}], tmp_path, "serial", "some")
-    assert n_lines(tmp_path / POINTS_FILE) == 0
 
 
 def test_a_second_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:

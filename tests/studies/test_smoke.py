@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,24 +25,28 @@ from sparseskin.studies.speed import latency
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
-from sparseskin.studies.stability import contact, phase, sweeps
+from sparseskin.studies.stability import contact, excerpts, phase, sweeps
 
 N_FRAMES = 9
 SOLVERS = ("fista", "skin")
+SHORT_SCENES = ("lift_box_40",)
 SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),), "QUICK_BODIES": ("peg",)}),
-    (accuracy, {"SCENES": ("lift_box_40",), "RATED_SCENES": ("path_40",), "SIDES": (40,)}),
+    (accuracy, {"SCENES": SHORT_SCENES, "RATED_SCENES": SHORT_SCENES, "SIDES": (12,)}),
     (constants, {"VALUES": {"damping": 0.5}}),
     (contact, {"N_SIDE_QUICK": 2, "SCENES": {"lift_box_40": SCENES["lift_box_40"]}}),
+    (excerpts, {"EXCERPTS": excerpts.EXCERPTS[:1]}),
     (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
-    (experiments, {"SUM_SOLVERS": SOLVERS}),
+    (experiments, {"SUM_SOLVERS": SOLVERS, "QUICK_SCENES": SHORT_SCENES}),
+    (experiments, {"find_spec": lambda name: None}),  # no compiled loops
+    (frames, {"_kept": lru_cache(frames._kept.__wrapped__)}),  # simulated once
     (harness, {"TIMED_ON": "serial"}),
     (latency, {"WARM_UP": 50, "SCENES": {"40 x 40": "path_40"}}),
     (needs, {"QUICK_SCENES": ("lift_box_40",), "QUICK_STEPS": 350}),
     (paper, {"BEFORE_MAPS": 0}),
-    (phase, {"SUM_SOLVERS": SOLVERS}),
+    (phase, {"SUM_SOLVERS": SOLVERS, "N_STATIC": 6, "N_JUDGED": 2}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
-    (speed_accuracy, {"TIMED_ON": "serial"}),
+    (speed_accuracy, {"TIMED_ON": "serial", "QUICK_SCENES": SHORT_SCENES}),
     (sweeps, {"SUM_SOLVERS": ("fista",)}),
 )
 """Sizes that are smaller than those of a quick run, by module."""

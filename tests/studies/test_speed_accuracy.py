@@ -10,19 +10,13 @@ from sparseskin.nodes.compressor.phi.base import KINDS
 from sparseskin.nodes.reconstructor.bases.base import BASES
 from sparseskin.studies.baselines.libraries import PEERS, Bpdn
 from sparseskin.studies.evaluate import SUM_SOLVERS
-from sparseskin.studies.speed_accuracy.charts import front, raw_and_zoned, swept, zones
+from sparseskin.studies.speed_accuracy.charts import front
 from sparseskin.studies.speed_accuracy.experiments import (
-    DEAD_ZONES_N,
-    QUICK_ITERATIONS,
     SCENES,
     WITHIN,
-    n_bytes,
     parts,
-    pooled,
     race,
-    readings,
     solvers,
-    variants,
 )
 
 
@@ -36,18 +30,6 @@ def test_every_solver_basis_and_phi_is_tried_and_no_point_twice(quick: bool) -> 
     assert kinds == set(KINDS) - {"acts", "adaptive", "row_local"}
     assert {point["frames"]["scene"] for point in points} <= set(SCENES)
     assert all(len(point["candidates"]) == 1 for point in points)
-
-
-def test_the_iterations_of_each_variant_that_takes_them_are_swept() -> None:
-    swept_ones, *_ = solvers(True, 0)
-    for label in ("ista", "skin, rotating rows"):
-        assert {f"{label}: {k}" for k in QUICK_ITERATIONS} <= set(swept_ones.candidates)
-    assert {chosen.settings["solver"] for chosen in variants().values()} == set(SUM_SOLVERS)
-
-
-def test_bytes_are_those_of_the_message() -> None:
-    assert 4 * 533 < n_bytes(1600, 3, "fixed", "sbhe") < 4 * 533 + 300
-    assert 4 * 1600 < n_bytes(1600, 1, "", "") < 4 * 1600 + 300
 
 
 def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest() -> None:
@@ -82,30 +64,3 @@ def test_the_front_is_of_rows_that_none_beats() -> None:
     )
     best = front(rows, "median_ms", "mean_db")
     assert [*best.itertuples(index=False, name=None)] == [(1, 40), (2, 45), (3, 47)]
-
-
-def test_figures_of_scenes_of_one_size_are_pooled_and_refused_ones_left_out() -> None:
-    rows = [("lift_box_40", 40, 30, ""), ("path_40", 44, 36, ""), ("lift_box_64", 50, 1, "no")]
-    frame = pd.DataFrame(rows, columns=["scene", "mean_db", "min_db", "refused"]).assign(label="a")
-    (found,) = pooled(frame, ["label"]).to_dict("records")
-    assert found == {"panel": "N = 1600", "label": "a", "mean_db": 42, "min_db": 30}
-
-
-def test_a_dead_zone_is_the_best_by_mean_psnr() -> None:
-    heights = {zone: 46.0 + (zone == 0.03) for zone in DEAD_ZONES_N}
-    rows = pd.DataFrame(
-        {"scene": "path_40", "method": f"{zone:g}", "mean_db": db, "refused": ""}
-        for zone, db in heights.items()
-    )
-    raw, best = raw_and_zoned(zones(rows), "N = 1600")
-    assert (raw["dead_zone_n"], best["dead_zone_n"]) == (0.0, 0.03)
-    assert set(readings(True, 0).candidates) == {f"{zone:g}" for zone in DEAD_ZONES_N}
-
-
-def test_a_line_shows_a_number_of_iterations_once() -> None:
-    rows = [("sbhe", 3, np.nan, 30, 1), ("sbhe", 3, 30, 30, 2), ("sbhe", 3, 5, 5, 3)]
-    rows += [("full", 1, np.nan, 30, 4), ("sbhe", 8, np.nan, 30, 5)]
-    columns = ["phi", "ratio", "stated", "iterations", "n_bytes"]
-    frame = pd.DataFrame(rows, columns=columns).assign(label="a")
-    assert swept(frame, "median_ms")["n_bytes"].tolist() == [3, 1]
-    assert swept(frame, "n_bytes")["n_bytes"].tolist() == [1, 5]

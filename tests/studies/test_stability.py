@@ -4,26 +4,15 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pandas as pd
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
-from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.stability import excerpts, sweeps
-from sparseskin.studies.stability.excerpts import (
-    BLOWN_UP_DB,
-    SHAPE,
-    contacts,
-    count_coefficients,
-    excerpt,
-    psnr_of,
-    touched_snr,
-)
 from sparseskin.studies.stability.phase import weak_threshold
-from sparseskin.studies.stability.sweeps import LongRows, Sweep, failing
+from sparseskin.studies.stability.sweeps import Sweep, failing
 
 
 @pytest.mark.parametrize("delta", [0.1, 0.3, 0.5, 0.9])
@@ -39,34 +28,6 @@ def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measur
 
     found = minimize_scalar(dimension, bounds=(0.0, 8.0), method="bounded")
     assert float(found.fun) == pytest.approx(delta, abs=2e-4)
-
-
-def test_long_rows_make_steps_as_many_times_too_long() -> None:
-    phi = LongRows(100, 30, 0, times=2.0)
-    matrix = phi.dense()
-    x, y = np.arange(100, dtype=np.float32) / 100, np.arange(30, dtype=np.float32) / 30
-    np.testing.assert_allclose(phi.forward(x), matrix @ x, atol=1e-5)
-    np.testing.assert_allclose(phi.adjoint(y), matrix.T @ y, atol=1e-5)
-    np.testing.assert_allclose(matrix @ matrix.T, 2.0 * np.eye(30), atol=1e-6)
-
-
-@pytest.mark.parametrize("n_coefficients", [20, 60, 250])
-def test_pads_have_about_the_coefficients_that_are_asked_for(n_coefficients: int) -> None:
-    for seed in range(3):
-        frame = contacts(SHAPE, n_coefficients, np.random.default_rng(seed))
-        count = count_coefficients(make_basis("haar", *SHAPE).analysis(frame))
-        assert 0.6 * n_coefficients < count <= n_coefficients
-        assert frame.min() == 0.0
-        assert 0.2 <= frame.max() <= 1.5
-
-
-def test_psnr_and_snr_of_what_is_perfect_void_or_blown_up() -> None:
-    truth = excerpt(2)
-    assert psnr_of(0.0) == 100.0
-    assert psnr_of(math.inf) == BLOWN_UP_DB
-    assert touched_snr(np.zeros_like(truth), truth) == pytest.approx(0.0)
-    assert touched_snr(1.1 * truth, truth) == pytest.approx(20.0, abs=1e-3)
-    assert touched_snr(np.full_like(truth, np.nan), truth) == BLOWN_UP_DB
 
 
 @pytest.mark.parametrize("solver", SUM_SOLVERS)

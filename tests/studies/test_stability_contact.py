@@ -15,7 +15,6 @@ from sparseskin.studies.stability.contact import (
     Mass,
     amplification,
     growth,
-    measure,
     place_of_scene,
     rebound,
     stability_margin,
@@ -77,9 +76,3 @@ def test_the_box_has_the_frequency_and_damping_of_its_400_taxels() -> None:
     omega = math.sqrt(400 * scene.surface.stiffness / scene.body.mass_kg)
     assert place["omega_dt"] == pytest.approx(omega * 1e-3)
     assert place["c_dt_over_m"] == pytest.approx(400 * 0.4 / scene.body.mass_kg * 1e-3)
-
-
-def test_a_point_is_a_row_of_the_map() -> None:
-    figures = measure({"method": "explicit Euler", "c_dt_over_m": 0.1, "omega_dts": [0.1, 1.0]})
-    assert figures["growth"] == [growth("explicit Euler", a, 0.1) for a in (0.1, 1.0)]
-    assert len(figures["rebound"]) == 2
