@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,20 +21,13 @@ from sparseskin.nodes.tasks.executors import forms
 class Study:
     """A study by name, imported when it is run.
 
-    Attributes
-    ----------
-    summary : str
-    target : str
-        "module:callable" of the study, run(out, quick, seed, executor, **options). It computes the
-        points that are not saved yet with an `executor` (as `points.compute` takes it) and writes
-        page, tables and charts into the existing folder `out`; `quick`: fewer frames and points;
-        `seed`: of noise and Phi. It returns its conclusion, lines that are printed, and raises
-        StudyError if a point fails or a file cannot be written.
-    options : tuple of str
-        Options that it takes beside those of all studies.
-    numpy_only : bool
-        True if its figures are of numpy alone where nothing else is set, with numba installed
-        or not.
+    `target` is "module:callable", called as run(out, quick, seed, executor, **options). It computes
+    the points that are not saved yet with an `executor` (as `points.compute` takes it) and writes
+    page, tables and charts into the existing folder `out`; `quick`: fewer frames and points;
+    `seed`: of noise and Phi. It returns its conclusion, lines that are printed, and raises
+    StudyError if a point fails or a file cannot be written. `options`: those that it takes beside
+    those of all studies; `numpy_only`: True if its figures are of numpy alone, with numba
+    installed or not.
     """
 
     summary: str
@@ -121,11 +115,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="accuracy: folder of recordings of real skins",
     )
     parser.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
-    parser.add_argument("--seed", type=_seed, default=0, help="seed of noise and Phi (default: 0)")
+    parser.add_argument(
+        "--seed", type=_whole(0, 2**32 - 1), default=0, help="seed of noise and Phi (default: 0)"
+    )
     parser.add_argument(
         "--seeds",
         metavar="K",
-        type=_count,
+        type=_whole(1, 1000),
         help="accuracy: number of seeds, from --seed on (default: 1)",
     )
     parser.add_argument(
@@ -137,16 +133,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_study)
 
 
-def _seed(text: str) -> int:
-    if not text.isdecimal() or int(text) >= 2**32:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 0 or more")
-    return int(text)
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    """Parser of a whole number."""
 
+    def parse(text: str) -> int:
+        if not text.isdecimal() or not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {low}..{high}")
+        return int(text)
 
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 1..1000")
-    return int(text)
+    return parse
 
 
 def _study(arguments: argparse.Namespace) -> int:

@@ -221,43 +221,30 @@ def in_contact(truth: Floats, f_max_n: float) -> bool:
 class Scores:
     """Error and solve time of each frame of one estimator.
 
-    Attributes
-    ----------
-    f_max_n : float
-        Upper end of the range, peak of the PSNR, newtons.
-    mask : ndarray of bool, shape (n_rows, n_cols), optional
-        True where a taxel exists. None: everywhere.
-    norm, total : float
-        95th percentiles of the norms and totals of a recording's frames; 0: a frame is loaded where
-        it is in contact, and none is untouched.
-    psnr_db, contact : list
-        Of each frame: PSNR; True where it is in contact, or loaded; see `LOADED`.
-    touched, relative, estimates : list
-        Of each contact frame: mean squared error over the touched taxels (above 0.4 % of the
-        range) in newtons squared, and their number; error over the norm of the truth; estimated
-        over true RMS error, where there is an estimate.
-    ghosts : list of bool
-        Of each untouched frame: True if its reconstruction is a ghost; see `GHOST`.
-    flags : list of (bool, float)
-        Of each frame with an estimate: True if it is marked, and its relative error; NaN where it
-        is not in contact.
-    wall_s, cpu_s, n_steps, n_bytes : list
-        Of each frame, as in `Solved`.
-    refused : str
-        Reason for which the estimator was ended; "" if it was not.
+    `f_max_n`: upper end of the range, peak of the PSNR, newtons; `mask`: True where a taxel exists
+    (None: everywhere); `norm`, `total`: 95th percentiles of the norms and totals of a recording's
+    frames (0: a frame is loaded where it is in contact, and none is untouched). `refused`: reason
+    for which the estimator was ended, or "".
     """
 
     f_max_n: float = PAPER_F_MAX_N
     mask: Mask | None = None
     norm: float = 0.0
     total: float = 0.0
+    # Of each frame: PSNR, dB; True where it is in contact, or loaded (`LOADED`).
     psnr_db: list[float] = field(default_factory=list)
     contact: list[bool] = field(default_factory=list)
+    # Of each contact frame: mean squared error over the touched taxels (above 0.4 % of the range),
+    # newtons squared, and their number; error over the norm of the truth; estimated over true RMS
+    # error, where there is an estimate.
     touched: list[tuple[float, int]] = field(default_factory=list)
     relative: list[float] = field(default_factory=list)
     estimates: list[float] = field(default_factory=list)
+    # Of each untouched frame: True if its reconstruction is a ghost (`GHOST`).
     ghosts: list[bool] = field(default_factory=list)
+    # Of each frame with an estimate: True if it is marked; its relative error, NaN without contact.
     flags: list[tuple[bool, float]] = field(default_factory=list)
+    # Of each frame, as in `Solved`.
     wall_s: list[float] = field(default_factory=list)
     cpu_s: list[float] = field(default_factory=list)
     n_steps: list[int] = field(default_factory=list)

@@ -67,19 +67,10 @@ def scene_of(scene: str) -> Scene:
 class Take:
     """Frames of a source, and what estimators and scores have to know of them.
 
-    Attributes
-    ----------
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        True where a taxel exists.
-    f_max : float
-        Upper end of the range, in the unit of the frames.
-    parts : callable
-        Returns the parts, each an iterable of (truth, taxels): float32, shape (n_rows, n_cols).
-        Estimators are reset between two parts.
-    sigma_end, norm, total
-        As for `make_method` and `Scores`.
-    unscored : int
-        Frames at the beginning of each part that are not scored.
+    `mask`: True where a taxel exists; `f_max`: upper end of the range, in the unit of the frames;
+    `parts` returns the parts, each an iterable of (truth, taxels): float32, shape (n_rows, n_cols),
+    between which estimators are reset; `sigma_end`, `norm`, `total`: as for `make_method` and
+    `Scores`; `unscored`: frames at the beginning of each part that are not scored.
     """
 
     mask: Mask
@@ -253,10 +244,8 @@ class Part(NamedTuple):
 def part_of(path: str, n_most: int) -> Part:
     """Read the part of a recording that `RecordedFrames` describes.
 
-    Raises
-    ------
-    SparseskinError
-        If the file cannot be read, holds no readings, or nothing touches the skin.
+    Raises SparseskinError if the file cannot be read, holds no readings, or nothing touches the
+    skin.
     """
     read = read_recording(path)
     if "forces" not in read:
@@ -295,10 +284,7 @@ def _busiest(loaded: np.ndarray[tuple[int], np.dtype[np.bool_]], n_most: int) ->
 def files_in(folder: Path) -> list[Path]:
     """Return the files of a folder whose suffix is that of a recording, by name.
 
-    Raises
-    ------
-    StudyError
-        If the folder cannot be read, or has none.
+    Raises StudyError if the folder cannot be read, or has none.
     """
     known = (*suffixes(), FILE_SUFFIX)
     try:

@@ -55,18 +55,11 @@ class Measurement:
 class Candidate:
     """An estimator by the names of its parts.
 
-    Attributes
-    ----------
-    settings : mapping
-        solver, basis and settings as in `PRESETS`; `lambda_n` is stated for the paper's range, and
-        scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own. Of
-        "reading": dead_zone_n.
-    of : str
-        "solver", "reading", "filtered", "lattice", "hold", "acts", or one of `CODECS`.
-    changes : mapping
-        Fields of the measurement that differ from the experiment's.
-    alone : bool
-        True for a solver that forgets all earlier frames before each one.
+    `settings`: solver, basis and settings as in `PRESETS`; `lambda_n` is stated for the paper's
+    range, and scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own;
+    of "reading": dead_zone_n. `of`: "solver", "reading", "filtered", "lattice", "hold", "acts", or
+    one of `CODECS`. `changes`: fields of the measurement that differ from the experiment's.
+    `alone`: True for a solver that forgets all earlier frames before each one.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -77,10 +70,7 @@ class Candidate:
     def make(self, measurement: Measurement, take: Take, seed: int) -> Estimator:
         """Make the estimator for the skin of a take; `seed`: of Phi.
 
-        Raises
-        ------
-        SparseskinError
-            If the parts do not fit together or the skin.
+        Raises SparseskinError if the parts do not fit together or the skin.
         """
         at, mask = replace(measurement, **self.changes), take.mask
         ratio = int(at.ratio)
@@ -112,18 +102,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Every candidate on every source of frames at every measurement.
-
-    Attributes
-    ----------
-    label : str
-        Shown by the progress bar.
-    frames, measurements, candidates, scores
-        Lists of the product; candidates by name; scores of `SCORES`.
-    seeds : sequence of int
-        Of frames, noise and Phi.
-    timed : bool
-        True if each candidate is run by itself, in one process at a time, whatever the executor.
+    """Every candidate, by name, on every source of frames at every measurement; `scores`: names of
+    `SCORES`; `seeds`: of frames, noise and Phi. `timed`: True if each candidate is run by itself,
+    in one process at a time, whatever the executor. `label` is shown by the progress bar.
     """
 
     label: str
@@ -155,11 +136,8 @@ class Experiment:
     def run(self, out: Path, executor: str) -> pd.DataFrame:
         """Compute what is not known yet in the folder of the study; see `points.compute`.
 
-        Returns
-        -------
-        DataFrame
-            A row a point and candidate: fields of frames and measurement, seed, method (the name
-            of the candidate), its scores, and refused: the reason where it could not be run, or "".
+        Returns a row a point and candidate: fields of frames and measurement, seed, method (the
+        name of the candidate), its scores, and refused: why it could not be run, or "".
         """
         points = self.points()
         found = compute(scored, points, out, TIMED_ON if self.timed else executor, self.label)
@@ -168,12 +146,8 @@ class Experiment:
 
 
 def scored(point: dict[str, Any]) -> dict[str, Any]:
-    """Run the candidates of a point of an `Experiment` side by side on the same frames.
-
-    Returns
-    -------
-    dict
-        methods: by candidate its scores, and refused.
+    """Run the candidates of a point of an `Experiment` side by side on the same frames; methods: by
+    candidate its scores, and refused.
     """
     take = opened(point)
     measurement = Measurement(**point["measurement"])

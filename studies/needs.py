@@ -49,16 +49,8 @@ LEFT_OUT = {
 class Variant:
     """One way to change a scene.
 
-    Attributes
-    ----------
-    carried : bool
-        True: the scene has what is varied, and it is removed. False: it is added.
-    scene : Scene
-        The changed scene.
-    smoothing_steps : int
-        Width of the moving average.
-    finer : int
-        Steps of the simulation that make one frame.
+    `carried`: True if the scene has what is varied, which is removed; False if it is added;
+    `smoothing_steps`: width of the moving average; `finer`: steps of the simulation for one frame.
     """
 
     carried: bool
@@ -110,14 +102,10 @@ def _with_or_without(scene: Scene, axis: Any) -> Variant:
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Change of a variant's frames from the scene's, beside the noise.
 
-    `point`: scene, variant, n_steps (None: all), seed.
-
-    Returns
-    -------
-    dict
-        change_db, noise_db: 10 log10(f_max^2 / mean squared difference) over the frames in
-        contact, of the change and of the noise; worst_db: the frame that changes most;
-        above_noise: share of the contact frames that change by more than the noise.
+    `point`: scene, variant, n_steps (None: all), seed. Returns change_db, noise_db: 10
+    log10(f_max^2 / mean squared difference) over the frames in contact, of the change and of the
+    noise; worst_db: the frame that changes most; above_noise: share of the contact frames that
+    change by more than the noise.
     """
     scene, n_steps = SCENES[point["scene"]](), point["n_steps"]
     scene = replace(scene, n_steps=min(n_steps or scene.n_steps, scene.n_steps))

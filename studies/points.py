@@ -114,10 +114,7 @@ def _log_known(label: str, keys: set[str], is_other_code: Sequence[bool]) -> Non
 def forget(out: Path) -> None:
     """Delete the points that earlier runs have saved in a folder.
 
-    Raises
-    ------
-    StudyError
-        If its file cannot be opened, or another run uses the folder.
+    Raises StudyError if its file cannot be opened, or another run uses the folder.
     """
     with _opened(out) as file:
         file.truncate(0)

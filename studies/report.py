@@ -52,30 +52,11 @@ def series_style(k: int) -> dict[str, Any]:
 class Chart:
     """A figure of panels in the common style, saved as it is left: `with Chart(...) as chart:`.
 
-    Parameters
-    ----------
-    out, name, caption
-        Folder of the study; name of the files, `name.png` and `name.svg`.
-    n_panels, n_columns : int
-        Panels, row by row.
-    size_in : (float, float)
-        Width and height of the figure in inches.
-    legend_columns : int
-        Columns of the legend below the panels; 0: no legend.
-    **subplots
-        As `Figure.subplots` takes them: sharex, sharey, ...
-
-    Attributes
-    ----------
-    figure, panels
-        The figure of matplotlib, and its axes.
-    markdown : str
-        Text that shows the chart on a page.
-
-    Raises
-    ------
-    StudyError
-        As it is left, if the files cannot be written.
+    `out`, `name`: folder of the study, and name of the files, `name.png` and `name.svg`;
+    `n_panels`, `n_columns`: panels, row by row; `size_in`: width and height in inches;
+    `legend_columns`: of the legend below the panels (0: no legend); `subplots`: as `Figure.subplots` takes them. `figure`
+    and `panels` are the figure of matplotlib and its axes, `markdown` shows the chart on a page.
+    As it is left, it raises StudyError if the files cannot be written.
     """
 
     def __init__(
@@ -199,41 +180,13 @@ def cells(frame: pd.DataFrame, text: str) -> list[str]:
     return [text.format(**row) for row in frame.to_dict("records")]
 
 
-def write_csv(out: Path, name: str, rows: Rows) -> str:
-    """Write a data frame, or rows with the same keys, to `name.csv`; the Markdown that links it.
-
-    Raises
-    ------
-    StudyError
-        If it cannot be written.
-    """
-    path = out / f"{name}.csv"
-    try:
-        # Of objects, so that whole numbers stay such in a column with others.
-        frame = pd.DataFrame(rows, dtype=object)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            frame.to_csv(file, index=False, lineterminator="\r\n")
-    except OSError as error:
-        raise StudyError(f"{path}: {error.strerror}") from error
-    return f"[{path.name}]({path.name})"
-
-
 class Page:
     """The page of a study: sections of text, tables and charts, in the one template `page.md`.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the study.
-    name : str
-        Name of the study, and of the page.
-    notes : Path
-        Markdown with the text of each section under its title; the title of the page, and what
-        follows it, come first. {name} stands for a value that the section is given.
-    quick : bool
-        True for a page that states that its figures are those of a quick run.
-    command : str
-        Command of `sparseskin` that computes it; by default the study.
+    `out`, `name`: folder of the study, and its name; `notes`: Markdown with the text of each
+    section under its title, those of the page first, in which {name} stands for a value that the
+    section is given; `quick`: True for a page that states that its figures are those of a quick
+    run; `command` of `sparseskin` that computes it (default: the study).
     """
 
     def __init__(self, out: Path, name: str, notes: Path, quick: bool, command: str = "") -> None:
@@ -254,16 +207,24 @@ class Page:
         self._sections.append({"title": title, "parts": [p for p in (text, *parts) if len(p)]})
 
     def csv(self, name: str, rows: Rows) -> None:
-        """Write rows to `name.csv`, which the page links; see `write_csv`."""
-        self._files.append(write_csv(self.out, name, rows))
+        """Write a data frame, or rows with the same keys, to `name.csv`, which the page links.
+
+        Raises StudyError if it cannot be written.
+        """
+        path = self.out / f"{name}.csv"
+        try:
+            # Of objects, so that whole numbers stay such in a column with others.
+            frame = pd.DataFrame(rows, dtype=object)
+            with path.open("w", newline="", encoding="utf-8") as file:
+                frame.to_csv(file, index=False, lineterminator="\r\n")
+        except OSError as error:
+            raise StudyError(f"{path}: {error.strerror}") from error
+        self._files.append(f"[{path.name}]({path.name})")
 
     def write(self, conclusion: Sequence[str]) -> None:
         """Write the page `NAME.md`, the lines of the conclusion below its title.
 
-        Raises
-        ------
-        StudyError
-            If it cannot be written.
+        Raises StudyError if it cannot be written.
         """
         environment = jinja2.Environment(
             undefined=jinja2.StrictUndefined,

@@ -89,18 +89,10 @@ def experiment(
 
 
 class Runs:
-    """Runs of the experiments, each of which returns its rows.
+    """Runs of the experiments, each of which returns its rows; `seeds`: of Phi, frames and noise.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the study.
-    executor : str
-    quick : bool
-    seeds : sequence of int
-        Of Phi, frames and noise.
-    recordings : Path, optional
-        Folder of recordings; a line on stderr for each file that cannot be used, StudyError if all.
+    `recordings`: folder of recordings; a line on stderr for each file that cannot be used,
+    StudyError if none can.
     """
 
     def __init__(
@@ -209,10 +201,7 @@ def rated_frames(quick: bool, rates_hz: Sequence[int] = RATES_HZ) -> Iterator[Sc
 def readable(files: Sequence[Path], n_most: int) -> list[Path]:
     """Return the recordings that can be used; of each other one a line on stderr.
 
-    Raises
-    ------
-    StudyError
-        If there is none.
+    Raises StudyError if there is none.
     """
     found: list[Path] = []
     for path in files:

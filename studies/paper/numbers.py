@@ -27,33 +27,16 @@ class Counts(NamedTuple):
 
 
 class Scenario(NamedTuple):
-    """One scenario in all tables.
-
-    Attributes
-    ----------
-    title : str
-        Its name in the paper.
-    n : int
-        Number of taxels.
-    steps : int
-        Table I.
-    d2, d4 : Counts
-        Table II.
-    noisy : Psnr
-        Tables III and IV, noisy signal.
-    third_table : tuple of Psnr
-        Table III, for each of `RATIOS`, at 30 iterations.
-    lows_db, times_ms : tuple of float
-        Table IV, least PSNR and mean time a frame, for each of `ITERATIONS`, at M = N/3.
-    """
+    """One scenario in all tables: its name, and number of taxels."""
 
     title: str
     n: int
-    steps: int
-    d2: Counts
+    steps: int  # table I
+    d2: Counts  # table II
     d4: Counts
-    noisy: Psnr
-    third_table: tuple[Psnr, Psnr, Psnr]
+    noisy: Psnr  # tables III and IV
+    third_table: tuple[Psnr, Psnr, Psnr]  # for each of `RATIOS`, 30 iterations
+    # Table IV, for each of `ITERATIONS`, M = N/3: least PSNR, mean time a frame.
     lows_db: tuple[float, float, float]
     times_ms: tuple[float, float, float]
 

@@ -125,13 +125,9 @@ def untouched(
 def scene_figures(point: Row) -> Row:
     """A scene without compression: frame by frame its noise and its wavelet coefficients.
 
-    `point`: frames, the fields of a `SceneFrames`; seed.
-
-    Returns
-    -------
-    dict
-        first: the first frame; noisy_db, contact: per frame; d2, d4: coefficients above
-        rounding; d2_exact, d4_exact: coefficients that are not 0 in float64, rounding included.
+    `point`: frames, the fields of a `SceneFrames`; seed. Returns first: the first frame; noisy_db,
+    contact: per frame; d2, d4: coefficients above rounding; d2_exact, d4_exact: coefficients that
+    are not 0 in float64, rounding included.
     """
     frames = SceneFrames(**point["frames"])
     take = frames.open(point["seed"])
@@ -161,13 +157,8 @@ def _coefficients(image: Any, wavelet: str, levels: int) -> Any:
 def frame_maps(point: Row) -> Row:
     """Reconstruct maps of some frames of `MAPPED`, as part of their sequence.
 
-    `point`: frames: numbers of frames, ascending; seed.
-
-    Returns
-    -------
-    dict
-        maps: for each frame its truth, taxels and reconstructed forces, newtons; psnr_db: of taxels
-        and reconstructed forces.
+    `point`: frames: numbers of frames, ascending; seed. Returns maps: for each frame its truth,
+    taxels and reconstructed forces, newtons; psnr_db: of taxels and reconstructed forces.
     """
     numbers: list[int] = point["frames"]
     every = SceneFrames(MAPPED, None)

@@ -22,20 +22,12 @@ WARM_UP = 24
 def time_body(point: dict[str, Any]) -> dict[str, Any]:
     """Processor time of edge and host for one frame of all patches of a lying body, at 1 kHz.
 
-    Parameters
-    ----------
-    point : dict
-        patches, side: number of patches, and taxels along a side of each; idle: part of them that
-        nothing presses; skip_idle: True if idle patches are not solved; n_frames, seed: frames that
-        are timed, and the seed of the noise.
-
-    Returns
-    -------
-    dict of str to float
-        edge_us, host_us: median processor time of a frame and patch, microseconds: decoding,
-        the node's step, encoding; bytes: of the measurements of a frame of all patches; memory_mb:
-        memory of the reconstructor node for one patch, MB; unchanged: part of the frames not
-        solved.
+    `point`: patches, side: number of patches, and taxels along a side of each; idle: part of them
+    that nothing presses; skip_idle: True if idle patches are not solved; n_frames: frames that are
+    timed; seed: of the noise. Returns edge_us, host_us: median processor time of a frame and patch,
+    microseconds: decoding, the node's step, encoding; bytes: of the measurements of a frame of all
+    patches; memory_mb: of the reconstructor node for one patch; unchanged: part of the frames not
+    solved.
     """
     patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
     common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}

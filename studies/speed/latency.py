@@ -54,19 +54,10 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Age of the frames of one graph when they were reconstructed, and its stages.
 
     `point`: scene, preset, depth, rate_hz, n_frames, warm_up (frames that are left out), monitor
-    (True: one subscribes).
-
-    Returns
-    -------
-    dict
-        Of each quantile, NAME_ms, and "NAME STAGE": the mean of the time in each of `STAGES` over
-        the frames around that quantile, ms. Further frames, skipped, lost, and others: cores that
-        other work of the host used meanwhile.
-
-    Raises
-    ------
-    StudyError
-        If the graph fails, or reconstructs too few frames.
+    (True: one subscribes). Returns of each quantile NAME_ms, and "NAME STAGE": the mean of the time
+    in each of `STAGES` over the frames around that quantile, ms; frames, skipped, lost, and others:
+    cores that other work of the host used meanwhile. Raises StudyError if the graph fails, or
+    reconstructs too few frames.
     """
     source = f"sparseskin.studies.looped:{point['scene']}"
     solver = {"preset": point["preset"], "depth": point["depth"]}
@@ -118,19 +109,9 @@ def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
     A message waits in a queue while its reader is busy with the one before it; the rest of its way
     is the wire: ZeroMQ, the wake-up of the reader, decoding.
 
-    Parameters
-    ----------
-    sensor : ndarray of int64, shape (n, 2)
-        stamp_ns, and from there until sent.
-    edge : ndarray of int64, shape (n, 3)
-        stamp_ns; until the message came, until the measurements were sent.
-    host : ndarray of int64, shape (n, 5)
-        stamp_ns; until the message came, the solver was called, was done, the result was sent.
-
-    Returns
-    -------
-    ndarray of int64, shape (m, 8)
-        Of the frames that were reconstructed.
+    Columns of the arguments, int64: stamp_ns, and the times from there until (sensor) it was sent;
+    (edge) the message came, the measurements were sent; (host) the message came, the solver was
+    called, was done, the result was sent. Returns rows of the frames that were reconstructed.
     """
     common = np.intersect1d(np.intersect1d(sensor[:, 0], edge[:, 0]), host[:, 0])
     s, e, h = (times[np.searchsorted(times[:, 0], common)] for times in (sensor, edge, host))

@@ -131,18 +131,8 @@ def write(
     raced: pd.DataFrame,
     quick: bool,
 ) -> list[str]:
-    """Write the figures as CSV, the charts and the page.
-
-    Parameters
-    ----------
-    out : Path
-    every, of_parts : DataFrame
-        As `gathered` returns them.
-    read : DataFrame
-        Full readings, as of `zones`.
-    raced : DataFrame
-        Points of `race` with their figures.
-    quick : bool
+    """Write the figures as CSV, the charts and the page; `every`, `of_parts`: as of `gathered`;
+    `read`: as of `zones`; `raced`: points of `race` with their figures.
     """
     keys = ["label", "phi", "ratio", "stated", "n_bytes"]
     filled = every.assign(stated=every["stated"].fillna(0))

@@ -178,13 +178,9 @@ def race(point: dict[str, Any]) -> dict[str, Any]:
     The number of iterations is searched for first; the time is that of further calls with just as
     many, which have nothing to check: the shortest of three.
 
-    `point`: peer, scene, seed, short, lambda_n, n_frames.
-
-    Returns
-    -------
-    dict
-        median_ms, processor time a frame; iterations: their median; mean_db, min_db; objective:
-        the largest ratio to the minimum; n_frames.
+    `point`: peer, scene, seed, short, lambda_n, n_frames. Returns median_ms, processor time a
+    frame; iterations: their median; mean_db, min_db; objective: the largest ratio to the minimum;
+    n_frames.
     """
     (frames,) = frames_of([point["scene"]], point["short"])
     take = frames.open(point["seed"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -32,7 +32,7 @@ BLOWN_UP_DB = -100.0
 """PSNR that stands for a reconstruction that is not finite."""
 MAX_PADS, MAX_SIDE = 300, 12
 SCORES = ("psnr_db", "touched_db", "noisy_psnr_db", "noisy_touched_db")
-"""Figures of reconstructed frames and of readings, as `mean_scores` returns them."""
+"""Names of what `scores` returns: figures of reconstructed frames and of readings."""
 
 
 @cache
@@ -66,6 +66,11 @@ def solver_for(name: str, phi: Phi, shape: tuple[int, int], **changed: Any) -> S
     return make_solver(name, phi, basis, **settings)
 
 
+def measured(phi: Phi, frames: Floats) -> Floats:
+    """Measurements of frames, float32 of shape (n_frames, m)."""
+    return phi.forward(frames.reshape(len(frames), -1))
+
+
 def reconstruct(solver: Solver, ys: Floats) -> Floats:
     """Reconstruct frame after frame; a frame that blows up is NaN."""
     frames = []
@@ -78,32 +83,13 @@ def reconstruct(solver: Solver, ys: Floats) -> Floats:
     return np.stack(frames)
 
 
-def measured(phi: Phi, frames: Floats) -> Floats:
-    """Measurements of frames, float32 of shape (n_frames, m)."""
-    return phi.forward(frames.reshape(len(frames), -1))
-
-
-def frame_errors(frames: Floats, truth: Floats) -> list[float]:
-    """Mean squared error of each frame, N^2; `inf` where it is not finite."""
-    off = (frames - truth).reshape(len(truth), -1)
+def mean_psnr(frames: Floats, truth: Floats) -> float:
+    """Mean PSNR over the frames in contact, dB; of each from `BLOWN_UP_DB` to 100."""
+    contact = truth.max(axis=(1, 2)) > CONTACT_FRACTION * PAPER_F_MAX_N
     with np.errstate(all="ignore"):
-        errors = np.mean(off.astype(np.float64) ** 2, axis=1)
-    return [float(error) if math.isfinite(error) else math.inf for error in errors]
-
-
-def psnr_of(error: float) -> float:
-    """PSNR in dB of a mean squared error in N^2, from `BLOWN_UP_DB` to 100."""
-    if error <= 0.0:
-        return 100.0
-    if not math.isfinite(error):
-        return BLOWN_UP_DB
-    return max(BLOWN_UP_DB, min(100.0, 10.0 * math.log10(PAPER_F_MAX_N**2 / error)))
-
-
-def mean_psnr(errors: Sequence[float], truth: Floats) -> float:
-    """Mean PSNR in dB over the frames in contact."""
-    contact = truth.reshape(len(truth), -1).max(axis=1) > CONTACT_FRACTION * PAPER_F_MAX_N
-    return float(np.mean([psnr_of(e) for e, c in zip(errors, contact, strict=True) if c]))
+        errors = np.mean(np.square(frames - truth, dtype=np.float64), axis=(1, 2))
+        db = np.nan_to_num(10 * np.log10(PAPER_F_MAX_N**2 / errors), nan=BLOWN_UP_DB)
+    return float(np.mean(np.clip(db, BLOWN_UP_DB, 100.0)[contact]))
 
 
 def touched_snr(frames: Floats, truth: Floats) -> float:
@@ -122,15 +108,8 @@ def touched_snr(frames: Floats, truth: Floats) -> float:
 
 def scores(frames: Floats, readings: Floats, truth: Floats) -> list[float]:
     """`SCORES` of one excerpt, dB: PSNR over contact frames, SNR over touched taxels, of both."""
-    found = []
-    for some in (frames, readings):
-        found += [mean_psnr(frame_errors(some, truth), truth), touched_snr(some, truth)]
-    return found
-
-
-def mean_scores(found: Sequence[Sequence[float]]) -> dict[str, float]:
-    """Means over the excerpts of what `scores` returns, by name."""
-    return dict(zip(SCORES, np.mean(found, axis=0).tolist(), strict=True))
+    both = (frames, readings)
+    return [score for some in both for score in (mean_psnr(some, truth), touched_snr(some, truth))]
 
 
 def contacts(shape: tuple[int, int], n_coefficients: int, rng: np.random.Generator) -> Floats:

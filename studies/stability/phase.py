@@ -21,7 +21,6 @@ from .excerpts import (
     N,
     contacts,
     count_coefficients,
-    frame_errors,
     mean_psnr,
     measured,
     read,
@@ -76,8 +75,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         phi = make_phi("sbhe", N, m, seed=trial)
         solved = reconstruct(solver_for(point["solver"], phi, SHAPE), measured(phi, readings))
         judged = slice(-N_JUDGED, None)
-        errors = [frame_errors(frames[judged], truth[judged]) for frames in (solved, readings)]
-        gains.append(mean_psnr(errors[0], truth[judged]) - mean_psnr(errors[1], truth[judged]))
+        ours, theirs = (mean_psnr(of[judged], truth[judged]) for of in (solved, readings))
+        gains.append(ours - theirs)
     return {"k_over_m": float(np.mean(counts)) / m, "gain_db": float(np.mean(gains))}
 
 
@@ -86,10 +85,7 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     found = compute_rows(measure, points(quick, seed), page.out, executor, "phase, each solver")
     rows = pd.DataFrame(found)
     page.csv("phase_skin", rows)
-    page.section(
-        "Solvers: measurements that a frame needs",
-        _draw(page.out, rows),
-    )
+    page.section("Solvers: measurements that a frame needs", _draw(page.out, rows))
 
 
 def _draw(out: Path, rows: pd.DataFrame) -> str:

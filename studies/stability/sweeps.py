@@ -22,23 +22,14 @@ from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import Chart, Page, draw_lines, markdown
 
-from .excerpts import (
-    SHAPE,
-    N,
-    mean_scores,
-    measured,
-    read_excerpts,
-    reconstruct,
-    scores,
-    solver_for,
-)
+from .excerpts import SCORES, SHAPE, N, measured, read_excerpts, reconstruct, scores, solver_for
 
 FLOOR_DB, CEILING_DB = 10.0, 70.0
 """Where curves are cut off, dB: below, all has failed; above, all is good."""
 FAILS_DB = 3.0
 """Loss from the best of a sweep that counts as failing, in PSNR or over the touched taxels."""
 #: Labels of the scores on the axes, and where they are cut off below.
-_SCORES = {"psnr_db": ("PSNR, dB", FLOOR_DB), "touched_db": ("SNR where touched, dB", 0.0)}
+_SHOWN = {"psnr_db": ("PSNR, dB", FLOOR_DB), "touched_db": ("SNR where touched, dB", 0.0)}
 #: Style of the name of an edge.
 _EDGE: dict[str, Any] = {
     **{"xycoords": ("data", "axes fraction"), "rotation": 90, "fontsize": 7},
@@ -116,7 +107,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         frames = reconstruct(solver_for(name, phi, SHAPE, **changed), ys)
         blown_up += [not np.isfinite(frame).all() for frame in frames]
         found.append(scores(frames, readings, truth))
-    return {**mean_scores(found), "blown_up": float(np.mean(blown_up))}
+    means = dict(zip(SCORES, np.mean(found, axis=0).tolist(), strict=True))
+    return {**means, "blown_up": float(np.mean(blown_up))}
 
 
 def _phi(sweep: str, value: float, n: int, m: int, seed: int) -> Phi:
@@ -176,7 +168,7 @@ def draw_sweeps(out: Path, name: str, caption: str, frame: pd.DataFrame) -> str:
     size_in = (3 * 2.9, n_panels // 3 * 2.3 + 0.6)
     with Chart(out, name, caption, n_panels, 3, size_in=size_in, legend_columns=5) as chart:
         for k, (key, sweep) in enumerate(SETTINGS.items()):
-            for below, (score, (title, floor_db)) in enumerate(_SCORES.items()):
+            for below, (score, (title, floor_db)) in enumerate(_SHOWN.items()):
                 axes = chart.panels[6 * (k // 3) + 3 * below + k % 3]
                 some = frame[frame["sweep"] == key].copy()
                 noisy = f"noisy_{score}"
@@ -223,7 +215,7 @@ def sweep_table(frame: pd.DataFrame) -> pd.DataFrame:
 def failing(frame: pd.DataFrame, sweep: Sweep) -> str:
     """Values at which one solver fails in a sweep, as text: below and above its best value."""
     loss = pd.Series(-math.inf, frame.index)
-    for score in _SCORES:
+    for score in _SHOWN:
         wanted = frame[f"noisy_{score}"]
         if not sweep.against_readings:
             wanted = frame[score].max() - FAILS_DB

@@ -27,25 +27,9 @@ Shape: TypeAlias = Callable[[Doubles, Doubles], Doubles]
 
 
 def presses(count: int, seed: int) -> Floats:
-    """Draw presses.
-
-    Parameters
-    ----------
-    count : int
-        Number of presses.
-    seed : int
-        Of the generator.
-
-    Returns
-    -------
-    ndarray of float32, shape (count, N_FRAMES, SIDE, SIDE)
-        Forces, at least 0; the largest of a press is 1.
-    """
+    """Draw presses: float32 (count, N_FRAMES, SIDE, SIDE), at least 0; the peak of each is 1."""
     rng = np.random.default_rng(seed)
-    made = np.empty((count, N_FRAMES, SIDE, SIDE), dtype=np.float32)
-    for k in range(count):
-        made[k] = press(rng)
-    return made
+    return np.stack([press(rng) for _ in range(count)])
 
 
 def masks(rng: np.random.Generator, count: int) -> Floats:

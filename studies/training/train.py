@@ -37,12 +37,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """Train, write weights, page and chart, and return the conclusion; see `command.Study`.
 
     Tiles of presses with normal noise of a known deviation are denoised. One thread: the same seed
-    gives the same weights on one machine. `executor` is not used.
-
-    Raises
-    ------
-    StudyError
-        If PyTorch is not installed, or a file cannot be written.
+    gives the same weights on one machine. `executor` is not used. Raises StudyError if PyTorch is
+    not installed, or a file cannot be written.
     """
     if find_spec("torch") is None:
         raise StudyError("study train: torch is not installed: pip install 'sparseskin[train]'")

@@ -75,9 +75,9 @@ def in_turns(
 ) -> dict[str, float]:
     """Let a graph run in turns with and without what looks at it, and end it.
 
-    `suspend` stops what looks at it (True) or lets it go on. Returns p50_ms and p99_ms of the age of
-    a frame when it is reconstructed, with and without; ratio: geometric mean of the ratios of the
-    medians of neighbouring turns, and its standard error; us_a_frame: processor time of `pids`.
+    `suspend` stops what looks at it (True) or lets it go on. Returns p50_ms and p99_ms of the age
+    of a frame when it is reconstructed, with and without; ratio: geometric mean of the ratios of
+    the medians of neighbouring turns, and its error; us_a_frame: processor time of `pids`.
     """
     turns: list[tuple[int, int, float]] = []
     for suspended in (False, True) * n_turns:

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from sparseskin.studies.points import StudyError
-from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown, write_csv
+from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
 
 FRAME = pd.DataFrame({"solver": ["a", "b"], "n": [3, 4], "mean dB": [41.256, None]})
 
@@ -23,13 +23,6 @@ def test_a_table_formats_columns_and_leaves_missing_values_empty() -> None:
     ]
 
 
-def test_a_csv_keeps_every_digit_and_whole_numbers_whole(tmp_path: Path) -> None:
-    rows = [{"n": 3, "x": 0.1 + 0.2}, {"n": None, "x": 1e-30}]
-    assert write_csv(tmp_path, "rows", rows) == "[rows.csv](rows.csv)"
-    with (tmp_path / "rows.csv").open(newline="") as file:
-        assert list(csv.reader(file)) == [["n", "x"], ["3", repr(0.1 + 0.2)], ["", "1e-30"]]
-
-
 NOTES = "# Some page\n\nOf {n} points.\n\n## Second\n\nText.\n"
 
 
@@ -37,7 +30,10 @@ NOTES = "# Some page\n\nOf {n} points.\n\n## Second\n\nText.\n"
 def test_a_page_is_notes_with_values_tables_and_links(quick: bool, tmp_path: Path) -> None:
     (tmp_path / "notes.md").write_text(NOTES)
     page = Page(tmp_path, "some", tmp_path / "notes.md", quick)
-    page.csv("rows", FRAME)
+    page.csv("rows", [{"n": 3, "x": 0.1 + 0.2}, {"n": None, "x": 1e-30}])
+    with (tmp_path / "rows.csv").open(newline="") as file:
+        # Every digit, and whole numbers whole.
+        assert list(csv.reader(file)) == [["n", "x"], ["3", repr(0.1 + 0.2)], ["", "1e-30"]]
     page.section("", n=4)
     page.section("Second", FRAME[["n"]], "")
     page.write(["It is so."])
@@ -78,10 +74,11 @@ def test_a_chart_is_saved_as_png_and_svg_and_is_the_same_again(tmp_path: Path) -
 
 def test_a_folder_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
     out = tmp_path / "no_such"
-    with pytest.raises(StudyError, match=r"no_such.*No such file"):
-        write_csv(out, "rows", FRAME)
     with pytest.raises(StudyError, match=r"no_such.*No such file"), Chart(out, "chart", "A chart"):
         pass
     (tmp_path / "notes.md").write_text(NOTES)
+    page = Page(out, "page", tmp_path / "notes.md", quick=False)
     with pytest.raises(StudyError, match=r"no_such.*No such file"):
-        Page(out, "page", tmp_path / "notes.md", quick=False).write([])
+        page.csv("rows", FRAME)
+    with pytest.raises(StudyError, match=r"no_such.*No such file"):
+        page.write([])
