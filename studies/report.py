@@ -55,8 +55,9 @@ class Chart:
     `out`, `name`: folder of the study, and name of the files, `name.png` and `name.svg`;
     `n_panels`, `n_columns`: panels, row by row; `size_in`: width and height in inches;
     `legend_columns`: of the legend below the panels (0: no legend); `subplots`: as
-    `Figure.subplots` takes them. `figure` and `panels` are the figure of matplotlib and its axes, `markdown` shows the chart on a page.
-    As it is left, it raises StudyError if the files cannot be written.
+    `Figure.subplots` takes them. `figure` and `panels` are the figure of matplotlib and its axes,
+    `markdown` shows the chart on a page. As it is left, it raises StudyError if the files cannot
+    be written.
     """
 
     def __init__(
