@@ -144,7 +144,7 @@ def test_arrays_give_the_bits_of_the_nodes_by_default(solver: str) -> None:
     forces = sparseskin.reconstruct(y, made)
     np.testing.assert_array_equal(forces, np.stack([frame.forces for frame in frames]))
     made.reset()
-    np.testing.assert_array_equal(sparseskin.reconstruct(y, made), forces)
+    np.testing.assert_array_equal(sparseskin.reconstruct(y[:40], made), forces[:40])
 
 
 def test_a_single_frame_of_rotating_rows_is_refused_unless_its_row_subset_is_stated() -> None:

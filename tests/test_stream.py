@@ -47,15 +47,22 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
     ],
 )
 def test_a_stream_has_the_bits_and_defaults_of_a_graph(
-    settings: list[str], chosen: dict[str, Any]
+    settings: list[str], chosen: dict[str, Any], tmp_path: Path
 ) -> None:
-    stream = Stream((40, 40), noise_sd=PAPER_SIGMA_END_N * CLIP_SD, **chosen)
-    for frame in sparseskin.run_launch("lift_box_40", 325, settings):
+    if chosen:
+        np.save(tmp_path / "log.npy", FRAMES)
+        name, shape, noise_sd = "replay", (8, 8), 0.0
+        settings = [*settings, f"sensor.source=file:{tmp_path}/log.npy", "sensor.unit=N"]
+        settings += ["sensor.rate_hz=100", "sensor.f_max=2.5"]
+    else:
+        name, shape, noise_sd = "lift_box_40", (40, 40), PAPER_SIGMA_END_N * CLIP_SD
+    stream = Stream(shape, noise_sd=noise_sd, **chosen)
+    for frame in sparseskin.run_launch(name, 325, settings):
         y = stream.compress(frame.taxels)
         np.testing.assert_array_equal(y, frame.measurements)
         np.testing.assert_array_equal(stream.reconstruct(y), frame.forces)
         assert (stream.error, stream.trusted) == (frame.error, frame.trusted)
-    assert (stream.n, stream.m) == (1600, y.size)
+    assert (stream.n, stream.m) == (shape[0] * shape[1], y.size)
 
 
 def test_lambda_is_scaled_with_the_range_as_in_a_graph(tmp_path: Path) -> None:

@@ -6,13 +6,14 @@ import re
 import tomllib
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[2]
-PAGES = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
-    *sorted((ROOT / "docs").glob("*.md")),
-]
+PAGES = {
+    page: page.read_text(encoding="utf-8")
+    for page in [
+        *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+        *sorted((ROOT / "docs").glob("*.md")),
+    ]
+}
 TOP = "messages|nodes|launch|studies|sparseskin|examples|tests|docs"
 PATH = re.compile(rf"`((?:{TOP})/[\w/.]*)`")
 MODULE = re.compile(rf"`((?:{TOP})/[\w/]*/)`,\s+module\s+`(\w+)`")
@@ -23,28 +24,22 @@ LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 FORMER = {"docs/examples/"}
 
 
-def ids(page: Path) -> str:
-    return page.name
-
-
-@pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_path_of_a_page_is_there(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    missing = [p for p in PATH.findall(text) if p not in FORMER and not (ROOT / p).exists()]
-    missing += [
-        f"{folder}{name}.py"
-        for folder, name in MODULE.findall(text)
-        if not (ROOT / folder / f"{name}.py").exists()
-    ]
-    # A module that is named without its folder is somewhere.
+def test_every_path_of_a_page_is_there() -> None:
     modules = {path.stem for top in TOP.split("|") for path in (ROOT / top).rglob("*.py")}
-    missing += sorted(set(re.findall(r"\bmodules?\s+`(\w+)`", text)) - modules)
-    assert not missing
+    for page, text in PAGES.items():
+        missing = [p for p in PATH.findall(text) if p not in FORMER and not (ROOT / p).exists()]
+        missing += [
+            f"{folder}{name}.py"
+            for folder, name in MODULE.findall(text)
+            if not (ROOT / folder / f"{name}.py").exists()
+        ]
+        # A module that is named without its folder is somewhere.
+        missing += sorted(set(re.findall(r"\bmodules?\s+`(\w+)`", text)) - modules)
+        assert not missing, page
 
 
-@pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_module_and_name_of_a_page_can_be_found(page: Path) -> None:
-    for dotted in DOTTED.findall(page.read_text(encoding="utf-8")):
+def test_every_module_and_name_of_a_page_can_be_found() -> None:
+    for dotted in DOTTED.findall("\n".join(PAGES.values())):
         parts = dotted.split(".")[1:]
         while parts and not found(parts):
             attribute = parts.pop()
@@ -62,19 +57,13 @@ def found(parts: list[str]) -> bool:
     return path.is_dir() or path.with_suffix(".py").is_file()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_test_and_link_of_a_page_is_there(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
+def test_every_test_and_link_of_a_page_is_there_and_no_path_of_a_machine() -> None:
     tests = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
-    assert set(TEST.findall(text)) <= tests
-    for link in LINK.findall(text):
-        assert (page.parent / link).exists(), link
-
-
-@pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_pages_name_no_absolute_path_of_a_machine(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text)
+    for page, text in PAGES.items():
+        assert set(TEST.findall(text)) <= tests, page
+        missing = [link for link in LINK.findall(text) if not (page.parent / link).exists()]
+        assert not missing, page
+        assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text), page
 
 
 def test_the_citation_states_the_version_of_the_package() -> None:
@@ -83,12 +72,11 @@ def test_the_citation_states_the_version_of_the_package() -> None:
     assert f"\nversion: {project['version']}\n" in citation
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
-def test_every_picture_is_followed_by_the_command_that_makes_it(name: str) -> None:
-    lines = [line for line in (ROOT / name).read_text(encoding="utf-8").splitlines() if line]
-    pictures = [k for k, line in enumerate(lines) if line.startswith("![")]
-    assert pictures
-    for k in pictures:
-        below = " ".join(lines[k + 1 : k + 3])
-        assert below.startswith("(")
-        assert re.search(r"`(sparseskin|make|python|\.venv/bin/python) [^`]+`", below), lines[k]
+def test_every_picture_is_followed_by_the_command_that_makes_it() -> None:
+    for name in ("README.md", "docs/tutorial.md"):
+        lines = [line for line in PAGES[ROOT / name].splitlines() if line]
+        pictures = [k for k, line in enumerate(lines) if line.startswith("![")]
+        assert pictures
+        for k in pictures:
+            below = " ".join(lines[k + 1 : k + 3])
+            assert re.match(r"\(.*`(sparseskin|make|python|\.venv/bin/python) [^`]+`", below)

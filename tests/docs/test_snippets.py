@@ -47,15 +47,16 @@ def commands(page: Path, form: re.Pattern[str]) -> Iterator[list[str]]:
             yield words
 
 
-def all_commands(program: str, *forms: re.Pattern[str]) -> list[object]:
+def stated(program: str, *forms: re.Pattern[str]) -> list[list[str]]:
+    """Words of each command of a program on the pages, once each."""
     found = {
-        (page.name, shlex.join(words)): words
+        shlex.join(words): words
         for page in PAGES
-        for form in forms
+        for form in forms or (INDENTED, INLINE)
         for words in commands(page, form)
         if words[0] == program
     }
-    return [pytest.param(words, id=" ".join(key)) for key, words in found.items()]
+    return list(found.values())
 
 
 def page_ids(page: Path) -> str:
@@ -123,7 +124,7 @@ def test_launch_files_of_a_page_are_accepted(page: Path, workplace: Path) -> Non
         assert sparseskin.load_launch(str(path)).nodes
 
 
-@pytest.mark.parametrize("words", all_commands("sparseskin", INDENTED))
+@pytest.mark.parametrize("words", stated("sparseskin", INDENTED), ids=" ".join)
 def test_a_command_of_the_pages_is_accepted(
     words: list[str], workplace: Path, bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,11 +141,11 @@ def test_a_command_of_the_pages_is_accepted(
         assert "\nNODE " in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", all_commands("sparseskin", INLINE))
-def test_a_command_named_in_the_text_has_help(words: list[str]) -> None:
-    with pytest.raises(SystemExit) as done:
-        cli.main([*words[1:], "--help"])
-    assert done.value.code == 0
+def test_commands_named_in_the_text_have_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in stated("sparseskin", INLINE):
+        with pytest.raises(SystemExit) as done:
+            cli.main([*words[1:], "--help"])
+        assert done.value.code == 0, words
 
 
 def runnable(arguments: list[str]) -> bool:
@@ -152,36 +153,31 @@ def runnable(arguments: list[str]) -> bool:
     return not any(part in " ".join(arguments) for part in (".toml", "--host", "serial:/dev"))
 
 
-@pytest.mark.parametrize("words", all_commands("make", INDENTED, INLINE))
-def test_a_target_of_the_pages_is_in_the_makefile(words: list[str]) -> None:
-    done = subprocess.run(["make", "-n", *words[1:]], cwd=ROOT, capture_output=True, check=False)
+def test_targets_of_the_pages_are_in_the_makefile() -> None:
+    targets = {word for words in stated("make") for word in words[1:] if "=" not in word}
+    done = subprocess.run(["make", "-n", *targets], cwd=ROOT, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
-SCRIPTS = [p for name in ("python", "pytest") for p in all_commands(name, INDENTED, INLINE)]
+def test_scripts_and_tests_of_the_pages_are_there() -> None:
+    for words in [*stated("python"), *stated("pytest")]:
+        target = next(word for word in words[1:] if "/" in word or not word.startswith("-"))
+        if words[1:3] == ["-m", "pytest"]:
+            target = words[-1]
+        if words[1] == "-m" and words[2] != "pytest":
+            assert importlib.util.find_spec(words[2]) is not None
+        else:
+            assert (ROOT / target).exists()
 
 
-@pytest.mark.parametrize("words", SCRIPTS)
-def test_a_script_or_test_of_the_pages_is_there(words: list[str]) -> None:
-    target = next(word for word in words[1:] if "/" in word or not word.startswith("-"))
-    if words[1:3] == ["-m", "pytest"]:
-        target = words[-1]
-    if words[1] == "-m" and words[2] != "pytest":
-        assert importlib.util.find_spec(words[2]) is not None
-    else:
-        assert (ROOT / target).exists()
+def test_extras_of_the_pages_are_those_of_the_package() -> None:
+    known = set(PYPROJECT["project"]["optional-dependencies"])
+    for words in stated("pip"):
+        for extras in re.findall(r"\.\[([\w,]+)\]", " ".join(words)):
+            assert set(extras.split(",")) <= known
 
 
-@pytest.mark.parametrize("words", all_commands("pip", INDENTED, INLINE))
-def test_an_extra_of_the_pages_is_one_of_the_package(words: list[str]) -> None:
-    for extras in re.findall(r"\.\[([\w,]+)\]", " ".join(words)):
-        assert set(extras.split(",")) <= set(PYPROJECT["project"]["optional-dependencies"])
-
-
-@pytest.mark.parametrize("page", PAGES, ids=page_ids)
-def test_indented_blocks_hold_commands_of_known_programs_alone(page: Path) -> None:
-    for words in commands(page, INDENTED):
-        assert (
-            words[0] in {"sparseskin", "make", "python", "pip", *OTHERS}
-            or (ROOT / words[0]).exists()
-        )
+def test_indented_blocks_hold_commands_of_known_programs_alone() -> None:
+    known = {"sparseskin", "make", "python", "pip", *OTHERS}
+    for first in {words[0] for page in PAGES for words in commands(page, INDENTED)} - known:
+        assert (ROOT / first).exists(), first
