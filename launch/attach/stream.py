@@ -36,8 +36,8 @@ PATIENCE_S = 0.2
 EXIT_NOTHING = 1
 """Exit code of a command that read no message."""
 BATCH = 1024
-DRAIN_S = 0.05
-"""Time in which messages that wait at the writer are read."""
+DRAIN_MS = 20
+"""Messages that wait at the writer arrive within it."""
 READ_AHEAD = 8
 """Messages that a patient observer receives before it reads them. The others stay in the queue of
 their writer, so that neither process wakes the other for each of them.
@@ -123,6 +123,7 @@ class TopicStream:
         )
         node = graph.nodes[graph.writers()[topic]]
         self._reader.connect(node.endpoint, node.key)
+        self._least_age_ns: float = math.inf
         self.unreadable = 0
         self.interrupted = False
 
@@ -160,12 +161,12 @@ class TopicStream:
 
     def _read(self) -> list[Arrival]:
         """The messages that are there; of a patient observer those that wait at the writer, too."""
-        until_s = time.monotonic() + DRAIN_S if self._patience_s else 0.0
         found: list[Arrival] = []
         for _ in range(BATCH):
             while (parts := self._reader.receive()) is None:
-                left_ms = round(1e3 * (until_s - time.monotonic()))
-                if left_ms <= 0 or not self._reader.socket.poll(left_ms):
+                if not (
+                    found and self._has_waited(found[-1]) and self._reader.socket.poll(DRAIN_MS)
+                ):
                     return found
             arrival = _arrival(*parts, self._clock.now_ns())
             if arrival is None:
@@ -173,6 +174,14 @@ class TopicStream:
             else:
                 found.append(arrival)
         return found
+
+    def _has_waited(self, last: Arrival) -> bool:
+        """True if a message has waited at the writer, and others may wait behind it: not where it
+        was about as new as the newest one on arrival. The stamps of a recording share one offset.
+        """
+        age_ns = last.at_ns - last.stamp_ns
+        self._least_age_ns = min(self._least_age_ns, age_ns)
+        return self._patience_s > 0 and age_ns > self._least_age_ns + self._patience_s * 1e9 / 4
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.interrupted = True
