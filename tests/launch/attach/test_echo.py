@@ -58,18 +58,20 @@ def test_a_field_or_one_element_is_found_by_its_path() -> None:
     assert plain(FieldPath("forces[2,1]", Taxels).of(TAXELS), full=False) == 9
 
 
-@pytest.mark.parametrize("path", ["", "forces[", "forces[-1,0]", "forces[a]", "forces.x"])
-def test_what_is_no_path_is_refused(path: str) -> None:
-    with pytest.raises(SettingsError, match=r"expected FIELD or FIELD\[I,J\]"):
+@pytest.mark.parametrize(
+    ("path", "fault"),
+    [
+        ("", r"expected FIELD or FIELD\[I,J\]"),
+        ("forces[-1,0]", r"expected FIELD or FIELD\[I,J\]"),
+        ("force", r"taxels has no such field \(did you mean 'forces'"),
+    ],
+)
+def test_what_is_no_path_of_a_field_is_refused(path: str, fault: str) -> None:
+    with pytest.raises(SettingsError, match=fault):
         FieldPath(path, Taxels)
 
 
-def test_a_field_that_is_not_there_is_refused_with_a_hint() -> None:
-    with pytest.raises(SettingsError, match=r"taxels has no such field \(did you mean 'forces'"):
-        FieldPath("force", Taxels)
-
-
-@pytest.mark.parametrize("path", ["forces[3,0]", "forces[0,4]", "forces[0]", "seq[0]"])
+@pytest.mark.parametrize("path", ["forces[3,0]", "forces[0]", "seq[0]"])
 def test_an_element_that_is_not_there_is_refused(path: str) -> None:
     with pytest.raises(SettingsError, match=r"is 3 x 4|is no array"):
         FieldPath(path, Taxels).of(TAXELS)

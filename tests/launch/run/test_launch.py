@@ -293,14 +293,15 @@ def test_a_run_in_which_a_node_raised_errors_is_no_success(
     assert all(line.isprintable() for line in log.read_text().split("\n"))
 
 
-def test_modules_beside_a_launch_file_are_found_from_another_folder(
+def test_modules_beside_a_launch_file_are_found_and_hide_no_installed_ones(
     start: StartProgram, tmp_path: Path
 ) -> None:
     folder = tmp_path / "project"
     folder.mkdir()
     (folder / "tap_beside.py").write_text(TAP.replace("reconstruction", "taxels"))
+    (folder / "msgpack.py").write_text("raise SystemExit('was imported')\n")
     (folder / "driver_beside.py").write_text(
-        "def frames():\n    for k in range(5):\n        yield k, [[0.5, 1.0]]\n"
+        "import msgpack\ndef frames():\n    for k in range(5):\n        yield k, [[0.5, 1.0]]\n"
     )
     (folder / "graph.toml").write_text(
         '[nodes.sensor]\ntype = "sensor"\nsource = "driver_beside:frames"\n'
@@ -316,15 +317,3 @@ def test_modules_beside_a_launch_file_are_found_from_another_folder(
     assert code == 2
     (line,) = stderr.splitlines()
     assert f"no module 'no_driver', installed or in {folder} or {tmp_path}" in line
-
-
-def test_a_module_beside_a_launch_file_hides_no_installed_one(
-    start: StartProgram, tmp_path: Path
-) -> None:
-    folder = tmp_path / "project"
-    folder.mkdir()
-    (folder / "msgpack.py").write_text("raise SystemExit('was imported')\n")
-    (folder / "few.py").write_text("import msgpack\n\ndef frames():\n    yield 0, [[0.5, 1.0]]\n")
-    (folder / "graph.toml").write_text('[nodes.sensor]\ntype = "sensor"\nsource = "few:frames"\n')
-    code, _, stderr = start("launch", "project/graph.toml").finish()
-    assert code == 0, stderr
