@@ -71,14 +71,9 @@ class Patch:
     compressor: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def kind(self) -> tuple[Any, ...]:
+    def kind(self) -> str:
         """What the patches of a batch share."""
-        s = self.skin
-        mask = None if s.mask is None or s.mask.all() else s.mask.tobytes()
-        settings = repr(sorted(self.compressor.items()))
-        layout = None if s.placement is None else s.placement.layout
-        of_skin = (*s.shape, s.pitch_mm, s.f_max, mask, s.noise, s.noise_mid, layout)
-        return (*of_skin, self.host, settings)
+        return repr((self.simulated, self.host, sorted(self.compressor.items())))
 
     @property
     def simulated(self) -> dict[str, Any]:
@@ -216,7 +211,7 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
 
 def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
     """Batches of equal patches, at most `most` each, in the order of their first patches."""
-    kinds: dict[tuple[Any, ...], list[Patch]] = {}
+    kinds: dict[str, list[Patch]] = {}
     for patch in patches:
         kinds.setdefault(patch.kind, []).append(patch)
     parts: list[list[Patch]] = []
