@@ -20,7 +20,6 @@ from sparseskin.messages import Reconstruction
 from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 
@@ -37,12 +36,6 @@ def test_the_import_alone_loads_neither_numpy_nor_a_node() -> None:
     code = "import sys, sparseskin; print([m for m in sys.modules if 'numpy' in m or 'nodes' in m])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_the_module_is_the_command() -> None:
-    command = [sys.executable, "-m", "sparseskin", "--version"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == f"sparseskin {sparseskin.__version__}"
 
 
 @pytest.mark.parametrize("module", ["arrays", "stream"])
@@ -117,17 +110,6 @@ def test_row_subsets_measure_frames_in_turn() -> None:
         sparseskin.compress(frames, phi, rows="fixed"), phi.forward(frames.reshape(7, 64))
     )
     assert sparseskin.compress(frames[:0], phi, rows="rotating").shape == (0, 22)
-
-
-@pytest.mark.parametrize(
-    ("kind", "n", "m"), [("sbhe", 64, 22), ("sbhe", 64, 64), ("sbhe", 130, 2), ("gaussian", 64, 22)]
-)
-def test_rows_of_a_matrix_rotate_by_default_where_those_of_its_kind_do(
-    kind: str, n: int, m: int
-) -> None:
-    phi, rows = sparseskin.make_phi(kind, n, m, 0), rows_and_m(kind, n, m=m)[0]
-    found = [one.fingerprint for one in row_subsets(phi, None)]
-    assert found == [one.fingerprint for one in row_subsets(phi, rows)]
 
 
 @pytest.mark.parametrize("solver", ["skin", "fista"])

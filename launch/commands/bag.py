@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import sys
 from collections.abc import Mapping
@@ -15,7 +14,6 @@ from sparseskin.launch.attach.text import facts, flowing, size_text, table
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import EXPORTS, loaded
 from sparseskin.nodes.lookup import find_callable
-from sparseskin.nodes.process.control import is_shallow
 from sparseskin.nodes.recorder.bag.format import (
     FILE_SUFFIX,
     PART_SUFFIX,
@@ -36,7 +34,7 @@ READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "nan", "negative")
 _MAX_SHOWN = 2000
 """Characters of one value that the table shows at most."""
 _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz")
-_FLAT_JSON = ("phi", "versions")
+_NOTHING = ("", "0", "None")
 _NOT_SHOWN = ("lost", "received", "published")
 """Counts that the table of topics shows already."""
 
@@ -220,7 +218,7 @@ def info_lines(bag: BagReader, name: str = "") -> list[str]:
     counted = {
         key: text
         for key, value in counts.items()
-        if key not in _NOT_SHOWN and (text := _flat(_without_zeros(value))) != "none"
+        if key not in _NOT_SHOWN and (text := _flat(value)) not in _NOTHING
     }
     unknown = ["lost messages are not known: the recorder did not get to write them"]
     return [
@@ -230,8 +228,8 @@ def info_lines(bag: BagReader, name: str = "") -> list[str]:
         *_entries(counted),
         *(unknown if bag.counts is None else []),
         "",
-        *_entries({topic: _flat(_scalars(state)) for topic, state in _states(bag).items()}),
-        *_entries({key: _shown(key, value) for key, value in bag.metadata.items() if value}),
+        *_entries({topic: _state_text(state) for topic, state in _states(bag).items()}),
+        *_entries({key: _shown(value) for key, value in bag.metadata.items() if value}),
     ]
 
 
@@ -245,10 +243,10 @@ def _states(bag: BagReader) -> dict[str, dict[str, Any]]:
         return {}
 
 
-def _scalars(state: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a state that are no arrays, and state something."""
+def _state_text(state: dict[str, Any]) -> str:
+    """Fields of a state that are no arrays, and state something, in one line."""
     left = {key: value for key, value in state.items() if not isinstance(value, list)}
-    return {key: value for key, value in left.items() if value not in (None, "")}
+    return ", ".join(f"{key} {value}" for key, value in left.items() if value not in (None, ""))
 
 
 def _seconds(span: tuple[int, int] | None) -> float:
@@ -265,27 +263,14 @@ def _entries(entries: Mapping[str, str]) -> list[str]:
     return facts(named)
 
 
-def _shown(key: str, value: str) -> str:
-    if key in _FLAT_JSON:
-        try:
-            found = json.loads(value)
-            return _flat(found) if is_shallow(found) else value
-        except (ValueError, RecursionError):
-            return value
+def _shown(value: str) -> str:
     n_lines = len(value.splitlines())
     return f"{n_lines} lines (--json shows them)" if n_lines > 1 else value
 
 
-def _without_zeros(value: Any) -> Any:
-    if isinstance(value, dict):
-        left = {key: _without_zeros(inner) for key, inner in value.items()}
-        return {key: inner for key, inner in left.items() if inner not in (0, {}, None)}
-    return value
-
-
 def _flat(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {_flat(inner)}" for key, inner in value.items()) or "none"
-    if isinstance(value, list):
-        return " ".join(_flat(inner) for inner in value) or "none"
-    return "none" if value is None else str(value)
+    """Counts in one line, without those that are 0."""
+    if not isinstance(value, dict):
+        return str(value)
+    texts = {key: _flat(inner) for key, inner in value.items()}
+    return ", ".join(f"{key} {text}" for key, text in texts.items() if text not in _NOTHING)

@@ -5,6 +5,7 @@ of a source live in the terminal, without a graph.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import shutil
 import signal
@@ -100,40 +101,31 @@ def _scope(arguments: argparse.Namespace) -> int:
     view = View(source)
     terminal = Terminal()
     lively = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
-    end_s = None if arguments.seconds is None else time.monotonic() + arguments.seconds
-    next_s, drawn = time.monotonic(), False
-    interrupted = False
-
-    def interrupt(*_: object) -> None:
-        nonlocal interrupted
-        interrupted = True
-
-    before = [signal.signal(one, interrupt) for one in (signal.SIGINT, signal.SIGTERM)]
+    begin_s = time.monotonic()
+    next_s = begin_s if lively else begin_s + TEXT_S
+    handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with terminal.keyboard(lively):
+        with contextlib.suppress(KeyboardInterrupt), terminal.keyboard(lively):
             if lively:
                 sys.stdout.write("\x1b[?1049h\x1b[?25l")
             for frame in _frames(source):
                 now_s = time.monotonic()
                 if frame is not None:
                     view.add(frame, now_s)
-                if not lively:
-                    for line in view.take_lines():
-                        print(line, flush=True)
-                if now_s >= next_s and (lively or drawn):
-                    size = shutil.get_terminal_size()
-                    text = _picture(view, now_s, size) if lively else view.text(now_s)
-                    print(text, end="" if lively else "\n", flush=True)
+                for line in () if lively else view.take_lines():
+                    print(line, flush=True)
                 if now_s >= next_s:
-                    next_s, drawn = now_s + (DRAW_S if lively else TEXT_S), True
-                ended = view.n_frames == arguments.frames or (end_s and now_s >= end_s)
-                if ended or interrupted or "q" in terminal.pressed():
+                    next_s = now_s + (DRAW_S if lively else TEXT_S)
+                    size = shutil.get_terminal_size()
+                    text = _picture(view, now_s, size) if lively else f"{view.text(now_s)}\n"
+                    print(text, end="", flush=True)
+                late = arguments.seconds is not None and now_s >= begin_s + arguments.seconds
+                if view.n_frames == arguments.frames or late or "q" in terminal.pressed():
                     break
     finally:
         if lively:
             sys.stdout.write("\x1b[0m\x1b[?25h\x1b[?1049l")
-        for one, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
-            signal.signal(one, handler)
+        signal.signal(signal.SIGTERM, handler)
         source.close()
     print(view.summary())
     return 0 if view.n_frames else 1

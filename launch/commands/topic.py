@@ -39,6 +39,13 @@ MEASURES = {
     ),
 }
 """Of each measure its line of help and its description."""
+WORDS = {
+    "Integer": "whole number",
+    "Real": "number",
+    "Flag": "true or false",
+    "Names": "names of patches; none for one",
+}
+"""Types of fields that have no limit of their own."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -164,27 +171,20 @@ def about(cls: type[Message]) -> str:
 
 def kind_text(kind: FieldKind) -> str:
     """Type of a field, in a few words."""
-    from sparseskin.messages.fields import Array, Each, Flag, Integer, Names, Real, Samples, Text
+    import numpy as np
+
+    from sparseskin.messages.fields import Array, Each, Samples, Text
 
     match kind:
-        case Integer():
-            return "whole number"
-        case Real():
-            return "number" + (" or none" if kind.optional else "")
-        case Flag():
-            return "true or false"
         case Text():
             return f"text of at most {kind.longest} characters"
-        case Names():
-            return "names of patches; none for one"
         case Each():
             return f"{kind_text(kind.kind)}, of each patch"
         case Samples():
             return "array of float32, 2 dimensions; or of whole numbers of few bits and a step"
         case Array():
             sides = "1 dimension" if kind.ndim == 1 else f"{kind.ndim} dimensions"
-            names = {"<f4": "float32", "<f8": "float64", "|b1": "booleans", "<i4": "int32"}
-            return f"array of {names.get(kind.dtype, kind.dtype)}, {sides}" + (
-                " or none" if kind.optional else ""
-            )
-    return type(kind).__name__.lower()
+            text = f"array of {np.dtype(kind.dtype)}, {sides}"
+        case _:
+            text = WORDS[type(kind).__name__]
+    return text + (" or none" if getattr(kind, "optional", False) else "")

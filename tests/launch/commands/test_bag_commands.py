@@ -22,7 +22,6 @@ from bags import (
 from recordings import NAMES, recording
 
 from sparseskin.messages import (
-    Measurements,
     Message,
     Reconstruction,
     SkinState,
@@ -98,14 +97,6 @@ def test_duration_is_that_of_the_streams_whatever_the_age_of_a_state(
     assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(0.39)
 
 
-def test_info_of_a_broken_bag_reports_what_survived(
-    bag: Bag, capsys: pytest.CaptureFixture[str]
-) -> None:
-    make_half_a_bag("b.mcap")
-    assert bag("info", "b.mcap") == 0
-    assert "messages recovered, up to byte" in capsys.readouterr().out
-
-
 # --- recover ---------------------------------------------------------------------------------
 
 
@@ -154,21 +145,6 @@ def test_an_imported_recording_is_what_the_sensor_reads_from_the_file(bag: Bag, 
         assert (message.seq, message.stamp_ns, message.run_id) == (seq, stamp_ns, state.run_id)
         assert np.array_equal(message.forces[0], forces)
     assert len(state.run_id) == 16
-
-
-def test_several_files_become_one_bag_each_in_a_folder(bag: Bag) -> None:
-    for k in range(2):
-        np.save(f"f{k}.npy", np.full((3, 2, 2), 1.0 + k))
-    assert bag("import", "f0.npy", "f1.npy", "--out", "bags", "--f-max", "5") == 0
-    for k in range(2):
-        state, *taxels = decoded(Path(f"bags/f{k}.mcap"))
-        assert isinstance(state, SkinState)
-        assert state.f_max == 5.0
-        assert [message.forces[0, 0, 0] for message in taxels if isinstance(message, Taxels)] == [
-            1.0 + k
-        ] * 3
-    with pytest.raises(SparseskinError, match="several files need a folder"):
-        bag("import", "f0.npy", "f1.npy", "--out", "one.mcap")
 
 
 def test_a_plain_csv_is_imported_with_what_is_stated(bag: Bag) -> None:
@@ -235,16 +211,6 @@ def test_each_patch_gets_an_npz_of_its_own(bag: Bag) -> None:
     assert bag("export", "a.mcap", "--to", "npz", "--out", "b.npz") == 0
     assert open_file("b_left.npz").n_frames == 3
     assert open_file("b_right.npz").n_frames == 4
-
-
-def test_measurements_whose_number_changes_are_filled_up_with_nan(bag: Bag) -> None:
-    short = Measurements(stamp_ns=PERIOD_NS, patch="skin", y=np.ones(4, np.float32), phi="0" * 16)
-    make_bag(Path("a.mcap"), [of_kind(frames(1), Measurements)[0], short])
-    assert bag("export", "a.mcap", "--to", "npz") == 0
-    with np.load("a.npz") as arrays:
-        assert arrays["measurements"].shape == (2, M)
-        assert np.isfinite(arrays["measurements"][0]).all()
-        assert np.array_equal(np.isnan(arrays["measurements"][1]), np.arange(M) >= 4)
 
 
 def test_only_the_topics_asked_for_are_exported(bag: Bag) -> None:

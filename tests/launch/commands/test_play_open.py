@@ -18,35 +18,33 @@ FRAME = {"taxels", "truth", "measurements", "reconstruction"}
 STATES = {"skin", "phi", "solver"}
 
 
-def played(*by_patch: set[str]) -> tuple[set[str], list[str]]:
-    schemas, made = shown(Path("a.mcap"), {f"p{k}": each for k, each in enumerate(by_patch)})
-    return set(schemas), made
+MEASURED = {"skin", "phi", "measurements"}
+TAXELS = {"skin", "taxels", "truth"}
 
 
-def test_all_that_was_recorded_is_played_and_nothing_computed() -> None:
-    assert played(FRAME | STATES | {"resultant"}) == (FRAME | STATES | {"resultant"}, [])
-
-
-def test_measurements_alone_are_reconstructed() -> None:
-    has = {"skin", "phi", "measurements"}
-    assert played(has) == (has, ["reconstructor"])
-    # What was computed from another reconstruction is not shown beside this one.
-    assert played(has | {"resultant", "truth"}) == (has | {"truth"}, ["reconstructor"])
-
-
-def test_taxels_alone_are_compressed_and_reconstructed() -> None:
-    assert played({"skin", "taxels"}) == ({"skin", "taxels"}, ["compressor", "reconstructor"])
-
-
-def test_several_patches_are_shown_as_far_as_all_of_them_can_be() -> None:
-    taxels = {"skin", "taxels", "truth"}
-    assert played(FRAME | STATES, taxels) == (taxels, ["compressor", "reconstructor"])
+@pytest.mark.parametrize(
+    ("by_patch", "played", "made"),
+    [
+        ([FRAME | STATES | {"resultant"}], FRAME | STATES | {"resultant"}, []),
+        ([MEASURED], MEASURED, ["reconstructor"]),
+        # What was computed from another reconstruction is not shown beside this one.
+        ([MEASURED | {"resultant", "truth"}], MEASURED | {"truth"}, ["reconstructor"]),
+        ([{"skin", "taxels"}], {"skin", "taxels"}, ["compressor", "reconstructor"]),
+        # Several patches are shown as far as all of them can be.
+        ([FRAME | STATES, TAXELS], TAXELS, ["compressor", "reconstructor"]),
+    ],
+)
+def test_what_was_recorded_is_played_and_the_rest_computed(
+    by_patch: list[set[str]], played: set[str], made: list[str]
+) -> None:
+    found = shown(Path("a.mcap"), {f"p{k}": each for k, each in enumerate(by_patch)})
+    assert (set(found[0]), found[1]) == (played, made)
 
 
 @pytest.mark.parametrize("has", [set(), {"taxels"}, {"skin", "truth"}, {"skin", "measurements"}])
 def test_too_little_to_show_is_one_line(has: set[str]) -> None:
     with pytest.raises(SettingsError, match="--open: has neither taxels nor measurements"):
-        played(has)
+        shown(Path("a.mcap"), {"skin": has})
 
 
 def test_the_page_shows_a_recording_of_taxels_again_and_again(
