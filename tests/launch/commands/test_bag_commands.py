@@ -178,7 +178,7 @@ def test_a_file_that_cannot_be_imported_leaves_nothing_behind(
     ("options", "text"),
     [
         ((), "n_rows.csv, line 1: .*set --n-rows and --n-cols "),
-        (("--n-rows", 2), "n_rows.csv, line 1: 3 cells cannot be divided by --n-rows = 2"),
+        (("--n-rows", 2), "n_rows.csv, line 1: holds 3 cells, but --n-rows x --n-cols = 2 x 1 "),
         (("--n-rows", 1), "n_rows.csv: .*set --unit, e.g. N"),
     ],
 )
