@@ -31,35 +31,26 @@ class SceneAddress(Address):
     own = ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min")
 
     def check(self) -> None:
-        on_grid = self.rest in SCENES
-        if on_grid and "points" in (self.simulated or {}):
-            raise SourceError(f"scene {self.rest} presses a flat grid of its own")
-        if self.rest in TILED or (on_grid and self.n_patches > 1):
-            shape = self._described().shape if self.rest in TILED else self.open().skin.shape
+        name, on_grid = self.rest, self.rest in SCENES
+        if on_grid and (self.points or "points" in (self.simulated or {})):
+            known = ", ".join(point_scenes())
+            raise SourceError(f"scene {name} presses a flat grid; allowed on points: {known}")
+        if name in TILED or (on_grid and self.n_patches > 1):
+            shape = self._described().shape if name in TILED else self.open().skin.shape
             if self.n_patches * math.prod(shape) > MAX_ELEMENTS:
                 raise SourceError(
                     f"{self.n_patches} patches of {shape[0]} x {shape[1]} cells; at most "
                     f"{MAX_ELEMENTS} cells together: use more batches"
                 )
-            return
-        if self.rest in SCENES and not self.points:
-            return
-        on_points = point_scenes()
-        if self.points:
-            if self.rest in SCENES:
-                known = ", ".join(on_points)
+        elif self.points and name not in point_scenes():
+            hint = did_you_mean(name, point_scenes())
+            raise SourceError(f"no scene on points is called {name!r}{hint}")
+        elif not self.points and not on_grid:
+            if name in point_scenes():
                 raise SourceError(
-                    f"scene {self.rest} presses a flat grid; allowed on points: {known}"
+                    f"scene {name} presses a skin of points; state points, a file of them"
                 )
-            if self.rest not in on_points:
-                hint = did_you_mean(self.rest, on_points)
-                raise SourceError(f"no scene on points is called {self.rest!r}{hint}")
-        elif self.rest in on_points:
-            raise SourceError(
-                f"scene {self.rest} presses a skin of points; state points, a file of them"
-            )
-        else:
-            check_scene(self.rest, TILED)
+            check_scene(name, TILED)
 
     def _described(self) -> SkinDescription:
         """The skin of each patch of a body."""

@@ -109,17 +109,15 @@ class RigidBody:
     inertia: Doubles
     load: Doubles
 
-    def step(self, bed: Bed, q: Doubles, v: Doubles, dt_s: float) -> tuple[Doubles, Doubles]:
+    def step(
+        self, bed: Bed, q: Doubles, v: Doubles, dt_s: float, splits: int = _MAX_SPLITS
+    ) -> tuple[Doubles, Doubles]:
         """Return q and v of the body after one time step, as described in this module.
 
         `bed` are the cells under the body, and `q` and `v` its coordinates and rates (`Bed.forces`)
-        at the start of the step of `dt_s` seconds; none is modified.
+        at the start of the step of `dt_s` seconds, which may be halved `splits` times; none is
+        modified.
         """
-        return self._advance(bed, q, v, dt_s, _MAX_SPLITS)
-
-    def _advance(
-        self, bed: Bed, q: Doubles, v: Doubles, dt_s: float, splits: int
-    ) -> tuple[Doubles, Doubles]:
         loaded0 = bed.forces(q, v).nonzero()[0]
         h = _GAMMA * dt_s
         v1, loaded1 = self._solve_stage(bed, q, v, h)
@@ -135,8 +133,8 @@ class RigidBody:
         if splits == 0:
             v_end, _ = self._solve_stage(bed, q, v, dt_s)  # implicit Euler
             return q + dt_s * v_end, v_end
-        q, v = self._advance(bed, q, v, dt_s / 2, splits - 1)
-        return self._advance(bed, q, v, dt_s / 2, splits - 1)
+        q, v = self.step(bed, q, v, dt_s / 2, splits - 1)
+        return self.step(bed, q, v, dt_s / 2, splits - 1)
 
     def _solve_stage(self, bed: Bed, q: Doubles, v: Doubles, h: float) -> tuple[Doubles, Indices]:
         """Return the w of I (w - v) = h (J^T f(q + h w, w) + l), and the indices of loaded cells.
@@ -155,6 +153,12 @@ class RigidBody:
         spring = bed.stiffness.take(near) * gap.take(near)
         slope = bed.stiffness.take(near) * h + bed.damping.take(near)
 
+        def cost_of(w: Doubles) -> float:
+            """The convex function whose gradient is the residual of the stage equation."""
+            push = np.maximum(-(spring + slope * (jacobian @ w)), 0.0)
+            off = w - free
+            return float(0.5 * (self.inertia * off) @ off + 0.5 * h * (push / slope) @ push)
+
         w = v
         loaded = spring + slope * (jacobian @ w) < 0.0
         for _ in range(_MAX_NEWTON):
@@ -170,26 +174,12 @@ class RigidBody:
             # With the same cells loaded, the full step has solved the equation exactly.
             if bool((reached == loaded).all()):
                 return target, near[loaded]
-            cost = self._cost(w, free, jacobian, spring, slope, h)
+            cost = cost_of(w)
             trial = target
             for _ in range(_MAX_HALVINGS):
-                if self._cost(trial, free, jacobian, spring, slope, h) <= cost:
+                if cost_of(trial) <= cost:
                     break
                 trial = 0.5 * (w + trial)
             w = trial
             loaded = spring + slope * (jacobian @ w) < 0.0
         return w, near[loaded]
-
-    def _cost(
-        self,
-        w: Doubles,
-        free: Doubles,
-        jacobian: Doubles,
-        spring: Doubles,
-        slope: Doubles,
-        h: float,
-    ) -> float:
-        """Return the convex function whose gradient is the residual of the stage equation."""
-        push = np.maximum(-(spring + slope * (jacobian @ w)), 0.0)
-        off = w - free
-        return float(0.5 * (self.inertia * off) @ off + 0.5 * h * (push / slope) @ push)

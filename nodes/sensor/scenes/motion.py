@@ -3,19 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 Place = tuple[float, float]
-
-
-class Course(Protocol):
-    """The place of a body over the skin at each time."""
-
-    def place(self, t_s: float) -> Place:
-        """Return the offset (x, y) in m from the place of the drop, at `t_s` seconds."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -95,3 +86,7 @@ class PolygonalCourse:
         """Return the offset (x, y) in m from the place of the drop."""
         x, y = (np.interp(t_s, self.times_s, along) for along in zip(*self.offsets_m, strict=True))
         return (float(x), float(y))
+
+
+Course = Lift | Drag | PolygonalCourse
+"""The place of a body over the skin at each time."""

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -49,25 +47,12 @@ class Timing:
         Untouched frames at the begin, 0 or more.
     ramp, pause, held : int
         As `RAMP`, `PAUSE` and `HELD`, 1 or more.
-
-    Raises
-    ------
-    SettingsError
-        If one is not a whole number of its range.
     """
 
     before: int = N_BEFORE
     ramp: int = RAMP
     pause: int = PAUSE
     held: int = HELD
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = int(name != "before")
-            if not is_whole(value, least, 2**31):
-                raise SettingsError(
-                    f"timing: {name} is {value!r}; allowed: a whole number from {least}"
-                )
 
 
 TIMING = Timing()
@@ -124,33 +109,9 @@ def press_frames(
     ------
     truth, reading : ndarray of float32, shape `shape`
         In [0, f_max], 0 where no taxel exists; fresh arrays.
-
-    Raises
-    ------
-    SettingsError
-        If a parameter is not allowed, or the mask leaves no taxel.
     """
-    for what, name, known in (("body", body, BODIES), ("course", course, COURSES)):
-        if name not in known:
-            raise SettingsError(f"presses: {what} is {name!r}; allowed: {', '.join(known)}")
-    if len(shape) != 2 or not all(is_whole(side, 1, 4096) for side in shape):
-        raise SettingsError(f"presses: shape is {shape!r}; allowed: two whole numbers 1..4096")
-    if not is_whole(n_frames, 1, 2**31):
-        raise SettingsError(f"presses: n_frames is {n_frames!r}; allowed: a whole number from 1")
-    for what, value, low, high in (
-        ("speed", speed, 0.0, 1e3),
-        ("active", active, 0.01, 0.6),
-        ("f_max", f_max, 1e-9, 1e30),
-    ):
-        if not is_real(value, low, high):
-            raise SettingsError(f"presses: {what} is {value!r}; allowed: {low:g}..{high:g}")
     if mask is None:
         mask = np.ones(shape, dtype=np.bool_)
-    if mask.shape != tuple(shape) or mask.dtype != np.bool_ or not mask.any():
-        raise SettingsError(
-            f"presses: the mask is {mask.dtype} {list(mask.shape)} with {np.count_nonzero(mask)} "
-            f"taxels; allowed: bool {list(shape)} with one or more"
-        )
     frames = _Press(body, mask, seed, course, speed, active, f_max, timing).frames(n_frames)
     taxels = np.flatnonzero(mask)
     rng = np.random.default_rng([seed, 2])
@@ -164,8 +125,6 @@ def press_frames(
 def scattered_mask(shape: tuple[int, int], n: int, seed: int) -> Mask:
     """Return a mask of n cells at random places of a grid, where alone taxels exist."""
     size = math.prod(shape)
-    if not is_whole(n, 1, size):
-        raise SettingsError(f"scattered mask: n is {n!r}; allowed is a whole number 1..{size}")
     mask = np.zeros(size, dtype=np.bool_)
     mask[np.random.default_rng([seed, 3]).permutation(size)[:n]] = True
     return mask.reshape(shape)

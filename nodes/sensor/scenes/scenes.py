@@ -193,9 +193,7 @@ def open_scene(name: str, seed: int) -> SceneSource:
     Raises
     ------
     SourceError
-        If there is no scene of that name, or the seed is negative.
+        If there is no scene of that name.
     """
     check_scene(name)
-    if seed < 0:
-        raise SourceError(f"scene {name}: seed is {seed!r}; allowed is an integer of 0 or more")
     return SceneSource(SCENES[name](), seed)

@@ -27,7 +27,6 @@ import numpy as np
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.source import Source
 
@@ -86,7 +85,7 @@ class TiledScene(Source):
     Raises
     ------
     SourceError
-        If there is no scene of that name, or the skin has no pitch or is none of newtons.
+        If the skin has no pitch or is none of newtons.
     """
 
     delivers = "truth"
@@ -101,8 +100,6 @@ class TiledScene(Source):
         seed: int = 0,
         sigmas: tuple[float, float] | None = None,
     ) -> None:
-        if name not in TILED:
-            raise SourceError(f"no scene of a body is called {name!r}{did_you_mean(name, TILED)}")
         if skin.pitch_m is None or skin.unit != "N":
             raise SourceError(f"scene {name}: the skin's pitch and forces in N have to be known")
         self.name, self.skin, self.sigmas = name, skin, sigmas

@@ -78,19 +78,13 @@ class TestFrames:
             ("(1, np.zeros((3, 2)))", r"frame 1: forces have shape \(3, 2\), .* skin has \(2, 3\)"),
             ("(1, np.zeros(6))", r"frame 1: forces have shape \(6,\); expected two dimensions"),
             ("(1, [[0, np.nan, 0], [0, 0, 0]])", "frame 1, row 0, column 1: nan is no force"),
-            ("(1, [[0, 0, 0], [0, 0, -np.inf]])", "frame 1, row 1, column 2: -inf is no force"),
             ("(1, np.zeros((2, 3), complex))", "dtype 'complex128'; allowed are integers"),
-            ("(1, np.zeros((2, 3), bool))", "dtype 'bool'"),
-            ("(1, [['a'] * 3] * 2)", "dtype '<U1'"),
             ("(1, [[1, 2], [3]])", "forces are no array of numbers"),
             ("(1, None)", "dtype 'object'"),
             ("(0, np.zeros((2, 3)))", "stamp_ns 0 is not after the one before it, 0"),
-            ("(-1, np.zeros((2, 3)))", "stamp_ns -1 is not after"),
             ("(1.0, np.zeros((2, 3)))", "stamp_ns is float; expected whole nanoseconds"),
-            ("(True, np.zeros((2, 3)))", "stamp_ns is bool"),
             ("(2**63, np.zeros((2, 3)))", r"more than 2\*\*63 ns after the first"),
             ("np.zeros((2, 3))", "frame 1: delivered ndarray; expected a pair"),
-            ("(1, 2, 3)", "frame 1: delivered tuple"),
             ("1 / 0", "the driver failed: ZeroDivisionError: division by zero"),
         ],
     )
@@ -109,7 +103,6 @@ class TestFrames:
         ("first", "message"),
         [
             ("(0, np.zeros((0, 3)))", "0 rows x 3 columns"),
-            ("(0, [[np.nan]])", "frame 0, row 0, column 0: nan is no force"),
             ("(None, [[1.0]])", "frame 0: stamp_ns is NoneType"),
         ],
     )
@@ -131,15 +124,10 @@ class TestLife:
                 events.append("closed")
     """
 
-    @pytest.mark.parametrize("n_read", [0, 1])
-    def test_the_driver_is_closed_once_when_reading_stops_early(
-        self, module: Writer, n_read: int
-    ) -> None:
+    def test_the_driver_is_closed_once_when_reading_stops_early(self, module: Writer) -> None:
         name = module(self.BODY)
         source = open_callable(f"{name}:frames")
-        reader = iter(source)
-        for _ in range(n_read):
-            next(reader)
+        next(iter(source))
         source.close()
         source.close()
         assert sys.modules[name].events == ["closed"]
@@ -195,11 +183,9 @@ class TestSourceObject:
         ("old", "new", "message"),
         [
             ("4.0", "2.0", r"f_max = 4 is stated, .* skin has 2\.0"),
-            ("4.0", "4.0, 'kPa'", "unit = N is stated"),
             ('"truth"', '"noise"', "delivers = 'noise'; allowed are truth, taxels"),
             ("200.0", "-1", "rate_hz = '-1'"),
             ("n_frames = 1", "n_frames = 1.5", "n_frames = '1.5'"),
-            ("skin = Skin(", "skin = dict(n=(", "importing it failed: SyntaxError"),
             ("skin = Skin", "skin = str; Skin", "its skin is type"),
             ("def __iter__", "def frames", "returned Hand; expected a generator or an iterable"),
         ],
@@ -217,7 +203,6 @@ class TestName:
         ("target", "message"),
         [
             *((t, "expected module:callable") for t in ("", "frames", "a_module:", ":frames")),
-            *((t, "expected module:callable") for t in ("a b:c", "a:b:c")),
             ("no_such_skin:frames", "there is no module 'no_such_skin'"),
         ],
     )
@@ -235,7 +220,6 @@ class TestName:
             ("def frames(port):\n    yield", "the driver failed: TypeError: .*'port'"),
             ("def frames():\n    raise OSError('no\\nport')", "failed: OSError: no port"),
             ("raise SystemExit(3)", "importing it failed: SystemExit: 3"),
-            ("raise ValueError", "importing it failed: ValueError"),
             ("import no_such_serial\n", r"importing it failed: .*'no_such_serial'"),
         ],
     )
@@ -243,7 +227,7 @@ class TestName:
         with pytest.raises(SourceError, match=message):
             open_callable(module(body) + ":frames")
 
-    @pytest.mark.parametrize("f_max", [0, -1.0, float("nan"), float("inf"), "2.5", True])
+    @pytest.mark.parametrize("f_max", [0, float("nan"), "2.5"])
     def test_a_range_that_is_none_is_refused(self, f_max: float) -> None:
         with pytest.raises(SourceError, match="f_max = "):
             open_callable("a_skin:frames", f_max=f_max)

@@ -94,16 +94,6 @@ def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each() -> None:
     assert worst["taxel"] < 1e-6 < 0.02 < worst["shared"]
 
 
-def test_readings_that_fall_with_force_get_negative_gains() -> None:
-    def model(force: Any) -> np.ndarray:
-        return 1000 - linear(force)
-
-    found = fit("p", frames(model(0)), [even(model, 0.5), even(model, 1.0)])
-    assert found.skin.gains is not None
-    assert (found.skin.gains < 0).all()
-    np.testing.assert_allclose(Chain(found.skin, 0.0).apply(model(0.8), 0), 0.8, rtol=1e-6)
-
-
 def test_a_total_gives_one_gain_for_all() -> None:
     print_of_it = np.zeros(SHAPE)
     print_of_it[2:4, 3:6] = 0.7

@@ -21,7 +21,7 @@ from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import find_address
 
 FORCES = np.arange(24, dtype=np.float64).reshape(2, 3, 4) / 10
-DTYPES = ["<f4", ">f4", "<f8", ">f8", "<f2", "u1", "<u2", ">i4", "<i8", "<u8"]
+DTYPES = [">f4", "<f8", "<f2", "u1", ">i4", "<u8"]
 
 
 def frames_of(source: RecordedSource) -> npt.NDArray[np.float32]:
@@ -81,17 +81,12 @@ class TestNpy:
         ("array", "message"),
         [
             (np.zeros((3, 4)), r"has 2 dimensions, shape \(3, 4\); expected three"),
-            (np.zeros((1, 2, 3, 4)), "has 4 dimensions"),
-            (np.float64(1.0), "has 0 dimensions"),
             (np.zeros((0, 3, 4)), "holds no frame"),
             (np.zeros((2, 0, 4)), "0 rows x 4 columns"),
             (np.zeros((1, 1, 5000), dtype="u1"), r"5000 columns; allowed are 1\.\.4096"),
             (np.zeros((1, 2048, 1024), dtype="u1"), "2097152 cells; at most 1048576"),
             (np.zeros((2, 3, 4), dtype=complex), "dtype 'complex128'; allowed are integers"),
-            (np.zeros((2, 3, 4), dtype=bool), "dtype 'bool'"),
-            (np.full((2, 3, 4), "1"), "dtype '<U1'"),
             (np.zeros((2, 3, 4), dtype=[("a", "f4")]), "dtype"),
-            (np.zeros((2, 3, 4), dtype="M8[ns]"), "dtype"),
             (np.zeros((2, 3, 4)), "all readings are 0, so its range is unknown; state f_max"),
         ],
     )
@@ -106,7 +101,6 @@ class TestNpy:
         ("value", "message"),
         [
             (np.nan, "nan is not finite"),
-            (np.inf, "inf is not finite"),
             (-0.5, "-0.5 is below 0; a range starts at 0"),
             (1e39, r"1e\+39 is above 1e\+30"),
         ],
@@ -157,13 +151,11 @@ class TestNpz:
         ("arrays", "message"),
         [
             ({"a": FORCES, "b": FORCES}, "expected an array 'forces' or exactly one 3-D array"),
-            ({"a": np.zeros(3)}, r"it holds 'a' 1-D"),
             ({}, "it holds nothing"),
             ({"forces": np.zeros((3, 4))}, "array 'forces': has 2 dimensions"),
             ({"forces": FORCES, "mask": np.zeros((3, 4), bool)}, "no cell of the skin is a taxel"),
             ({"forces": FORCES, "mask": np.ones((4, 3), bool)}, r"array 'mask': shape \(4, 3\)"),
             ({"forces": FORCES, "mask": np.full((3, 4), 2)}, "expected bool"),
-            ({"forces": FORCES, "mask": np.full((3, 4), "x")}, "expected bool"),
             ({"forces": FORCES, "stamp_ns": [1.0, 2.0]}, "expected whole nanoseconds"),
             ({"forces": FORCES, "stamp_ns": [1, 2, 3]}, r"expected one a frame: \(2,\)"),
             ({"forces": FORCES, "stamp_ns": [7, 7]}, "stamp 1 is 7, not after"),
@@ -209,16 +201,13 @@ class TestPlainCsv:
             (b"1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "2 x 3 needs 6"),
             (b"1,2,3,4\n1,2,3\n", {"n_rows": 2, "n_cols": 2}, "line 2: holds 3 cells"),
             (b"1,2\n\n3,-4\n", {"n_rows": 1}, "line 3, row 0, column 1: '-4' is below 0"),
-            (b"1,2\n3,4,\n", {"n_rows": 1}, "line 2: holds 3 cells"),
             (b"1,,2,3\n", {"n_rows": 2}, "row 0, column 1: '' is not a number"),
-            (b"1,NaN\n", {"n_rows": 1}, "'NaN' is not a finite number"),
             (
                 b"a,b\n1,2\n",
                 {"n_rows": 1},
                 "line 1: 'a' is not a number; allowed: an export of Tekscan or XSENSOR",
             ),
             (b"1,1e31\n", {"n_rows": 1}, r"'1e31' is beyond 1e\+30"),
-            (b"\xff\xfe1\x00,\x002\x00", {"n_rows": 1}, "is not a number"),
             (b"\n# only\n", {"n_rows": 1}, "holds no frame"),
             (b"1,2\n", {"n_rows": 1, "unit": None}, "does not state its unit; set unit"),
             (b"sole_id,timestamp,accel_x\n1,2,3\n", {"n_rows": 1}, "an export of StappOne has sen"),
@@ -235,7 +224,7 @@ class TestPlainCsv:
 
 class TestAnyBytes:
     @settings(
-        max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+        max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
     )
     @given(data=st.data(), suffix=st.sampled_from(["npy", "npz", "csv"]))
     def test_random_and_mutated_files_never_raise_anything_else(

@@ -1,4 +1,4 @@
-"""Analytic presses: their size, speed and course, their noise, and what is refused."""
+"""Analytic presses: their size, speed, course and their noise."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import (
     BODIES,
@@ -114,29 +113,3 @@ def test_cells_without_a_taxel_bear_no_force_and_read_0() -> None:
     assert not reading[:, ~mask].any()
     touched = np.count_nonzero(truth[N_BEFORE + RAMP :], axis=(1, 2)) / 42
     assert 0.3 < np.median(touched) < 0.7
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"body": "ball"}, "body is 'ball'; allowed: plate, wrench"),
-        ({"course": "still"}, "course is 'still'; allowed: moving, ramped, sudden"),
-        ({"shape": (0, 5)}, r"shape is \(0, 5\)"),
-        ({"n": 0}, "n_frames is 0"),
-        ({"active": 0.9}, r"active is 0.9; allowed: 0.01..0.6"),
-        ({"speed": float("nan")}, "speed is nan"),
-        ({"mask": np.zeros((20, 20), dtype=np.bool_)}, "with 0 taxels"),
-        ({"mask": np.ones((20, 19), dtype=np.bool_)}, r"the mask is bool \[20, 19\]"),
-    ],
-)
-def test_what_is_no_press_is_refused(changed: dict[str, Any], message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
-        frames_of(**changed)
-
-
-def test_times_and_masks_that_cannot_be_are_refused() -> None:
-    for part in ("before", "ramp", "pause", "held"):
-        with pytest.raises(SettingsError, match=f"timing: {part} is 2.5"):
-            Timing(**{part: 2.5})
-    with pytest.raises(SettingsError, match=r"n is 401; allowed is a whole number 1..400"):
-        scattered_mask((20, 20), 401, seed=0)

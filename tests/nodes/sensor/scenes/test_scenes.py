@@ -203,8 +203,3 @@ def test_unknown_scene_is_an_error_with_a_hint(name: str, hint: str) -> None:
         open_scene(name, 0)
     assert repr(name) in str(error.value)
     assert hint in str(error.value)
-
-
-def test_negative_seed_is_an_error() -> None:
-    with pytest.raises(SourceError, match="seed is -1"):
-        open_scene("path_40", -1)
