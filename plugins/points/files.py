@@ -170,8 +170,6 @@ def _points(
 ) -> Points:
     """The layout, with normals of length 1; those that are not stated, or 0, are estimated."""
     n = len(places)
-    if n > MAX_POINTS:
-        raise SourceError(f"{name}: {n} taxels; at most {MAX_POINTS} are allowed")
     lengths = np.linalg.norm(normals, axis=1) if normals.size else np.zeros(n)
     unknown = lengths < _LEAST_NORMAL
     if normals.size and (unknown & (lengths > 0)).any():

@@ -61,11 +61,11 @@ def test_a_file_cut_anywhere_is_refused_or_loses_whole_frames(name: str, tmp_pat
     whole = opened(tmp_path, name, text)
     assert whole is not None
     n_read = 0
-    for end in range(1, len(text)):
+    for end in range(1, len(text), 2):
         if (cut := opened(tmp_path, name, text[:end])) is not None:
             np.testing.assert_array_equal(cut.frames, whole.frames[: len(cut.frames)])
             n_read += 1
-    assert n_read < len(text) - 1
+    assert n_read < len(text) // 2
     assert name != "hand.asf" or n_read == 0  # it has an end mark
 
 

@@ -10,8 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.design.models.adc import Adc, read_adc
@@ -57,14 +55,6 @@ def test_a_datagram_has_66_bytes_beside_its_data() -> None:
     # Of a byte the least Ethernet frame, with preamble and gap: 84.
     assert read_bus("udp").seconds(1472) == pytest.approx(1538 * 8 / 100e6)
     assert read_bus("udp:1G").seconds(1473) == pytest.approx((1538 + 84) * 8 / 1e9)
-
-
-@given(st.sampled_from(["serial:2M", "can:1M", "can-fd:1M/5M", "spi:20M", "udp:1G"]), st.data())
-def test_more_bytes_never_take_less_time(form: str, data: st.DataObject) -> None:
-    bus = read_bus(form)
-    few = data.draw(st.integers(1, 20_000))
-    more = few + data.draw(st.integers(0, 200))
-    assert 0 < bus.seconds(few) <= bus.seconds(more)
 
 
 def test_a_bus_is_read_with_spaces() -> None:
