@@ -10,7 +10,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from message_strategies import messages, sent
 
@@ -86,7 +86,6 @@ def test_a_message_cut_short_is_refused(form: Form, message: Message, data: st.D
 
 @FORMS
 @given(message=messages, data=st.data())
-@settings(max_examples=200)
 def test_mutated_bytes_decode_or_raise_a_message_error(
     form: Form, message: Message, data: st.DataObject
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.launch.attach.heat_map import COLOURS, LETTERS, UPPER_HALF, heat_map
@@ -46,7 +46,6 @@ def test_of_more_taxels_than_places_the_largest_is_shown() -> None:
     assert list(np.argwhere(shown)[0]) == [37 // 4, 61 // 4]
 
 
-@settings(max_examples=60)
 @given(
     rows=st.integers(1, 70),
     cols=st.integers(1, 70),

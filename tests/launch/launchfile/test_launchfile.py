@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.launch.commands.cli import main
@@ -226,7 +226,6 @@ def test_a_topic_has_one_writer_and_every_reader_has_one(check) -> None:
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
 def test_a_mutated_launch_file_is_used_or_refused_in_lines(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:

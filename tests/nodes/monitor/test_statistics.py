@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.nodes.monitor import statistics
@@ -65,7 +65,6 @@ def test_it_grows_no_further_than_its_greatest_size(monkeypatch: pytest.MonkeyPa
     assert (first, len(rows)) == (3 * MIN_CAPACITY, 2 * MIN_CAPACITY)
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(1, 9000), st.floats(0.0, 0.2), st.integers(0, 9000))
 def test_it_is_the_end_of_a_plain_list(n_rows: int, period_s: float, n: int) -> None:
     history = filled(n_rows, period_s)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from bags import PERIOD_NS, frames, make_bag
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.messages import Message, Taxels
@@ -85,7 +85,6 @@ def test_a_seek_goes_forward_and_back(bag: Path, values: dict[str, Any]) -> None
     assert [recorded(f) for f in deck.play(2)] == [5, 6]
 
 
-@settings(max_examples=30, deadline=None)
 @given(seeks=st.lists(st.tuples(st.integers(0, N_FRAMES - 2), st.integers(1, 3)), max_size=6))
 def test_after_any_seeks_the_frame_that_was_asked_for_is_due_at_once(
     bag: Path, seeks: list[tuple[int, int]]

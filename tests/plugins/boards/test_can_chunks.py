@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.plugins.boards.can_chunks import Assembler, Chunks, chunks_of
@@ -34,14 +34,12 @@ def assembled(chunks: Chunks, sent: list[tuple[int, bytes]]) -> tuple[list[bytes
     return [frame for frame in found if frame is not None], counts
 
 
-@settings(max_examples=40)
 @given(frames=frames, chunks=st.sampled_from([BY_ID, COUNTED, INDEXED]))
 def test_all_frames_are_found(frames: list[bytes], chunks: Chunks) -> None:
     sent = [one for k, frame in enumerate(frames) for one in spread(chunks, frame, k)]
     assert assembled(chunks, sent) == (frames, Counts())
 
 
-@settings(max_examples=40)
 @given(frames=frames, chunks=st.sampled_from([COUNTED, INDEXED]), data=st.data())
 def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(
     frames: list[bytes], chunks: Chunks, data: st.DataObject
@@ -58,7 +56,6 @@ def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(
     assert bool(counts.dropped_bytes) <= bool(n_cut)
 
 
-@settings(max_examples=40)
 @given(frames=frames, lost=st.integers(0, 1), at=st.integers(0, 30))
 def test_without_a_counter_a_lost_chunk_costs_its_frame_alone(
     frames: list[bytes], lost: int, at: int

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SourceError
@@ -63,7 +63,6 @@ class TestProfiles:
         assert str(path) in str(caught.value)
 
     @given(raw=st.binary(max_size=80))
-    @settings(max_examples=30)
     def test_no_file_is_a_crash(self, tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
         path = tmp_path_factory.getbasetemp() / "any.toml"
         path.write_bytes(raw)
@@ -146,7 +145,6 @@ class TestReadings:
         cols=st.permutations(range(4)),
         seed=st.integers(0, 99),
     )
-    @settings(max_examples=60)
     def test_each_count_comes_to_its_taxel(
         self, dtype: str, byte_order: str, order: str, rows: list[int], cols: list[int], seed: int
     ) -> None:

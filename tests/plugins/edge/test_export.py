@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bags import skin_state
 from edges import compiled, random_counts, sent
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.messages import Measurements, Taxels
@@ -103,7 +103,6 @@ def small_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled(SMALL, tmp_path_factory.mktemp("small"))
 
 
-@settings(max_examples=40)
 @given(data=st.data())
 def test_any_frame_is_the_same_in_c(data: st.DataObject, small_program: Path) -> None:
     # Few different values: sums that cancel, and quotients that are ties.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SourceError
@@ -40,7 +40,6 @@ def turned(places: Array, seed: int) -> Array:
     return places @ (axes * [np.sign(np.linalg.det(axes)), 1, 1]).T
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(1, 120), st.integers(0, 1000), st.sampled_from(["line", "plane", "space"]))
 def test_each_point_has_a_cell_of_its_own(n: int, seed: int, form: str) -> None:
     places = np.random.default_rng(seed).uniform(-0.1, 0.1, (n, 3))

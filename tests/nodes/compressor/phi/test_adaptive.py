@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matrices import grids
 
@@ -39,7 +39,6 @@ def press(n_rows: int, n_cols: int, row: int, col: int) -> Floats:
     return frame
 
 
-@settings(max_examples=60, deadline=None)
 @given(exists=grids(), data=st.data())
 def test_m_rows_are_read_each_once_and_are_those_of_the_code(
     exists: Mask, data: st.DataObject

@@ -119,9 +119,7 @@ def edits(data: bytes) -> st.SearchStrategy[bytes]:
 
 
 @given(choice=st.data())
-@settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_bytes_are_read_up_to_the_break_or_refused(
     choice: st.DataObject, whole: tuple[bytes, list[bytes]], tmp_path: Path
 ) -> None:
