@@ -33,8 +33,6 @@ from .statistics import Extent, Quantiles
 PSNR_CAP_DB = 100.0
 FLOAT_BITS = 32
 """Bits of a published taxel reading, float32."""
-JOINING_NS = 1_000_000_000
-"""A late subscriber receives one topic before another: frames missed for this long are not lost."""
 MAX_PENDING = 512
 """Most frames that wait for their reconstruction; the oldest is dropped as unpaired."""
 MAX_CHANGES = 100
@@ -42,8 +40,6 @@ MAX_CHANGES = 100
 RECENT = 100
 """Frames of the recent mean PSNR."""
 
-_OF_SKIN = ("sigma_mid",)
-_OF_PHI = ("kind", "m", "rows")
 _OF_SOLVER = ("preset", "solver", "basis", "iterations", "lambda_n")
 
 ClockOf = Callable[[str], ClockEstimate | None]
@@ -95,20 +91,7 @@ class Quality:
         return {"all": self.every.summary(), "contact": self.contact.summary()}
 
 
-class Trust(Quality):
-    """Trust of solvers that estimate their error: 1 for a frame to be trusted, 0 for another."""
-
-    def add_frame(self, reconstruction: Reconstruction, in_contact: bool) -> None:
-        """Count a frame, unless its solver estimates nothing."""
-        (error,), (trusted,) = reconstruction.error, reconstruction.trusted
-        if error is not None or not trusted:
-            self.add(float(trusted), in_contact)
-
-    def summary(self) -> dict[str, Any]:
-        return {"all": trust_summary(self.every), "contact": trust_summary(self.contact)}
-
-
-def trust_summary(trusted: Extent) -> dict[str, Any] | None:
+def _trust_summary(trusted: Extent) -> dict[str, Any] | None:
     """Number of frames, of those not to be trusted, and the share of the others; None of none."""
     if not trusted.count:
         return None
@@ -147,37 +130,6 @@ class StreamCount:
         return self.before + self.in_run
 
 
-def same_clock(topic: str) -> ClockEstimate:
-    """Clock of a topic's publisher in a graph on one host."""
-    return SAME_CLOCK
-
-
-class Delay:
-    """Latency of reconstructions on the clock of the monitor's host.
-
-    `clock_of` takes a topic and returns the clock estimate of its publisher, None while unknown.
-    `sensed` is the schema of the messages whose publisher states the time of acquisition;
-    `uncertainty_ns` is the largest uncertainty of a latency so far; 0 on one host.
-    """
-
-    def __init__(self, clock_of: ClockOf) -> None:
-        self._clock_of = clock_of
-        self.sensed = Taxels.schema
-        self.uncertainty_ns = 0
-
-    def of(self, message: Reconstruction) -> int | None:
-        """Time from acquisition to reconstruction in ns; None while a clock is unknown."""
-        acquired = self._clock_of(topic_of(message.patch, self.sensed))
-        reconstructed = self._clock_of(topic_of(message.patch, Reconstruction.schema))
-        if acquired is None or reconstructed is None:
-            return None
-        if acquired is not reconstructed:
-            uncertainty_ns = acquired.uncertainty_ns + reconstructed.uncertainty_ns
-            self.uncertainty_ns = max(self.uncertainty_ns, uncertainty_ns)
-        ahead_ns = reconstructed.offset_ns - acquired.offset_ns
-        return message.done_ns - message.stamp_ns - ahead_ns
-
-
 @dataclass
 class FrameMetrics:
     """Messages of one frame, and its figures once it is complete; unknown ones are nan.
@@ -202,29 +154,39 @@ class FrameMetrics:
 class PatchMetrics:
     """Pairs a patch's messages by stamp and accumulates the figures of its summary.
 
-    `late` is true if the graph already ran when the monitor joined it; `clock_of` as in `Delay`.
-    `latency_ns` is the latency of the last reconstruction; None while a clock is unknown. `idle` is
-    True while the newest frame was published as unchanged, `unchanged` the number of such frames.
+    Parameters
+    ----------
+    late : bool
+        True if the graph already ran when the monitor joined it.
+    clock_of : callable
+        Takes a topic and returns the clock estimate of its publisher, None while unknown.
+
+    Attributes
+    ----------
+    latency_ns : int or None
+        Latency of the last reconstruction on the clock of the monitor's host; None where a clock is
+        unknown, or where no time passes, as in a recording that was computed offline.
+    latency_uncertainty_ns : int
+        Largest uncertainty of a latency so far; 0 on one host.
+    idle : bool
+        True while the newest frame was published as unchanged; `unchanged` counts such frames.
     """
 
-    def __init__(self, late: bool = False, clock_of: ClockOf = same_clock) -> None:
-        self._delay = Delay(clock_of)
+    def __init__(self, late: bool = False, clock_of: ClockOf = lambda topic: SAME_CLOCK) -> None:
+        self._clock_of = clock_of
+        self._sensed_schema = Taxels.schema  # its publisher states the time of acquisition
         self.latency_ns: int | None = None
+        self.latency_uncertainty_ns = 0
         self.skin: SkinState | None = None
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
         self.changes: list[dict[str, Any]] = []
-        self.noisy = Quality()
-        self.reconstruction = Quality()
+        self.noisy, self.reconstruction, self.trust = Quality(), Quality(), Quality()
         self.relative_error = Extent()
-        self.trust = Trust()
-        self.latency = Quantiles()
-        self.solve = Quantiles()
+        self.latency, self.solve = Quantiles(), Quantiles()
         self._sensed, self._reconstructed = StreamCount(late), StreamCount(late)
-        self._first_ns: int | None = None if late else 0
-        self._joining = late
-        self._answered_ns = 0
-        self._ended = False
+        self._late, self._ended = late, False
+        self._n_before = 0  # frames sensed before the first that a late subscriber can compare
         self.bytes_in = self.bytes_out = 0
         self.bits: int | None = None
         self.lost_so_far = self.skipped = self.unchanged = 0
@@ -233,14 +195,9 @@ class PatchMetrics:
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
 
     @property
-    def latency_uncertainty_ms(self) -> float:
-        """Uncertainty of a latency across the clocks of two hosts; 0 on one."""
-        return self._delay.uncertainty_ns / 1e6
-
-    @property
     def sensed(self) -> int:
         """Number of sensed frames."""
-        return self._sensed.total
+        return self._sensed.total - self._n_before
 
     @property
     def reconstructed(self) -> int:
@@ -249,116 +206,95 @@ class PatchMetrics:
 
     @property
     def lost(self) -> int:
-        """Number of frames that were sensed, and neither reconstructed nor skipped on purpose."""
-        return max(0, self.sensed - self.reconstructed - self.skipped - self._under_way)
-
-    @property
-    def _under_way(self) -> int:
-        """Number of frames of the last second that wait for their reconstruction, where a late
-        subscriber stops before the stream ends.
+        """Number of frames that were sensed, and neither reconstructed nor skipped on purpose; for
+        a late subscriber that stops before the stream ends, up to the newest one reconstructed.
         """
-        if self._ended or not self._sensed.late:
-            return 0
-        after_ns = max(self._answered_ns, next(reversed(self._pending), 0) - JOINING_NS)
-        return sum(ns > after_ns and frame.n_sensed > 0 for ns, frame in self._pending.items())
+        if self._late and not self._ended:
+            return self.lost_so_far
+        return max(0, self.sensed - self.reconstructed - self.skipped)
 
     def add(self, message: Message) -> FrameMetrics | None:
         """Add one message of the patch alone; return the frame that it completes, if any."""
+        stamp_ns = message.stamp_ns
+        if message.schema == self._sensed_schema:
+            self._pair(stamp_ns).n_sensed = self._sensed.add(message)
         match message:
             case SkinState():
-                self._note_changes(_fields(self.skin, *_OF_SKIN), _fields(message, *_OF_SKIN))
+                self._note_changes(self.skin, message, "sigma_mid")
                 self.skin = message
-                self._delay.sensed = (Taxels if message.has_taxels else Measurements).schema
+                self._sensed_schema = (Taxels if message.has_taxels else Measurements).schema
             case PhiState():
-                self._note_changes(_fields(self.phi, *_OF_PHI), _fields(message, *_OF_PHI))
+                self._note_changes(self.phi, message, "kind", "m", "rows")
                 self.phi = message
             case SolverState():
-                before, after = _fields(self.solver, *_OF_SOLVER), _fields(message, *_OF_SOLVER)
-                if before["preset"] and after["preset"]:  # it states the others
-                    before, after = {"preset": before["preset"]}, {"preset": after["preset"]}
-                self._note_changes(before, after)
+                stated = self.solver is not None and self.solver.preset and message.preset
+                fields = ("preset",) if stated else _OF_SOLVER  # a preset states the others
+                self._note_changes(self.solver, message, *fields)
                 self.solver = message
-            case Measurements():
+            case Measurements(y=y):
                 self.bytes_out += size_bytes(message)
-                y = message.y
                 bits = y.bits if isinstance(y, Quantised) else 8 * y.itemsize
-                self._note_changes({"bits": self.bits}, {"bits": bits})
+                self._note_change("bits", self.bits, bits)
                 self.bits = bits
-                if self._delay.sensed == message.schema:
-                    self._pair(message.stamp_ns).n_sensed = self._sensed.add(message)
-                    if self._first_ns is None:
-                        self._first_ns = message.stamp_ns
-                    return self._evaluate(message.stamp_ns)
             case Taxels():
                 self.bytes_in += size_bytes(message) - self._absent_bytes(message)
-                if self._first_ns is None:
-                    self._first_ns = message.stamp_ns
-                frame = self._pair(message.stamp_ns)
-                frame.taxels, frame.n_sensed = message, self._sensed.add(message)
-                return self._evaluate(message.stamp_ns)
+                self._pair(stamp_ns).taxels = message
             case Truth():
-                self._pair(message.stamp_ns).truth = message
-                return self._evaluate(message.stamp_ns)
-            # A late subscriber ignores frames whose taxels it has not received.
-            case Resultant() | Reconstruction() if (
-                self._first_ns is None or message.stamp_ns < self._first_ns
-            ):
-                return None
+                self._pair(stamp_ns).truth = message
             case Resultant():
-                self._pair(message.stamp_ns).resultant = message
+                self._pair(stamp_ns).resultant = message
             case Reconstruction():
-                self._answered_ns = message.stamp_ns
-                self.latency_ns = self._delay.of(message)
-                if self.latency_ns is not None:
-                    self.latency.add(self.latency_ns)
-                (self.idle,), (solve_ns,) = message.unchanged, message.solve_ns
-                self.unchanged += self.idle
-                self.solve.add(solve_ns)
-                if self._joining:
-                    self._join(message.stamp_ns)
-                else:
-                    self.skipped += message.skipped
-                frame = self._pair(message.stamp_ns)
-                frame.reconstruction = message
-                frame.solve_ms = solve_ns / 1e6
-                if self.latency_ns is not None:
-                    frame.latency_ms = self.latency_ns / 1e6
-                frame.n_answered = self._reconstructed.add(message) + self.skipped
-                return self._evaluate(message.stamp_ns)
-        return None
+                self._add_reconstruction(message)
+        return self._evaluate(stamp_ns)
 
-    def _note_changes(self, before: Mapping[str, Any], after: Mapping[str, Any]) -> None:
-        """Note settings that change after the first frame, but none that are or become empty."""
-        for name, value in after.items():
-            old = before[name]
-            room = self.reconstructed > 0 and len(self.changes) < MAX_CHANGES
-            if room and old != value and old not in (None, "") and value != "":
-                self.changes.append(
-                    {"frame": self.reconstructed, "setting": name, "from": old, "to": value}
-                )
+    def _add_reconstruction(self, message: Reconstruction) -> None:
+        self.latency_ns = self._latency_ns(message)
+        (self.idle,), (solve_ns,) = message.unchanged, message.solve_ns
+        self.unchanged += self.idle
+        self.solve.add(solve_ns)
+        if self.reconstructed or not self._late:
+            self.skipped += message.skipped
+        frame = self._pair(message.stamp_ns)
+        frame.reconstruction = message
+        frame.solve_ms = solve_ns / 1e6
+        if self.latency_ns is not None:
+            self.latency.add(self.latency_ns)
+            frame.latency_ms = self.latency_ns / 1e6
+        frame.n_answered = self._reconstructed.add(message) + self.skipped
+
+    def _latency_ns(self, message: Reconstruction) -> int | None:
+        """Time from acquisition to reconstruction; None where it is unknown."""
+        acquired, reconstructed = (
+            self._clock_of(topic_of(message.patch, schema))
+            for schema in (self._sensed_schema, message.schema)
+        )
+        if acquired is None or reconstructed is None or message.done_ns == message.stamp_ns:
+            return None
+        if acquired is not reconstructed:
+            uncertainty_ns = acquired.uncertainty_ns + reconstructed.uncertainty_ns
+            self.latency_uncertainty_ns = max(self.latency_uncertainty_ns, uncertainty_ns)
+        ahead_ns = reconstructed.offset_ns - acquired.offset_ns
+        return message.done_ns - message.stamp_ns - ahead_ns
+
+    def _note_changes(self, before: Message | None, after: Message, *names: str) -> None:
+        for name in names:
+            self._note_change(name, getattr(before, name, None), getattr(after, name))
+
+    def _note_change(self, name: str, old: Any, new: Any) -> None:
+        """Note a setting that changes after the first frame, but none that is or becomes empty."""
+        room = self.reconstructed > 0 and len(self.changes) < MAX_CHANGES
+        if room and old != new and old not in (None, "") and new != "":
+            self.changes.append(
+                {"frame": self.reconstructed, "setting": name, "from": old, "to": new}
+            )
 
     def end(self, schema: str, n_messages: int) -> None:
         """End a topic after n_messages: the publisher's own count is the right one."""
-        if schema == self._delay.sensed:
+        if schema == self._sensed_schema:
             self._sensed.end(n_messages)
         elif schema == Reconstruction.schema:
             self._reconstructed.end(n_messages)
             self._ended = True
-
-    def _join(self, stamp_ns: int) -> None:
-        """Ignore frames whose taxels came before reconstructions were received."""
-        self._joining = False
-        first = self._pending.get(stamp_ns)
-        assert self._first_ns is not None
-        if first is None or not first.n_sensed or stamp_ns - self._first_ns > JOINING_NS:
-            return
-        n_before = first.n_sensed - 1
-        self._sensed.before -= n_before
-        for before_ns in [ns for ns in self._pending if ns < stamp_ns]:
-            del self._pending[before_ns]
-        for frame in self._pending.values():
-            frame.n_sensed = max(0, frame.n_sensed - n_before)
-        self._first_ns = stamp_ns
 
     def _absent_bytes(self, taxels: Taxels) -> int:
         """Bytes of masked cells: a real skin has no wires there."""
@@ -376,32 +312,37 @@ class PatchMetrics:
 
     def _evaluate(self, stamp_ns: int) -> FrameMetrics | None:
         """Evaluate a frame once all its messages have arrived."""
-        frame = self._pending[stamp_ns]
-        if self.skin is None or not frame.n_sensed or frame.reconstruction is None:
+        frame, skin = self._pending.get(stamp_ns), self.skin
+        if frame is None or skin is None or not frame.n_sensed or frame.reconstruction is None:
             return None
-        if self.skin.has_truth and frame.truth is None:
+        if skin.has_truth and frame.truth is None:
             return None
         del self._pending[stamp_ns]
+        if self._late and not self.compared:  # what came of the frames before is incomplete
+            self._n_before = frame.n_sensed - frame.n_answered
+            self._pending = OrderedDict(
+                (ns, later) for ns, later in self._pending.items() if ns > stamp_ns
+            )
         self.compared += 1
         # Both streams count the same frames: the difference of their counts is lost.
-        frame.lost = self.lost_so_far = max(0, frame.n_sensed - frame.n_answered)
-        cells = self.skin.mask if self.skin.mask is not None else slice(None)
+        frame.lost = self.lost_so_far = max(0, frame.n_sensed - frame.n_answered - self._n_before)
+        cells = skin.mask if skin.mask is not None else slice(None)
         forces = frame.reconstruction.forces[0][cells]
-        f_max = self.skin.f_max
-        if frame.taxels is None:  # nothing to compare with
-            in_contact = float(forces.max()) > CONTACT_FRACTION * f_max
-            self.trust.add_frame(frame.reconstruction, in_contact)
-            return frame
-        taxels = frame.taxels.forces[0][cells]
+        taxels = None if frame.taxels is None else frame.taxels.forces[0][cells]
         reference = taxels if frame.truth is None else frame.truth.forces[0][cells]
-        in_contact = float(reference.max()) > CONTACT_FRACTION * f_max
+        judged = forces if reference is None else reference  # nothing to compare with
+        in_contact = float(judged.max()) > CONTACT_FRACTION * skin.f_max
+        (estimate,), (trusted,) = frame.reconstruction.error, frame.reconstruction.trusted
+        if estimate is not None or not trusted:  # else the solver estimates no error
+            self.trust.add(float(trusted), in_contact)
+        if reference is None or taxels is None:
+            return frame
         if frame.truth is not None:
-            frame.psnr_noisy_db = psnr_db(taxels - reference, f_max)
+            frame.psnr_noisy_db = psnr_db(taxels - reference, skin.f_max)
             self.noisy.add(frame.psnr_noisy_db, in_contact)
         error = forces - reference
-        frame.psnr_db = psnr_db(error, f_max)
+        frame.psnr_db = psnr_db(error, skin.f_max)
         self.reconstruction.add(frame.psnr_db, in_contact)
-        self.trust.add_frame(frame.reconstruction, in_contact)
         if in_contact:
             norm = float(np.linalg.norm(reference))
             self.relative_error.add(float(np.linalg.norm(error)) / norm)
@@ -411,6 +352,7 @@ class PatchMetrics:
         """The patch's part of the summary; unknown figures are None."""
         skin, phi = self.skin, self.phi
         n, m = (phi.n, phi.m) if phi else (0, 0)
+        begun = self.compared > 0 or not self._late
         return {
             "scene": skin.source if skin else None,
             "phi": phi.kind if phi else None,
@@ -426,7 +368,7 @@ class PatchMetrics:
                 "reconstructed": self.reconstructed,
                 "skipped": self.skipped,
                 "lost": self.lost,
-                "unpaired": self.unpaired + len(self._pending),
+                "unpaired": self.unpaired + (begun and len(self._pending)),
             },
             "unchanged": self.unchanged,
             "compared": self.compared,
@@ -436,9 +378,12 @@ class PatchMetrics:
                 "reconstruction": self.reconstruction.summary(),
             },
             "relative_error": self.relative_error.summary(),
-            "trust": self.trust.summary(),
+            "trust": {
+                "all": _trust_summary(self.trust.every),
+                "contact": _trust_summary(self.trust.contact),
+            },
             "latency_ms": self.latency.summary(),
-            "latency_uncertainty_ms": self.latency_uncertainty_ms,
+            "latency_uncertainty_ms": self.latency_uncertainty_ns / 1e6,
             "solve_ms": self.solve.summary(),
             "bytes_in": self.bytes_in,
             "bytes_out": self.bytes_out,

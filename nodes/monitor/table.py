@@ -25,11 +25,9 @@ def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
     first contact over all; latency since the start.
     """
     parts = [
-        f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}"
+        f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}",
+        *_trusted([metrics]),
     ]
-    trusted = metrics.trust.recent()
-    if trusted is not None:
-        parts.append(f"trusted {share_of(trusted)}")
     reconstruction, noisy = metrics.reconstruction.recent(), metrics.noisy.recent()
     if reconstruction is not None:
         frames = "contact frames" if metrics.reconstruction.in_contact else "all frames"
@@ -37,11 +35,9 @@ def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
         parts.append(f"PSNR of {frames} {against}{reconstruction:.1f} dB")
         if noisy is not None:
             parts[-1] += f" (taxels {noisy:.1f})"
-    latency = metrics.latency.summary()
-    if latency:
-        parts.append(f"latency p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f} ms")
-        if metrics.latency_uncertainty_ms:
-            parts[-1] += f" ± {metrics.latency_uncertainty_ms:.1f}"
+    parts += _latency([metrics])
+    if len(parts) > 1 and metrics.latency_uncertainty_ns:
+        parts[-1] += f" ± {metrics.latency_uncertainty_ns / 1e6:.1f}"
     return " | ".join(parts)
 
 
@@ -54,23 +50,31 @@ def status_of_many(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     every = list(patches.values())
     asked = max((m.skin.rate_hz for m in every if m.skin is not None), default=0.0)
     rate = f"{rate_hz:.0f} of {asked:g} Hz" if asked else f"{rate_hz:.0f} Hz"
-    parts = [
-        f"{len(every)} patches: {min(m.reconstructed for m in every)} frames, {rate}, "
-        f"skipped {max(m.skipped for m in every)}, lost {max(m.lost_so_far for m in every)}",
-        f"idle {sum(m.idle for m in every)}",
-    ]
     pressed = [m for m in every if m.reconstruction.in_contact]
-    trusted = [t for m in pressed if (t := m.trust.recent()) is not None]
-    if trusted:
-        parts.append(f"trusted {share_of(sum(trusted) / len(trusted))}")
     psnr = [p for m in pressed if (p := m.reconstruction.recent()) is not None]
-    if psnr:
-        parts.append(f"PSNR of contact frames {sum(psnr) / len(psnr):.1f} dB")
-    latency = max((found for m in every if (found := m.latency.summary())),
-                  key=lambda found: found["p50"], default=None)  # fmt: skip
-    if latency:
-        parts.append(f"latency p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f} ms")
-    return " | ".join(parts)
+    return " | ".join(
+        [
+            f"{len(every)} patches: {min(m.reconstructed for m in every)} frames, {rate}, "
+            f"skipped {max(m.skipped for m in every)}, lost {max(m.lost_so_far for m in every)}",
+            f"idle {sum(m.idle for m in every)}",
+            *_trusted(pressed),
+            *([f"PSNR of contact frames {sum(psnr) / len(psnr):.1f} dB"] if psnr else ()),
+            *_latency(every),
+        ]
+    )
+
+
+def _trusted(patches: Sequence[PatchMetrics]) -> list[str]:
+    """Share of recent frames that solvers trust; none where they do not estimate it."""
+    shares = [t for m in patches if (t := m.trust.recent()) is not None]
+    return [f"trusted {share_of(sum(shares) / len(shares))}"] if shares else []
+
+
+def _latency(patches: Sequence[PatchMetrics]) -> list[str]:
+    """Latency of the slowest patch; none where it is unknown."""
+    known = [found for m in patches if (found := m.latency.summary())]
+    slowest = max(known, key=lambda found: found["p50"], default=None)
+    return [f"latency p50 {slowest['p50']:.1f}, p99 {slowest['p99']:.1f} ms"] if slowest else []
 
 
 def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
@@ -86,59 +90,50 @@ def patch_table(name: str, patch: Mapping[str, Any]) -> str:
         key: NONE if value is None else printable(value) if isinstance(value, str) else value
         for key, value in patch.items()
     }
-    frames, psnr = patch["frames"], patch["psnr_db"]
+    frames, n_in, n_out = patch["frames"], patch["bytes_in"], patch["bytes_out"]
     if not frames["sensed"] and not frames["reconstructed"]:
         scene = "" if patch["scene"] == NONE else f"{patch['scene']}: "
         return f"{printable(name)}: {scene}ended before the first frame"
-    against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
-    title = f" {printable(name)}: {patch['scene']} "
-    rows = [
-        title.center(WIDTH, "="),
+    skipped = f"skipped {frames['skipped']}, " if frames["skipped"] else ""
+    rotating = ", rotating rows" if patch["rows"] == "rotating" else ""
+    bits = f", {patch['bits']} bits" if patch["bits"] not in (NONE, FLOAT_BITS) else ""
+    basis = f" in {patch['basis']}" if patch["basis"] else ""
+    preset = f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""
+    within = f" (± {ms:.2f})" if (ms := patch["latency_uncertainty_ms"]) else ""
+    rows = [f" {printable(name)}: {patch['scene']} ".center(WIDTH, "=")]
+    if patch["changes"]:
+        rows.append(_changes(patch["changes"]))
+    rows += [
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
-        + (f"skipped {frames['skipped']}, " if frames["skipped"] else "")
-        + f"lost {frames['lost']}"
-        + _compared(patch),
-        f"measured    {patch['phi']}{', rotating rows' if patch['rows'] == 'rotating' else ''}: "
+        f"{skipped}lost {frames['lost']}{_compared(patch)}",
+        f"measured    {patch['phi']}{rotating}: "
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
-        f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}"
-        + (f", {patch['bits']} bits" if patch["bits"] not in (NONE, FLOAT_BITS) else ""),
-        f"solver      {patch['solver']}"
-        + (f" in {patch['basis']}" if patch["basis"] else "")
-        + f", {_iterations(patch)}"
-        + (f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""),
-        "bytes       "
-        + (f"taxels {patch['bytes_in']:,}, " if patch["bytes_in"] else "")
-        + f"measurements {patch['bytes_out']:,}"
-        + (
-            f" (1/{patch['bytes_in'] / patch['bytes_out']:.2f})"
-            if patch["bytes_in"] and patch["bytes_out"]
-            else ""
-        ),
-        f"time        latency p50 {_time(patch['latency_ms'], 'p50')}, "
-        f"p99 {_time(patch['latency_ms'], 'p99')}"
-        + (f" (± {within:.2f})" if (within := patch["latency_uncertainty_ms"]) else "")
-        + "; "
-        f"solve p50 {_time(patch['solve_ms'], 'p50')}, p99 {_time(patch['solve_ms'], 'p99')}",
+        f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}{bits}",
+        f"solver      {patch['solver']}{basis}, {_iterations(patch)}{preset}",
+        f"bytes       {f'taxels {n_in:,}, ' if n_in else ''}measurements {n_out:,}"
+        f"{f' (1/{n_in / n_out:.2f})' if n_in and n_out else ''}",
+        f"time        latency {_times(patch['latency_ms'])}{within}; "
+        f"solve {_times(patch['solve_ms'])}",
     ]
+    against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
     if patch["reference"] in against:
         head = f"PSNR in dB {against[patch['reference']]}"
         rows += ["", f"{head:<41}{'mean':>8}{'min':>8}{'max':>8}"]
-    for label, key in (("noisy taxels", "noisy"), ("reconstruction", "reconstruction")):
-        for which, frames_of in (("all", "all frames"), ("contact", "contact frames")):
-            extent = psnr[key][which]
-            if extent is not None:
-                rows.append(f"  {label:<22}{frames_of:<17}" + _extent(extent, ".1f"))
-    error = patch["relative_error"]
-    if error != NONE and patch["reference"] == "taxels":  # where PSNR has no noise beside it
-        rows.append(f"{'relative error':<24}{'contact frames':<17}" + _extent(error, ".3f"))
-    for which, frames_of in (("all", "all frames"), ("contact", "contact frames")):
-        trust = patch["trust"][which]
-        if trust is not None:
-            rows.append(f"{'trusted by the solver':<24}{frames_of:<17}" + _trust(trust))
-    if patch["changes"]:
-        rows.insert(1, _changes(patch["changes"]))
-    rows.append("=" * WIDTH)
-    return "\n".join(rows)
+    psnr, trust = patch["psnr_db"], patch["trust"]
+    frames_of = {"all": "all frames", "contact": "contact frames"}
+    for label, extents in (
+        ("  noisy taxels", psnr["noisy"]),
+        ("  reconstruction", psnr["reconstruction"]),
+        # Where PSNR has no noise beside it.
+        ("relative error", {"contact": patch["relative_error"]}
+         if patch["reference"] == "taxels" else {}),
+        ("trusted by the solver", trust),
+    ):  # fmt: skip
+        for which, extent in extents.items():
+            if extent not in (None, NONE):
+                form = ".3f" if label == "relative error" else ".1f"
+                rows.append(f"{label:<24}{frames_of[which]:<17}{_figures(extent, form)}")
+    return "\n".join([*rows, "=" * WIDTH])
 
 
 def _compared(patch: Mapping[str, Any]) -> str:
@@ -199,13 +194,12 @@ def _iterations(patch: Mapping[str, Any]) -> str:
     return text if full_ms in (NONE, 0) else f"{text} ({full_ms:.2g} ms on a full skin)"
 
 
-def _extent(extent: Mapping[str, float], form: str) -> str:
-    return "".join(f"{extent[key]:>8{form}}" for key in ("mean", "min", "max"))
-
-
-def _trust(trust: Mapping[str, float]) -> str:
-    share = share_of(trust["trusted_share"])
-    return f"{share:>8}   ({trust['untrusted']} of {trust['frames']} not)"
+def _figures(extent: Mapping[str, float], form: str) -> str:
+    """Mean, minimum and maximum; of trust the share, and the number of the others."""
+    if "trusted_share" not in extent:
+        return "".join(f"{extent[key]:>8{form}}" for key in ("mean", "min", "max"))
+    share = share_of(extent["trusted_share"])
+    return f"{share:>8}   ({extent['untrusted']} of {extent['frames']} not)"
 
 
 def share_of(share: float) -> str:
@@ -222,5 +216,8 @@ def shown(value: float | str | None, form: str) -> str:
     return value if isinstance(value, str) else format(value, form)
 
 
-def _time(quantiles: Mapping[str, float] | str, key: str) -> str:
-    return quantiles if isinstance(quantiles, str) else f"{quantiles[key]:.2f} ms"
+def _times(quantiles: Mapping[str, float] | str) -> str:
+    return ", ".join(
+        f"{key} {quantiles if isinstance(quantiles, str) else f'{quantiles[key]:.2f} ms'}"
+        for key in ("p50", "p99")
+    )
