@@ -18,8 +18,7 @@ from zmq.utils import z85
 from sparseskin.nodes.node_host import log_some
 
 from .keys import KeyPair
-from .sockets import MAX_EVENTS
-from .zeromq import HANDSHAKE_MS, monitor_event
+from .sockets import HANDSHAKE_MS, MAX_EVENTS, events
 
 ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 ZAP_DOMAIN = b"sparseskin"
@@ -33,9 +32,6 @@ MAX_REFUSALS = 256
 """Largest number of pairs of address and reason whose refusals are counted, and logged, one by one.
 All further ones are counted together: many addresses or keys fill neither memory nor log.
 """
-PATIENCE_NS = 1_000_000_000
-"""Time for which a line waits for the address: a short connection has none when it is asked for,
-but a refused peer tries again."""
 UNKNOWN, LOCAL = "unknown address", "this host"
 OTHERS = ("", "")
 
@@ -74,8 +70,6 @@ class Gate:
         self._pending: dict[int, str] = {}
         self._decided: Counter[str] = Counter()
         self._failure = ""
-        self._now_ns = 0
-        self._unnamed_due_ns: dict[str, int] = {}
         self._zap = context.socket(zmq.REP)
         self._zap.bind(ZAP_ENDPOINT)
         self.sockets: list[zmq.Socket[bytes]] = [self._zap]
@@ -89,17 +83,13 @@ class Gate:
             writer.setsockopt(zmq.CURVE_SECRETKEY, self._keys.secret.encode())
         self.sockets.append(writer.get_monitor_socket())
 
-    def serve(self, now_ns: int) -> None:
-        """Answer authentication requests and log refused peers; any monotonic clock serves."""
-        self._now_ns = now_ns
+    def serve(self) -> None:
+        """Answer authentication requests and log refused peers."""
         for _ in range(MAX_EVENTS):
             if not self._zap.poll(0):
                 break
             self._answer(self._zap.recv_multipart())
         self._serve_monitors()
-        for reason in [r for r, due_ns in self._unnamed_due_ns.items() if due_ns <= now_ns]:
-            del self._unnamed_due_ns[reason]
-            self._log_refusal(UNKNOWN, reason)
 
     def subscribed(self, fd: int) -> None:
         """Note that a subscription came by a connection: its peer is in order."""
@@ -110,10 +100,7 @@ class Gate:
 
     def _serve_monitors(self) -> None:
         for monitor in self.sockets[1:]:
-            for _ in range(MAX_EVENTS):
-                if not monitor.poll(0):
-                    break
-                event, value, _ = monitor_event(monitor)
+            for event, value, _ in events(monitor, MAX_EVENTS):
                 self._note(event, value)
 
     def _answer(self, frames: list[bytes]) -> None:
@@ -151,12 +138,7 @@ class Gate:
         elif event == zmq.EVENT_DISCONNECTED:
             reason, self._failure = self._failure or "it speaks no ZeroMQ", ""
             address = self._open.pop(value, UNKNOWN)
-            if self._pending.pop(value, None) is None or self._decide(address):
-                return
-            if address == UNKNOWN:
-                self._unnamed_due_ns.setdefault(reason, self._now_ns + PATIENCE_NS)
-            else:
-                self._unnamed_due_ns.pop(reason, None)
+            if self._pending.pop(value, None) is not None and not self._decide(address):
                 self._log_refusal(address, reason)
 
     def _decide(self, address: str) -> bool:

@@ -14,11 +14,11 @@ from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
 from sparseskin.nodes.files import check_private
 
 from .keys import KeyPair
+from .peers import Peers
 from .sockets import Peer, Reader, Writer
 
 if TYPE_CHECKING:
     from .gate import Gate
-    from .peers import Peers
 
 END_RECEIVED_NS = 30_000_000_000
 """Time for which a node waits until readers on other hosts have the end of its streams."""
@@ -40,6 +40,8 @@ class Network:
     ----------
     poller : zmq.Poller
         Waits for all sockets.
+    peers : Peers
+        Connections to other hosts.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class Network:
         log: Callable[[str], None],
     ) -> None:
         self.poller = zmq.Poller()
+        self.peers = Peers(log)
         self._context = context
         self._name: str = config["name"]
         self._now_ns = now_ns
@@ -67,24 +70,23 @@ class Network:
         self._end_due_ns = 0
         security = config.get("security")
         self._keys = KeyPair(*security["own"]) if security else None
-        public: str = config.get("public", "")
+        public, endpoint = config.get("public", ""), config["endpoint"]
         self._gate: Gate | None = None
-        if security or public or config["endpoint"].startswith("tcp:"):
-            from .gate import Gate  # with zmq.utils.monitor, and so asyncio
+        if security or public or endpoint.startswith("tcp:"):
+            from .gate import Gate
 
             allowed, known = (security["allowed"], security["known"]) if security else ({}, {})
             self._gate = Gate(context, self._keys, allowed, known, log)
-        if config["endpoint"].startswith("ipc:///"):
-            check_private(Path(config["endpoint"].removeprefix("ipc://")).parent)
-        self._peers: Peers | None = None
+        if endpoint.startswith("ipc:///"):
+            check_private(Path(endpoint.removeprefix("ipc://")).parent)
         self.writer = Writer(
             context,
-            config["endpoint"],
+            endpoint,
             self._name,
             public=public,
             gate=self._gate,
-            now_ns=now_ns if public else None,
             log=log,
+            now_ns=now_ns if public else None,
         )
         for socket in (self.writer.socket, *(self._gate.sockets if self._gate else ())):
             self.poller.register(socket, zmq.POLLIN)
@@ -96,48 +98,25 @@ class Network:
         reader = Reader(self._context, self._name, (), topics, keys=self._keys, observes=observes)
         self.poller.register(reader.socket, zmq.POLLIN)
         if self._keys is not None or self._distant_inputs:
-            from .peers import Peers  # with zmq.utils.monitor, and so asyncio
-
-            self._peers = Peers(reader, self._log)
-            self.poller.register(self._peers.monitor, zmq.POLLIN)
+            self.poller.register(self.peers.watch(reader), zmq.POLLIN)
         return reader
 
     def connect(self, reader: Reader, peers: Sequence[Peer]) -> None:
         """Connect a reader to writers."""
-        if self._peers is not None:
-            self._peers.connect(peers)
-        else:
-            for peer in peers:
-                reader.connect(peer.endpoint)
+        for peer in peers:
+            self.peers.connect(reader, peer)
 
     def serve(self) -> None:
         """Process events of the gate and of connections to other hosts."""
         if self._gate is not None:
-            self._gate.serve(self._now_ns())
-        if self._peers is not None:
-            self._peers.serve(self._now_ns())
-
-    def take_time(self, note: bytes) -> bool:
-        """Process a note under the reader's tag; True if it is the time of another host."""
-        return self._peers is not None and self._peers.take_time(note, self._now_ns())
-
-    @property
-    def awaits_time(self) -> bool:
-        """True if the next note must be processed at once."""
-        return self._peers is not None and self._peers.awaits_time
+            self._gate.serve()
+        if self.peers.monitor is not None:
+            self.peers.serve(self._now_ns())
 
     def clock_of(self, topic: str) -> ClockEstimate | None:
         """Estimate of the clock of a topic's writer; None while there is none."""
         host = self._distant_inputs.get(topic)
-        if host is None:
-            return SAME_CLOCK
-        return self._peers.clock_of(host) if self._peers is not None else None
-
-    def state(self) -> dict[str, Any]:
-        """Connections to writers on other hosts and their clocks, for a heartbeat."""
-        if self._peers is None:
-            return {"heard": {}, "clocks": {}}
-        return {"heard": self._peers.heard, "clocks": self._peers.clocks()}
+        return SAME_CLOCK if host is None else self.peers.clock_of(host)
 
     def end_repeated(self) -> None:
         """Ask which readers have the end of the streams, after it was published once more."""

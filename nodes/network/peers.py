@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import zmq
 
 from sparseskin.nodes.clock import ClockEstimate, ClockOffset
 
-from .sockets import Peer, Reader, read_times
-from .zeromq import monitor_event
+from .sockets import MAX_EVENTS, Peer, Reader, events, read_times
 
 ASK_NS = 250_000_000
 """Period of the questions for the time of other hosts."""
@@ -24,49 +23,56 @@ _REFUSED: dict[int, str] = {
 
 
 class Peers:
-    """Follows the connections of one reader, not yet connected, to its writers.
+    """Follows the connections of one reader to its writers, where one of them is on another host
+    or has keys: `watch` is called before the first `connect`, else nothing is followed.
 
-    `awaits_time` is True if an answer is expected whose arrival time matters.
+    `awaits_time` is True if an answer is expected whose arrival time matters; `heard` is True for
+    each writer on another host that is connected.
     """
 
-    def __init__(self, reader: Reader, log: Callable[[str], None]) -> None:
-        self._reader = reader
+    def __init__(self, log: Callable[[str], None]) -> None:
         self._log = log
         self._by_endpoint: dict[str, Peer] = {}
-        self._connected: dict[str, bool] = {}
         self._retry_ns: dict[str, int] = {}
         self._logged: set[tuple[str, str]] = set()
         self._clocks: dict[str, ClockOffset] = {}
         self._estimates: dict[str, ClockEstimate] = {}
         self._next_ask_ns = 0
         self._n_times = 0
+        self._reader: Reader | None = None
+        self.monitor: zmq.Socket[bytes] | None = None
         self.awaits_time = False
-        self.monitor: zmq.Socket[bytes] = reader.socket.get_monitor_socket()
+        self.heard: dict[str, bool] = {}
 
-    def connect(self, peers: Iterable[Peer]) -> None:
-        """Connect to more writers."""
-        for peer in peers:
-            self._by_endpoint[peer.endpoint] = peer
-            if peer.host:
-                self._connected[peer.writer] = False
-                self._clocks.setdefault(peer.host, ClockOffset())
-            self._reader.connect(peer.endpoint, peer.key, bool(peer.host))
+    def watch(self, reader: Reader) -> zmq.Socket[bytes]:
+        """Follow a reader that is not connected yet; return the socket of its events."""
+        self._reader, self.monitor = reader, reader.socket.get_monitor_socket()
+        return self.monitor
+
+    def connect(self, reader: Reader, peer: Peer) -> None:
+        """Connect a reader to one more writer."""
+        self._by_endpoint[peer.endpoint] = peer
+        if peer.host:
+            self.heard[peer.writer] = False
+            self._clocks.setdefault(peer.host, ClockOffset())
+        reader.connect(peer.endpoint, peer.key, bool(peer.host))
 
     def serve(self, now_ns: int) -> None:
         """Process events, retry refused connections, ask for the time; now on the graph's clock."""
-        while self.monitor.poll(0):
-            event, _, endpoint = monitor_event(self.monitor)
-            peer = self._by_endpoint.get(endpoint)
-            if peer is not None:
+        assert self._reader is not None
+        assert self.monitor is not None
+        for event, _, endpoint in events(self.monitor, MAX_EVENTS):
+            if (peer := self._by_endpoint.get(endpoint)) is not None:
                 self._note(peer, event, now_ns)
         for endpoint in [e for e, due_ns in self._retry_ns.items() if due_ns <= now_ns]:
             del self._retry_ns[endpoint]
-            peer = self._by_endpoint[endpoint]
-            self._reader.reconnect(endpoint, peer.key, bool(peer.host))
+            # ZeroMQ does not connect again by itself after a refused handshake.
+            self._reader.socket.disconnect(endpoint)
+            self.connect(self._reader, self._by_endpoint[endpoint])
         if self._clocks and now_ns >= self._next_ask_ns:
             self._next_ask_ns = now_ns + (FIRST_NS if self._n_times < N_FIRST else ASK_NS)
             self._reader.ask_time(now_ns)
-            self.awaits_time = any(self._connected.values())
+            self.awaits_time = any(self.heard.values())
             for host, clock in self._clocks.items():
                 estimate = clock.estimate(now_ns)
                 if estimate is not None:
@@ -84,11 +90,6 @@ class Peers:
                 self._n_times += 1
                 self.awaits_time = False
         return True
-
-    @property
-    def heard(self) -> dict[str, bool]:
-        """True for each writer on another host that is connected."""
-        return dict(self._connected)
 
     def clock_of(self, host: str) -> ClockEstimate | None:
         """Estimate of the clock of another host; None while there is none."""
@@ -108,9 +109,9 @@ class Peers:
             self._log_refusal(peer, _REFUSED[kind])
 
     def _set_connected(self, peer: Peer, connected: bool) -> None:
-        if not peer.host or self._connected[peer.writer] == connected:
+        if not peer.host or self.heard[peer.writer] == connected:
             return
-        self._connected[peer.writer] = connected
+        self.heard[peer.writer] = connected
         if connected:
             self._logged.clear()
         self._log(f"{'' if connected else 'dis'}connected: {peer.writer} on {peer.host}")

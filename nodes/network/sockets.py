@@ -17,10 +17,11 @@ and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import zmq
 
@@ -29,9 +30,6 @@ from sparseskin.messages.wire import Payload, received, wire_bytes
 from sparseskin.nodes.files import is_served
 
 from .keys import KeyPair
-from .zeromq import HANDSHAKE_MS, Guard, is_readable, make_context, watch_for_death
-
-__all__ = ["Peer", "Reader", "Writer", "make_context", "read_times"]
 
 JOINS = b"\x01"
 """Begins a subscription; the end of one begins with b"\\0"."""
@@ -56,9 +54,53 @@ MAX_EVENTS = 1000
 """Largest number of subscriptions, or of events of connections, between two looks at messages."""
 QUEUE_FRAMES = 1000
 """High-water mark of each queue: one second at 1 kHz before messages are dropped and counted."""
+HANDSHAKE_MS = 2000
+"""Longest handshake; ZeroMQ's default of 30 s would hide a wrong key."""
+OVER_NETWORK_MS = {
+    zmq.HEARTBEAT_IVL: 500,
+    zmq.HEARTBEAT_TIMEOUT: 1500,
+    zmq.HEARTBEAT_TTL: 1500,
+    zmq.CONNECT_TIMEOUT: 800,  # TCP by itself waits ever longer
+    zmq.RECONNECT_IVL: 100,
+    zmq.RECONNECT_IVL_MAX: 500,
+}
+"""Options of sockets whose links can break silently, for all later binds and connections."""
+
+_NOBLOCK, _EVENTS, _POLLIN = int(zmq.NOBLOCK), int(zmq.EVENTS), int(zmq.POLLIN)
 
 
-_NOBLOCK = int(zmq.NOBLOCK)
+class Guard(Protocol):
+    """Access control of a writer's socket, e.g. a `gate.Gate`."""
+
+    def guard(self, writer: zmq.Socket[bytes]) -> None:
+        """Admit allowed readers only; called before the socket is bound."""
+
+    def subscribed(self, fd: int) -> None:
+        """Note that a subscription came by a connection, given by its file descriptor."""
+
+
+def make_context() -> zmq.Context[zmq.Socket[bytes]]:
+    """Return a context whose sockets never delay the end of a process."""
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    context.linger = 0
+    return context
+
+
+def events(monitor: zmq.Socket[bytes], at_most: int) -> Iterator[tuple[int, int, str]]:
+    """Waiting events of a socket monitor, with their values and endpoints: zmq_socket_monitor(3).
+
+    `zmq.utils.monitor` does the same and imports asyncio, which every node would wait for.
+    """
+    for _ in range(at_most):
+        if not monitor.poll(0):
+            return
+        head, endpoint = monitor.recv_multipart()
+        yield *struct.unpack("=Hi", head), endpoint.decode(errors="replace")
+
+
+def _set_options(socket: zmq.Socket[bytes], options: Mapping[Any, Any]) -> None:
+    for option, value in options.items():
+        socket.setsockopt(option, value)
 
 
 @dataclass(frozen=True)
@@ -113,9 +155,8 @@ class Writer:
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
-        self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
-        self.socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
-        self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_NOTE_BYTES)
+        options = {zmq.XPUB_VERBOSE: 1, zmq.SNDHWM: QUEUE_FRAMES, zmq.MAXMSGSIZE: MAX_NOTE_BYTES}
+        _set_options(self.socket, options)
         self._gate = gate
         if gate is not None:
             gate.guard(self.socket)
@@ -125,7 +166,7 @@ class Writer:
         self.socket.bind(endpoint)
         self.endpoint = self.socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
         if public:
-            watch_for_death(self.socket)
+            _set_options(self.socket, OVER_NETWORK_MS)
             self.socket.bind(public)
         self._prefixes: set[bytes] = set()
         self._wanted: dict[str, bool] = {}
@@ -161,14 +202,18 @@ class Writer:
     def serve_subscriptions(self) -> None:
         """Process waiting subscriptions: note present readers, repeat latched messages."""
         for _ in range(MAX_EVENTS):  # a flood must not keep a node from its work
-            if not is_readable(self.socket):
+            # A third of the time of a receive that fails.
+            if not self.socket.getsockopt(_EVENTS) & _POLLIN:  # type: ignore[operator]
                 return
             frame = self.socket.recv(copy=False)
             if self._gate is not None:
                 with contextlib.suppress(zmq.ZMQError):  # by no connection, in a process
                     self._gate.subscribed(frame.get(zmq.SRCFD))
             joins, topic = frame.bytes[:1] == JOINS, frame.bytes[1:]
-            self._count(joins)
+            self._n_subscriptions = max(0, self._n_subscriptions + (1 if joins else -1))
+            if self._n_subscriptions > MAX_SUBSCRIPTIONS:
+                text = f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves"
+                self._log_once(text)
             if topic.startswith(PRESENCE):
                 self._note_presence(topic[1:].decode(errors="replace"), joins)
             elif joins:
@@ -205,43 +250,34 @@ class Writer:
         """True if a reader, present or not, has processed all messages sent before an ask."""
         return self._processed.get(reader, 0) >= ask
 
-    def _count(self, joins: bool) -> None:
-        self._n_subscriptions = max(0, self._n_subscriptions + (1 if joins else -1))
-        if self._n_subscriptions > MAX_SUBSCRIPTIONS:
-            self._log_once(f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves")
-
     def _log_once(self, line: str) -> None:
         if line not in self._logged:
             self._logged.add(line)
             self._log(line)
 
-    def _send_time(self, reader: str, t1_ns: str) -> None:
-        if self._now_ns is None or reader.removeprefix(OBSERVER) not in self.present:
-            return
-        if t1_ns.isdecimal() and len(t1_ns) <= MAX_TIME_DIGITS:
-            self.note(reader, f"{self._name}!{t1_ns}:{self._now_ns()}:{self._now_ns()}")
-
     def _note_presence(self, tag: str, joins: bool) -> None:
+        """Process a tag: of a reader that comes or goes, an answer, or a question for the time."""
         asking, is_time, t1_ns = tag.partition("!")
-        if is_time:
-            if joins:
-                self._send_time(asking, t1_ns)
-            return
         reader, is_answer, answer = tag.partition("#")
-        if not is_answer:
-            if joins and len(self.present) >= MAX_READERS:
-                self._log_once(f"more than {MAX_READERS} readers: frames wait for these only")
-                return
+        if is_time:
+            sound = t1_ns.isdecimal() and len(t1_ns) <= MAX_TIME_DIGITS
+            known = joins and asking.removeprefix(OBSERVER) in self.present
+            if sound and known and self._now_ns is not None:
+                now_ns = self._now_ns()
+                self.note(asking, f"{self._name}!{t1_ns}:{now_ns}:{now_ns}")
+        elif is_answer:
+            writer, _, number = answer.partition(":")
+            if joins and writer == self._name and reader in self._answered and number.isdecimal():
+                self._answered[reader] = max(self._answered[reader], int(number[:18]))
+                self._processed[reader] = self._answered[reader]
+        elif joins and len(self.present) >= MAX_READERS:
+            self._log_once(f"more than {MAX_READERS} readers: frames wait for these only")
+        else:
             observes, reader = reader.startswith(OBSERVER), reader.removeprefix(OBSERVER)
             (self.present.add if joins else self.present.discard)(reader)
             (self._observers.add if joins and observes else self._observers.discard)(reader)
             if not joins:
                 self._answered.pop(reader, None)
-            return
-        writer, _, number = answer.partition(":")
-        if joins and writer == self._name and reader in self._answered and number.isdecimal():
-            self._answered[reader] = max(self._answered[reader], int(number[:18]))
-            self._processed[reader] = self._answered[reader]
 
 
 class Reader:
@@ -274,16 +310,17 @@ class Reader:
         observes: bool = False,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
-        self.socket.setsockopt(zmq.RCVHWM, read_ahead)
-        self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_BYTES)
+        _set_options(self.socket, {zmq.RCVHWM: read_ahead, zmq.MAXMSGSIZE: MAX_MESSAGE_BYTES})
         self._topics = {topic.encode() for topic in topics}
         self._tag = PRESENCE + (OBSERVER if observes else "").encode() + name.encode()
         self._answers: dict[bytes, bytes] = {}
         self._time_tag = b""
         if keys is not None:
-            self.socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.public.encode())
-            self.socket.setsockopt(zmq.CURVE_SECRETKEY, keys.secret.encode())
-            self.socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+            pair = {
+                zmq.CURVE_PUBLICKEY: keys.public.encode(),
+                zmq.CURVE_SECRETKEY: keys.secret.encode(),
+            }
+            _set_options(self.socket, {**pair, zmq.HANDSHAKE_IVL: HANDSHAKE_MS})
         for topic in sorted(self._topics):
             self.socket.subscribe(topic)
         if present:
@@ -299,13 +336,8 @@ class Reader:
         if server_key:
             self.socket.setsockopt(zmq.CURVE_SERVERKEY, server_key.encode())
         if distant:
-            watch_for_death(self.socket)
+            _set_options(self.socket, OVER_NETWORK_MS)
         self.socket.connect(endpoint)
-
-    def reconnect(self, endpoint: str, server_key: str = "", distant: bool = False) -> None:
-        """Connect again after a refused handshake, which ZeroMQ does not do by itself."""
-        self.socket.disconnect(endpoint)
-        self.connect(endpoint, server_key, distant)
 
     def receive(self) -> tuple[bytes, Payload] | None:
         """Next waiting (topic, payload), or None.

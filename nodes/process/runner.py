@@ -213,7 +213,7 @@ class Runner:
         patience_s = self.host.node.patience_s
         # Not while messages wait, and not if a source waits for answers.
         waits = patience_s and self.caught_up and ready
-        if waits and not (self.asked or self.network.awaits_time):
+        if waits and not (self.asked or self.network.peers.awaits_time):
             time.sleep(patience_s)
         return ready
 
@@ -282,7 +282,7 @@ class Runner:
             topic, payload, overtaken = waiting
             if not reader.is_ask(topic):
                 self._publish(self.host.receive_bytes(topic, payload, overtaken))
-            elif not self.network.take_time(note := bytes(payload)):
+            elif not self.network.peers.take_time(note := bytes(payload), self.clock.now_ns()):
                 self.asked = True
                 self.unanswered.append((self.writer.ask(), note))
 
@@ -340,7 +340,8 @@ class Runner:
                 state=self.host.node.state(),
                 refusal=self.host.refusal,
                 counts=self.host.counts.as_dict(),
-                **self.network.state(),
+                heard=self.network.peers.heard,
+                clocks=self.network.peers.clocks(),
             )
         if self.host.failure and not self.failed:
             self.failed = True
@@ -356,7 +357,7 @@ class Runner:
             report=self.host.node.report(),
             counts=self.host.counts.as_dict(),
             failure=self.host.failure,
-            clocks=self.network.state()["clocks"],
+            clocks=self.network.peers.clocks(),
         )
 
 

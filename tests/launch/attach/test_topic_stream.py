@@ -56,7 +56,7 @@ class Publisher:
     def wait_for_subscription(self) -> None:
         def there() -> bool:
             if self.gate is not None:
-                self.gate.serve(time.monotonic_ns())
+                self.gate.serve()
             return bool(self.writer.socket.poll(0))
 
         wait_until(there, "the subscription")
