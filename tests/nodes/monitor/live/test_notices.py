@@ -47,19 +47,18 @@ def desk(monkeypatch: pytest.MonkeyPatch) -> Desk:
     return desk
 
 
-def test_before_the_first_frame_that_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_until_frames_are_reconstructed_that_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     desk = Desk(FakeTime(monkeypatch))
     assert desk.look() == [(NOTE, "no frame has arrived yet.")]
     desk.graph.skin()
     assert desk.look() == [(NOTE, "no frame has arrived yet.")]
-    desk.graph.frame()
-    assert desk.look() == []
+    desk.graph.frame(upto=1)
+    assert desk.look() == []  # the first may still be under way
+    desk.graph.frame(upto=1)
+    assert desk.look() == [(BAD, "frames are sensed, none is reconstructed.")]
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "stale_s"),
-    [(0.0, 0.2), (1000.0, 0.2), (100.0, 0.2), (12.5, 0.2), (5.0, 0.5), (1.0, 2.5), (0.1, 25.0)],
-)
+@pytest.mark.parametrize(("rate_hz", "stale_s"), [(0.0, 0.2), (1000.0, 0.2), (5.0, 0.5)])
 def test_stale_is_what_is_older_than_200_ms_and_than_two_and_a_half_periods(
     monkeypatch: pytest.MonkeyPatch, rate_hz: float, stale_s: float
 ) -> None:
@@ -79,28 +78,15 @@ def test_frames_that_are_sensed_but_no_longer_reconstructed_are_stale(desk: Desk
     assert desk.look() == [(BAD, "stale: frames are sensed, none reconstructed for 0.5 s.")]
 
 
-def test_frames_that_were_never_reconstructed_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk = Desk(FakeTime(monkeypatch))
-    desk.graph.skin()
-    desk.graph.frame(upto=1)
-    assert desk.look() == []  # the first may still be under way
-    desk.graph.frame(upto=1)
-    assert desk.look() == [(BAD, "frames are sensed, none is reconstructed.")]
-
-
 def test_a_paused_graph_is_not_stale(desk: Desk) -> None:
     desk.news(node_state("sensor", commands=PAUSE, state={"paused": True}, condition="paused"))
     assert desk.look(GRAPH_S / 2) == [(NOTE, "sensor is paused.")]
     desk.news(node_state("sensor", commands=PAUSE, state={"paused": False}))
     desk.graph.frame()
     assert desk.look() == []
-
-
-def test_where_one_of_two_sources_runs_the_graph_is_not_paused(desk: Desk) -> None:
-    desk.news(
+    desk.news(  # where one of two sources runs, the graph is not paused
         node_state("left", commands=PAUSE, state={"paused": True}, condition="paused"),
         node_state("right", commands=PAUSE, state={"paused": False}),
-        node_state("compressor"),
     )
     assert (BAD, "stale: no new frame for 1.0 s.") in desk.look(1.0)
 
@@ -121,11 +107,7 @@ def test_lost_frames_are_reported_for_some_seconds(desk: Desk) -> None:
     desk.clock.advance(0.2 * RECENT_S)
     assert desk.lose(3) == []
     assert desk.lose(4) == [(BAD, "1 frame lost just now.")]
-
-
-def test_a_count_that_begins_again_is_no_loss(desk: Desk) -> None:
-    assert desk.lose(9) != []
-    assert desk.lose(0) == []
+    assert desk.lose(0) == []  # another run counts from 0
     assert desk.lose(2) == [(BAD, "2 frames lost just now.")]
 
 

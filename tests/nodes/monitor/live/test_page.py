@@ -91,14 +91,49 @@ def frames_played(page: Any, stamps_ns: list[int]) -> int:
     return sum((ns - stamps_ns[0]) / 1e9 < position_s - 1e-6 for ns in stamps_ns)
 
 
-def test_maps_change_from_frame_to_frame_and_nothing_is_asked_of_any_other_host(
-    start: StartProgram, page: Any
+def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(
+    start: StartProgram, page: Any, tmp_path: Path
 ) -> None:
-    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
+    program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
     for which in ("taxels", "reconstruction", "error"):
         before = pixels(page, which)
         wait_until(lambda: pixels(page, which) != before, f"another map of {which}")  # noqa: B023
     assert text(page, "figure h2") == "Truth Taxels (measured) Reconstruction Absolute error"
+    nothing_is_asked_of_another_host(page)
+    field = "reconstructor.iterations"
+    set_field(page, field, "7")
+    wait_until(lambda: answer(page, field) == "✓ iterations = 7", "the answer")
+    wait_until(lambda: page.find_element("id", field).get_property("value") == "7", "the new value")
+    # What the owner refuses changes nothing, and the page says why.
+    set_field(page, field, "0")
+    wait_until(lambda: answer(page, field) == "✗ iterations: 0 is outside 1..1000", "the refusal")
+    set_field(page, "compressor.m", "400")
+    wait_until(lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400")
+    page.find_element("id", "record").click()
+    wait_until(lambda: answer(page, "launch").startswith("✓ recording to"), "the recording")
+    wait_until(lambda: "Stop" in text(page, "#record"), "the button to change")
+    shown = int(drawn(page))
+    wait_until(lambda: int(drawn(page)) > shown + 10, "some frames")
+    page.find_element("id", "record").click()
+    wait_until(lambda: "messages recorded" in answer(page, "launch"), "the end of the recording")
+    (file,) = tmp_path.glob("path_40-*.mcap")
+    assert file.stat().st_size > 10_000
+    wait_until(lambda: text(page, "#liveness") == "live", "the page to say that all is well")
+    sensor = program.pid_of("sensor")
+    os.kill(sensor, signal.SIGSTOP)
+    try:
+        wait_until(lambda: "stale: no new frame for" in text(page, "#notices"), "the notice")
+        wait_until(lambda: "sensor: not answering" in text(page, "#nodes"), "the node's state")
+        assert text(page, "#liveness") == "stale"
+        assert len(page.find_elements("css selector", "#maps figure.stale")) == 4
+    finally:
+        os.kill(sensor, signal.SIGCONT)
+    wait_until(lambda: "stale" not in text(page, "#notices"), "the notice to go")
+    wait_until(lambda: text(page, "#liveness") == "live", "all to be well again")
+    assert page.find_elements("css selector", "#maps figure.stale") == []
+
+
+def nothing_is_asked_of_another_host(page: Any) -> None:
     entries = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]
     asked = [
         entry["params"]["request"]["url"]
@@ -193,46 +228,6 @@ def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
         assert not [text for text in errors if "ERR_" not in text]
 
 
-def test_a_control_changes_the_solver_and_the_page_reports_it(
-    start: StartProgram, page: Any
-) -> None:
-    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
-    field = "reconstructor.iterations"
-    wait_until(lambda: bool(page.find_elements("id", field)), "the controls")
-    set_field(page, field, "7")
-    wait_until(lambda: answer(page, field).startswith("✓"), "the answer")
-    assert answer(page, field) == "✓ iterations = 7"
-    wait_until(lambda: page.find_element("id", field).get_property("value") == "7", "the new value")
-    # What the owner refuses changes nothing, and the page says why.
-    set_field(page, field, "0")
-    wait_until(lambda: answer(page, field).startswith("✗"), "the refusal")
-    assert answer(page, field) == "✗ iterations: 0 is outside 1..1000"
-    set_field(page, "compressor.m", "99999")
-    wait_until(lambda: answer(page, "compressor.m").startswith("✗"), "the refusal")
-    assert "allowed: 1..1600" in answer(page, "compressor.m")
-    set_field(page, "compressor.m", "400")
-    wait_until(lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400")
-
-
-def test_a_stopped_sensor_is_reported_and_forgotten_when_it_is_back(
-    start: StartProgram, page: Any
-) -> None:
-    program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
-    wait_until(lambda: text(page, "#liveness") == "live", "the page to say that all is well")
-    sensor = program.pid_of("sensor")
-    os.kill(sensor, signal.SIGSTOP)
-    try:
-        wait_until(lambda: "stale: no new frame for" in text(page, "#notices"), "the notice")
-        wait_until(lambda: "sensor: not answering" in text(page, "#nodes"), "the node's state")
-        assert text(page, "#liveness") == "stale"
-        assert len(page.find_elements("css selector", "#maps figure.stale")) == 4
-    finally:
-        os.kill(sensor, signal.SIGCONT)
-    wait_until(lambda: "stale" not in text(page, "#notices"), "the notice to go")
-    wait_until(lambda: text(page, "#liveness") == "live", "all to be well again")
-    assert page.find_elements("css selector", "#maps figure.stale") == []
-
-
 def test_the_numbers_of_the_page_are_those_of_the_summary(
     start: StartProgram, page: Any, tmp_path: Path
 ) -> None:
@@ -255,22 +250,6 @@ def test_the_numbers_of_the_page_are_those_of_the_summary(
     assert text(page, '[data-tile="gain"] span') == shown
     assert text(page, '[data-tile="latency"] strong') == f"{patch['latency_ms']['p50']:.1f} ms"
     assert text(page, '[data-tile="compression"] strong') == f"{patch['ratio']:.2f} : 1"
-
-
-def test_a_recording_is_begun_and_ended_from_the_page(
-    start: StartProgram, page: Any, tmp_path: Path
-) -> None:
-    open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
-    wait_until(lambda: bool(page.find_elements("id", "record")), "the controls")
-    page.find_element("id", "record").click()
-    wait_until(lambda: answer(page, "launch").startswith("✓ recording to"), "the recording")
-    wait_until(lambda: "Stop" in text(page, "#record"), "the button to change")
-    before = int(drawn(page))
-    wait_until(lambda: int(drawn(page)) > before + 10, "some frames")
-    page.find_element("id", "record").click()
-    wait_until(lambda: "messages recorded" in answer(page, "launch"), "the end of the recording")
-    (file,) = tmp_path.glob("path_40-*.mcap")
-    assert file.stat().st_size > 10_000
 
 
 OLD_SKIN = """
