@@ -322,8 +322,7 @@ class Array(FieldKind):
         if value.dtype.kind != "f":
             return
         # The sum of squares is not finite if a value is not, or if values are huge.
-        flat = value.ravel()
-        if not math.isfinite(flat.dot(flat)) and not np.isfinite(value).all():
+        if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
             cell = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
             shown = list(cell[1:] if self.patches and len(value) == 1 else cell)
             raise NotFiniteError(f"{name}{shown}: {value[cell]} is not a finite number")
