@@ -23,12 +23,11 @@ TESTS = (
     "tests/nodes/reconstructor/solvers",
 )
 IGNORED = (
-    "*/test_fast_operators.py",
     *("*/phi/test_a*.py", "*/phi/test_quadtree.py", "*/phi/test_rotation.py"),
     *("*/phi/test_stored.py", "*/phi/test_wired.py", "*/skin/test_adaptive_skin.py"),
     *("*/solvers/test_finite.py", "*/solvers/test_interpolation.py"),
 )
-"""Tests of compiled operators and of the choice of rows, which call no BLAS, and those whose bounds
+"""Tests of the choice of rows, which call no BLAS, and those whose bounds
 are far beyond rounding."""
 
 

@@ -74,10 +74,7 @@ WANTED_PERCENT = 90
 #: Tests of a module, where they are elsewhere.
 TESTS_OF = {
     "nodes/compressor/quantiser.py": ("tests/messages",),
-    "nodes/compressor/phi/sbhe.py": (
-        "tests/nodes/compressor/phi",
-        "tests/nodes/reconstructor/bases/test_fast_operators.py",
-    ),
+    "nodes/compressor/phi/sbhe.py": ("tests/nodes/compressor/phi",),
     "nodes/network/peers.py": ("tests/nodes/network",),
 }
 #: Exit codes of the tests under a mutant: passed, or no test reached it.

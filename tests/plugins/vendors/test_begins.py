@@ -69,9 +69,7 @@ def test_a_file_cut_anywhere_is_refused_or_loses_whole_frames(name: str, tmp_pat
     assert name != "hand.asf" or n_read == 0  # it has an end mark
 
 
-@settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(list(TEXTS)), data=st.data())
 def test_damaged_files_give_what_a_source_promises_or_are_refused(
     name: str, data: st.DataObject, tmp_path: Path

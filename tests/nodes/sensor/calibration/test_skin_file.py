@@ -103,7 +103,7 @@ def skins(draw: st.DrawFn) -> SkinDescription:
 
 
 @given(skin=skins())
-@settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow])
 def test_what_is_written_is_read_again(
     tmp_path_factory: pytest.TempPathFactory, skin: SkinDescription
 ) -> None:
@@ -244,7 +244,6 @@ def test_a_pipe_a_folder_and_no_file_are_refused_at_once(tmp_path: Path) -> None
 
 
 @given(raw=st.binary(max_size=300))
-@settings(max_examples=50)
 def test_any_bytes_are_a_skin_or_refused(
     tmp_path_factory: pytest.TempPathFactory, raw: bytes
 ) -> None:

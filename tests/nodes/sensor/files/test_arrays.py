@@ -223,9 +223,7 @@ class TestPlainCsv:
 
 
 class TestAnyBytes:
-    @settings(
-        max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-    )
+    @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(data=st.data(), suffix=st.sampled_from(["npy", "npz", "csv"]))
     def test_random_and_mutated_files_never_raise_anything_else(
         self, tmp_path: Path, data: st.DataObject, suffix: str
