@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from . import extensions
@@ -38,8 +37,3 @@ def node_class(type_name: str) -> type[Node[Any]]:
     if not (isinstance(cls, type) and issubclass(cls, Node)):
         raise SettingsError(f'type "{type_name}": not a subclass of sparseskin.nodes.node.Node')
     return cls
-
-
-def make_settings(cls: type[Node[Any]], values: Mapping[str, Any]) -> Any:
-    """Make the settings of a node class from names and values, or raise SettingsError."""
-    return cls.Settings.from_mapping(values)

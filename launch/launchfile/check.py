@@ -16,7 +16,7 @@ from sparseskin.nodes.graph import Link, join
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.process.scheduling import Scheduling
-from sparseskin.nodes.registry import make_settings, node_class
+from sparseskin.nodes.registry import node_class
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
@@ -222,7 +222,7 @@ class Checker:
         right, decided = dict(values), True
         while True:
             try:
-                settings = make_settings(cls, right)
+                settings = cls.Settings.from_mapping(right)
                 if decided:
                     self.check_settings(name, settings)
             except SparseskinError as error:

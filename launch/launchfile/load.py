@@ -11,7 +11,7 @@ from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean, search_in
-from sparseskin.nodes.registry import make_settings, node_class
+from sparseskin.nodes.registry import node_class
 from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 
 from . import BUNDLED as BUNDLED
@@ -29,7 +29,7 @@ def single_node(name: str, type_name: str, values: dict[str, Any]) -> LaunchFile
     Raises SparseskinError if a setting is not allowed.
     """
     cls = node_class(type_name)
-    settings = make_settings(cls, values)
+    settings = cls.Settings.from_mapping(values)
     settings.check()
     spec = NodeSpec(name, type_name, cls, values, settings)
     return LaunchFile(name, "", "ipc", {name: spec}, [])

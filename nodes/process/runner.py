@@ -23,7 +23,7 @@ from sparseskin.nodes.network.network import Network
 from sparseskin.nodes.network.sockets import FAREWELL_MS, Peer, Reader, make_context
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.node_host import NodeHost
-from sparseskin.nodes.registry import make_settings, node_class
+from sparseskin.nodes.registry import node_class
 
 from .backlog import Backlog
 from .control import Control, ControlClient
@@ -64,7 +64,7 @@ class Runner:
         if folder := config.get("folder"):
             search_in(folder)
         cls = node_class(config["type"])
-        settings = make_settings(cls, config["settings"])
+        settings = cls.Settings.from_mapping(config["settings"])
         late = bool(config.get("late"))
         self.backlog: Backlog | None = None
         context = Context(

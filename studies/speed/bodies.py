@@ -13,7 +13,7 @@ from sparseskin.messages import Message, decode, encode
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.process.proc import own_bytes
-from sparseskin.nodes.registry import make_settings, node_class
+from sparseskin.nodes.registry import node_class
 
 WARM_UP = 24
 """Frames before those that are timed: a patch is idle after 12, and solvers adapt; chosen."""
@@ -67,7 +67,7 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
 def made_node(type_name: str, values: dict[str, Any]) -> Any:
     """Make a node of a type with settings, without sockets."""
     cls = node_class(type_name)
-    return cls(make_settings(cls, values), Context(type_name, ManualClock(1)))
+    return cls(cls.Settings.from_mapping(values), Context(type_name, ManualClock(1)))
 
 
 def timed_step(

@@ -32,7 +32,7 @@ from sparseskin.nodes.node import Node
 from sparseskin.nodes.node_host import is_latched
 from sparseskin.nodes.process.proc import resident_bytes
 from sparseskin.nodes.reconstructor.node import Reconstructor
-from sparseskin.nodes.registry import make_settings, node_class, node_types
+from sparseskin.nodes.registry import node_class, node_types
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.settings import Settings
 
@@ -146,7 +146,7 @@ class Harness:
         self.topics = topics
         self.streams = [topic for topic in topics if not is_latched(topic)]
         cls = node_class(type_name)
-        spec = NodeSpec(type_name, type_name, cls, values, make_settings(cls, values))
+        spec = NodeSpec(type_name, type_name, cls, values, cls.Settings.from_mapping(values))
         settings = {"name": type_name, "type": type_name, "settings": values, "endpoint": ANY}
         joined = {"readers": [], "inputs": topics, "offset_ns": wall_offset_ns()}
         self.node = NodeProcess(spec, {**settings, **joined, "max_frames": None})
@@ -228,7 +228,7 @@ def test_hostile_messages_and_subscriptions_end_no_process(
     sound = sound_messages(tmp_path, SOUND_RUN, N_SOUND)
     cls = node_class(type_name)
     values = {"out": str(tmp_path / "fuzz.mcap")} if type_name == "recorder" else {}
-    topics = list(cls.inputs(make_settings(cls, {})))
+    topics = list(cls.inputs(cls.Settings.from_mapping({})))
     if "*" in topics:
         topics = list(dict.fromkeys(message.topic for message in sound))
     models = [m for m in sound_messages(tmp_path, HOSTILE_RUN, 1) if m.topic in topics]
@@ -267,4 +267,4 @@ def test_settings_of_any_value_are_accepted_or_refused() -> None:
         for setting in cls.Settings.described():
             for value in (*values, rng.bytes(8).hex()):
                 with contextlib.suppress(SparseskinError):
-                    make_settings(cls, {setting["key"]: value})
+                    cls.Settings.from_mapping({setting["key"]: value})
