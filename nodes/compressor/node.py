@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -33,12 +31,9 @@ from sparseskin.nodes.compressor.phi.rotation import (
     row_subsets,
     rows_and_m,
 )
-from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.numerics.compiled import ENVIRONMENT, use_compiled
-from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .limits import compression_warnings
@@ -148,12 +143,6 @@ class Compressor(Node[CompressorSettings]):
     def __init__(self, settings: CompressorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        # numba takes a second to import, for which the start of a graph is not to wait: it is used
-        # where it is loaded already, or asked for. The measurements are the same to the bit.
-        wanted = "numba" in sys.modules or os.environ.get(ENVIRONMENT) == "on"
-        self._compiled = wanted and settings.phi == "sbhe" and use_compiled("auto")
-        if self._compiled:
-            compile_loops("phi", "auto", context.log)
         self._state: SkinState | None = None
         self._subsets: list[Phi] = []  # one matrix a row subset
         self._subset = 0
@@ -228,9 +217,6 @@ class Compressor(Node[CompressorSettings]):
         rows, _ = s.rows_and_m(state.skin.n_taxels)
         subsets = s.phis(state.skin, state.sigma_end, state.clips_noise)
         phi = subsets[0]
-        for one in subsets:
-            if self._compiled and is_sbhe(one):
-                one.compile()
         self._warn(phi)
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)

@@ -21,8 +21,8 @@ FAST = ("auto", "on", "off")
 ENVIRONMENT = "SPARSESKIN_FAST"
 """Environment variable that replaces "auto": "off" for numpy alone."""
 
-SOLVERS = ("skin", "fista", "phi")
-"""Solvers that have compiled loops; and Phi."""
+SOLVERS = ("skin", "fista")
+"""Solvers that have compiled loops."""
 MAX_PLACES = 2**16
 """Cells up to which tables hold places in 16 bits, half the room in the cache."""
 

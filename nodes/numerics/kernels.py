@@ -6,8 +6,7 @@ must not change without it.
 Vectors are float32 and contiguous. A dealt vector holds the taxels in the order of the scrambled
 block Hadamard ensemble, the blocks of one size interleaved: element j of block b is at
 j * count + b, so that a butterfly is one sum and one difference of long runs. `groups` states
-where the blocks of each size are, int64 (k, 3): start, size, count. A tiled vector holds a grid
-so that the four samples of a 2 x 2 square are a quarter of the vector apart, see `halve`.
+where the blocks of each size are, int64 (k, 3): start, size, count.
 """
 
 from __future__ import annotations
@@ -22,15 +21,13 @@ from .compiled import compiled
 A: TypeAlias = Any
 """An array; mypy and numba read its type differently."""
 
-_ROOT_2 = np.sqrt(2.0)
+_ROOT_2 = np.float32(np.sqrt(2.0))
 
 # Types of signatures: vector, matrix, places in 32 and in 16 bits and tables of them, groups, grid,
 # numbers.
 V, M, P, S = "float32[::1]", "float32[:,::1]", "uint32[::1]", "uint16[::1]"
-P2, S2 = "uint32[:,::1]", "uint16[:,::1]"
+P2 = "uint32[:,::1]"
 G, L, D = "int64[:,::1]", "int64[::1]", "float64[::1]"
-#: A vector that may be read-only.
-R = "Array(float32, 1, 'C', True)"
 
 
 @compiled()
@@ -55,145 +52,71 @@ def hadamard(v: A, groups: A) -> None:
 
 
 @compiled()
-def butterflies(v: A, start: int, run: int, stop: int) -> None:
-    """Sums and differences of partners that are `run` apart, in place."""
-    for base in range(start, stop, 2 * run):
-        a, b = v[base : base + run], v[base + run : base + 2 * run]
-        for k in range(run):
-            a[k], b[k] = a[k] + b[k], a[k] - b[k]
+def haar(v: A, n_rows: int, n_cols: int, half: A) -> None:
+    """Haar transform at full depth of a grid of any sides, row by row, in place.
 
-
-@compiled(f"void({P}, {G}, {P}, {V}, {V}, {R}, {V})")
-def measure(deal: A, groups: A, places: A, scale: A, v: A, x: A, y: A) -> None:
-    """y = Phi x, with the sums of `SbhePhi` in its order: the same bits.
-
-    deal: taxel of each place of the dealt vector v; places: place of each measurement in it.
+    Sums and differences are not scaled; a sample without a partner is multiplied by sqrt(2), as
+    large as the sums of the others. `half` is scratch, as long as v.
     """
-    for p in range(v.size):
-        v[p] = x[deal[p]]
-    for g in range(groups.shape[0]):
-        start, size, count = groups[g, 0], groups[g, 1], groups[g, 2]
-        stop = start + size * count
-        if size > 1:
-            butterflies(v, start, count, stop)
-        run = size * count // 2
-        while run > count:
-            butterflies(v, start, run, stop)
-            run //= 2
-    for i in range(y.size):
-        y[i] = v[places[i]] * scale[i]
-
-
-@compiled()
-def halve(v: A, levels: int) -> None:
-    """Haar steps of a tiled vector along both axes, in place: sums and differences, not scaled."""
-    part = v.size
-    for _ in range(levels):
-        q = part // 4
-        a, b, c, d = v[:q], v[q : 2 * q], v[2 * q : 3 * q], v[3 * q : part]
-        for k in range(q):
-            s, t = a[k] + c[k], b[k] + d[k]
-            u, w = a[k] - c[k], b[k] - d[k]
-            a[k], b[k], c[k], d[k] = s + t, s - t, u + w, u - w
-        part = q
-
-
-@compiled()
-def double(v: A, levels: int) -> None:
-    """The transpose of `halve`."""
-    for level in range(levels - 1, -1, -1):
-        part = v.size >> (2 * level)
-        q = part // 4
-        a, b, c, d = v[:q], v[q : 2 * q], v[2 * q : 3 * q], v[3 * q : part]
-        for k in range(q):
-            s, t = a[k] + b[k], a[k] - b[k]
-            u, w = c[k] + d[k], c[k] - d[k]
-            a[k], b[k], c[k], d[k] = s + u, t + w, s - u, t - w
-
-
-@compiled()
-def split_line(v: A, at: int, step: int, n: int, scratch: A) -> None:
-    """One level of Haar of n samples, `step` apart from place `at` on, in place; not scaled.
-
-    A sample without a partner is multiplied by sqrt(2), as large as the sums of the others.
-    """
-    half, left = n // 2, n - n // 2
-    for k in range(n):
-        scratch[k] = v[at + k * step]
-    for k in range(half):
-        a, b = scratch[2 * k], scratch[2 * k + 1]
-        v[at + k * step] = a + b
-        v[at + (left + k) * step] = a - b
-    if left > half:
-        v[at + half * step] = _ROOT_2 * scratch[n - 1]
-
-
-@compiled()
-def join_line(v: A, at: int, step: int, n: int, scratch: A) -> None:
-    """The transpose of `split_line`."""
-    half, left = n // 2, n - n // 2
-    for k in range(n):
-        scratch[k] = v[at + k * step]
-    for k in range(half):
-        s, d = scratch[k], scratch[left + k]
-        v[at + 2 * k * step] = s + d
-        v[at + (2 * k + 1) * step] = s - d
-    if left > half:
-        v[at + (n - 1) * step] = _ROOT_2 * scratch[half]
-
-
-@compiled()
-def pyramid(v: A, n_rows: int, n_cols: int, scratch: A) -> None:
-    """Haar transform at full depth of a grid of any sides, row by row, in place; not scaled."""
     rows, cols = n_rows, n_cols
     while rows > 1 or cols > 1:
-        if rows > 1:
+        left_rows, left_cols = (rows + 1) // 2, (cols + 1) // 2
+        for i in range(rows // 2):
+            a, b = v[2 * i * n_cols :][:cols], v[(2 * i + 1) * n_cols :][:cols]
+            s, d = half[i * n_cols :][:cols], half[(left_rows + i) * n_cols :][:cols]
             for j in range(cols):
-                split_line(v, j, n_cols, rows, scratch)
-        if cols > 1:
-            for i in range(rows):
-                split_line(v, i * n_cols, 1, cols, scratch)
-        rows, cols = (rows + 1) // 2, (cols + 1) // 2
+                s[j], d[j] = a[j] + b[j], a[j] - b[j]
+        if rows % 2:
+            a, s = v[(rows - 1) * n_cols :][:cols], half[(left_rows - 1) * n_cols :][:cols]
+            for j in range(cols):
+                s[j] = _ROOT_2 * a[j]
+        for i in range(rows):
+            a, s = half[i * n_cols :][:cols], v[i * n_cols :][:cols]
+            d = s[left_cols:]
+            for j in range(d.size):
+                s[j], d[j] = a[2 * j] + a[2 * j + 1], a[2 * j] - a[2 * j + 1]
+            if cols % 2:
+                s[left_cols - 1] = _ROOT_2 * a[cols - 1]
+        rows, cols = left_rows, left_cols
 
 
 @compiled()
-def unpyramid(v: A, n_rows: int, n_cols: int, scratch: A) -> None:
-    """The transpose of `pyramid`."""
+def haar_transposed(v: A, n_rows: int, n_cols: int, half: A) -> None:
+    """The transpose of `haar`."""
     depth = 0
     while (n_rows - 1) >> depth or (n_cols - 1) >> depth:
         depth += 1
     for level in range(depth - 1, -1, -1):
         # Sides at a level: n / 2^level, rounded up.
         rows, cols = ((n_rows - 1) >> level) + 1, ((n_cols - 1) >> level) + 1
-        if cols > 1:
-            for i in range(rows):
-                join_line(v, i * n_cols, 1, cols, scratch)
-        if rows > 1:
+        left_rows, left_cols = (rows + 1) // 2, (cols + 1) // 2
+        for i in range(rows):
+            a, s = half[i * n_cols :][:cols], v[i * n_cols :][:cols]
+            d = s[left_cols:]
+            for j in range(d.size):
+                a[2 * j], a[2 * j + 1] = s[j] + d[j], s[j] - d[j]
+            if cols % 2:
+                a[cols - 1] = _ROOT_2 * s[left_cols - 1]
+        for i in range(rows // 2):
+            a, b = v[2 * i * n_cols :][:cols], v[(2 * i + 1) * n_cols :][:cols]
+            s, d = half[i * n_cols :][:cols], half[(left_rows + i) * n_cols :][:cols]
             for j in range(cols):
-                join_line(v, j, n_cols, rows, scratch)
-
-
-@compiled(sums_in_any_order=True)
-def dot(a: A, b: A) -> Any:
-    """Product of two vectors, float32."""
-    total = np.float32(0)
-    for k in range(a.size):
-        total += a[k] * b[k]
-    return total
+                a[j], b[j] = s[j] + d[j], s[j] - d[j]
+        if rows % 2:
+            a, s = v[(rows - 1) * n_cols :][:cols], half[(left_rows - 1) * n_cols :][:cols]
+            for j in range(cols):
+                a[j] = _ROOT_2 * s[j]
 
 
 def _fista(
     theta: A, before: A, betas: A, weights2: A, threshold: A, z: A, v: A, deal: A, keep: A,
-    measured: A, groups: A, grid: A, scratch: A,
+    measured: A, groups: A, grid: A, half: A,
 ) -> None:  # fmt: skip
     """Iterations of FISTA, one for each of betas; the two thetas alternate, the first is newest."""
-    levels, n_rows, n_cols = grid[0], grid[1], grid[2]
-    rest = z[: n_rows * n_cols]
     for beta in betas:
         for k in range(z.size):
             z[k] = theta[k] + beta * (theta[k] - before[k])
-        unpyramid(rest, n_rows, n_cols, scratch)
-        double(z, levels)
+        haar_transposed(z, grid[0], grid[1], half)
         for p in range(deal.size):
             v[p] = z[deal[p]]
         hadamard(v, groups)
@@ -202,8 +125,7 @@ def _fista(
         hadamard(v, groups)
         for p in range(deal.size):
             z[deal[p]] = v[p]
-        halve(z, levels)
-        pyramid(rest, n_rows, n_cols, scratch)
+        haar(z, grid[0], grid[1], half)
         for k in range(z.size):
             u = weights2[k] * z[k]
             before[k] = u - min(max(u, -threshold[k]), threshold[k])
@@ -216,14 +138,10 @@ fista, fista_large = (
 )
 
 
-@compiled(f"void({V}, {P}, {L}, {V}, {V}, {V})")
-def tiled_image(w: A, order: A, grid: A, v: A, scratch: A, image: A) -> None:
-    """Image of Haar coefficients w of a tiled vector; element p of it is pixel order[p]."""
-    v[:] = w
-    unpyramid(v[: grid[1] * grid[2]], grid[1], grid[2], scratch)
-    double(v, grid[0])
-    for p in range(v.size):
-        image[order[p]] = v[p]
+@compiled(f"void({V}, {L}, {V})")
+def haar_image(v: A, grid: A, half: A) -> None:
+    """Replace Haar coefficients, of the scale of `haar`, by their image."""
+    haar_transposed(v, grid[0], grid[1], half)
 
 
 @compiled()
@@ -466,11 +384,10 @@ def skin_step(
 
 
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
-    "phi": (measure,),
     "skin": (orthonormal, skin_predict, skin_filter, skin_step),
-    "fista": (fista, tiled_image),
+    "fista": (fista, haar_image),
 }
-"""Loops of each solver, by its name, and of "phi".
+"""Loops of each solver, by its name.
 
 Beyond `MAX_PLACES` cells solvers have others, with larger tables.
 """

@@ -19,9 +19,8 @@ from .compiled import (
 )
 
 
-def compile_loops(solver: str, fast: str, log: Callable[[str], None], *more: str) -> None:
-    """Compile the loops of a solver, and of `more` parts of its node, now, or read them from disk,
-    so that no frame waits for it.
+def compile_loops(solver: str, fast: str, log: Callable[[str], None]) -> None:
+    """Compile the loops of a solver now, or read them from disk, so that no frame waits for it.
 
     Nothing is done for a solver without any, or where `use_compiled` is False, with Raises as
     there. `log` receives a line of text before anything is compiled (where nothing is on disk,
@@ -40,8 +39,7 @@ def compile_loops(solver: str, fast: str, log: Callable[[str], None], *more: str
     if use_compiled(fast):
         from .kernels import LOOPS  # needs numba
 
-        loops = [loop for name in (solver, *more) for loop in LOOPS[name]]
-        ready(*loops, log=log, begin_s=begin_s if logged else None)
+        ready(*LOOPS[solver], log=log, begin_s=begin_s if logged else None)
     elif logged:
         log("compiled loops: numba cannot be imported; numpy is used")
 

@@ -22,7 +22,6 @@ from sparseskin.nodes.compressor.phi.acts import ActsPhi, follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
 from sparseskin.nodes.compressor.phi.base import Phi, is_built_in, make_phi
 from sparseskin.nodes.compressor.phi.rotation import block_and_rule, row_subsets
-from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import (
     PhiError,
     RefusedError,
@@ -32,7 +31,6 @@ from sparseskin.nodes.errors import (
 )
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.numerics.compiled import SOLVERS, use_compiled
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate
@@ -59,7 +57,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        compile_loops(settings.chosen()["solver"], settings.fast, context.log, "phi")
+        compile_loops(settings.chosen()["solver"], settings.fast, context.log)
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
@@ -184,10 +182,6 @@ class Reconstructor(Node[ReconstructorSettings]):
                 patch.set_up(*of_skin, alike=first)
         finally:
             self._log.setting_up = False
-        if chosen["solver"] in SOLVERS and use_compiled(self.settings.fast):
-            for one in subsets:
-                if is_sbhe(one):
-                    one.compile()
         self._subsets = {one.fingerprint: one for one in subsets}
         self._state_noise()
         self._idle = None

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
-from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.programs import run
 
 from .base import BLOCK, RANDOM, SPREAD, Phi, fingerprint_of
-from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, side_by_side
+from .hadamard import BlockHadamard, block_sizes, hadamard_matrix
 from .rotation import RotatingPhi, split_evenly
 
 
@@ -97,7 +95,6 @@ class SbhePhi(RotatingPhi):
     def _keep(self, rows: Indices) -> None:
         rows.setflags(write=False)
         self.rows: Indices = rows
-        self._compiled: Callable[[Floats, Floats], None] | None = None
         self.fingerprint = fingerprint_of(
             self.kind, self.n, self.m, self.block, self.permutation, rows
         )
@@ -124,20 +121,7 @@ class SbhePhi(RotatingPhi):
             start += size
         return matrix
 
-    def compile(self) -> None:
-        """Compute `forward` in a compiled loop from now on: the same bits; needs numba."""
-        from sparseskin.nodes.numerics.kernels import measure
-
-        ready(measure)
-        columns, groups = side_by_side(self.sizes)
-        deal = self.permutation[columns].astype(np.uint32)
-        places = np.argsort(columns)[self.rows].astype(np.uint32)
-        self._compiled = partial(measure, deal, groups, places, self.scale, self._v)
-
     def _forward(self, x: Floats, out: Floats) -> None:
-        if self._compiled is not None:
-            self._compiled(x, out)
-            return
         x.take(self._deal, None, self._v, "clip")
         run(self._transform)
         self._v.take(self._places, None, out, "clip")
