@@ -163,11 +163,19 @@ class Stream:
         ------
         SparseskinError
             If the frame has another shape; it is not counted.
+        ValueError
+            If a reading is not finite; the frame is not counted.
         """
         forces = np.asarray(frame, dtype=np.float32)
         if forces.shape != self._skin.shape:
             expected = f"expected {self._skin.shape}"
             raise SparseskinError(f"stream: the frame has shape {forces.shape}; {expected}")
+        bad = self._skin.exists & ~np.isfinite(forces)
+        if bad.any():
+            row, col = np.argwhere(bad)[0]
+            raise ValueError(
+                f"stream: taxel ({row}, {col}) reads {forces[row, col]}; allowed: finite numbers"
+            )
         phi = self._phis[self._n_compressed % len(self._phis)]
         self._n_compressed += 1
         return phi.forward(forces[self._skin.exists])

@@ -124,6 +124,10 @@ def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does
     y = [other.compress(frame) for frame in FRAMES]
     with pytest.raises(SparseskinError, match=r"^stream: the frame has shape \(7, 8, 8\); exp"):
         stream.compress(FRAMES)
+    spoilt = FRAMES[0].copy()
+    spoilt[2, 5] = np.nan
+    with pytest.raises(ValueError, match=r"^stream: taxel \(2, 5\) reads nan; allowed: finite"):
+        stream.compress(spoilt)
     np.testing.assert_array_equal(stream.compress(FRAMES[0]), y[0])
     with pytest.raises(SolverError, match="measurement 0 is nan"):
         stream.reconstruct(np.full(22, np.nan, np.float32))

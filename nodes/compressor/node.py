@@ -21,6 +21,7 @@ from sparseskin.nodes.compressor.phi.base import (
     phi_class,
 )
 from sparseskin.nodes.compressor.phi.rotation import (
+    FIXED,
     PAPER,
     RATIO,
     ROTATING,
@@ -214,8 +215,8 @@ class Compressor(Node[CompressorSettings]):
     def _learn_skin(self, state: SkinState, stamp_ns: int) -> PhiState:
         """Make Phi for a skin; return its description, valid from `stamp_ns` on."""
         s = self.settings
-        rows, _ = s.rows_and_m(state.skin.n_taxels)
         subsets = s.phis(state.skin, state.sigma_end, state.clips_noise)
+        rows = ROTATING if len(subsets) > 1 else FIXED
         phi = subsets[0]
         self._warn(phi)
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows

@@ -20,7 +20,7 @@ from sparseskin.messages import (
 )
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
-from sparseskin.nodes.compressor.phi.base import Phi, is_built_in, make_phi
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import block_and_rule, row_subsets
 from sparseskin.nodes.errors import (
     PhiError,
@@ -360,21 +360,16 @@ def phis_to_invert(
         phi = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, **chosen)
         layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         return row_subsets(phi, rows)
-    # Nothing named over the wire is ever imported: a Phi of the user's own has to be stated.
-    if not is_built_in(announced.kind):
-        raise RefusedError(
-            f"{announced.topic}: phi '{announced.kind}' is not built in; "
-            "state it as the reconstructor's phi"
-        )
     if announced.n != n:
         raise RefusedError(f"{announced.topic}: for {announced.n} taxels; the skin has {n}")
     try:
+        s.check_phi(announced.kind)
         phi = make_phi(
             *(announced.kind, n, announced.m, announced.seed, announced.block, announced.rule)
         )
         layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
         subsets = row_subsets(phi, announced.rows)
-    except PhiError as error:
+    except (PhiError, SettingsError) as error:
         raise RefusedError(f"{announced.topic}: {error}") from error
     if subsets[0].fingerprint != announced.fingerprint:
         raise RefusedError(

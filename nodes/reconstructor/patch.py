@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sparseskin.messages import PhiState, SkinState
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.trust import TrustLog
-from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
+from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch
 from sparseskin.nodes.reconstructor.solvers.base import (
     Solver,
@@ -114,8 +113,10 @@ class Patch:
         self.most_steps = most_steps
         self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
         self._trust_log.begin(len(subsets))
-        self._uncertainty = self._make_uncertainty(solver, phi, announced.rows)
-        if self.settings.resultant:
+        if settings.uncertainty:
+            name = chosen["solver"]
+            self._uncertainty = Uncertainty(solver.mask, phi.ratio, name, announced.rows, phi.rule)
+        if settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
         # Another Phi or solver in the middle of a stream starts from the last estimate.
         if self._last is not None and self._last.shape != skin.shape:
@@ -152,20 +153,6 @@ class Patch:
         """Hand the noise that the skin states to the solver."""
         if isinstance(self.solver, Solver):
             self.solver.noise_sd = skin.least_sd
-
-    def _make_uncertainty(self, solver: Solver, phi: Phi, rows: str) -> Uncertainty | None:
-        if not self.settings.uncertainty:
-            return None
-        name = self.settings.chosen()["solver"]
-        adaptive = isinstance(phi, AdaptivePhi)
-        if name in CALIBRATED and not adaptive:
-            return Uncertainty(solver.mask, phi.ratio, name, rows, phi.rule)
-        what = f"{name} with phi adaptive" if adaptive else name
-        self.log(
-            f"uncertainty: the error of solver {what} is not known, and none is published; "
-            f"known: {', '.join(CALIBRATED)}"
-        )
-        return None
 
     def read(self, phi: Phi, y: Floats, watched: bool) -> None:
         """Begin a frame: its measurements, float32 (m,), newtons. `watched` is False if each frame

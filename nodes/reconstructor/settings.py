@@ -16,6 +16,7 @@ from sparseskin.nodes.lookup import did_you_mean, find_class, nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
 from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import RESULTANT_SOLVERS
+from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED
 from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
@@ -148,6 +149,12 @@ class ReconstructorSettings(PatchesSettings):
         if self.phi != ANNOUNCED:
             with naming("phi"):
                 phi_class(self.phi)
+        for key in ("phi_m", "phi_block", "phi_seed", "phi_rows"):
+            if self.phi == ANNOUNCED and getattr(self, key):
+                raise SettingsError(
+                    f"{key}: has no effect on the Phi that the compressor announces; allowed: to "
+                    "leave it out, or to state phi, too"
+                )
         if self.preset not in PRESETS:
             raise SettingsError(
                 f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}; "
@@ -159,11 +166,15 @@ class ReconstructorSettings(PatchesSettings):
         with naming("solver"):
             solver = find_class("solver", chosen["solver"], SOLVERS, SolverError)
         self._check_known_to(solver)
-        if self.resultant and chosen["solver"] not in RESULTANT_SOLVERS:
-            raise SettingsError(
-                f"resultant: is not available with solver {chosen['solver']}, whose frames are "
-                f"biased; allowed: {', '.join(RESULTANT_SOLVERS)}"
-            )
+        for key, why, known in (
+            ("resultant", "frames are biased", RESULTANT_SOLVERS),
+            ("uncertainty", "error is not known", CALIBRATED),
+        ):
+            if getattr(self, key) and chosen["solver"] not in known:
+                raise SettingsError(
+                    f"{key}: is not available with solver {chosen['solver']}, whose {why}; "
+                    f"allowed: {', '.join(known)}"
+                )
 
     def _check_known_to(self, solver: Callable[..., Any]) -> None:
         name = self.chosen()["solver"]
@@ -199,7 +210,7 @@ class ReconstructorSettings(PatchesSettings):
         """
         if self.phi != ANNOUNCED:
             kind = self.phi
-        elif not is_built_in(kind):
+        elif not is_built_in(kind):  # nothing named over the wire is ever imported
             raise SettingsError(
                 f"phi: the compressor's '{kind}' is not built in, and is not imported because a "
                 f"message names it; state phi = '{kind}' here too, its M as phi_m (default: "
@@ -211,11 +222,12 @@ class ReconstructorSettings(PatchesSettings):
         if isinstance(phi, type):
             with naming("solver"):
                 check_reads(chosen, solver, kind, phi)
-            if self.resultant and issubclass(phi, AdaptivePhi):
-                raise SettingsError(
-                    "resultant: is not available with phi adaptive, whose rows change each frame; "
-                    "allowed: sbhe"
-                )
+            for key in ("resultant", "uncertainty"):
+                if getattr(self, key) and issubclass(phi, AdaptivePhi):
+                    raise SettingsError(
+                        f"{key}: is not available with phi adaptive, whose rows change each frame; "
+                        "allowed: sbhe"
+                    )
 
     def stated_rows_and_m(self, n: int) -> tuple[str, int] | None:
         """Rows and M of a stated phi for `n` taxels, those of a compressor with the same settings.

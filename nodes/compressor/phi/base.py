@@ -160,9 +160,9 @@ class Phi(ABC):
     def _lay_out(self, exists: Mask) -> None:  # noqa: B027
         """Arrange the rows by the grid, where the kind depends on it."""
 
-    @abstractmethod
     def dense(self) -> npt.NDArray[np.float64]:
-        """Return the explicit matrix, float64, shape (m, n), built from its definition."""
+        """Return the explicit matrix, float64, shape (m, n): by default row by row by `adjoint`."""
+        return self.adjoint(np.eye(self.m, dtype=np.float32)).astype(np.float64)
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments of `make_phi` that make it again."""

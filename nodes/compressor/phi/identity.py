@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices
@@ -28,10 +27,6 @@ class FullPhi(Phi):
         if m != n:
             raise PhiError(f'phi "full": m = {m} is not allowed; allowed: {n} (every taxel)')
         self.fingerprint = fingerprint_of(self.kind, n, m, 1)
-
-    def dense(self) -> npt.NDArray[np.float64]:
-        """Return the explicit matrix, float64, shape (n, n)."""
-        return np.eye(self.n)
 
     def _forward(self, x: Floats, out: Floats) -> None:
         np.copyto(out, x)
@@ -65,12 +60,6 @@ class SubsamplePhi(RotatingPhi):
         rows.setflags(write=False)
         self.rows: Indices = rows
         self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, rows)
-
-    def dense(self) -> npt.NDArray[np.float64]:
-        """Return the explicit matrix, float64, shape (m, n)."""
-        matrix = np.zeros((self.m, self.n))
-        matrix[np.arange(self.m), self.rows] = 1
-        return matrix
 
     def _forward(self, x: Floats, out: Floats) -> None:
         x.take(self.rows, None, out, "clip")

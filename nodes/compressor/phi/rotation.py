@@ -64,7 +64,7 @@ def rows_and_m(
     if kind.startswith(STORED) and m is None:
         from .stored import load_matrices
 
-        m = load_matrices(kind.removeprefix(STORED))[0][3][0]
+        m = load_matrices(kind.removeprefix(STORED))[0].shape[0]
     if rows is None:
         made_by = phi_class(kind)
         rotating_m = m_of(n, ratio, ROTATING) if m is None else m

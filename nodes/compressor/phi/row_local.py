@@ -89,29 +89,20 @@ class RowLocalPhi(RotatingPhi):
         self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, self.patterns, rows)
 
     def row_subsets(self) -> list[Phi]:
-        """As in `RotatingPhi`; every subset has the pattern of all columns."""
+        """As in `RotatingPhi`; every subset has the pattern of all columns: with M = n_rows there
+        is one subset.
+        """
         n_rows = self.shape[0]
         if self.m == n_rows:
-            raise PhiError(
-                f'rows: "rotating" is not allowed for m = {self.m}; allowed: more than {n_rows}, '
-                "one pattern of all columns"
-            )
+            return [self]
         all_columns, others = self._order[:n_rows], self._order[n_rows:]
-        parts = split_rows(others, min(self.m - n_rows, others.size)) if others.size else [others]
+        parts = split_rows(others, self.m - n_rows)
         return self._twins([np.concatenate([all_columns, part]) for part in parts])
 
     @property
     def lipschitz(self) -> float:
         """Largest eigenvalue of B B^T of all patterns, rounded up: 1 for powers of two."""
         return self._lipschitz
-
-    def dense(self) -> npt.NDArray[np.float64]:
-        """Return the explicit matrix, float64, shape (m, n)."""
-        n_rows, n_cols = self.shape
-        matrix = np.zeros((self.m, n_rows, n_cols))
-        for measurement, row in zip(matrix, self.rows, strict=True):
-            measurement[row % n_rows] = self.patterns[row // n_rows]
-        return matrix.reshape(self.m, self.n)
 
     def _forward(self, x: Floats, out: Floats) -> None:
         # einsum adds in numpy, always in one order; the order of a matmul depends on the BLAS.

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.nodes.errors import PhiError
@@ -24,16 +25,13 @@ MAX_ARRAY_BYTES = 1 << 29
 """Largest size of its arrays together."""
 MAX_ENTRY = 1e6
 """Largest size of an entry."""
+FULL_PART = 0.25
+"""Part of the entries beyond which a product with the full matrix is faster (timed)."""
 N_POWER_STEPS = 200
 MARGIN = 1.02
 """Factor on the eigenvalue that the power method finds, which is never too large. Chosen: a solver
 diverges where it is 4/3 of `lipschitz`."""
 _NAMES = ("indices", "indptr", "data", "shape", "format")
-
-
-Loaded = tuple[
-    npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.float32], tuple[int, int]
-]
 
 
 class StoredPhi(Phi):
@@ -57,7 +55,7 @@ class StoredPhi(Phi):
     @classmethod
     def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
         super().check_size(n, m, seed, block)
-        shape = load_matrices(cls.path)[0][3]
+        shape = load_matrices(cls.path)[0].shape
         if shape != (m, n):
             raise PhiError(f"{cls.path}: is {shape[0]} x {shape[1]}; expected m x n = {m} x {n}")
 
@@ -65,12 +63,13 @@ class StoredPhi(Phi):
         super().__init__(n, m, seed, block)
         self._keep(load_matrices(self.path)[0])
 
-    def _keep(self, matrix: Loaded) -> None:
+    def _keep(self, matrix: csr_array) -> None:
         """Measure by this matrix."""
-        self._columns, starts, self._data, _ = matrix
-        self._rows = np.repeat(np.arange(self.m), np.diff(starts))
-        arrays = self._columns, starts, self._data
+        arrays = matrix.indices, matrix.indptr, matrix.data
         self.fingerprint = fingerprint_of("file", self.n, self.m, 1, *arrays)
+        full = matrix.nnz > FULL_PART * self.m * self.n
+        self._matrix = matrix.toarray() if full else matrix
+        self._transposed = self._matrix.T
 
     @cached_property
     def lipschitz(self) -> float:
@@ -79,35 +78,26 @@ class StoredPhi(Phi):
         At most the product of the largest sums of sizes in a row and in a column, which is never
         too small.
         """
-        size = np.abs(self._data.astype(np.float64))
-        of_row = np.bincount(self._rows, size, self.m).max()
-        of_column = np.bincount(self._columns, size, self.n).max()
-        x = np.random.default_rng(0).standard_normal(self.n)
+        size = abs(self._matrix)
+        of_column, of_row = (float(size.sum(axis=axis, dtype=float).max()) for axis in (0, 1))
+        x = np.random.default_rng(0).standard_normal(self.n, dtype=np.float32)
         largest = 0.0
         for _ in range(N_POWER_STEPS):
-            x = self._backward(self._ahead(x))
+            x = self._transposed @ (self._matrix @ x)
             largest = float(np.linalg.norm(x))
-            x /= largest
-        return min(MARGIN * largest, float(of_row * of_column))
+            x /= np.float32(largest)
+        return min(MARGIN * largest, of_row * of_column)
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n)."""
-        matrix = np.zeros((self.m, self.n))
-        np.add.at(matrix, (self._rows, self._columns), self._data)
-        return matrix
+        matrix = self._matrix.astype(np.float64)
+        return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
 
     def _forward(self, x: Floats, out: Floats) -> None:
-        out[:] = self._ahead(x)
+        out[:] = self._matrix @ x
 
     def _adjoint(self, y: Floats, out: Floats) -> None:
-        out[:] = self._backward(y)
-
-    def _ahead(self, x: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        # bincount adds in float64, in the order of the entries.
-        return np.asarray(np.bincount(self._rows, self._data * x[self._columns], self.m), float)
-
-    def _backward(self, y: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        return np.asarray(np.bincount(self._columns, self._data * y[self._rows], self.n), float)
+        out[:] = self._transposed @ y
 
 
 class StackedPhi(StoredPhi):
@@ -127,8 +117,8 @@ class StackedPhi(StoredPhi):
         return list(twins)
 
 
-def load_matrices(path: str) -> tuple[Loaded, ...]:
-    """Read and check the matrices of a file: columns, starts of the rows, entries, and shape each.
+def load_matrices(path: str) -> tuple[csr_array, ...]:
+    """Read and check the matrices of a file, float32 (m, n).
 
     Raises
     ------
@@ -147,7 +137,7 @@ def load_matrices(path: str) -> tuple[Loaded, ...]:
 
 
 @functools.lru_cache(maxsize=4)
-def _load(path: str, _of: tuple[int, int, int]) -> tuple[Loaded, ...]:
+def _load(path: str, _of: tuple[int, int, int]) -> tuple[csr_array, ...]:
     """As above, of one form of the file."""
     try:
         raw = Path(path).read_bytes()
@@ -167,7 +157,7 @@ def _wanted(names: list[str]) -> list[str]:
     return names if len(names) == 1 else [name for name in names if name in _NAMES]
 
 
-def _checked_stack(stack: npt.NDArray[np.generic]) -> tuple[Loaded, ...]:
+def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
     if stack.ndim != 3 or stack.dtype.kind not in "iufb":
         raise PhiError(
             f"one array, {stack.dtype} of {stack.ndim} dimensions; expected numbers of 3, "
@@ -179,59 +169,51 @@ def _checked_stack(stack: npt.NDArray[np.generic]) -> tuple[Loaded, ...]:
         raise PhiError(f"{k} matrices of {m} x {n}; {allowed}")
     made = []
     for number, matrix in enumerate(stack):
-        rows, columns = np.nonzero(matrix)
-        starts = np.searchsorted(rows, np.arange(m + 1)).astype(np.int32)
         try:
-            made.append(_finished(columns, starts, matrix[rows, columns], (m, n)))
+            made.append(_finite(csr_array(_in_float32(matrix))))
         except PhiError as error:
             raise PhiError(f"matrix {number}: {error}") from error
     return tuple(made)
 
 
-def _checked(arrays: dict[str, npt.NDArray[np.generic]]) -> Loaded:
+def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
     for name in _NAMES:
         if name not in arrays:
             raise PhiError(f"has no array {name}; expected a file of scipy.sparse.save_npz")
-    kind = arrays["format"]
+    kind, data = arrays["format"], arrays["data"]
     if kind.shape != () or kind.dtype.kind not in "SU" or str(kind.astype(str)) != "csr":
         raise PhiError('format: expected "csr"; convert it by matrix.tocsr()')
     for name in ("indices", "indptr", "shape"):
         if arrays[name].ndim != 1 or arrays[name].dtype.kind not in "iu":
             raise PhiError(f"{name}: expected a list of whole numbers")
+    if data.ndim != 1 or data.dtype.kind not in "iufb":
+        raise PhiError("data: expected a list of numbers")
     if arrays["shape"].size != 2:
         raise PhiError(f"shape: {arrays['shape'].size} numbers; expected 2")
-    m, n = (int(side) for side in arrays["shape"].tolist())
+    m, n = arrays["shape"].tolist()
     if not 1 <= m <= n <= MAX_ELEMENTS:
         raise PhiError(f"shape: {m} x {n}; allowed: 1 <= m <= n <= {MAX_ELEMENTS}")
-    data, indices, indptr = arrays["data"], arrays["indices"], arrays["indptr"]
-    if data.ndim != 1 or data.dtype.kind not in "iufb" or data.size != indices.size:
-        raise PhiError("data: expected as many numbers as indices")
-    if indptr.size != m + 1 or int(indptr[0]) != 0 or int(indptr[-1]) != data.size:
-        raise PhiError(f"indptr: expected {m + 1} numbers from 0 to {data.size}")
-    if not (indptr[1:] > indptr[:-1]).all():  # type: ignore[operator]
-        raise PhiError("indptr: expected an entry in each row")
-    if not ((indices >= 0) & (indices < n)).all():  # type: ignore[operator]
-        raise PhiError(f"indices: expected columns in 0..{n - 1}")
-    return _finished(indices, indptr.astype(np.int32), data, (m, n))
+    try:
+        parts = _in_float32(data), arrays["indices"], arrays["indptr"]
+        matrix = csr_array(parts, shape=(m, n), copy=True)
+        matrix.check_format()
+    except ValueError as error:
+        raise PhiError(f"no matrix of {m} x {n} in format csr: {error}") from error
+    return _finite(matrix)
 
 
-def _finished(
-    columns: npt.NDArray[Any],
-    starts: npt.NDArray[np.int32],
-    data: npt.NDArray[Any],
-    shape: tuple[int, int],
-) -> Loaded:
-    """A matrix of these entries, which are checked."""
+def _in_float32(numbers: npt.NDArray[Any]) -> Floats:
     with np.errstate(all="ignore"):
-        entries = data.astype(np.float32)
-    if not (np.abs(entries) <= MAX_ENTRY).all():
+        return numbers.astype(np.float32)
+
+
+def _finite(matrix: csr_array) -> csr_array:
+    size = abs(matrix)
+    if not (size.data <= MAX_ENTRY).all():
         raise PhiError(f"data: expected finite numbers of at most {MAX_ENTRY:g}")
-    row = np.repeat(np.arange(shape[0]), np.diff(starts))
-    if not (np.bincount(row, np.abs(entries), shape[0]) > 0).all():
+    if not (size.sum(axis=1) > 0).all():
         raise PhiError("data: a row holds zeros alone")
-    for array in (entries, starts):
-        array.setflags(write=False)
-    return columns.astype(np.int32), starts, entries, shape
+    return matrix
 
 
 def stored_class(path: str) -> type[StoredPhi]:

@@ -45,7 +45,7 @@ def test_without_numba_a_solver_with_compiled_loops_logs_once_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     lines: list[str] = []
-    compile_loops("skin", "auto", lines.append, "phi")
+    compile_loops("skin", "auto", lines.append)
     (line,) = lines
     assert line.endswith("pip install 'sparseskin[fast]'")
     compile_loops("tv", "auto", pytest.fail)

@@ -91,10 +91,18 @@ def test_interpolation_leaves_readings_unchanged() -> None:
             'solver "fista": phi "adaptive" reads other rows each frame; allowed: skin',
         ),
         ((*ADAPTIVE, "compressor.rows=rotating"), '"rotating" is not allowed for phi "adaptive"'),
+        *[
+            (
+                (*ADAPTIVE, f"reconstructor.{key}=true"),
+                f"{key}=true: is not available with phi adaptive",
+            )
+            for key in ("resultant", "uncertainty")
+        ],
         (
-            (*ADAPTIVE, "reconstructor.resultant=true"),
-            "resultant=true: is not available with phi adaptive",
+            ("reconstructor.uncertainty=true", "reconstructor.solver=tv"),
+            "uncertainty=true: is not available with solver tv, whose error is not known",
         ),
+        (("reconstructor.phi_m=100",), "phi_m=100: has no effect on the Phi that the compressor"),
     ],
 )
 def test_settings_that_do_not_go_together_are_refused_in_one_line(

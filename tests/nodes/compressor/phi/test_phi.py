@@ -231,27 +231,3 @@ def test_the_numbers_that_a_fingerprint_is_of_cannot_be_changed() -> None:
     ):
         with pytest.raises(ValueError, match="read-only"):
             getattr(make_phi(kind, 64, 20, seed=0), part)[0] = 1
-
-
-@given(n=st.integers(1, 200), data=st.data(), block=st.sampled_from([1, 2, 4, 8, 32, 64, 256]))
-@settings(max_examples=60, deadline=None)
-def test_compiled_measurements_have_the_bits_of_numpy(
-    n: int, data: st.DataObject, block: int
-) -> None:
-    pytest.importorskip("numba")
-    m = data.draw(st.integers(1, n))
-    phi, compiled = (make_phi("sbhe", n, m, seed=0, block=block) for _ in range(2))
-    assert isinstance(compiled, SbhePhi)
-    compiled.compile()
-    x = normal((3, n))
-    x.setflags(write=False)
-    np.testing.assert_array_equal(compiled.forward(x), phi.forward(x))
-
-
-def test_a_row_subset_is_compiled_by_itself() -> None:
-    pytest.importorskip("numba")
-    first, second, *_ = SbhePhi(64, 20, 0).row_subsets()
-    assert isinstance(first, SbhePhi)
-    x, before = normal(64), second.forward(normal(64))
-    first.compile()
-    np.testing.assert_array_equal(second.forward(x), before)

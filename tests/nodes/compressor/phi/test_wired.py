@@ -151,5 +151,8 @@ def test_a_kind_without_a_side_is_refused(kind: str, line: str) -> None:
 def test_too_few_measurements_for_a_pattern_are_refused() -> None:
     with pytest.raises(PhiError, match="m = 7 is not allowed; allowed: 8 or more"):
         laid_out("row_local", (8, 8), 7)
-    with pytest.raises(PhiError, match="allowed: more than 8"):
-        row_subsets(laid_out("row_local", (8, 8), 8), "rotating")
+
+
+def test_one_pattern_of_all_columns_has_nothing_to_rotate() -> None:
+    phi = laid_out("row_local", (8, 8), 8)
+    assert row_subsets(phi, None) == [phi]

@@ -121,12 +121,3 @@ def test_it_travels_with_the_forces_where_it_is_asked_for(solver: str) -> None:
     plain, _ = reconstructed(solver=solver)
     assert plain.sd is None
     assert decode(*encode(plain)) == plain
-
-
-def test_of_a_solver_whose_errors_are_not_known_none_is_published_and_that_is_logged() -> None:
-    reconstruction, lines = reconstructed(solver="ista", uncertainty=True)
-    assert reconstruction.sd is None
-    assert lines == [
-        "uncertainty: the error of solver ista is not known, and none is published; "
-        "known: skin, fista"
-    ]
