@@ -25,7 +25,7 @@ MAX_ARRAY_BYTES = 1 << 29
 """Largest size of its arrays together."""
 MAX_ENTRY = 1e6
 """Largest size of an entry."""
-FULL_PART = 0.25
+FULL_PART = 0.1
 """Part of the entries beyond which a product with the full matrix is faster (timed)."""
 N_POWER_STEPS = 200
 MARGIN = 1.02
