@@ -11,13 +11,12 @@ import numpy as np
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, force_threshold, packed_places
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, phis_for
 from sparseskin.nodes.compressor.phi.base import (
     KINDS,
     Phi,
     block_of,
     check_parameters,
-    make_phi,
     phi_class,
 )
 from sparseskin.nodes.compressor.phi.rotation import (
@@ -29,7 +28,6 @@ from sparseskin.nodes.compressor.phi.rotation import (
     block_and_rule,
     check_rotates,
     check_subsets,
-    row_subsets,
     rows_and_m,
 )
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
@@ -130,10 +128,10 @@ class CompressorSettings(PatchesSettings):
         Raises PhiError if they cannot be made.
         """
         rows, m = self.rows_and_m(skin.n_taxels)
-        chosen = block_and_rule(self.rows, self.block)
-        phi = make_phi(self.phi, n=skin.n_taxels, m=m, seed=self.seed, **chosen)
-        layout(phi, skin.exists, sigma_end, skin.f_max, clips_noise)
-        return row_subsets(phi, rows)
+        of_phi = {"kind": self.phi, "m": m, "seed": self.seed}
+        return phis_for(
+            skin, sigma_end, clips_noise, rows, **of_phi, **block_and_rule(self.rows, self.block)
+        )
 
 
 class Compressor(Node[CompressorSettings]):

@@ -28,6 +28,7 @@ MAX_PLACES = 2**16
 
 REMEDY = "pip install 'sparseskin[fast]'"
 NOT_INSTALLED = f"compiled loops: none without numba, several times slower; {REMEDY}"
+NOT_IMPORTED = "compiled loops: numba cannot be imported; numpy is used"
 COMPILING = "compiled loops: compiling, once on this machine; some 15 s"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -74,17 +75,29 @@ def use_compiled(fast: str) -> bool:
     return True
 
 
-def ready(
-    *loops: Callable[..., Any],
-    log: Callable[[str], None] | None = None,
-    begin_s: float | None = None,
-) -> None:
+def compile_loops(solver: str, fast: str, log: Callable[[str], None]) -> None:
+    """Compile the loops of a solver now, or read them from disk, so that no frame waits for it.
+
+    Nothing is done for a solver without any, or where `use_compiled` is False, with Raises as
+    there. `log` receives a line of text before anything is compiled, and one after it; where numba
+    is missing or cannot be imported, one that says so.
+    """
+    if solver not in SOLVERS:
+        return
+    if use_compiled(fast):
+        from .kernels import LOOPS  # needs numba
+
+        ready(*LOOPS[solver], log=log)
+    elif "off" not in (fast, os.environ.get(ENVIRONMENT)):
+        log(NOT_IMPORTED if find_spec("numba") else NOT_INSTALLED)
+
+
+def ready(*loops: Callable[..., Any], log: Callable[[str], None] | None = None) -> None:
     """Compile loops for their types, or read them from disk; they then accept no other types.
 
-    The loops are made by `compiled` with signatures; `log` is as in `compile_loops`; `begin_s` is
-    the time (`time.perf_counter`) at which its first line was logged, None: not yet.
+    The loops are made by `compiled` with signatures; `log` is as in `compile_loops`.
     """
-    with _progress(log, begin_s) if log is not None else nullcontext():
+    with _progress(log) if log is not None else nullcontext():
         for loop in loops:
             if not loop.signatures:  # type: ignore[attr-defined]
                 for signature in _SIGNATURES[loop]:
@@ -93,10 +106,10 @@ def ready(
 
 
 @contextmanager
-def _progress(log: Callable[[str], None], begin_s: float | None) -> Iterator[None]:
+def _progress(log: Callable[[str], None]) -> Iterator[None]:
     """Log when compiling begins and ends; loops that are read from disk are not compiled."""
     event = import_module("numba.core.event")
-    begins_s = [] if begin_s is None else [begin_s]
+    begins_s: list[float] = []
 
     class Listener(event.Listener):  # type: ignore[name-defined, misc]
         def on_start(self, _: Any) -> None:

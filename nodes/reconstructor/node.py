@@ -19,9 +19,9 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, follow
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, layout
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, phis_for
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import block_and_rule, row_subsets
+from sparseskin.nodes.compressor.phi.rotation import block_and_rule
 from sparseskin.nodes.errors import (
     PhiError,
     RefusedError,
@@ -31,7 +31,7 @@ from sparseskin.nodes.errors import (
 )
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.numerics.warm_up import compile_loops
+from sparseskin.nodes.numerics.compiled import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
@@ -352,23 +352,20 @@ def phis_to_invert(
         If a stated Phi cannot be made.
     """
     s, n = settings, state.skin.n_taxels
-    exists = state.skin.exists
+    of_skin = state.skin, state.sigma_end, state.clips_noise
     stated = s.stated_rows_and_m(n)
     if stated is not None:
         rows, m = stated
         chosen = block_and_rule(s.phi_rows, s.phi_block)
-        phi = make_phi(s.phi, n=n, m=m, seed=s.phi_seed, **chosen)
-        layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
-        return row_subsets(phi, rows)
+        return phis_for(*of_skin, rows, kind=s.phi, m=m, seed=s.phi_seed, **chosen)
     if announced.n != n:
         raise RefusedError(f"{announced.topic}: for {announced.n} taxels; the skin has {n}")
     try:
         s.check_phi(announced.kind)
-        phi = make_phi(
-            *(announced.kind, n, announced.m, announced.seed, announced.block, announced.rule)
-        )
-        layout(phi, exists, state.sigma_end, state.f_max, state.clips_noise)
-        subsets = row_subsets(phi, announced.rows)
+        parameters = {
+            name: getattr(announced, name) for name in ("kind", "m", "seed", "block", "rule")
+        }
+        subsets = phis_for(*of_skin, announced.rows, **parameters)
     except (PhiError, SettingsError) as error:
         raise RefusedError(f"{announced.topic}: {error}") from error
     if subsets[0].fingerprint != announced.fingerprint:

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
 
-from .base import BLOCK, Phi, fingerprint_of
+from .base import BLOCK, Phi, fingerprint_of, make_phi
 from .quadtree import N_DETAILS, Quadtree
+from .rotation import row_subsets
 
 CLIP_MEAN = 0.399
 """Mean of an untouched taxel's noise clipped at 0, in standard deviations of the noise. Derived: of
@@ -367,3 +368,16 @@ def layout(
         phi.lay_out(exists)
     if isinstance(phi, AdaptivePhi):
         phi.state_noise(sigma_end, f_max, clipped)
+
+
+def phis_for(
+    skin: Skin, sigma_end: float, clips_noise: bool, rows: str | None, **parameters: Any
+) -> list[Phi]:
+    """Return the matrices that measure the frames of a skin in turn, laid out.
+
+    `sigma_end` and `clips_noise` are as in `SkinState`, `rows` as in `row_subsets`, parameters
+    those of `make_phi` but n. Raises PhiError as they do.
+    """
+    phi = make_phi(n=skin.n_taxels, **parameters)
+    layout(phi, skin.exists, sigma_end, skin.f_max, clips_noise)
+    return row_subsets(phi, rows)

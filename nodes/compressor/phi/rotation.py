@@ -68,10 +68,15 @@ def rows_and_m(
     if rows is None:
         made_by = phi_class(kind)
         rotating_m = m_of(n, ratio, ROTATING) if m is None else m
-        # A file that can rotate is one with several matrices, of whatever size.
-        in_turn = kind.startswith(STORED) or rotating_m < n <= MAX_SUBSETS * rotating_m
-        rows = ROTATING if in_turn and isinstance(made_by, type) and can_rotate(made_by) else FIXED
+        rows = _default_rows(made_by if isinstance(made_by, type) else None, kind, n, rotating_m)
     return rows, m_of(n, ratio, rows) if m is None else m
+
+
+def _default_rows(phi: object, kind: str, n: int, m: int) -> str:
+    """Rows of a matrix, or of a class of them, where none are stated."""
+    # A file that can rotate is one with several matrices, of whatever size.
+    in_turn = kind.startswith(STORED) or m < n <= MAX_SUBSETS * m
+    return ROTATING if in_turn and can_rotate(phi) else FIXED
 
 
 def block_and_rule(rows: str | None, block: int | None) -> dict[str, Any]:
@@ -152,14 +157,9 @@ def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
     PhiError
         If `rows` is neither, the rows of phi cannot rotate, or there were more than 64 subsets.
     """
-    if rows is None:
-        in_turn = can_rotate(phi) and (
-            phi.kind.startswith(STORED) or phi.m < phi.n <= MAX_SUBSETS * phi.m
-        )
-        rows = ROTATING if in_turn else FIXED
-    if rows == FIXED:
+    if (rows or _default_rows(phi, phi.kind, phi.n, phi.m)) == FIXED:
         return [phi]
-    if rows != ROTATING:
+    if rows not in (None, ROTATING):
         raise PhiError(f"rows: {rows!r} is not allowed; allowed: {', '.join(ROWS)}")
     check_rotates(phi, phi.kind)
     check_subsets(phi.n, phi.m)

@@ -18,10 +18,9 @@ class InterpolationSolver(Solver):
     """Forces linear between the taxels that were read.
 
     Where these are the same in every frame: linear on the triangles of their Delaunay
-    triangulation, which is made once. A taxel outside the triangles gets the value of the nearest
-    that was read; if all that were read are on a line, interpolation is along the line. Where they
-    differ from frame to frame, a triangulation would cost more than all else: linear along rows,
-    columns and diagonals, `LineInterpolation`.
+    triangulation, which is made once; a taxel outside the triangles gets the value of the nearest
+    that was read. Where they are on a line, or differ from frame to frame, so that a triangulation
+    would cost more than all else: linear along rows, columns and diagonals, `LineInterpolation`.
 
     A taxel that was read keeps its reading, noise included. Nothing is carried from frame to
     frame, and the basis is not used.
@@ -56,12 +55,15 @@ class InterpolationSolver(Solver):
         self._cells = np.argwhere(self.mask).astype(np.float64)
         self._y = np.zeros(phi.m, dtype=np.float32)
         self._forces = np.zeros(phi.n, dtype=np.float32)
-        self._lines = LineInterpolation(self.mask) if isinstance(phi, ActsPhi) else None
-        if self._lines is None:
-            self._wanted = np.delete(np.arange(phi.n), phi.rows)
-            self._corners, self._weights = interpolated_from(
-                self._cells[phi.rows], self._cells[self._wanted]
-            )
+        self._wanted = np.delete(np.arange(phi.n), phi.rows)
+        along_lines = isinstance(phi, ActsPhi)
+        if not along_lines:
+            known, wanted = self._cells[phi.rows], self._cells[self._wanted]
+            try:
+                self._corners, self._weights = interpolated_from(known, wanted)
+            except QhullError:  # no area between them
+                along_lines = True
+        self._lines = LineInterpolation(self.mask) if along_lines else None
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         """Begin a frame; parameters and Raises as in `solve`. A warm start is not used."""
@@ -164,46 +166,27 @@ class LineInterpolation:
 def interpolated_from(known: Doubles, wanted: Doubles) -> tuple[Indices, Floats]:
     """Return linear interpolation from known points, (m, 2), to wanted ones, (n, 2), float64.
 
-    Known points are distinct, and sorted by the first coordinate, then the second.
-
     Returns
     -------
     corners : ndarray of intp, shape (n, 3)
         Numbers of the known points that a wanted point lies between.
     weights : ndarray of float32, shape (n, 3)
         Their weights, 0..1, of sum 1.
+
+    Raises
+    ------
+    QhullError
+        If the known points have no area between them.
     """
-    if len(known) < 2:
-        return np.zeros((len(wanted), 3), dtype=np.intp), _first_alone(len(wanted))
-    try:
-        triangles = Delaunay(known)
-    except QhullError:  # no area between them
-        return _along_a_line(known, wanted)
+    triangles = Delaunay(known)
     found = triangles.find_simplex(wanted)
     inside = found >= 0
     corners = np.zeros((len(wanted), 3), dtype=np.intp)
-    weights = _first_alone(len(wanted))
+    weights = np.zeros((len(wanted), 3), dtype=np.float32)
     corners[inside] = triangles.simplices[found[inside]]
     transform = triangles.transform[found[inside]]
     first_two = np.einsum("ijk,ik->ij", transform[:, :2], wanted[inside] - transform[:, 2])
     weights[inside, :2] = first_two
     weights[inside, 2] = 1 - first_two.sum(axis=1)
-    corners[~inside, 0] = cKDTree(known).query(wanted[~inside])[1]
+    corners[~inside, 0], weights[~inside, 0] = cKDTree(known).query(wanted[~inside])[1], 1
     return corners, np.clip(weights, 0, 1)
-
-
-def _along_a_line(known: Doubles, wanted: Doubles) -> tuple[Indices, Floats]:
-    """As `interpolated_from`, for points on a line, sorted along it."""
-    direction = known[-1] - known[0]
-    at, wanted_at = known @ direction, wanted @ direction
-    after = np.clip(np.searchsorted(at, wanted_at), 1, len(at) - 1)
-    part = np.clip((wanted_at - at[after - 1]) / (at[after] - at[after - 1]), 0, 1)
-    weights = _first_alone(len(wanted))
-    weights[:, 0], weights[:, 1] = 1 - part, part
-    return np.stack([after - 1, after, after], axis=1), weights
-
-
-def _first_alone(n: int) -> Floats:
-    weights = np.zeros((n, 3), dtype=np.float32)
-    weights[:, 0] = 1
-    return weights

@@ -15,8 +15,7 @@ import pytest
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics import compiled as fast
-from sparseskin.nodes.numerics.compiled import ready, use_compiled
-from sparseskin.nodes.numerics.warm_up import compile_loops
+from sparseskin.nodes.numerics.compiled import compile_loops, ready, use_compiled
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed (extra fast)")
@@ -33,17 +32,12 @@ def no_numba(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_numba")
-def test_without_numba_auto_is_numpy_and_on_is_refused_with_what_to_install() -> None:
-    assert not use_compiled("auto")
-    assert not use_compiled("off")
-    with pytest.raises(SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"):
-        use_compiled("on")
-
-
-@pytest.mark.usefixtures("no_numba")
-def test_without_numba_a_solver_with_compiled_loops_logs_once_what_to_install(
+def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    assert not use_compiled("auto")
+    with pytest.raises(SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"):
+        use_compiled("on")
     lines: list[str] = []
     compile_loops("skin", "auto", lines.append)
     (line,) = lines
@@ -54,13 +48,6 @@ def test_without_numba_a_solver_with_compiled_loops_logs_once_what_to_install(
     compile_loops("skin", "auto", pytest.fail)
 
 
-@needs_numba
-def test_with_numba_auto_and_on_are_compiled_and_off_is_not() -> None:
-    assert use_compiled("auto")
-    assert use_compiled("on")
-    assert not use_compiled("off")
-
-
 def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -69,16 +56,20 @@ def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(
 
     monkeypatch.setattr(fast, "find_spec", lambda name: name)
     monkeypatch.setattr(fast, "import_module", fail)
-    assert not use_compiled("auto")
+    lines: list[str] = []
+    compile_loops("skin", "auto", lines.append)
+    assert lines == ["compiled loops: numba cannot be imported; numpy is used"]
     with pytest.raises(SettingsError, match=r"fast: importing numba failed: .*Got NumPy 2\.9"):
         use_compiled("on")
 
 
 @needs_numba
 def test_the_environment_replaces_auto(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert use_compiled("auto")
     monkeypatch.setenv(fast.ENVIRONMENT, "off")
     assert not use_compiled("auto")
     assert use_compiled("on")
+    assert not use_compiled("off")
     monkeypatch.setenv(fast.ENVIRONMENT, "of")
     with pytest.raises(SettingsError, match=r"SPARSESKIN_FAST: 'of' is not known.*'off'"):
         use_compiled("auto")
@@ -102,12 +93,6 @@ def test_off_imports_no_numba() -> None:
         "assert 'numba' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-@needs_numba
-def test_a_solver_without_compiled_loops_or_with_them_off_compiles_nothing() -> None:
-    compile_loops("skin", "off", pytest.fail)
-    compile_loops("tv", "on", pytest.fail)
 
 
 @needs_numba
@@ -139,40 +124,6 @@ def test_a_solvers_loops_are_compiled_for_their_types_at_once_and_take_no_others
     wrong = np.zeros(4)  # float64
     with pytest.raises(TypeError, match="No matching definition"):
         fast_kernels.orthonormal(wrong, np.zeros((1, 3), np.int64), wrong)
-
-
-@needs_numba
-def test_where_nothing_is_on_disk_compiling_is_logged_before_numba_is_imported(
-    tmp_path: Path,
-) -> None:
-    """The first line ends the process here."""
-    code = (
-        "import sys\n"
-        "from sparseskin.nodes.numerics.warm_up import compile_loops\n"
-        "def log(line):\n"
-        "    print(line, 'numba' in sys.modules)\n"
-        "    raise SystemExit\n"
-        "compile_loops('skin', 'on', log)\n"
-    )
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "none")}
-    found = subprocess.run(
-        [sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True
-    )
-    assert found.stdout == f"{fast.COMPILING} False\n"
-
-
-@needs_numba
-def test_a_numba_that_cannot_be_imported_is_logged_where_compiling_was_announced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(name: str) -> None:
-        raise ImportError(name)
-
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(fast, "import_module", fail)
-    lines: list[str] = []
-    compile_loops("skin", "auto", lines.append)
-    assert lines == [fast.COMPILING, "compiled loops: numba cannot be imported; numpy is used"]
 
 
 LOOP = """
