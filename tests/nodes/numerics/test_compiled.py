@@ -9,7 +9,6 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -143,13 +142,6 @@ def _module_of(folder: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@needs_numba
-def test_where_no_folder_can_be_written_it_is_compiled_in_each_process() -> None:
-    names: dict[str, Any] = {}
-    exec(LOOP, names)  # numba has no place on disk for code that is in no file
-    assert names["double"](21) == 42
 
 
 @needs_numba

@@ -69,20 +69,6 @@ def test_an_idle_patch_is_solved_at_least_every_64_frames_and_not_all_at_once() 
     assert watched.watch.idle.all()
 
 
-def test_a_contact_ends_the_idle_state_and_the_patch_is_idle_again_under_a_constant_one() -> None:
-    truth = UNTOUCHED.copy()
-    watched = Watched(2, truth)
-    truth[8:16, 8:16] = 0.3
-    assert watched.frame(truth).all()
-    assert watched.frame(truth).all()
-    assert not watched.watch.idle.any()
-    for patch in range(2):
-        watched.watch.solved(patch, truth)
-    for _ in range(20):
-        watched.frame(truth)
-    assert watched.watch.idle.all()
-
-
 def test_a_skin_that_states_no_noise_is_always_solved() -> None:
     skin = Skin(8, 8, 2.5)
     state = SkinState(stamp_ns=0, patch="skin", **vars(skin), source="", seed=0, rate_hz=1.0,

@@ -20,7 +20,6 @@ from sparseskin.nodes.reconstructor.limits import (
     OWN_BASIS,
     check_lambda,
     check_phi,
-    pad_spread,
     reconstruction_warnings,
 )
 from sparseskin.nodes.reconstructor.node import Reconstructor
@@ -77,10 +76,6 @@ def test_settings_that_fail_are_said_in_a_line_with_what_is_advised(
     assert warning.startswith(said)
     assert warning.endswith(f"advised: {advised}")
     assert "\n" not in warning
-
-
-def test_a_whole_reading_needs_no_other_basis() -> None:
-    assert warnings_of("fista", "identity", 1) == []
 
 
 def test_a_setting_that_the_solver_does_not_have_is_refused_before_anything_starts() -> None:
@@ -158,19 +153,6 @@ def test_a_matrix_that_measures_contacts_unevenly_is_warned_of() -> None:
     assert "some contacts are measured far better than others" in warning
 
 
-def test_pads_are_measured_more_evenly_by_scrambled_blocks_than_by_random_numbers() -> None:
-    def spread(phi: Phi) -> float:
-        return pad_spread(phi, EVERYWHERE, np.random.default_rng(1))
-
-    gaussian, scrambled = (
-        np.mean([spread(make_phi(kind, N, 400, seed)) for seed in range(4)])
-        for kind in ("gaussian", "sbhe")
-    )
-    assert gaussian == pytest.approx(1.0, abs=0.15)
-    # Rows are spread over the blocks, and these sum as many taxels of a pad, but for chance.
-    assert scrambled < 0.85 * gaussian
-
-
 def lines_of(phi: str = "", **reconstructor: Any) -> list[str]:
     nodes = {
         "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
@@ -189,11 +171,6 @@ def test_a_reconstructor_logs_it_once_when_it_knows_skin_and_phi() -> None:
     assert lines_of() == []
     (line,) = lines_of(preset="paper", lambda_n=0.1)
     assert line.startswith("[reconstructor] lambda_n = 0.1: forces are shrunk away")
-
-
-def test_a_reconstructor_fails_by_name_where_the_forces_would_be_wrong() -> None:
-    line = lines_of(preset="paper", lambda_n=1000.0)[0]
-    assert line.startswith("[reconstructor] failed: lambda_n = 1000: every frame would be 0")
 
 
 class Scaled(OwnPhi):

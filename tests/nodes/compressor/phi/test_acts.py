@@ -67,16 +67,6 @@ def test_the_taxels_of_a_contact_and_around_it_are_all_read_where_m_allows() -> 
     assert is_read[16:25, 4:13].all()
 
 
-def test_with_few_readings_the_edge_of_a_large_contact_is_read_before_its_middle() -> None:
-    image = np.zeros((64, 64), np.float32)
-    image[13:52, 13:52] = 1.0
-    is_read = read_cells(image, 64 * 64 // 6)
-    edge = np.zeros_like(is_read)
-    edge[12:53, 12:53] = True
-    edge[14:51, 14:51] = False
-    assert is_read[edge].mean() > 3 * is_read[18:47, 18:47].mean()
-
-
 def test_a_frame_is_read_in_eight_rounds_or_more_each_of_at_most_an_eighth() -> None:
     image = np.zeros((64, 64), np.float32)
     image[13:52, 13:52] = 1.0
@@ -91,15 +81,6 @@ def test_a_frame_is_read_in_eight_rounds_or_more_each_of_at_most_an_eighth() -> 
     assert sum(rounds) == m
     assert 0 < rounds[0] <= m // 4  # the coarse lattice
     assert max(rounds[1:]) == m // 8
-
-
-def test_a_frame_is_read_the_same_whatever_came_before_it() -> None:
-    rng = np.random.default_rng(3)
-    frames = np.maximum(rng.normal(-0.5, 0.5, (5, 900)), 0).astype(np.float32)
-    search = ActsSearch(everywhere(30, 30), 200, THRESHOLD)
-    alone = [ActsSearch(everywhere(30, 30), 200, THRESHOLD).places(x.take) for x in frames]
-    for x, expected in zip(frames, alone, strict=True):
-        np.testing.assert_array_equal(search.places(x.take), expected)
 
 
 @pytest.mark.parametrize("m", [0, 101])

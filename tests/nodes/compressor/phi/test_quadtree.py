@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matrices import grids
 
-from sparseskin.nodes.compressor.phi.quadtree import COARSE_PART, Quadtree
+from sparseskin.nodes.compressor.phi.quadtree import Quadtree
 from sparseskin.nodes.numerics.arrays import Mask
 
 GRIDS = [(1, 1), (1, 16), (4, 4), (5, 7), (8, 8), (31, 11), (40, 40)]
@@ -39,21 +39,6 @@ def test_first_rows_are_the_normalised_sums_of_tiles(shape: tuple[int, int]) -> 
     assert counts.sum() == tree.n
     np.testing.assert_allclose(matrix.max(axis=1), 1 / np.sqrt(counts))
     assert counts.max() <= 64
-
-
-def test_details_of_a_full_tile_are_those_of_haar() -> None:
-    tree = Quadtree(np.ones((8, 8), np.bool_), 64)
-    x = np.zeros((8, 8))
-    x[:4, :4] = 1.0
-    found = tree.analysis(x.reshape(-1))
-    # The sum of 16 taxels over 8; the three largest details are as large as it.
-    np.testing.assert_allclose(found[:4], 2.0)
-    np.testing.assert_allclose(found[4:], 0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("m", [1, 5, 50, 200, 1600])
-def test_tiles_take_at_most_a_quarter_of_the_measurements(m: int) -> None:
-    assert Quadtree(np.ones((40, 40), np.bool_), m).n_tiles <= max(1, COARSE_PART * m)
 
 
 @settings(max_examples=100, deadline=None)

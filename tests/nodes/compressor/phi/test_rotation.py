@@ -47,13 +47,6 @@ def test_every_row_is_in_one_or_two_subsets(n: int, data: st.DataObject) -> None
     assert [rows.tolist() for rows in found] == [[0, 4], [0, 3], [1, 2]]
 
 
-def test_fixed_rows_are_one_matrix_and_row_subsets_differ_in_their_fingerprints() -> None:
-    phi = make_phi("sbhe", 1600, 400, seed=2)
-    subsets = row_subsets(phi, "rotating")
-    assert row_subsets(phi, "fixed") == [phi]
-    assert len({subset.fingerprint for subset in subsets}) == 4
-
-
 @pytest.mark.parametrize(
     ("stated", "expected"),
     [

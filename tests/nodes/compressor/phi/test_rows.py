@@ -10,7 +10,7 @@ from matrices import assert_operators
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, SPREAD, block_of, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, in_proportion
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Indices
 
 SIZES = st.integers(1, 700)
@@ -91,17 +91,6 @@ def test_fewer_rows_of_one_seed_are_among_the_more(
     phis = [sbhe(n, m, 3, block, rule) for m in (few, many)]
     np.testing.assert_array_equal(phis[0].permutation, phis[1].permutation)
     assert set(phis[0].rows) <= set(phis[1].rows)
-
-
-@given(numbers=st.lists(st.integers(0, 40), min_size=1, max_size=12))
-@settings(max_examples=200, deadline=None)
-def test_a_sequence_is_in_proportion_wherever_it_ends(numbers: list[int]) -> None:
-    found = in_proportion(numbers)
-    n = sum(numbers)
-    assert np.bincount(found, minlength=len(numbers)).tolist() == numbers
-    so_far = np.cumsum(found[:, None] == np.arange(len(numbers)), axis=0)
-    shares = np.arange(1, n + 1)[:, None] * np.array(numbers) / max(1, n)
-    assert (np.abs(so_far - shares) < 1).all()
 
 
 def test_rule_1_is_that_of_version_0_1() -> None:

@@ -16,9 +16,6 @@ from matrices import assert_operators
 
 from sparseskin import Stream, psnr_db, run_launch
 from sparseskin.launch.launchfile.load import LaunchError, load
-from sparseskin.messages import Measurements, PhiState, Reconstruction
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi import stored
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
@@ -203,11 +200,10 @@ def test_the_matrices_of_a_stack_measure_frames_in_turn(name: str, tmp_path: Pat
         (np.ones((2, 4, 7)), "is 4 x 7; expected m x n = 4 x 6"),
     ],
 )
-@pytest.mark.parametrize("name", ["phi.npz", "phi.npy"])
 def test_an_array_that_is_no_stack_is_refused_with_its_name(
-    stack: Any, line: str, name: str, tmp_path: Path
+    stack: Any, line: str, tmp_path: Path
 ) -> None:
-    path = saved(tmp_path / name, stack)
+    path = saved(tmp_path / "phi.npz", stack)
     with pytest.raises(PhiError) as refused:
         make_phi(f"file:{path}", 6, 4, 0)
     assert str(refused.value).startswith(f"{path}: {line}")
@@ -221,23 +217,6 @@ def test_another_size_is_refused_before_the_start(tmp_path: Path) -> None:
     with pytest.raises(LaunchError) as refused:
         load("path_40", [f"compressor.phi=file:{path}", f"reconstructor.phi=file:{path}"])
     assert any("is 4 x 6; expected m x n = 4 x 1600" in line for line in refused.value.lines)
-
-
-def test_a_graph_measures_and_reconstructs_by_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "phi.npz"
-    source = make_phi("sbhe", 1600, 400, 3)
-    scipy.sparse.save_npz(path, scipy.sparse.csr_matrix(source.dense().astype(np.float32)))
-    stated = [f"{node}.phi=file:{path}" for node in ("compressor", "reconstructor")]
-    nodes = load("path_40", stated).nodes.values()
-    bus = Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
-    frames = list(bus.frames(3))
-    assert bus.hosts["reconstructor"].counts.refused == {}
-    found = [m for messages in frames for m in messages]
-    assert len([m for m in found if isinstance(m, Reconstruction)]) == 3
-    assert {m.y.shape[1] for m in found if isinstance(m, Measurements)} == {400}
-    announced: Any = bus.hosts["reconstructor"].node
-    assert isinstance(announced._announced, PhiState)
-    assert announced._announced.kind == f"file:{path}"
 
 
 @pytest.mark.parametrize("solver", ["skin", "fista"])
@@ -260,11 +239,3 @@ def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(solver: str, tmp_path: 
         found = stream.reconstruct(stream.compress(frame.taxels))
         np.testing.assert_array_equal(found, frame.forces)
     assert psnr_db(found, press[-1]) > 40
-
-
-def test_a_file_that_only_a_message_names_is_not_opened(tmp_path: Path) -> None:
-    path = tmp_path / "phi.npz"
-    scipy.sparse.save_npz(path, matrix_of(400, 1600))
-    with pytest.raises(LaunchError) as refused:
-        load("path_40", [f"compressor.phi=file:{path}"])
-    assert any("is not built in" in line for line in refused.value.lines)

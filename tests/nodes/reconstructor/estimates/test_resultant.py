@@ -10,7 +10,7 @@ from random_scenes import random_scene
 from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
-from sparseskin.messages import FieldError, Reconstruction, Resultant
+from sparseskin.messages import Reconstruction, Resultant
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Floats
@@ -67,14 +67,6 @@ def test_the_first_frame_of_a_contact_has_total_and_centre() -> None:
     assert resultants(truth)[0].total == pytest.approx(float(truth.sum()), rel=0.15)
 
 
-def test_the_centre_of_a_contact_at_rest_is_known_to_a_third_of_a_taxel() -> None:
-    truth = np.repeat(sliding_disc(SHAPE, 5, touch_at=0, peak_n=1.5)[-1:], 60, axis=0)
-    for one in resultants(truth)[40:]:
-        assert one.row_sd is not None
-        assert one.col_sd is not None
-        assert 0.02 < max(one.row_sd, one.col_sd) < 0.33
-
-
 def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands() -> None:
     """Three jumps by 25 taxels between two places, 20 frames each."""
     at = [(10, 10), (30, 25)]
@@ -123,8 +115,3 @@ def test_an_untouched_skin_has_no_centre_and_next_to_no_force() -> None:
 def test_a_solver_that_leaves_a_bias_has_no_resultant() -> None:
     with pytest.raises(SettingsError, match="resultant: is not available with solver fista"):
         ReconstructorSettings(preset="paper", resultant=True).check()
-
-
-def test_a_centre_is_complete_or_missing() -> None:
-    with pytest.raises(FieldError, match="expected all of them or none"):
-        Resultant(stamp_ns=0, patch="skin", total=1.0, total_sd=0.1, row=3.0, done_ns=0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
 from doubting import DOUBTING, ERROR
@@ -25,7 +24,6 @@ from sparseskin.nodes.reconstructor.estimates.trust import (
 )
 from sparseskin.nodes.reconstructor.solvers.base import (
     RotatingSolver,
-    Solver,
     make_rotating_solver,
 )
 
@@ -54,16 +52,6 @@ def test_the_message_carries_what_the_solver_estimates() -> None:
         assert decode(*encode(message)) == message
 
 
-def test_a_message_without_the_fields_states_no_error_and_is_trusted() -> None:
-    (message,) = reconstructions(Desk(PHI, solver="ista"), 1)
-    topic, payload = encode(message)
-    body = msgpack.unpackb(payload)
-    del body["error"], body["trusted"]
-    read = decode(topic, msgpack.packb(body))
-    assert isinstance(read, Reconstruction)
-    assert (read.error, read.trusted) == ((None,), (True,))
-
-
 @pytest.mark.parametrize("wrong", [{"error": -0.1}, {"error": float("nan")}, {"trusted": 1}])
 def test_an_estimate_that_is_none_is_refused(
     wrong: dict[str, Any], monkeypatch: pytest.MonkeyPatch
@@ -82,13 +70,6 @@ def test_an_estimate_that_is_none_is_refused(
     monkeypatch.setattr(solver, "finish", finish_wrongly)
     with pytest.raises(RefusedError, match=rf"doubting: {next(iter(wrong))} = .*; allowed: "):
         reconstructions(desk, 1)
-
-
-def test_a_solver_with_neither_attribute_is_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("error", "trusted"):
-        monkeypatch.delattr(Solver, name)
-    (message,) = reconstructions(Desk(PHI, solver="ista"), 1)
-    assert (message.error, message.trusted) == ((None,), (True,))
 
 
 def test_solvers_of_row_subsets_pass_on_that_of_the_last_frame() -> None:

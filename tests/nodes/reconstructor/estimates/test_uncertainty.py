@@ -93,17 +93,6 @@ def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin(
     np.testing.assert_allclose(sd, expected, rtol=1e-4)
 
 
-def test_a_force_that_wanders_is_less_certain_than_one_that_stands() -> None:
-    uncertainty = Uncertainty(np.ones((9, 9), np.bool_), 3.0, "skin")
-    rng = np.random.default_rng(0)
-    frame = np.full((9, 9), 0.5, np.float32)
-    for _ in range(50):
-        frame[4, 4] = 0.5 + rng.normal(0, 0.05)
-        sd = uncertainty.update(frame, 0.01)
-    assert sd[4, 4] > 2 * sd[3, 4]
-    assert sd[3, 4] > sd[0, 0]
-
-
 def reconstructed(**settings: object) -> tuple[Reconstruction, list[str]]:
     phi = make_phi("sbhe", N, N // 3, seed=0)
     desk = Desk(phi, **settings)

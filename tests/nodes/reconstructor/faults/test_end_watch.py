@@ -44,14 +44,6 @@ def holed(row: int, col: int) -> Floats:
 PASSED = [holed(10, col) for col in (11, 14, 17)]
 
 
-def test_a_hole_that_stays_while_the_contact_moves_is_a_dead_taxel() -> None:
-    one = watch()
-    found = [one.look(frame, {})[0] for frame in PASSED for _ in range(ENOUGH)]
-    # Ten looks were enough before; then the third place is.
-    assert found.index([DEAD]) == 2 * ENOUGH
-    assert [dead for dead in found if dead] == [[DEAD]]
-
-
 def ring(col: int) -> Floats:
     """A square with a hole in its middle."""
     frame = block(10, col)
@@ -89,23 +81,6 @@ def test_a_taxel_that_is_pressed_between_is_alive() -> None:
             assert one.look(frame, {}) == ([], [], [])
         for _ in range(2):
             assert one.look(block(10, 14), {}) == ([], [], [])
-
-
-def test_a_dead_taxel_that_is_pressed_again_is_used() -> None:
-    one = watch()
-    for frame in PASSED:
-        for _ in range(ENOUGH):
-            one.look(frame, {})
-    believed = [one.look(block(10, 14), {DEAD: 0.0})[2] for _ in range(BELIEVED)]
-    assert believed == [*[[]] * (BELIEVED - 1), [DEAD]]
-
-
-def test_one_taxel_alone_at_the_end_of_its_range_for_long_is_saturated() -> None:
-    one = watch()
-    frame = pad()
-    frame[10, 14] = 2.5
-    found = [one.look(frame, {})[1] for _ in range(FULL_LOOKS)]
-    assert found == [*[[]] * (FULL_LOOKS - 1), [DEAD]]
 
 
 def test_a_dead_taxel_is_logged_filled_in_and_used_again(phi: Phi) -> None:

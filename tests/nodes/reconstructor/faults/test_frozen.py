@@ -21,23 +21,6 @@ def noisy(seed: int, force: float = 0.0) -> Floats:
     return np.random.default_rng(seed).normal(force, SIGMA, 30).astype(np.float32)
 
 
-@pytest.mark.parametrize("force", [0.0, 1.0])
-@pytest.mark.parametrize("n_subsets", [1, 3])
-def test_it_is_found_after_20_repeats_and_works_again_with_the_first_other_frame(
-    force: float, n_subsets: int
-) -> None:
-    watch = FrozenWatch(SIGMA)
-    subsets = [f"phi {k}" for k in range(n_subsets)]
-    for k in range(2 * n_subsets):
-        watch.update(subsets[k % n_subsets], noisy(k % n_subsets if k >= n_subsets else 9, force))
-    changes = [watch.update(subsets[k % n_subsets], noisy(k % n_subsets, force)) for k in range(40)]
-    assert changes.index(True) == FRAMES - 1
-    assert sum(changes) == 1
-    assert watch.frozen
-    assert watch.update(subsets[0], noisy(77, force))
-    assert not watch.frozen
-
-
 COARSE = quantised(np.array([0.0, 1.0, 50.0], dtype=np.float32), 4)
 """Its steps are above the noise."""
 

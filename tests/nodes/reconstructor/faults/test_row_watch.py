@@ -209,13 +209,3 @@ def test_where_most_rows_disagree_none_is_blamed(phi: Phi) -> None:
         watch.update(one, np.zeros(M, np.float32))
     assert watch.swamped
     assert not watch.left_out.any()
-
-
-def test_faulty_measurements_are_replaced_from_the_last_frame(phi: Phi, truth: Floats) -> None:
-    watch, y, last = RowWatch(phi), np.full(M, 9.0, np.float32), truth[-1].reshape(-1)
-    watch.left_out[[1, 5]] = True
-    expected = y.copy()
-    expected[[1, 5]] = phi.forward(last)[[1, 5]]
-    np.testing.assert_array_equal(watch.cleaned(y, last), expected)
-    np.testing.assert_array_equal(watch.cleaned(y, None)[[1, 5]], 0)
-    np.testing.assert_array_equal(y, 9.0)

@@ -99,18 +99,6 @@ def test_a_taxel_is_the_mean_of_the_lines_on_which_it_lies_between_readings() ->
     assert restored[1, 1] == pytest.approx((1.5 + 3.5) / 2)
 
 
-def test_nothing_is_carried_from_a_frame_with_other_taxels() -> None:
-    shape = (20, 20)
-    rng = np.random.default_rng(1)
-    phi = ActsPhi(400, 60, seed=0)
-    solver = InterpolationSolver(phi, IdentityBasis(*shape))
-    for _ in range(3):
-        phi.choose(np.sort(rng.permutation(400)[:60]))
-        y = rng.random(60).astype(np.float32)
-        fresh = InterpolationSolver(phi, IdentityBasis(*shape))
-        np.testing.assert_array_equal(solver.solve(y), fresh.solve(y))
-
-
 @pytest.mark.parametrize("kind", ["sbhe", "gaussian", "full"])
 def test_measurements_of_several_taxels_are_refused(kind: str) -> None:
     phi = make_phi(kind, 64, 64 if kind == "full" else 20, seed=0)

@@ -59,17 +59,6 @@ def test_a_sliding_disc_is_reconstructed_better(
     assert psnr[0] > psnr[1] + gain_db
 
 
-def test_an_orthonormal_full_measurement_is_one_step_of_shrinking_and_cutting_off() -> None:
-    phi = make_phi("full", 256, 256, seed=0)
-    basis = HaarBasis(16, 16)
-    frame = noisy(sliding_disc((16, 16), 12))[-1]
-    theta = basis.analysis(frame)
-    shrunk = np.sign(theta) * np.maximum(np.abs(theta) - 0.05, 0)
-    solver = FistaNonnegSolver(phi, HaarBasis(16, 16), iterations=1, lambda_n=0.05)
-    expected = np.maximum(basis.synthesis(shrunk.astype(np.float32)), 0)
-    np.testing.assert_allclose(solver.solve(frame.ravel()), expected, atol=1e-5)
-
-
 def test_a_large_coefficient_of_the_last_frame_loses_its_bias() -> None:
     """With Phi = 1 a pressed tile is shrunk by lambda at first, and by far less afterwards."""
     phi = make_phi("full", 64, 64, seed=0)
