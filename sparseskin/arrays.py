@@ -112,7 +112,7 @@ def make_solver(
     Parameters
     ----------
     name : str
-        "skin", "fista", "fista_nonneg", "reweighted", "tv", "ista", "omp",
+        "skin", "fista", "fista_nonneg", "reweighted", "tv",
         "interpolation"; or "module:Class" for your own, as `Solver`.
     phi, basis, mask
         As in `Solver`.

@@ -62,8 +62,7 @@ class ReconstructorSettings(PatchesSettings):
     )
     iterations: int | None = setting(
         None,
-        "iterations a frame, in place of the preset's or of what the budget allows; with omp the "
-        "most coefficients",
+        "iterations a frame, in place of the preset's or of what the budget allows",
         low=1,
         high=1000,
         live=True,

@@ -100,7 +100,8 @@ class EndWatch:
         watched += [place for place in self._alive if inside.flat[place]]
         found, believed = [], []
         for place in dict.fromkeys([*holes, *watched]):
-            force, beside = float(forces.flat[place]), self._beside(forces, pressed, place)
+            force = float(forces.flat[place])
+            beside = float(_neighbours(forces, place, pressed).mean())
             if place in dead:
                 self._alive[place] = self._alive.get(place, 0) + 1 if force > ALIVE * beside else 0
                 if self._alive[place] >= BELIEVED:
@@ -130,29 +131,27 @@ class EndWatch:
             low.places.append(here)
         return low.looks >= ENOUGH and len(low.places) == PLACES
 
-    def _beside(self, forces: Floats, pressed: Mask, place: int) -> float:
-        """Return the mean of the pressed neighbours."""
-        row, col = divmod(place, self._n_cols)
-        around = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
-        among = pressed[around].copy()
-        among[row - around[0].start, col - around[1].start] = False
-        return float(forces[around][among].mean())
-
     def _look_for_full(self, forces: Floats) -> list[int]:
         full = np.flatnonzero(self._mask & (forces >= np.float32(FULL * self._f_max))).tolist()
         for place in [one for one in self._full if forces.flat[one] < BELOW_FULL * self._f_max]:
             del self._full[place]
         found = []
         for place in full:
-            row, col = divmod(place, self._n_cols)
-            around = forces[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2]
-            # The taxel itself is one of them.
-            if np.count_nonzero(around > BESIDE_FULL * self._f_max) == 1:
+            if not (_neighbours(forces, place) > BESIDE_FULL * self._f_max).any():
                 self._full[place] = self._full.get(place, 0) + 1
                 if self._full[place] >= FULL_LOOKS:
                     del self._full[place]
                     found.append(place)
         return found
+
+
+def _neighbours(forces: Floats, place: int, which: Mask | None = None) -> Floats:
+    """Return the forces of the eight neighbours of a place, or of those among them in `which`."""
+    row, col = divmod(place, forces.shape[1])
+    around = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
+    among = np.ones_like(forces[around], dtype=np.bool_) if which is None else which[around].copy()
+    among[row - around[0].start, col - around[1].start] = False
+    return forces[around][among]
 
 
 def _around(counts: np.ndarray[tuple[int, int], np.dtype[np.int8]]) -> Floats:
@@ -263,10 +262,8 @@ class TaxelWatch:
         good = self._mask.copy()
         good.reshape(-1)[list(self.stuck)] = False
         for place in self.stuck:
-            row, col = divmod(place, forces.shape[1])
-            around = (slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2))
-            beside = forces[around][good[around]]
-            filled[row, col] = beside.mean() if beside.size else 0
+            beside = _neighbours(forces, place, good)
+            filled.flat[place] = beside.mean() if beside.size else 0
         return filled
 
     def update(self, phi: Phi, forces: Floats, residual: Floats) -> None:

@@ -26,8 +26,6 @@ SOLVERS = {
     "fista_nonneg": "sparseskin.nodes.reconstructor.solvers.proximal:FistaNonnegSolver",
     "reweighted": "sparseskin.nodes.reconstructor.solvers.proximal:ReweightedSolver",
     "tv": "sparseskin.nodes.reconstructor.solvers.proximal:TvSolver",
-    "ista": "sparseskin.nodes.reconstructor.solvers.proximal:IstaSolver",
-    "omp": "sparseskin.nodes.reconstructor.solvers.omp:OmpSolver",
     "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",
 }
 #: Forms of solvers for phi "adaptive".

@@ -1,4 +1,4 @@
-"""Proximal gradient solvers that iterate on the image: ISTA, FISTA with x >= 0, reweighted, TV."""
+"""Proximal gradient solvers that iterate on the image: FISTA with x >= 0, reweighted, TV."""
 
 from __future__ import annotations
 
@@ -101,40 +101,7 @@ class PenalisedSolver(Solver):
         """Make the buffers of the subclass."""
 
 
-class L1Solver(PenalisedSolver):
-    """R(x) = ||W Psi^T x||_1, by soft thresholding."""
-
-    def _allocate(self) -> None:
-        #: Threshold of all coefficients, or of each.
-        self._limit: Floats | np.float32 = self._lambda_step
-
-    def _soft_step(self, z: Floats) -> None:
-        """Set `_image` to Psi soft(Psi^T (z - gradient / L), limit)."""
-        theta = self.basis.analysis(self._descended(z))
-        self.basis.synthesis(theta - np.clip(theta, -self._limit, self._limit), self._image)
-
-
-class IstaSolver(L1Solver):
-    """Iterative soft thresholding: FISTA without its momentum, for comparison.
-
-    min over theta of 1/2 ||Phi R Psi theta - y||^2 + lambda ||theta||_1, then x = Psi theta:
-    theta <- soft(theta + Psi^T Phi^T (y - Phi Psi theta) / L, lambda / L), from the theta of the
-    last frame. Parameters and Raises as in `PenalisedSolver`.
-
-    Notes
-    -----
-    Source: Daubechies, Defrise, De Mol, "An iterative thresholding algorithm for linear inverse
-    problems with a sparsity constraint", Comm. Pure Appl. Math. 57(11), 2004.
-    """
-
-    name = "ista"
-    default_iterations = 50
-
-    def _iterate(self) -> None:
-        self._soft_step(self._image)
-
-
-class FistaNonnegSolver(L1Solver):
+class FistaNonnegSolver(PenalisedSolver):
     """FISTA with the constraint x >= 0 in every iteration.
 
     min over x >= 0 of 1/2 ||Phi x - y||^2 + lambda ||Psi^T x||_1:
@@ -154,7 +121,8 @@ class FistaNonnegSolver(L1Solver):
     default_lambda_n = 0.00625
 
     def _allocate(self) -> None:
-        super()._allocate()
+        #: Threshold of all coefficients, or of each.
+        self._limit: Floats | np.float32 = self._lambda_step
         self._z: Floats = np.zeros(self.mask.shape, dtype=np.float32)
         # After the last step a momentum is computed, too.
         self._momenta = np.array(momenta(self.iterations + 1), dtype=np.float32)
@@ -164,7 +132,8 @@ class FistaNonnegSolver(L1Solver):
 
     def _iterate(self) -> None:
         before, x = self._image.copy(), self._image
-        self._soft_step(self._z)
+        theta = self.basis.analysis(self._descended(self._z))
+        self.basis.synthesis(theta - np.clip(theta, -self._limit, self._limit), x)
         np.maximum(x, 0, out=x)
         np.multiply(x, self._inside, x)
         self._z = x + self._momenta[self.n_steps - self._steps_left] * (x - before)

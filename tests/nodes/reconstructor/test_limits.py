@@ -82,7 +82,7 @@ def test_a_setting_that_the_solver_does_not_have_is_refused_before_anything_star
     with pytest.raises(SettingsError, match=r"^lambda_n: solver skin has none; allowed: "):
         Reconstructor.Settings(preset="skin", lambda_n=0.01).check()
     Reconstructor.Settings(preset="paper", lambda_n=0.01).check()
-    Reconstructor.Settings(solver="ista", lambda_n=0.01, iterations=60).check()
+    Reconstructor.Settings(solver="tv", lambda_n=0.01, iterations=60).check()
 
 
 def test_a_lambda_that_leaves_nothing_of_a_skin_pressed_all_over_is_refused() -> None:

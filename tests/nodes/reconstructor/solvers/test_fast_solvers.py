@@ -91,9 +91,9 @@ def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name: str) -> None:
 
 def test_a_solver_without_compiled_loops_takes_the_setting_and_refuses_a_wrong_word() -> None:
     phi, basis = SbhePhi(64, 30, 0), make_basis("haar", 8, 8)
-    assert make_solver("ista", phi, basis, fast="on").solve(np.zeros(30, np.float32)).max() == 0
+    assert make_solver("tv", phi, basis, fast="on").solve(np.zeros(30, np.float32)).max() == 0
     with pytest.raises(SettingsError, match="fast: 'yes' is not known"):
-        make_solver("ista", phi, basis, fast="yes")
+        make_solver("tv", phi, basis, fast="yes")
 
 
 @pytest.mark.parametrize("name", ["skin", "fista"])

@@ -14,28 +14,9 @@ from sparseskin.nodes.reconstructor.solvers.base import Solver
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 from sparseskin.nodes.reconstructor.solvers.proximal import (
     FistaNonnegSolver,
-    IstaSolver,
     ReweightedSolver,
     TvSolver,
 )
-
-
-@pytest.mark.parametrize("kind", ["sbhe", "gaussian"])
-def test_ista_is_the_articles_iteration_on_a_warm_started_sequence(kind: str) -> None:
-    phi = make_phi(kind, 256, 100, seed=1)
-    basis = HaarBasis(16, 16)
-    units = np.eye(256, dtype=np.float32).reshape(256, 16, 16)
-    psi = np.stack([basis.synthesis(u).ravel() for u in units], axis=1).astype(np.float64)
-    A, lam, L = phi.dense() @ psi, 0.01, phi.lipschitz
-    solver = IstaSolver(phi, HaarBasis(16, 16), iterations=12, lambda_n=lam)
-    theta = np.zeros(256)
-    for frame in noisy(sliding_disc((16, 16), 8)):
-        y = phi.forward(frame.ravel())
-        for _ in range(12):
-            v = theta + A.T @ (y - A @ theta) / L
-            theta = np.sign(v) * np.maximum(np.abs(v) - lam / L, 0)
-        expected = np.maximum(psi @ theta, 0).reshape(16, 16)
-        np.testing.assert_allclose(solver.solve(y), expected, atol=1e-4)
 
 
 @pytest.mark.parametrize(

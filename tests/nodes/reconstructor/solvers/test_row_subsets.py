@@ -37,7 +37,7 @@ def solver_for(name: str, phases: list[Phi], **settings: Any) -> Solver:
     return make_rotating_solver(name, phases, make_basis("haar", *SHAPE), **settings)
 
 
-@pytest.mark.parametrize("name", ["skin", "fista", "fista_nonneg", "reweighted", "tv", "ista"])
+@pytest.mark.parametrize("name", ["skin", "fista", "fista_nonneg", "reweighted", "tv"])
 def test_every_solver_follows_the_row_subsets(name: str) -> None:
     phases = phases_for(3)
     truth = sliding_disc(SHAPE, 40)

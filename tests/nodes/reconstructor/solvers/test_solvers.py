@@ -122,7 +122,7 @@ def test_what_cannot_be_made_is_named(name: str) -> None:
         solver_for(name, phi, iteration=3)
 
 
-@pytest.mark.parametrize("name", ["fista", "fista_nonneg", "ista", "reweighted", "tv"])
+@pytest.mark.parametrize("name", ["fista", "fista_nonneg", "reweighted", "tv"])
 @pytest.mark.parametrize("lambda_n", [-0.1, np.nan, "0.1", True])
 def test_a_lambda_that_is_no_weight_is_named(name: str, lambda_n: Any) -> None:
     with pytest.raises(SolverError, match=f"{name}: lambda_n = .*a finite number of newtons"):
