@@ -67,22 +67,6 @@ def test_the_taxels_of_a_contact_and_around_it_are_all_read_where_m_allows() -> 
     assert is_read[16:25, 4:13].all()
 
 
-def test_a_frame_is_read_in_eight_rounds_or_more_each_of_at_most_an_eighth() -> None:
-    image = np.zeros((64, 64), np.float32)
-    image[13:52, 13:52] = 1.0
-    rounds: list[int] = []
-
-    def read(taxels: npt.NDArray[np.intp]) -> Floats:
-        rounds.append(taxels.size)
-        return image.reshape(-1).take(taxels)
-
-    m = 800
-    ActsSearch(everywhere(64, 64), m, THRESHOLD).places(read)
-    assert sum(rounds) == m
-    assert 0 < rounds[0] <= m // 4  # the coarse lattice
-    assert max(rounds[1:]) == m // 8
-
-
 @pytest.mark.parametrize("m", [0, 101])
 def test_more_readings_than_taxels_are_refused(m: int) -> None:
     with pytest.raises(PhiError, match=rf"acts: m = {m} is not allowed; allowed: 1\.\.100"):

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from matrices import assert_operators
 
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.local import neighbourhood_order
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.phi.row_local import RowLocalPhi
 from sparseskin.nodes.errors import PhiError
@@ -63,26 +60,6 @@ def test_a_block_sums_taxels_of_its_neighbourhood_alone(side: int) -> None:
     ]
     assert set(n_neighbourhoods) == {max(1, 32 // side**2)}
     assert np.sort(blocks.ravel()).tolist() == list(range(32 * 48))
-
-
-@given(
-    n_rows=st.integers(1, 12),
-    n_cols=st.integers(1, 12),
-    side=st.integers(1, 13),
-    seed=st.integers(0, 99),
-)
-def test_each_taxel_is_once_in_the_order_and_neighbourhoods_stay_together(
-    n_rows: int, n_cols: int, side: int, seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    exists = rng.random((n_rows, n_cols)) < 0.7
-    exists[0, 0] = True
-    order = neighbourhood_order(exists, side, rng)
-    assert sorted(order.tolist()) == list(range(int(exists.sum())))
-    rows, cols = np.divmod(np.flatnonzero(exists)[order], n_cols)
-    visited = list(dict.fromkeys(zip(rows // side, cols // side, strict=True)))
-    runs = 1 + np.count_nonzero(np.diff(rows // side) | np.diff(cols // side))
-    assert len(visited) == runs
 
 
 def test_a_mask_is_laid_out_by_its_existing_taxels() -> None:

@@ -20,7 +20,7 @@ from sparseskin.nodes.reconstructor.solvers.base import make_solver
 
 #: Scenes that the constants were not fitted on, and how much of them is held at least and at most.
 #: Large flat contacts (1) are better than they show; small ones that slide slowly (3) are worse.
-HELD = {0: (0.85, 0.95), 1: (0.85, 0.98), 3: (0.8, 0.97), 5: (0.85, 0.95), 7: (0.85, 0.95)}
+HELD = {0: (0.85, 0.95), 1: (0.85, 0.98), 3: (0.8, 0.97)}
 
 
 def held(preset: str, scene: int) -> tuple[float, float]:
