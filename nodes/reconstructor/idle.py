@@ -141,10 +141,6 @@ class IdleWatch:
         """Note the forces of a patch, by number, float32, shape (n_rows, n_cols)."""
         self._forces[patch] = forces
 
-    def never_due(self) -> None:
-        """Solve no idle patch anyway: for studies of what the tests notice."""
-        self._age[:] = -(2**62)
-
     def _restart(self, which: Mask) -> None:
         """Begin new references for some patches."""
         self._n[:, which] = 0

@@ -13,7 +13,7 @@ import torch
 from torch.nn import functional
 
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
-from sparseskin.nodes.reconstructor.bases.haar import haar_matrix
+from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.skin.gates import (
     INNER,
     N_FILTERS,
@@ -45,7 +45,8 @@ def first_network(seed: int) -> Network:
     inside = np.zeros((WINDOW, WINDOW), dtype=np.bool_)
     inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
     haar = np.zeros((TILE * TILE, WINDOW * WINDOW))
-    haar[:, inside.reshape(-1)] = haar_matrix((TILE, TILE))
+    units = np.eye(TILE * TILE, dtype=np.float32).reshape(-1, TILE, TILE)
+    haar[:, inside.reshape(-1)] = HaarBasis(TILE, TILE).analysis(units).reshape(len(units), -1).T
     n_more = N_FILTERS - TILE * TILE
     filters = torch.tensor(np.concatenate([haar, cosines(WINDOW)[:n_more]]), dtype=torch.float32)
     tile = torch.tensor(haar[:, inside.reshape(-1)].T, dtype=torch.float32)

@@ -61,7 +61,7 @@ def missed(contact: int, sigmas: float, n_patches: int) -> list[float]:
     watched = Watched(n_patches, truth.copy())
     row, col = np.random.default_rng(0).integers(0, SKIN.n_rows - contact + 1, 2)
     truth[row : row + contact, col : col + contact] = sigmas * NOISE.sigma_end
-    watched.watch.never_due()
+    watched.watch._age[:] = -(2**62)  # none is due
     open_ = np.ones(n_patches, np.bool_)
     shares = []
     for k in range(1, max(FRAMES) + 1):

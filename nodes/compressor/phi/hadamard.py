@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
-from sparseskin.nodes.numerics.programs import Call
 
 MOST_AT_ONCE = 64
 """Size of the largest Hadamard matrix that is one product: two smaller ones are faster than a
 larger one (timed)."""
+
+
+Call: TypeAlias = tuple[Callable[..., Any], tuple[Any, ...]]
+"""A numpy call of a program. A transform of a few thousand numbers is a hundred of them, and slicing
+their views takes as long as the arithmetic: views and buffers are made once."""
+
+
+def run(program: Sequence[Call]) -> None:
+    """Execute the calls of a program, in order."""
+    for function, arguments in program:
+        function(*arguments)
 
 
 def block_sizes(n: int, block: int) -> list[int]:

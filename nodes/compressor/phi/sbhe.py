@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
-from sparseskin.nodes.numerics.programs import run
 
 from .base import BLOCK, RANDOM, SPREAD, Phi, fingerprint_of
-from .hadamard import BlockHadamard, block_sizes, hadamard_matrix
+from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
 

@@ -111,11 +111,3 @@ def level_sizes(rows: int, cols: int) -> list[tuple[int, int]]:
         sizes.append((rows, cols))
         rows, cols = (rows + 1) // 2, (cols + 1) // 2
     return sizes
-
-
-def haar_matrix(shape: tuple[int, int]) -> Doubles:
-    """Return Psi^T of a small grid, row by row of its pyramid, float64, shape (n, n)."""
-    pyramids = np.eye(shape[0] * shape[1]).reshape(-1, *shape)
-    for r, k in level_sizes(*shape):
-        pyramids[:, :r, :k] = level_matrix(r) @ pyramids[:, :r, :k] @ level_matrix(k).T
-    return pyramids.reshape(len(pyramids), -1).T

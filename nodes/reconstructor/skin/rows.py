@@ -7,11 +7,10 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts, side_by_side
+from sparseskin.nodes.compressor.phi.hadamard import Call, HadamardProducts, run, side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
 from sparseskin.nodes.numerics.compiled import ready
-from sparseskin.nodes.numerics.programs import Call, run
 
 LEAST_PART = 1e-4
 """Eigenvalue of Phi Phi^T, as a part of the largest, below which a direction counts as unmeasured.
