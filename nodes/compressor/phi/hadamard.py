@@ -16,8 +16,8 @@ larger one (timed)."""
 
 
 Call: TypeAlias = tuple[Callable[..., Any], tuple[Any, ...]]
-"""A numpy call of a program. A transform of a few thousand numbers is a hundred of them, and slicing
-their views takes as long as the arithmetic: views and buffers are made once."""
+"""A numpy call of a program. A transform of a few thousand numbers is a hundred of them, and to
+slice their views takes as long as the arithmetic: views and buffers are made once."""
 
 
 def run(program: Sequence[Call]) -> None:
