@@ -34,9 +34,6 @@ class RandomSums(Phi):
         """Largest eigenvalue of Phi Phi^T: the step size of a solver is its reciprocal."""
         return self._lipschitz
 
-    def dense(self):
-        return self._matrix.toarray().astype(np.float64)
-
     def _forward(self, x, out):
         out[:] = self._matrix @ x
 

@@ -75,23 +75,6 @@ def use_compiled(fast: str) -> bool:
     return True
 
 
-def compile_loops(solver: str, fast: str, log: Callable[[str], None]) -> None:
-    """Compile the loops of a solver now, or read them from disk, so that no frame waits for it.
-
-    Nothing is done for a solver without any, or where `use_compiled` is False, with Raises as
-    there. `log` receives a line of text before anything is compiled, and one after it; where numba
-    is missing or cannot be imported, one that says so.
-    """
-    if solver not in SOLVERS:
-        return
-    if use_compiled(fast):
-        from .kernels import LOOPS  # needs numba
-
-        ready(*LOOPS[solver], log=log)
-    elif "off" not in (fast, os.environ.get(ENVIRONMENT)):
-        log(NOT_IMPORTED if find_spec("numba") else NOT_INSTALLED)
-
-
 def ready(*loops: Callable[..., Any], log: Callable[[str], None] | None = None) -> None:
     """Compile loops for their types, or read them from disk; they then accept no other types.
 

@@ -31,7 +31,7 @@ from sparseskin.nodes.errors import (
 )
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.numerics.compiled import compile_loops
+from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate
 from sparseskin.nodes.reconstructor.solvers.base import make_solver

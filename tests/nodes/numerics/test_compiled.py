@@ -14,7 +14,8 @@ import pytest
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics import compiled as fast
-from sparseskin.nodes.numerics.compiled import compile_loops, ready, use_compiled
+from sparseskin.nodes.numerics.compiled import ready, use_compiled
+from sparseskin.nodes.numerics.warm_up import compile_loops
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed (extra fast)")
