@@ -36,8 +36,7 @@ def made(name: str, phi: Phi, mask: Mask, how: str) -> Solver:
 @pytest.mark.parametrize(
     ("name", "shape", "n_missing"),
     [
-        *[("fista", (33, 47), 100), ("fista", (64, 64), 0), ("fista", (1, 19), 0)],
-        *[("fista", (10, 6), 3), ("fista", (31, 1), 1)],
+        *[("fista", (33, 47), 100), ("fista", (64, 64), 0), ("fista", (10, 6), 3)],
         *[("skin", (28, 28), 60), ("skin", (12, 32), 0), ("skin", (15, 21), 0)],
     ],
 )
