@@ -192,8 +192,13 @@ class Reconstruction(Frames):
         Estimated RMS error of a taxel of each patch, in the skin's unit, where the solver estimates
         it.
     trusted : tuple of bool
-        False of a patch for which that error is a large part of the forces; True also where it is
-        not estimated.
+        False of a patch whose forces are not to be acted on; True also where the error is not
+        estimated.
+    reason : tuple of str
+        Why a patch is not trusted: "error" (the estimated error is a large part of the forces),
+        "constant" (all measurements are equal: the frame was left out), "frozen" (frames repeat
+        exactly), "range" (a force beyond f_max), "uniform" (all taxels rose together), "rows"
+        (measurements contradict each other); "" of one that is, and where it was not stated.
     unchanged : tuple of bool
         True of a patch whose measurements changed by no more than their noise: the frame was not
         solved, and its forces are those of the frame before.
@@ -217,6 +222,7 @@ class Reconstruction(Frames):
     )
     trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
     unchanged: tuple[bool, ...] = wire(Each(Flag(), (False,)), default=(), omitted=True)
+    reason: tuple[str, ...] = wire(Each(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
 
     def validate(self) -> None:
         super().validate()

@@ -272,7 +272,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     ) -> Reconstruction:
         """What the patches found, without the forces of those that are unchanged."""
         found = [patch.solved for patch in self._patches if patch.solved is not None]
-        all_forces, sds, iterations, residuals, solve_ns, errors, trusted = zip(*found, strict=True)
+        all_forces, sds, iterations, residuals, solve_ns, errors, reasons = zip(*found, strict=True)
         forces = [one for one, same in zip(all_forces, unchanged, strict=True) if not same]
         return Reconstruction(
             stamp_ns=measurements.stamp_ns,
@@ -287,7 +287,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             sd=None if sds[0] is None else _stacked(sds),
             skipped=self._skipped,
             error=errors,
-            trusted=trusted,
+            trusted=tuple([not reason for reason in reasons]),
+            reason=reasons,
             unchanged=tuple(unchanged),
         )
 

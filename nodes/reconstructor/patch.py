@@ -39,7 +39,9 @@ from .settings import PRESETS, ReconstructorSettings
 
 
 class Solved(NamedTuple):
-    """What a `Reconstruction` states of one patch; forces and sd are float32 (n_rows, n_cols)."""
+    """What a `Reconstruction` states of one patch; forces and sd are float32 (n_rows, n_cols).
+    `reason` is why the frame is not to be trusted, "" if it is.
+    """
 
     forces: Floats
     sd: Floats | None
@@ -47,7 +49,7 @@ class Solved(NamedTuple):
     residual: float
     solve_ns: int
     error: float | None
-    trusted: bool
+    reason: str
 
 
 class Patch:
@@ -163,7 +165,8 @@ class Patch:
             self.solver.use(phi)
         self.faults.watch_repeats(phi.fingerprint, y)
         self._phi, self._watched, self._given, self._y = phi, watched, y, y
-        if watched:
+        self._dropped = self.faults.is_constant(y) and self.solved is not None
+        if watched and not self._dropped:
             self._given, self._y = self.faults.cleaned(phi, y, self._last)
 
     @property
@@ -174,6 +177,9 @@ class Patch:
     def solve(self) -> None:
         """Reconstruct the frame. Raises SolverError if the solver cannot."""
         assert self.solver is not None
+        if self._dropped and self._last is not None:
+            self._n_steps = self._solve_ns = 0
+            return
         begin_ns = time.perf_counter_ns()
         self._last, self._n_steps = self._solve(self.solver, self._y)
         self._error, self._trusted = estimated_error(self.solver)
@@ -185,23 +191,32 @@ class Patch:
         assert self.solver is not None
         assert self._last is not None
         forces = self._last
-        filled = self.faults.filled(forces)
+        filled, reason = self.faults.checked(self.faults.filled(forces))
         self._fitted = self._phi.forward(forces.reshape(-1)[self.solver.taxels])
         left = np.subtract(self._fitted, self._y, dtype=np.float64)
         residual = math.sqrt(float(np.dot(left, left)) / left.size)
         sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
-        trusted = self._trusted and not self.faults.frozen
-        self.solved = Solved(
-            filled, sd, self._n_steps, residual, self._solve_ns, self._error, trusted
-        )
+        error, reason = self._error, self._reason(reason)
+        self.solved = Solved(filled, sd, self._n_steps, residual, self._solve_ns, error, reason)
         return self.solved
+
+    def _reason(self, of_forces: str) -> str:
+        """Why the frame is not to be trusted; "" if it is. `of_forces` is that of its forces."""
+        reasons = (
+            ("constant", self._dropped),
+            ("frozen", self.faults.frozen),
+            ("error", not self._trusted),
+            ("rows", self.faults.swamped),
+        )
+        return next((reason for reason, applies in reasons if applies), of_forces)
 
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""
         assert self.solved is not None
         self.faults.watch_repeats(phi.fingerprint, y)
-        trusted = self._trusted and not self.faults.frozen
-        self.solved = self.solved._replace(iterations=0, solve_ns=0, trusted=trusted)
+        self._dropped = self.faults.is_constant(y)
+        reason = self._reason("")
+        self.solved = self.solved._replace(iterations=0, solve_ns=0, reason=reason)
 
     def learn(self, stamp_ns: int, skin: SkinState) -> None:
         """Learn from the frame that was solved, once it is published."""
@@ -209,11 +224,14 @@ class Patch:
         assert self.solved is not None
         solver, forces, phi = self.solver, self._last, self._phi
         assert forces is not None
+        following = self._subsets[(self._subsets.index(phi) + 1) % len(self._subsets)]
+        if self._dropped:
+            return
         self._trust_log.update(
             stamp_ns,
             forces,
             self.solved.error,
-            self._trusted,
+            self.solved.reason,
             n=solver.taxels.size,
             unit=skin.unit,
         )
@@ -223,11 +241,12 @@ class Patch:
         ):
             # The effect of faulty measurements on the estimate would last for long.
             self._warm, self._last = np.zeros_like(forces), None
+        elif self._watched:
+            self.faults.expect(following, forces)
         if self._resultant is not None:
-            following = (self._subsets.index(phi) + 1) % len(self._subsets)
             x, bias = forces.reshape(-1)[solver.taxels], getattr(solver, "bias", 0.0)
             self._resultant.learn(phi, self._y, x, self._fitted, bias)
-            self._resultant.prepare(self._subsets[following])
+            self._resultant.prepare(following)
 
     def _solve(self, solver: Solver, y: Floats) -> tuple[Floats, int]:
         """Reconstruct one frame within the budget; return the forces and the number of steps."""

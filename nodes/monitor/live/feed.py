@@ -31,7 +31,8 @@ class PatchFeed:
     While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
     the newest of each kind. Their names are those of the schemas. `idle` is true while the newest
     frame was published as unchanged. `newest_trusted` is that of the
-    newest reconstruction shown, `untrusted_s` the time of the last one not to be trusted.
+    newest reconstruction shown, `untrusted_s` the time of the last one not to be trusted, `reason`
+    that of the last one.
     """
 
     skin: SkinState | None = None
@@ -46,6 +47,7 @@ class PatchFeed:
     ended: bool = False
     newest_trusted: bool = True
     untrusted_s: float = -math.inf
+    reason: str = ""
     idle: bool = False
 
     @property
@@ -63,6 +65,7 @@ class PatchFeed:
         (self.newest_trusted,) = reconstruction.trusted
         if not self.newest_trusted:
             self.untrusted_s = now_s
+            (self.reason,) = reconstruction.reason
 
 
 class Feed:

@@ -161,6 +161,7 @@ class StreamReader:
             "lost": self._lost(patch),
             "ended": patch.ended,
             "trusted": patch.trusted(now_s),
+            "reason": patch.reason,
             "idle": patch.idle,
         }
         if self._is_new(f"summary {name}", patch.summary):

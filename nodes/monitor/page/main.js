@@ -130,6 +130,12 @@ function asked(name) {
   return (model.skins[name]?.rate_hz ?? 0) * (player?.state.rate ?? 1);
 }
 
+// The mark of a patch whose frames are not to be trusted now, with the reason; "" if they are.
+function notTrusted(state) {
+  if (state?.trusted !== false) return "";
+  return state.reason ? `not trusted: ${state.reason}` : "not trusted";
+}
+
 // The share of trusted frames in those that PSNR is shown of; "" if the solver estimates none. It is
 // 100 % only where all of them are trusted.
 function trusted(summary) {
@@ -181,10 +187,10 @@ function drawHeadline() {
       setText(found.querySelector("span"), note);
     }
   }
-  const doubted = model.state?.patches[patch]?.trusted === false;
+  const doubt = notTrusted(model.state?.patches[patch]);
   for (const title of document.querySelectorAll(
     '[data-tile="gain"], [data-panel="reconstruction"] h2')) {
-    title.dataset.mark = doubted ? "not trusted" : "";
+    title.dataset.mark = doubt;
   }
 }
 
@@ -249,7 +255,7 @@ function drawOverview() {
     const lost = state.lost ? [`${state.lost} lost`] : [];
     setText(card.querySelector("p"), names.length > MANY ? [
       now, fixed(mean(s, "reconstruction"), 1, "dB"), ...skipped, ...lost,
-      ...(state.trusted ? [] : ["not trusted"]),
+      ...(state.trusted ? [] : [notTrusted(state)]),
     ].join(" · ") : [
       s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
       `PSNR ${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1, "dB")}`,
@@ -257,7 +263,7 @@ function drawOverview() {
       `${state.lost} lost`,
       ...(trusted(s) ? [trusted(s)] : []),
       ...skipped,
-      ...(state.trusted ? [] : ["not trusted now"]),
+      ...(state.trusted ? [] : [notTrusted(state)]),
       now,
     ].join(" · "));
   }

@@ -1,4 +1,4 @@
-"""Log lines on frames whose estimated error is a large part of their forces."""
+"""Log lines on frames that are not to be trusted."""
 
 from __future__ import annotations
 
@@ -20,6 +20,13 @@ Chosen: the first frame or two of a stream or contact, of which the past says no
 _ADVICE = "; if that lasts, more measurements{} may help, see docs/method.md#estimated-error"
 ADVICE, FIXED_ADVICE = _ADVICE.format(""), _ADVICE.format(" or rotating rows")
 """What may help; where rows are fixed, that they rotate, too."""
+
+LOGGED = {
+    "error": "",
+    "range": "forces exceed the range of the skin",
+    "uniform": "all taxels rose together: drift, hum, or a pressure on the whole skin",
+}
+"""What is logged of a reason; "": the estimated error. `FaultWatch` logs the other reasons."""
 
 FIRST = 2
 """First frames of a row subset, whose noise no earlier frame has shown."""
@@ -56,15 +63,17 @@ class TrustLog:
         stamp_ns: int,
         forces: Floats,
         error: float | None,
-        trusted: bool,
+        reason: str,
         *,
         n: int,
         unit: str,
     ) -> None:
         """Process a frame: forces, 0 where no taxel exists, and what its solver estimates of them.
 
-        `error` and `trusted` are as in `Solver`; n is the number of taxels, `unit` that of forces.
+        `error` and `reason` are as in `Reconstruction`; n is the number of taxels, `unit` that of
+        forces.
         """
+        trusted = reason not in LOGGED
         self._n_frames += 1
         self._n_untrusted += not trusted
         if self._n_early:
@@ -77,8 +86,9 @@ class TrustLog:
             return
         count = f" ({self._n_untrusted} of the last {self._n_frames} frames)"
         of_run = "" if self._logged_ns is None else count
-        estimate = _described(error, forces, n, unit)
-        self._log(f"frames not to be trusted: {estimate}{of_run}{self._advice}")
+        estimate = LOGGED[reason] or _described(error, forces, n, unit)
+        advice = "" if LOGGED[reason] else self._advice
+        self._log(f"frames not to be trusted: {estimate}{of_run}{advice}")
         self._logged_ns = stamp_ns
         self._n_frames = self._n_untrusted = 0
 

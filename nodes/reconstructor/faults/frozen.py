@@ -7,9 +7,9 @@ import numpy as np
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.numerics.arrays import Floats
 
-FRAMES = 20
-"""Exactly equal frames after which a board hangs. Chosen: 0.2 s at 100 Hz; noise of half a step of
-the quantiser repeats 16 measurements 20 times in less than one of 10^100 cases."""
+FRAMES, MEASUREMENTS = 4, 60
+"""Least number of frames that repeat exactly, and of the measurements in them, after which a board
+hangs. Chosen: noise of half a step of the quantiser repeats 60 of them in one of 10^18 cases."""
 LEAST_NOISE = 0.5
 """Least deviation of the stated noise, in steps of the quantiser, at which measurements cannot
 repeat by themselves."""
@@ -30,7 +30,7 @@ class FrozenWatch:
     Attributes
     ----------
     frozen : bool
-        True from the 20th repeated frame on, until one differs.
+        True from the 4th repeated frame on, until one differs.
     """
 
     def __init__(self, sigma: float) -> None:
@@ -52,5 +52,6 @@ class FrozenWatch:
         if not repeats:
             self._last[subset] = np.array(y, dtype=np.float32)
         self._n_equal = self._n_equal + 1 if repeats and self._sigma > LEAST_NOISE * step else 0
-        before, self.frozen = self.frozen, self._n_equal >= FRAMES
+        before = self.frozen
+        self.frozen = self._n_equal >= max(FRAMES, MEASUREMENTS / y.size)
         return self.frozen != before

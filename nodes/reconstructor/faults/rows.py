@@ -94,7 +94,7 @@ class RowWatch:
         self._heavy_ones = ones[self._heavy]
         self._heavy_ones2 = np.square(self._heavy_ones)
         _, self._starts, self._block = np.unique(
-            _blocks(phi), return_index=True, return_inverse=True
+            blocks_of(phi), return_index=True, return_inverse=True
         )
         self._last, self._before, self._evidence, self._oddity = np.zeros((4, m), dtype=np.float32)
         self._residual, self._left = np.zeros((2, m), dtype=np.float32)
@@ -111,17 +111,6 @@ class RowWatch:
         self.left_out: Mask = np.zeros(m, dtype=np.bool_)
         self.swamped = False
         self._count_peers()
-
-    def cleaned(self, y: Floats, last: Floats | None) -> Floats:
-        """Return measurements, float32 (m,), with Phi `last` in place of faulty ones.
-
-        `last` holds the forces of the last frame, float32 (n,); None: 0. y is not modified.
-        """
-        if not self.left_out.any():
-            return y
-        expected = np.zeros_like(y) if last is None else self._phi.forward(last)
-        cleaned: Floats = np.where(self.left_out, expected, y).astype(np.float32)
-        return cleaned
 
     def update(self, y: Floats, fitted: Floats, unfitted: Indices | None = None) -> bool:
         """Process measurements as received, and Phi times the frame, `fitted`; float32 (m,).
@@ -317,7 +306,7 @@ def mixed_taxels(phi: Phi) -> float:
     return least
 
 
-def _blocks(phi: Phi) -> Indices:
+def blocks_of(phi: Phi) -> Indices:
     """Return the number of the block of taxels that each row sums; 0 if there are no blocks."""
     if not isinstance(phi, SbhePhi):
         return np.zeros(phi.m, dtype=np.intp)

@@ -10,14 +10,18 @@ from typing import TypeAlias
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
 #: Frames between two searches for taxels that stand alone: with at least this part of the range,
 #: next to neighbours of at most this part of their own force.
 EVERY, LEAST_FORCE, ALONE = 10, 0.08, 0.25
-#: Frames in which a taxel's noise is measured; a stuck one has less than this part of the stated
-#: variance; the force may change by this part meanwhile.
-MEASURED, QUIET, CHANGE = 200, 0.2, 0.1
+#: Side of a square of taxels that share a part, as a multiplexer, and least number of taxels of a
+#: group: a peg may cover fewer. Least part of the taxels beside a group that are low, and least
+#: force of one of its taxels, in their median. Chosen.
+SQUARE, LEAST_GROUP, MOSTLY, EVEN = 8, 8, 0.75, 0.5
+#: Samples, and least frames, in which the noise of suspects is measured; stuck ones have less than
+#: this part of the stated variance; the force may change by this part meanwhile.
+MEASURED, MEASURED_FRAMES, QUIET, CHANGE = 200, 40, 0.2, 0.1
 #: Least part of the stated noise variance that the measurements must have: a skin quieter than
 #: stated has no stuck taxels. Part of the variance that is left of noise clipped at 0.
 REAL, CUT_OFF = 0.5, 0.34
@@ -178,10 +182,16 @@ def _shift(here: Reach, there: Reach) -> int:
 
 @dataclass
 class _Suspect:
-    """A taxel that stands alone: its force, and its squared noise in each frame so far."""
+    """Taxels that stand alone: their forces, and the squared noise of each in each frame so far."""
 
-    force: float
-    noise: list[float] = field(default_factory=list)
+    forces: Floats
+    noise: list[Floats] = field(default_factory=list)
+
+    @property
+    def is_measured(self) -> bool:
+        """True if the noise is known."""
+        n_frames = len(self.noise)
+        return n_frames >= max(MEASURED_FRAMES, MEASURED / self.forces.size)
 
 
 class TaxelWatch:
@@ -191,7 +201,9 @@ class TaxelWatch:
     so the harder it is pressed. The noise of one taxel shows along its column of Phi, in the change
     of the residual from frame to frame. With less than a fifth of the stated variance over 200
     frames it is stuck: its reading is subtracted from the measurements, and its force is the mean
-    of its neighbours. It is used again once the measurements contradict it.
+    of its neighbours. It is used again once the measurements contradict it. The taxels of a whole
+    row or column, or of a square of 8 x 8, that stand alone together are judged together, in 40
+    frames.
 
     Dead and saturated taxels are found by `EndWatch`. A dead one subtracts nothing from the
     measurements; with M < N / 5 none is searched for.
@@ -223,7 +235,10 @@ class TaxelWatch:
         self._taxels = np.flatnonzero(mask)
         self._number = np.cumsum(mask.reshape(-1)) - 1
         self._least = np.float32(LEAST_FORCE * f_max)
-        self._suspects: dict[int, _Suspect] = {}
+        self._suspects: dict[tuple[int, ...], _Suspect] = {}
+        self._groups = _groups(mask)
+        self._grouped = np.concatenate([places for places, _ in self._groups] or [self._taxels])
+        self._begins = np.cumsum([0, *(places.size for places, _ in self._groups)])[:-1]
         self._last: dict[str, Floats] = {}
         self._columns: dict[tuple[str, int], Floats] = {}
         self._n_frames = 0
@@ -283,17 +298,17 @@ class TaxelWatch:
     def _measure(self, phi: Phi, forces: Floats, residual: Floats, change: Floats) -> None:
         """Collect the noise of suspects; use stuck taxels again that the residual contradicts."""
         seen = phi.m / phi.n
-        for place, suspect in list(self._suspects.items()):
-            column = self._column(phi, place)
-            suspect.noise.append(float(np.dot(column, change)) ** 2 / 2)
-            if len(suspect.noise) < MEASURED:
+        for places, suspect in list(self._suspects.items()):
+            columns = np.stack([self._column(phi, place) for place in places[:MOST]])
+            suspect.noise.append(np.square(columns @ change) / 2)
+            if not suspect.is_measured:
                 continue
             # The median: a contact that moves elsewhere is no noise.
             variance = float(np.median(suspect.noise)) / MEDIAN_SQUARE
-            expected = seen * float(self._sigma(np.array(suspect.force, np.float32)))
+            expected2 = seen**2 * float(np.square(self._sigma(suspect.forces)).mean())
             suspect.noise.clear()
-            if variance < QUIET * expected**2 and self._as_noisy_as_stated(forces, change):
-                self._exclude(place, suspect.force)
+            if variance < QUIET * expected2 and self._as_noisy_as_stated(forces, change):
+                self._exclude(places, suspect.forces)
         for place, value in list(self.stuck.items()):
             if not value:
                 continue
@@ -316,12 +331,15 @@ class TaxelWatch:
         sigma: Floats = self._sigma_mid + (self._sigma_end - self._sigma_mid) * apart
         return sigma
 
-    def _exclude(self, place: int, value: float) -> None:
-        self._suspects.pop(place, None)
-        self.stuck[place], self._off[place] = value, 0.0
+    def _exclude(self, places: Sequence[int], values: Floats | Sequence[float]) -> None:
+        self._suspects.pop(tuple(places), None)
+        for place, value in zip(places, values, strict=True):
+            self.stuck[place], self._off[place] = float(value), 0.0
         self._subtracted.clear()
-        fault = f"is stuck at {value:.3g}" if value else "reads 0 in every contact"
-        self._log(f"taxel {self._names([place])} {fault}: left out")
+        alike = np.mean(values)
+        verb, taxels = ("are", "taxels") if len(places) > 1 else ("is", "taxel")
+        fault = f"{verb} stuck at {alike:.3g}" if alike else "reads 0 in every contact"
+        self._log(f"{taxels} {self._names(places)} {fault}: left out")
 
     def _use_again(self, place: int) -> None:
         del self.stuck[place]
@@ -332,24 +350,31 @@ class TaxelWatch:
         """Exclude taxels that stay at an end of the range; use dead ones again that do not."""
         dead, saturated, alive = self._ends.look(forces, self.stuck)
         for place in dead if search_dead else ():
-            self._exclude(place, 0.0)
+            self._exclude([place], [0.0])
         for place in saturated:
-            self._exclude(place, float(forces.flat[place]))
+            self._exclude([place], [float(forces.flat[place])])
         for place in alive:
             if not self.stuck[place]:
                 self._use_again(place)
 
     def _look(self, forces: Floats) -> None:
         """Suspect the taxels that stand alone; drop those that do not any more, or have changed."""
-        places = self._alone(forces) - self.stuck.keys()
+        found = self._together(forces)
+        found += [(place,) for place in sorted(self._alone(forces))]
+        found = [places for places in found if not self.stuck.keys() & places]
         flat = forces.reshape(-1)
-        if not places and not self._suspects and not self.stuck:
+        if not found and not self._suspects and not self.stuck:
             self._columns.clear()
-        for place, suspect in list(self._suspects.items()):
-            if place not in places or abs(flat[place] - suspect.force) > CHANGE * suspect.force:
-                del self._suspects[place]
-        for place in sorted(places - self._suspects.keys())[: MOST - len(self._suspects)]:
-            self._suspects[place] = _Suspect(float(flat[place]))
+        for places, suspect in list(self._suspects.items()):
+            change = np.abs(flat[list(places)] - suspect.forces)
+            moved = np.count_nonzero(change > CHANGE * suspect.forces)
+            if places not in found or moved > (1 - MOSTLY) * len(places):
+                del self._suspects[places]
+        room = MOST - sum(map(len, self._suspects))
+        for places in found:
+            if places not in self._suspects and room > 0:
+                self._suspects[places] = _Suspect(flat[list(places)])
+                room -= len(places)
 
     def _alone(self, forces: Floats) -> set[int]:
         """Return the taxels that stand alone."""
@@ -359,6 +384,21 @@ class TaxelWatch:
         most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
         alone = self._mask & (forces > self._least) & (most < ALONE * forces)
         return set(np.flatnonzero(alone).tolist())
+
+    def _together(self, forces: Floats) -> list[tuple[int, ...]]:
+        """Return the groups whose taxels are pressed alike, and stand alone together."""
+        if not self._groups:
+            return []
+        flat = forces.reshape(-1)
+        least = np.minimum.reduceat(flat[self._grouped], self._begins)
+        found = []
+        for group in np.flatnonzero(least > self._least).tolist():
+            places, beside = self._groups[group]
+            middle = float(np.median(flat[places]))
+            n_low = np.count_nonzero(flat[beside] < ALONE * middle)
+            if least[group] > EVEN * middle and n_low >= MOSTLY * beside.size:
+                found.append(tuple(places.tolist()))
+        return found
 
     def _column(self, phi: Phi, place: int) -> Floats:
         key = phi.fingerprint, place
@@ -371,6 +411,29 @@ class TaxelWatch:
     def _names(self, places: Iterable[int]) -> str:
         n_cols = self._mask.shape[1]
         return listed([f"({place // n_cols}, {place % n_cols})" for place in sorted(places)])
+
+
+def _groups(mask: Mask) -> list[tuple[Indices, Indices]]:
+    """Return rows, columns and squares of taxels, and those beside each, as places in the grid."""
+    n_rows, n_cols = mask.shape
+    cells = np.arange(mask.size).reshape(mask.shape)
+    boxes = [(row, row + 1, 0, n_cols) for row in range(n_rows)]
+    boxes += [(0, n_rows, col, col + 1) for col in range(n_cols)]
+    boxes += [
+        (row, row + SQUARE, col, col + SQUARE)
+        for row in range(0, n_rows, SQUARE)
+        for col in range(0, n_cols, SQUARE)
+    ]
+    groups = []
+    for top, bottom, left, right in boxes:
+        inside = np.zeros_like(mask)
+        inside[top:bottom, left:right] = True
+        around = np.zeros_like(mask)
+        around[max(0, top - 1) : bottom + 1, max(0, left - 1) : right + 1] = True
+        places, beside = cells[inside & mask], cells[around & ~inside & mask]
+        if places.size >= LEAST_GROUP and beside.size:
+            groups.append((places, beside))
+    return groups
 
 
 def listed(names: Sequence[object]) -> str:

@@ -10,7 +10,8 @@ from sparseskin.messages import SkinState
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .frozen import FRAMES, FrozenWatch
+from .frame import FrameWatch
+from .frozen import FrozenWatch
 from .rows import RowWatch
 from .taxels import TaxelWatch, listed
 
@@ -36,6 +37,9 @@ class FaultWatch:
         self._taxels: TaxelWatch | None = None
         self._noisy = False
         self._frozen = FrozenWatch(0.0)
+        self._frame: FrameWatch | None = None
+        self._expected: tuple[str, Floats] | None = None
+        self._constant = self._outlying = self._off = False
 
     @property
     def frozen(self) -> bool:
@@ -44,10 +48,12 @@ class FaultWatch:
 
     @property
     def text(self) -> str:
-        """The measurements and taxels excluded now, and whether all repeat; "" if none do."""
+        """What is excluded from the measurements now, and whether all repeat; "" if nothing is."""
         frozen = "all measurements repeat exactly" if self.frozen else ""
+        offset = 0.0 if self._frame is None else self._frame.offset
+        common = f"offset of all measurements subtracted: {offset:.2g}" if offset else ""
         taxels = "" if self._taxels is None else self._taxels.text
-        return "; ".join(filter(None, (frozen, self._rows_text, taxels)))
+        return "; ".join(filter(None, (frozen, common, self._rows_text, taxels)))
 
     @property
     def taxels(self) -> list[int]:
@@ -64,6 +70,8 @@ class FaultWatch:
         # On a skin that does not state its noise, constant readings may be right.
         self._noisy = state.sigma_mid > 0
         self._frozen = FrozenWatch(state.least_sd)
+        self._frame = FrameWatch(state, mask) if self._noisy else None
+        self._expected = None
         self._mask = mask
         self._rows = {
             fingerprint: self._rows.get(fingerprint) or RowWatch(phi)
@@ -77,27 +85,72 @@ class FaultWatch:
 
     def watch_repeats(self, subset: str, y: Floats) -> None:
         """Process measurements as they were received, float32 (m,), of the Phi of a fingerprint."""
-        if not self._frozen.update(subset, y):
-            return
-        if self.frozen:
+        if self._frozen.update(subset, y):
+            if self.frozen:
+                self._log(
+                    "all measurements repeat exactly, on a skin with noise: not trusted until they "
+                    "change; does the board hang?"
+                )
+            else:
+                self._log("measurements change again")
+
+    def is_constant(self, y: Floats) -> bool:
+        """True if measurements as they were received, float32 (m,), hold nothing: all are equal."""
+        constant = self._frame is not None and self._frame.is_constant(y)
+        if constant and not self._constant:
             self._log(
-                f"all measurements repeat exactly for {FRAMES} frames, on a skin with noise: not "
-                "trusted until they change; does the board hang?"
+                f"all measurements of a frame are {float(y[0]):.3g}, on a skin with noise: such "
+                "frames are left out, and not trusted; does the converter or the link drop out?"
             )
-        else:
-            self._log("measurements change again")
+        self._constant |= constant
+        return constant
+
+    def expect(self, phi: Phi, last: Floats) -> None:
+        """Compute Phi times the last frame, float32 (n_rows, n_cols), before the next one comes."""
+        if self._looks_at_rows:
+            self._expected = phi.fingerprint, phi.forward(last[self._mask])
 
     def cleaned(self, phi: Phi, y: Floats, last: Floats | None) -> tuple[Floats, Floats]:
-        """Return y without the readings of stuck taxels; and with Phi `last` for faulty rows, too.
+        """Return y without the readings of stuck taxels and the offset of all measurements; and
+        with Phi `last` for faulty measurements, too.
 
         y and both results are float32 (m,); `last` is the last frame as the solver reconstructed
         it, float32 (n_rows, n_cols), or None.
         """
         given = y if self._taxels is None else self._taxels.cleaned(phi, y)
-        if not self._looks_at_rows or not self._rows_text:
+        if not self._looks_at_rows:
             return given, given
-        forces = None if last is None else last[self._mask]
-        return given, self._rows[phi.fingerprint].cleaned(given, forces)
+        if last is None:
+            self._expected = phi.fingerprint, np.zeros(phi.m, dtype=np.float32)
+        elif self._expected is None or self._expected[0] != phi.fingerprint:
+            self.expect(phi, last)
+        assert self._expected is not None
+        assert self._frame is not None
+        expected, self._expected = self._expected[1], None
+        given, believed = self._frame.cleaned(phi, given, expected)
+        self._log_frame()
+        left_out = self._rows[phi.fingerprint].left_out
+        if left_out.any():
+            believed = np.where(left_out, expected, believed).astype(np.float32)
+        return given, believed
+
+    def _log_frame(self) -> None:
+        """Log the first outliers, and an offset that begins or ends."""
+        assert self._frame is not None
+        if self._frame.n_outlying and not self._outlying:
+            self._outlying = True
+            self._log(
+                "measurements of a frame contradict the others and the frame before: such "
+                "measurements are left out of their frame"
+            )
+        if bool(self._frame.offset) != self._off:
+            self._off = not self._off
+            now = f"share an offset of {self._frame.offset:.2g}, which is subtracted"
+            self._log(f"all measurements {now if self._off else 'have no offset any more'}")
+
+    def checked(self, forces: Floats) -> tuple[Floats, str]:
+        """Return the forces within the range, and why they cannot be right; as in `FrameWatch`."""
+        return (forces, "") if self._frame is None else self._frame.checked(forces)
 
     def filled(self, forces: Floats) -> Floats:
         """Return the frame with faulty taxels filled in; as in `TaxelWatch`."""

@@ -165,8 +165,8 @@ def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes() -> No
     assert all(found.unchanged)
     assert all(found.trusted)
     trusted = [frame(hung)[1].trusted for _ in range(REFRESH + 10)]
-    assert trusted[:10] == [(True, True)] * 10
-    assert trusted[FRAMES:] == [(False, True)] * (REFRESH + 10 - FRAMES)
+    assert trusted[: FRAMES - 1] == [(True, True)] * (FRAMES - 1)
+    assert trusted[FRAMES - 1 :] == [(False, True)] * (REFRESH + 11 - FRAMES)
     (line,) = [line for line in lines if "does the board hang?" in line]
     assert line.startswith("left: all measurements repeat exactly")
     frame(None)

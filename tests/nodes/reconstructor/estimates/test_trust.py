@@ -99,7 +99,7 @@ def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
         before = len(lines)
         for stamp_s in stamps_s:
             stamp_ns = round(stamp_s * S)
-            log.update(stamp_ns, FORCES, 0.31, trusted, n=10, unit="N")
+            log.update(stamp_ns, FORCES, 0.31, "" if trusted else "error", n=10, unit="N")
         return len(lines) - before
 
     assert feed([0, 1, 2], trusted=True) == 0
@@ -125,10 +125,10 @@ def test_the_first_two_frames_of_each_row_subset_are_no_run() -> None:
         log.begin(3)
         for trusted in [False] * 2 * 3 + [True] * 10 + [False] * RUN:
             assert len(lines) == begun - 1
-            log.update(begun * EVERY_NS, FORCES, 0.31, trusted, n=10, unit="N")
+            log.update(begun * EVERY_NS, FORCES, 0.31, "" if trusted else "error", n=10, unit="N")
         assert len(lines) == begun
         for _ in range(10):
-            log.update(begun * EVERY_NS, FORCES, 0.31, True, n=10, unit="N")
+            log.update(begun * EVERY_NS, FORCES, 0.31, "", n=10, unit="N")
 
 
 def test_the_node_logs_by_the_times_of_the_stamps() -> None:
@@ -155,5 +155,5 @@ def test_the_line_states_the_estimate(error: float | None, forces: float, words:
     log = TrustLog(lines.append)
     log.begin(3)
     for _ in range(4 + RUN):
-        log.update(0, uniform, error, False, n=8, unit="kPa")
+        log.update(0, uniform, error, "error", n=8, unit="kPa")
     assert lines == [f"frames not to be trusted: {words}{ADVICE}"]  # its rows rotate already

@@ -1,0 +1,199 @@
+"""Faults of single frames: measurements that contradict the others, forces that no skin has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.messages import SkinState
+from sparseskin.messages.quantised import Quantised
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+
+from .rows import blocks_of, mixed_taxels
+
+LEAST_MIXED = 8.0
+"""Least number of taxels that each measurement sums, for measurements to be compared."""
+LEAST_EQUAL = 40
+"""Least number of measurements that are not equal by chance: noise of half a step of the quantiser
+gives two equal ones in half of the cases."""
+LEAST_NOISE = 0.5
+"""Least deviation of the stated noise, in steps of the quantiser, at which measurements cannot be
+equal by themselves."""
+OUTLYING = 64.0
+"""Squared innovation of a measurement, in the mean of its block, that only a fault reaches.
+Derived: the signs of rows are random, so that 8 deviations occur in one of 10^15 measurements."""
+HEAVY = 0.25
+"""Part of the largest |Phi 1| beyond which a measurement is a sum of its block: its signs are not
+random, and its squared innovation is bounded by the number of taxels times the mean."""
+LEAST_PEERS = 16
+"""Least number of other measurements of a block that one is compared with."""
+MOST_OUTLYING = 0.1
+"""Largest part of the measurements that are replaced: if more are odd, something else is wrong."""
+COMMON = 0.5
+"""Part of the energy of the innovation that a change common to all measurements has at least."""
+SIGNIFICANT = 6.0
+"""Deviations of the noise that a common change has at least."""
+MOST_LIKE = 0.3
+"""Part of the energy of any taxel's press that a common change may explain: on skins of less than
+four blocks, the press of one taxel looks like an offset of all measurements."""
+LEVEL = 2.0
+"""Force that nine of ten taxels reach if they have risen together, in deviations of the noise."""
+ALIKE = 2.0
+"""Largest difference of the lowest tenth of the taxels and of their median then, in the same."""
+LEAST_UNIFORM = 256
+"""Least number of taxels of a skin that no flat body covers evenly."""
+BEYOND = 0.1
+"""Part of f_max by which the error of a reconstruction may exceed it: such forces are f_max."""
+
+
+@dataclass
+class _Rows:
+    """What does not change of a row subset: the block of each measurement, and where blocks start;
+    the bound of each squared innovation, in the mean of its block; the part of a single taxel's
+    energy that a common change explains at most.
+    """
+
+    block: Indices
+    starts: Indices
+    bound: Floats
+    like: float
+
+
+class FrameWatch:
+    """Compares the measurements of a frame with the last estimate, and its forces with the range.
+
+    It serves skins that state their noise, and any Phi whose measurements sum several taxels.
+
+    Parameters
+    ----------
+    state : SkinState
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
+
+    Attributes
+    ----------
+    offset : float
+        What is subtracted from all measurements, in the unit of the forces.
+    n_outlying : int
+        Number of measurements of the last frame that were replaced by their expectation.
+    """
+
+    def __init__(self, state: SkinState, mask: Mask) -> None:
+        self._least_sd = state.least_sd
+        self._noise2 = max(state.sigma_mid, state.sigma_end) ** 2
+        self._sd = state.sigma_end
+        self._f_max = np.float32(state.f_max)
+        self._mask = mask
+        self._n_taxels = int(np.count_nonzero(mask))
+        self._rows: dict[str, _Rows] = {}
+        self.offset = 0.0
+        self.n_outlying = 0
+
+    def is_constant(self, y: Floats) -> bool:
+        """True if all measurements, float32 (m,), are equal, on a skin with noise: those of a link
+        or converter that delivers nothing.
+        """
+        step = y.step if isinstance(y, Quantised) else 0.0
+        if y.size < LEAST_EQUAL or self._least_sd <= LEAST_NOISE * step:
+            return False
+        return bool(y[0] == y[-1] and np.all(y == y[0]))
+
+    def cleaned(self, phi: Phi, y: Floats, expected: Floats) -> tuple[Floats, Floats]:
+        """Return y without the offset, and the same with outliers replaced by their expectation.
+
+        All are float32 (m,); `expected` is Phi times the last estimate. y is not modified.
+        """
+        self.n_outlying = 0
+        rows = self._rows_of(phi)
+        if rows is None or not self._sd:
+            return y, y
+        innovation = np.subtract(y, expected, dtype=np.float32)
+        energy = float(innovation @ innovation)
+        self._follow_offset(rows, innovation, energy)
+        given = y
+        if self.offset:
+            given = np.subtract(y, np.float32(self.offset), dtype=np.float32)
+            innovation = given - expected
+        squared = np.square(innovation)
+        largest = float(squared.max())
+        noise2 = self._noise2 + _step2(y)
+        if largest <= OUTLYING * max(noise2, float(squared.mean()) / 4):
+            return given, given
+        outlying = _outlying(rows, squared, noise2)
+        count = int(np.count_nonzero(outlying))
+        if not 0 < count <= max(1, MOST_OUTLYING * y.size):
+            return given, given
+        self.n_outlying = count
+        return given, np.where(outlying, expected, given).astype(np.float32)
+
+    def _follow_offset(self, rows: _Rows, innovation: Floats, energy: float) -> None:
+        """Update the offset by an innovation that has a common change: modifies neither."""
+        if rows.like > MOST_LIKE:
+            return
+        m = innovation.size
+        change = float(innovation.mean()) - self.offset
+        # The innovation without the offset so far.
+        without = energy - 2 * self.offset * float(innovation.sum()) + m * self.offset**2
+        least = SIGNIFICANT**2 * self._noise2
+        if m * change**2 > max(least, COMMON * without):
+            self.offset += change
+            if m * self.offset**2 < least:
+                self.offset = 0.0
+
+    def _rows_of(self, phi: Phi) -> _Rows | None:
+        """What is known of a row subset; None if its measurements cannot be compared."""
+        key = phi.fingerprint
+        if key not in self._rows:
+            if mixed_taxels(phi) < LEAST_MIXED:
+                return None
+            kept, starts, block = np.unique(blocks_of(phi), return_index=True, return_inverse=True)
+            most = np.full(phi.m, 2 * phi.n, dtype=np.float32)
+            if is_sbhe(phi):
+                most = 2 * np.array(phi.sizes, dtype=np.float32)[kept][block]
+                ones = np.abs(phi.forward(np.ones(phi.n, dtype=np.float32)))
+                most[ones <= HEAVY * ones.max()] = OUTLYING
+            sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
+            like = phi.n / phi.m**2 * float(np.square(sums).max())
+            self._rows[key] = _Rows(block, starts, most, like)
+        return self._rows[key]
+
+    def checked(self, forces: Floats) -> tuple[Floats, str]:
+        """Return the forces within the range, and why they cannot be right; "" if they can.
+
+        `forces` and the result are float32 (n_rows, n_cols), in the unit of the skin. "range": a
+        force exceeds f_max by more than a tenth. "uniform": all taxels have risen together.
+        """
+        largest = forces.max()
+        if largest > self._f_max:
+            if largest > (1 + BEYOND) * self._f_max:
+                return forces, "range"
+            forces = np.minimum(forces, self._f_max)
+        if not self._sd or self._n_taxels < LEAST_UNIFORM:
+            return forces, ""
+        level = LEVEL * self._sd
+        if float(forces.sum()) < 0.9 * level * self._n_taxels:
+            return forces, ""
+        low, middle = np.quantile(forces[self._mask], (0.1, 0.5))
+        return forces, "uniform" if low > level and middle - low < ALIKE * self._sd else ""
+
+
+def _outlying(rows: _Rows, squared: Floats, noise2: float) -> Mask:
+    """Return the measurements whose squared innovation no force explains beside those of others."""
+    block, starts = rows.block, rows.starts
+    largest = np.maximum.reduceat(squared, starts)[block]
+    is_largest = squared == largest
+    second = np.maximum.reduceat(np.where(is_largest, 0, squared), starts)[block]
+    # The mean of the others but the largest, which may be faulty, too.
+    others = np.add.reduceat(squared, starts)[block] - squared
+    others -= np.where(is_largest, second, largest)
+    n_others = np.bincount(block)[block] - 2
+    mean = others / np.maximum(n_others, 1)
+    return (n_others >= LEAST_PEERS) & (squared > rows.bound * np.maximum(mean, noise2))
+
+
+def _step2(y: Floats) -> float:
+    """Variance of the rounding of a quantiser."""
+    return y.step**2 / 12 if isinstance(y, Quantised) else 0.0

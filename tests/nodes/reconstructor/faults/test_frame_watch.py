@@ -1,0 +1,131 @@
+"""Faults of single frames: outliers, offsets, dropouts, forces beyond the range."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pressed import noisy, sliding_disc
+from watched import DESK_SHAPE, NOISE, Desk, N
+
+from sparseskin.messages import Reconstruction, SkinState
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.quantiser import quantised
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.faults.frame import FrameWatch
+
+PHI = make_phi("sbhe", N, N // 3, seed=0)
+MASK = np.ones(DESK_SHAPE, np.bool_)
+STATE = SkinState(
+    stamp_ns=0, patch="skin", n_rows=DESK_SHAPE[0], n_cols=DESK_SHAPE[1], f_max=2.5, unit="N",
+    pitch_m=None, mask=None, source="", seed=0, rate_hz=0.0, has_truth=False,
+    sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end,
+)  # fmt: skip
+DISC = sliding_disc(DESK_SHAPE, 60, touch_at=0)
+
+
+def measured(k: int) -> Floats:
+    """Measurements of the disc in frame k, with noise."""
+    return PHI.forward(noisy(DISC[k : k + 1], seed=k)[0].reshape(-1))
+
+
+def expected(k: int) -> Floats:
+    return PHI.forward(DISC[k].reshape(-1))
+
+
+@given(row=st.integers(0, PHI.m - 1), value=st.sampled_from([-300.0, -5.0, 5.0, 50.0, 3e6]))
+def test_an_outlier_is_replaced_by_its_expectation_and_nothing_else_is(
+    row: int, value: float
+) -> None:
+    watch, y = FrameWatch(STATE, MASK), measured(20)
+    given_, believed = watch.cleaned(PHI, y, expected(19))
+    np.testing.assert_array_equal(believed, y)
+    y[row] += value
+    given_, believed = watch.cleaned(PHI, y, expected(19))
+    heavy = abs(PHI.forward(np.ones(N, np.float32))[row]) > 1
+    if not heavy or abs(value) > 40:  # the sum of a block may be large itself
+        assert watch.n_outlying == 1
+        assert believed[row] == expected(19)[row]
+    np.testing.assert_array_equal(np.delete(believed, row), np.delete(y, row))
+    np.testing.assert_array_equal(given_, y)
+
+
+@given(
+    row=st.integers(0, DESK_SHAPE[0] - 1),
+    col=st.integers(0, DESK_SHAPE[1] - 1),
+    side=st.integers(1, 12),
+    force=st.floats(0.05, 2.5),
+)
+def test_no_press_is_an_outlier_or_an_offset(row: int, col: int, side: int, force: float) -> None:
+    watch = FrameWatch(STATE, MASK)
+    frame = np.zeros((1, *DESK_SHAPE), np.float32)
+    frame[0, row : row + side, col : col + side] = force
+    y = PHI.forward(noisy(frame)[0].reshape(-1))
+    _, believed = watch.cleaned(PHI, y, np.zeros(PHI.m, np.float32))
+    assert (watch.n_outlying, watch.offset) == (0, 0.0)
+    np.testing.assert_array_equal(believed, y)
+
+
+@given(offset=st.floats(0.1, 30.0), sign=st.sampled_from([-1, 1]))
+def test_an_offset_is_subtracted_while_it_lasts(offset: float, sign: int) -> None:
+    watch, offset = FrameWatch(STATE, MASK), sign * offset
+    for k in range(20, 25):
+        y = measured(k) + np.float32(offset)
+        _, believed = watch.cleaned(PHI, y, expected(k - 1))
+        # Its deviation is that of the mean of the measurements, and what moved meanwhile.
+        assert watch.offset == pytest.approx(offset, abs=0.03)
+        assert np.abs(believed - measured(k)).max() < 0.03 + 1e-5 * abs(offset)
+    _, believed = watch.cleaned(PHI, measured(25), expected(24))
+    assert watch.offset == 0.0
+
+
+def test_equal_measurements_are_no_reading_unless_they_may_be_equal() -> None:
+    watch, zero = FrameWatch(STATE, MASK), np.zeros(PHI.m, np.float32)
+    assert watch.is_constant(zero)
+    assert watch.is_constant(zero + 3)
+    assert not watch.is_constant(zero[:8])
+    assert not watch.is_constant(measured(0))
+    coarse = quantised(np.concatenate([zero, [90.0]]).astype(np.float32), 8)[:-1]
+    assert not watch.is_constant(coarse)  # its step is above the noise
+    assert not FrameWatch(replace(STATE, sigma_mid=0.0, sigma_end=0.0), MASK).is_constant(zero)
+
+
+def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading() -> None:
+    watch = FrameWatch(STATE, MASK)
+    forces, reason = watch.checked(DISC[9])
+    np.testing.assert_array_equal(forces, DISC[9])
+    assert reason == ""
+    forces, reason = watch.checked(DISC[9] * np.float32(2.6 / 0.6))
+    assert (forces.max(), reason) == (2.5, "")
+    assert watch.checked(DISC[9] * np.float32(3.0 / 0.6))[1] == "range"
+    assert watch.checked(DISC[9] + np.float32(0.05))[1] == "uniform"
+    sloped = np.linspace(0.05, 0.5, N, dtype=np.float32).reshape(DESK_SHAPE)
+    assert watch.checked(sloped)[1] == ""  # a body on the whole skin
+
+
+@pytest.mark.parametrize("rows", ["fixed", "rotating"])
+def test_frames_with_faults_are_as_accurate_as_those_without_or_state_a_reason(rows: str) -> None:
+    """Of 60 frames 30 has garbage in it, 35 is empty, and from 40 on there is an offset."""
+    desk, clean = Desk(PHI, rows=rows), Desk(PHI, rows=rows)
+    n_subsets = len(desk.subsets)
+    frames = noisy(DISC)
+    y = np.array([desk.subsets[k % n_subsets].forward(f.reshape(-1)) for k, f in enumerate(frames)])
+    whole = clean.restore(y)
+    y[30, 5] = 1000.0
+    y[35] = 0
+    y[40:] += 0.7
+    found = [m for m in desk.messages(y) if isinstance(m, Reconstruction)]
+    reasons = {k: m.reason[0] for k, m in enumerate(found) if k > 10 and not m.trusted[0]}
+    assert reasons == {35: "constant"}
+    np.testing.assert_array_equal(found[35].forces, found[34].forces)
+
+    def error(forces: Floats, k: int) -> float:
+        return float(np.linalg.norm(forces - DISC[k]))
+
+    for k in (30, 31, 36, 40, 41, 50):
+        assert error(found[k].forces[0], k) < 1.5 * error(whole[k], k)
+    assert desk.node.state()["left_out"].startswith("offset of all measurements subtracted: 0.7")
+    assert len(desk.lines) == 3
