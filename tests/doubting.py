@@ -14,7 +14,7 @@ ERROR = 0.25
 
 
 class DoubtingSolver(Solver):
-    """Reconstructs 0.5 everywhere, with an estimated error of 0.25.
+    """Reconstructs 0.5 in every other row, with an estimated error of 0.25.
 
     The first `n_doubted` frames of each `period` are not to be trusted.
     """
@@ -39,7 +39,9 @@ class DoubtingSolver(Solver):
         self.error = ERROR
         self.trusted = self._n_frames % self._period >= self._n_doubted
         self._n_frames += 1
-        return self._final_forces(np.full(self.mask.shape, 0.5, np.float32))
+        forces = np.zeros(self.mask.shape, np.float32)
+        forces[::2] = 0.5
+        return self._final_forces(forces)
 
     def reset(self) -> None:
         self._n_frames = 0
