@@ -157,9 +157,11 @@ def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
     PhiError
         If `rows` is neither, the rows of phi cannot rotate, or there were more than 64 subsets.
     """
-    if (rows or _default_rows(phi, phi.kind, phi.n, phi.m)) == FIXED:
+    if rows is None:
+        rows = _default_rows(phi, phi.kind, phi.n, phi.m) if can_rotate(phi) else FIXED
+    if rows == FIXED:
         return [phi]
-    if rows not in (None, ROTATING):
+    if rows != ROTATING:
         raise PhiError(f"rows: {rows!r} is not allowed; allowed: {', '.join(ROWS)}")
     check_rotates(phi, phi.kind)
     check_subsets(phi.n, phi.m)

@@ -51,7 +51,7 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
     lines = patch_table(name, patch.summary).split("\n")[:-1]
     lines.append(f"rate        {rate} Hz of {patch.skin.rate_hz:g} Hz requested")
     if not patch.trusted(now_s):
-        lines.append(f"!! NOT TRUSTED NOW ({patch.reason})")
+        lines.append("!! NOT TRUSTED NOW" + (f" ({patch.reason})" if patch.reason else ""))
     if patch.resultant is not None:
         lines.append(_resultant_line(patch.resultant))
     return lines

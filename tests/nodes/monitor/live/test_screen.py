@@ -80,8 +80,8 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_nee
     graph.n["skin"] = 50
 
     def marked(trusted: bool) -> bool:
-        graph.frame(error=0.1, trusted=trusted)
-        return "!! NOT TRUSTED NOW" in lines_of(graph)
+        graph.frame(error=0.1, trusted=trusted, reason="" if trusted else "error")
+        return "!! NOT TRUSTED NOW (error)" in lines_of(graph)
 
     assert not marked(trusted=True)
     assert marked(trusted=False)
