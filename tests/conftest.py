@@ -5,23 +5,21 @@ from __future__ import annotations
 import contextlib
 import importlib.metadata
 import os
-import signal
 import socket
 import subprocess
 import sys
-import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
-from processes import PATIENCE_S, note_of_graph, processes_with, wait_until
+from processes import COMMAND, PATIENCE_S, PATIENT_COMMAND, Program, note_of_graph, wait_until
 
 from sparseskin.nodes import extensions
 
-__all__ = ["note_of_graph", "wait_until"]
+__all__ = ["COMMAND", "PATIENCE_S", "PATIENT_COMMAND", "note_of_graph", "wait_until"]
 
 # No test fails because the host is busy. Few examples of each property, and in CI more.
 hypothesis.settings.register_profile(
@@ -37,75 +35,6 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-COMMAND = ["-m", "sparseskin.launch.commands.entry"]
-PATIENT_COMMAND = [str(Path(__file__).with_name("patient.py"))]
-
-
-class Program:
-    """One run of the command `sparseskin`, and every process that descends from it.
-
-    Its time limits are those of `patient.py`, or with `limits` its own.
-    """
-
-    def __init__(
-        self,
-        *arguments: str,
-        cwd: Path,
-        pythonpath: Path | None = None,
-        prefix: Sequence[str] = (),
-        limits: bool = False,
-    ) -> None:
-        self._mark = f"SPARSESKIN_TEST={uuid.uuid4().hex}"
-        key, value = self._mark.split("=")
-        self.cwd = cwd
-        # Graphs of a test are told apart from all others on the host.
-        environment = {
-            **os.environ,
-            **{key: value, "SPARSESKIN_RUNTIME_DIR": str(cwd / "graphs")},
-            "XDG_STATE_HOME": str(cwd / "state"),
-        }
-        if pythonpath is not None:
-            environment["PYTHONPATH"] = str(pythonpath)
-        self._stderr = ""
-        self.process = subprocess.Popen(
-            [*prefix, sys.executable, *(COMMAND if limits else PATIENT_COMMAND), *arguments],
-            cwd=cwd,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-
-    def wait_for(self, token: str) -> str:
-        """Read stderr until a line holds the token; return what follows it there."""
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self._stderr += line
-            if token in line:
-                return line.partition(token)[2].strip()
-        raise AssertionError(f"ended without {token!r}: {self._stderr}")
-
-    def finish(self) -> tuple[int, str, str]:
-        """Wait for the end; (exit code, stdout, stderr)."""
-        stdout, stderr = self.process.communicate(timeout=PATIENCE_S)
-        return self.process.returncode, stdout, self._stderr + stderr
-
-    def survivors(self) -> dict[int, str]:
-        """Command lines of all processes that carry this run's mark, by pid."""
-        return processes_with(self._mark)
-
-    def pid_of(self, node: str) -> int:
-        """Process number of a node."""
-        ending = f"sparseskin.nodes.process.run_node {node}"
-        (pid,) = (pid for pid, line in self.survivors().items() if line.strip().endswith(ending))
-        return pid
-
-    def kill_all(self) -> None:
-        for pid in self.survivors():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -161,16 +90,10 @@ StartProgram = Callable[..., Program]
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[StartProgram]:
     """Start `sparseskin ARGUMENTS` in an empty folder; nothing outlives the test."""
-    programs: list[Program] = []
-
-    def run(*arguments: str, **options: Any) -> Program:
-        programs.append(Program(*arguments, cwd=tmp_path, **options))
-        return programs[-1]
-
-    yield run
-    for program in programs:
-        program.kill_all()
-        program.process.communicate()
+    with contextlib.ExitStack() as stack:
+        yield lambda *arguments, **options: stack.enter_context(
+            Program(*arguments, cwd=tmp_path, **options)
+        )
 
 
 MountDisk = Callable[[str], Path]

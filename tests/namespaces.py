@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from slow_wire import SlowWire
 
 ADDRESSES = {"edge": "10.203.7.1", "desk": "10.203.7.2"}
 
@@ -22,38 +21,25 @@ def ip(*arguments: str) -> None:
 
 
 class TwoHosts:
-    """Namespaces "edge" and "desk", joined by one wire; a slow one delays packets by 20 ms and
-    loses one of a hundred.
-    """
+    """Namespaces "edge" and "desk", joined by one wire."""
 
     def __init__(self) -> None:
         self.names = {host: f"skin{os.getpid()}{host}" for host in ADDRESSES}
-        self.slow_wire: SlowWire | None = None
 
-    def build(self, slow: bool) -> None:
+    def build(self) -> None:
         edge, desk = self.names.values()
         for name in (edge, desk):
             ip("netns", "add", name)
-        if slow:
-            self.slow_wire = SlowWire(self._place, delay_s=0.02, loss=0.01)
-        else:
-            ip(*f"-n {edge} link add wire type veth peer name wire netns {desk}".split())
+        ip(*f"-n {edge} link add wire type veth peer name wire netns {desk}".split())
         for host, name in self.names.items():
             ip("-n", name, "addr", "add", f"{ADDRESSES[host]}/24", "dev", "wire")
             for device in ("lo", "wire"):
                 ip("-n", name, "link", "set", device, "up")
 
-    def _place(self, end: int, device: str) -> None:
-        name = list(self.names.values())[end]
-        ip("link", "set", device, "netns", name)
-        ip("-n", name, "link", "set", device, "name", "wire")
-
     def set_wire(self, state: str) -> None:
         ip("-n", self.names["edge"], "link", "set", "wire", state)
 
     def remove(self) -> None:
-        if self.slow_wire is not None:
-            self.slow_wire.close()
         for name in self.names.values():
             with contextlib.suppress(OSError):
                 ip("netns", "del", name)
@@ -63,13 +49,13 @@ class TwoHosts:
 
 
 @contextmanager
-def two_hosts(slow: bool = False) -> Iterator[TwoHosts]:
+def two_hosts() -> Iterator[TwoHosts]:
     """Build both hosts, and remove them; the test is skipped where that is not permitted."""
     if shutil.which("ip") is None:
         pytest.skip("needs the command ip (iproute2)")
     made = TwoHosts()
     try:
-        made.build(slow)
+        made.build()
     except OSError as error:
         made.remove()
         pytest.skip(f"network namespaces are not permitted here: {error}")

@@ -1,14 +1,20 @@
-"""Waiting for processes without guessing how long, and finding those of one run."""
+"""Runs of the command `sparseskin`: their processes, and waiting for them without guessing."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
+import re
+import signal
 import socket
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Self
 
 from sparseskin.launch.run.running import RunningGraph, remove_note, write_note
 
@@ -61,3 +67,83 @@ def processes_with(mark: str) -> dict[int, str]:
                 command = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
                 found[int(folder.name)] = command.decode(errors="replace")
     return found
+
+
+COMMAND = ["-m", "sparseskin.launch.commands.entry"]
+PATIENT_COMMAND = [str(Path(__file__).with_name("patient.py"))]
+
+
+class Program:
+    """One run of the command `sparseskin`, to be used in a `with`: nothing of it outlives that.
+
+    Its time limits are those of `patient.py`, or with `limits` its own. `environment`: variables
+    that differ from those of this process; `options`: of `Popen`.
+    """
+
+    def __init__(
+        self,
+        *arguments: str,
+        cwd: Path,
+        prefix: Sequence[str] = (),
+        limits: bool = False,
+        environment: Mapping[str, str] | None = None,
+        **options: Any,
+    ) -> None:
+        self._mark = f"SPARSESKIN_TEST={uuid.uuid4().hex}"
+        key, value = self._mark.split("=")
+        self.cwd, self.notes = cwd, cwd / "graphs"
+        # Graphs of a test are told apart from all others on the host.
+        self.environment = {
+            **os.environ,
+            **{key: value, "SPARSESKIN_RUNTIME_DIR": str(self.notes)},
+            "XDG_STATE_HOME": str(cwd / "state"),
+            **(environment or {}),
+        }
+        self._stderr = ""
+        self.process = subprocess.Popen(
+            [*prefix, sys.executable, *(COMMAND if limits else PATIENT_COMMAND), *arguments],
+            **{"cwd": cwd, "env": self.environment, "text": True},
+            **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill_all()
+        self.process.communicate()
+
+    def wait_for(self, token: str) -> str:
+        """Read stderr until a line holds the token; return what follows it there."""
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self._stderr += line
+            if token in line:
+                return line.partition(token)[2].strip()
+        raise AssertionError(f"ended without {token!r}: {self._stderr}")
+
+    def finish(self) -> tuple[int, str, str]:
+        """Wait for the end; (exit code, stdout, stderr)."""
+        stdout, stderr = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, stdout, self._stderr + stderr
+
+    def survivors(self) -> dict[int, str]:
+        """Command lines of all processes that carry this run's mark, by pid."""
+        return processes_with(self._mark)
+
+    def nodes(self) -> dict[str, int]:
+        """Process numbers of the nodes that run, by name."""
+        return {
+            found[1]: pid
+            for pid, line in self.survivors().items()
+            if (found := re.search(r"sparseskin\.nodes\.process\.run_node (\S+)\s*$", line))
+        }
+
+    def pid_of(self, node: str) -> int:
+        """Process number of a node."""
+        return self.nodes()[node]
+
+    def kill_all(self) -> None:
+        for pid in self.survivors():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)

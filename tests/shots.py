@@ -34,13 +34,9 @@ CONTACT_FPS, COLOURS, MAX_BYTES = 8, 128, 2_000_000
 def launched(page: Any, folder: Path, name: str, *settings: str) -> Iterator[Program]:
     """A graph with its live page, which the browser shows."""
     words = [word for one in (*settings, "monitor.port=0") for word in ("--set", one)]
-    program = Program("launch", name, *words, cwd=folder)
-    try:
+    with Program("launch", name, *words, cwd=folder) as program:
         page.get(program.wait_for("live page: "))
         yield program
-    finally:
-        program.kill_all()
-        program.process.communicate()
 
 
 def text(page: Any, selector: str) -> str:

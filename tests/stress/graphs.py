@@ -12,14 +12,13 @@ import subprocess
 import sys
 import tempfile
 import threading
-import uuid
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import zmq
-from processes import note_of_graph, processes_with, wait_until
+from processes import COMMAND, Program, note_of_graph, wait_until
 
 from sparseskin.messages import MessageError, decode
 from sparseskin.nodes.clock import SystemClock
@@ -43,22 +42,15 @@ keys = "keys"
 key = "edge"
 """
 """Lines for a launch file: a graph with keys."""
-_MARK = "SPARSESKIN_GRAPH_RUN"
-_PROGRAM = (sys.executable, "-m", "sparseskin.launch.commands.entry")
 _SENSED, _RECONSTRUCTED = "/skin/taxels", "/skin/reconstruction"
 
 
-class GraphError(Exception):
-    """A graph does not do what is waited for."""
-
-
-class GraphRun:
+class GraphRun(Program):
     """One run of `sparseskin launch`, to be used in a `with`: nothing of it outlives that.
 
     `launch`: text of a launch file, or the name of one; nodes of this folder are
     "stress.MODULE:CLASS". `folder`: empty, keeps what it writes; by default a temporary one.
-    `environment`: variables that differ from those of this process. Raises GraphError if the graph
-    does not become ready.
+    `environment`: variables that differ from those of this process.
     """
 
     def __init__(
@@ -69,50 +61,44 @@ class GraphRun:
         environment: Mapping[str, str] | None = None,
     ) -> None:
         self._is_temporary = folder is None
-        self.folder = (folder or Path(tempfile.mkdtemp(prefix="sparseskin-graph-"))).resolve()
-        self.folder.mkdir(parents=True, exist_ok=True)
+        folder = (folder or Path(tempfile.mkdtemp(prefix="sparseskin-graph-"))).resolve()
+        folder.mkdir(parents=True, exist_ok=True)
         if "\n" in launch:
-            (self.folder / "graph.toml").write_text(launch)
+            (folder / "graph.toml").write_text(launch)
             launch = "graph.toml"
-        self._mark = uuid.uuid4().hex
-        self.notes = self.folder / "notes"
-        self.environment = {
-            **os.environ,
-            _MARK: self._mark,
-            "SPARSESKIN_RUNTIME_DIR": str(self.notes),
-            "XDG_STATE_HOME": str(self.folder / "state"),
-            "PYTHONPATH": PYTHONPATH,
-            **(environment or {}),
-        }
         self.stack = contextlib.ExitStack()
-        out, err = ((self.folder / f"{name}.txt").open("wb") for name in ("stdout", "stderr"))
+        out, err = ((folder / f"{name}.txt").open("wb") for name in ("stdout", "stderr"))
         with out, err:
-            arguments = ("launch", launch, "--summary", "summary.json", *arguments)
-            self.process = self.start(*arguments, stdout=out, stderr=err, start_new_session=True)
+            super().__init__(
+                *("launch", launch, "--summary", "summary.json", *arguments),
+                **{"cwd": folder, "limits": True, "start_new_session": True},
+                **{"stdout": out, "stderr": err},
+                environment={"PYTHONPATH": PYTHONPATH, **(environment or {})},
+            )
         self._client: ControlClient | None = None
         self._state: dict[str, Any] = {}
         self._n_requests = 0
         try:
             self.wait_for("[launch] ready")
         except BaseException:
-            self.close()
+            self.__exit__()
             raise
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self.stack.close()
+        super().__exit__()
+        if self._is_temporary:
+            shutil.rmtree(self.cwd, ignore_errors=True)
 
     def start(self, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
         """Start a command `sparseskin` that sees this graph; `options` are those of `Popen`."""
-        command = [*_PROGRAM, *arguments]
-        return subprocess.Popen(command, cwd=self.folder, env=self.environment, **options)
+        command = [sys.executable, *COMMAND, *arguments]
+        return subprocess.Popen(command, cwd=self.cwd, env=self.environment, **options)
 
     @property
     def log(self) -> list[str]:
         """Lines that launcher and nodes have logged so far, without their times."""
-        text = (self.folder / "stderr.txt").read_text(errors="replace")
+        text = (self.cwd / "stderr.txt").read_text(errors="replace")
         return [re.sub(r"^\d\d:\d\d:\d\d\.\d{3} ", "", line) for line in text.splitlines()]
 
     def wait_for(self, token: str) -> str:
@@ -123,7 +109,7 @@ class GraphRun:
             ended = self.process.poll() is not None
             found[:] = [line for line in self.log if token in line]
             if ended and not found:
-                raise GraphError(f"the graph ended without {token!r}: {self.log[-5:]}")
+                raise AssertionError(f"the graph ended without {token!r}: {self.log[-5:]}")
             return bool(found)
 
         wait_until(has_come, repr(token))
@@ -136,18 +122,6 @@ class GraphRun:
     def note(self) -> Any:
         """The launcher's note of the graph, by which other programs find it."""
         return json.loads(note_of_graph(self.notes).read_text())
-
-    def processes(self) -> dict[int, str]:
-        """Command lines of all processes of this run, by process number."""
-        return processes_with(f"{_MARK}={self._mark}")
-
-    def nodes(self) -> dict[str, int]:
-        """Process numbers of the nodes that run, by name."""
-        return {
-            found[1]: pid
-            for pid, line in self.processes().items()
-            if (found := re.search(r"sparseskin\.nodes\.process\.run_node (\S+)\s*$", line))
-        }
 
     def stopped(self, before: Mapping[str, int], *but: str) -> list[str]:
         """Nodes, except those named, that are gone or run as another process than before."""
@@ -185,30 +159,20 @@ class GraphRun:
         try:
             return self.process.wait(patience_s)
         except subprocess.TimeoutExpired as error:
-            raise GraphError(f"the graph does not end: {self.log[-5:]}") from error
+            raise AssertionError(f"the graph does not end: {self.log[-5:]}") from error
 
     def summary(self) -> Any:
         """The summary that the graph has written as it ended."""
-        return json.loads((self.folder / "summary.json").read_text())
+        return json.loads((self.cwd / "summary.json").read_text())
 
     def left_behind(self) -> list[str]:
         """Processes, notes and unfinished files that are there after the end; to be empty."""
-        left = [f"process {line.strip()}" for line in self.processes().values()]
+        left = [f"process {line.strip()}" for line in self.survivors().values()]
         if self.notes.is_dir():
             left += [f"note {path.name}" for path in self.notes.iterdir()]
         for pattern in ("*.part", "core*"):
-            left += [f"file {path.name}" for path in self.folder.glob(pattern)]
+            left += [f"file {path.name}" for path in self.cwd.glob(pattern)]
         return left
-
-    def close(self) -> None:
-        """Kill all processes that are left, and remove a temporary folder."""
-        self.stack.close()
-        for pid in self.processes():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        self.process.wait()
-        if self._is_temporary:
-            shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def launch_text(

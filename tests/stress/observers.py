@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from stress.graphs import GraphError, GraphRun
+from stress.graphs import GraphRun
 
 from sparseskin.messages import Message, Reconstruction
 from sparseskin.nodes.node import Context, Node
@@ -88,7 +88,7 @@ def in_turns(
         turns.append((began_ns, time.time_ns(), sum(map(cpu_s, pids)) - began_s))
     suspend(False)
     graph.end()
-    times_ns = np.load(graph.folder / "latencies.npy")
+    times_ns = np.load(graph.cwd / "latencies.npy")
     found = [_ages_ms(times_ns, began, ended) for began, ended, _ in turns]
     p50s = [np.array([np.median(ages) for ages in found[k::2]]) for k in (0, 1)]
     ratios = np.log(np.concatenate([p50s[0] / p50s[1], p50s[0][1:] / p50s[1][:-1]]))
@@ -123,7 +123,7 @@ def suspending(pids: Iterable[int]) -> Callable[[bool], None]:
 @contextlib.contextmanager
 def commands(graph: GraphRun) -> Iterator[list[int]]:
     """`topic echo`, `hz` and `bw` beside a graph, each from its first line on; their processes."""
-    own = set(graph.processes())
+    own = set(graph.survivors())
     with contextlib.ExitStack() as stack:
         for command in COMMANDS:
             process = graph.start(*command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
@@ -133,7 +133,7 @@ def commands(graph: GraphRun) -> Iterator[list[int]]:
             drain = subprocess.Popen(["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL)
             for end in (drain.wait, process.wait, process.terminate):  # the last is called first
                 stack.callback(end)
-        found = [pid for pid in graph.processes() if pid not in own]
+        found = [pid for pid in graph.survivors() if pid not in own]
         stack.callback(suspending(found), False)
         yield found
 
@@ -142,7 +142,7 @@ def commands(graph: GraphRun) -> Iterator[list[int]]:
 def bridge(graph: GraphRun, kind: str) -> Iterator[tuple[list[int], int]]:
     """A bridge and a client that has read its first frame; their processes, and its node's."""
     token, options = BRIDGES[kind]
-    own = set(graph.processes())
+    own = set(graph.survivors())
     stated = ["--set", 'maps=["reconstruction"]', *options]
     made = graph.start("bridge", kind, *stated, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     client = None
@@ -151,7 +151,7 @@ def bridge(graph: GraphRun, kind: str) -> Iterator[tuple[list[int], int]]:
         lines = (line.decode(errors="replace") for line in made.stderr)
         line = next((line for line in lines if token in line), "")
         if not line:
-            raise GraphError(f"the bridge {kind} ended before it had an address")
+            raise AssertionError(f"the bridge {kind} ended before it had an address")
         where = str(DOMAIN) if kind == "ros2" else line.partition(token)[2].split()[0]
         client = subprocess.Popen(
             [sys.executable, "-m", "stress.clients", kind, where],
@@ -161,8 +161,8 @@ def bridge(graph: GraphRun, kind: str) -> Iterator[tuple[list[int], int]]:
         )
         assert client.stdout is not None
         if client.stdout.readline().strip() != b"reads":
-            raise GraphError(f"the client of {kind} read nothing")
-        found = {pid: line for pid, line in graph.processes().items() if pid not in own}
+            raise AssertionError(f"the client of {kind} read nothing")
+        found = {pid: line for pid, line in graph.survivors().items() if pid not in own}
         (node,) = (pid for pid, line in found.items() if re.search(rf"run_node {kind}_", line))
         yield list(found), node
     finally:

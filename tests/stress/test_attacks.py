@@ -142,7 +142,7 @@ def is_closed(connection: socket.socket) -> bool:
 
 def join(graph: ObservedGraph) -> float:
     """Seconds until a reader that comes now, with a key, has a message of the sensor."""
-    keys = read_key_pair(graph.folder / "keys/edge.key")
+    keys = read_key_pair(graph.cwd / "keys/edge.key")
     context = make_context()
     try:
         reader = Reader(context, "late", (), ["/skin/taxels"], present=False, keys=keys)

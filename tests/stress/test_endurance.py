@@ -1,6 +1,6 @@
 """The default solver over a stream that never ends: no drift; at full size a million frames.
 
-Random scenes follow each other, each time with other noise, and the solver is never reset. From one
+Random presses follow each other, each with other noise, and the solver is never reset. From one
 scene to the next everything changes between two frames; in every fourth frames are lost. Every
 round has the same scenes, so that a solver that drifts, or is locked in to its state, would show it
 in its mean PSNR.
@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from random_scenes import random_scene
 from stress.graphs import FULL
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.scenes.presses import BODIES, press_frames
 from sparseskin.studies.evaluate import make_method
 
 #: Rows and columns, N / M, rows of the measurement matrix.
@@ -34,8 +34,9 @@ LOST_EVERY, LOST_FROM, LOST = 4, 30, 50
 def one_round(side: int) -> Iterator[Floats | None]:
     """Yield each frame, None where it is lost."""
     for scene in range(SCENES):
-        frames = list(random_scene(scene, FRAMES, side)[1])[FIRST:]
-        for k, frame in enumerate(frames):
+        body = BODIES[scene % len(BODIES)]
+        frames = [truth for truth, _ in press_frames(body, (side, side), FRAMES, scene)]
+        for k, frame in enumerate(frames[FIRST:]):
             is_lost = scene % LOST_EVERY == LOST_EVERY - 1 and LOST_FROM <= k < LOST_FROM + LOST
             yield None if is_lost else frame
 

@@ -198,11 +198,11 @@ def test_nothing_outlives_a_launcher_that_is_killed(begun: Any, note: Any) -> No
     graph = begun(graph_text(), "--record", "run.mcap")
     graph.process.kill()
     graph.process.wait()
-    took_s = wait_until(lambda: not graph.processes(), "the end of all nodes")
+    took_s = wait_until(lambda: not graph.survivors(), "the end of all nodes")
     # A note that is not locked belongs to a graph that is gone; the next command removes it.
     n_notes = len(list(graph.notes.iterdir()))
     graph.start("monitor", stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).wait()
-    n_recorded = recorded(graph.folder / "run.mcap")
+    n_recorded = recorded(graph.cwd / "run.mcap")
     note(fault="kill -9 of the launcher", recover_s=took_s, notes=n_notes, recorded=n_recorded)
     assert n_recorded > 0
     assert graph.left_behind() == []
@@ -289,7 +289,7 @@ def test_a_clock_that_steps_back_is_not_noticed(
     environment = {"PYTHONPATH": str(modules)}
     graph = begun(graph_text(), "--record", "run.mcap", environment=environment)
     reached = {int(path.name.rpartition("-")[2]) for path in modules.glob("loaded-by-*")}
-    assert set(graph.processes()) <= reached
+    assert set(graph.survivors()) <= reached
     switch.touch()
     recover_s = graph.probe.wait_for_frame(graph.began_ns, math.inf)
     time.sleep(held_s)

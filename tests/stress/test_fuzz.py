@@ -174,7 +174,7 @@ class Harness:
         self.context.destroy(linger=0)
 
     def event(self, name: str) -> dict[str, Any]:
-        """Wait for an event of the node; Raises GraphError if it does not come."""
+        """Wait for an event of the node."""
 
         def came() -> bool:
             self._selector.select(0.05)

@@ -40,8 +40,8 @@ def still(force_n: float, n: int = 40) -> list[np.ndarray[Any, Any]]:
     return [NoiseModel().apply(truth, rng) for _ in range(n)]
 
 
-@pytest.mark.parametrize("k", [2, 3, 4, 5, 8, 16])
-@pytest.mark.parametrize("shape", [(1, 16), (4, 4), (12, 10), (31, 11)])
+@pytest.mark.parametrize("k", [2, 3, 16])
+@pytest.mark.parametrize("shape", [(1, 16), (31, 11)])
 def test_classes_hold_every_taxel_once_and_are_of_equal_density(
     shape: tuple[int, int], k: int
 ) -> None:
@@ -107,8 +107,7 @@ def test_touched_taxels_cost_a_byte_each_and_a_bit_a_taxel() -> None:
     assert codec.reconstruct(frame).n_bytes == 24 + 8
 
 
-@pytest.mark.parametrize("n", [16, 228, 4096])
-@pytest.mark.parametrize("ratio", [3, 4, 8])
+@pytest.mark.parametrize(("n", "ratio"), [(16, 3), (228, 4), (4096, 8)])
 def test_single_taxels_with_addresses_fill_the_bytes_of_the_measurements(
     n: int, ratio: int
 ) -> None:
@@ -118,8 +117,7 @@ def test_single_taxels_with_addresses_fill_the_bytes_of_the_measurements(
     assert VALUE_BYTES * (values + 1) + address_bytes(n, values + 1) > VALUE_BYTES * m
 
 
-@pytest.mark.parametrize("shape", [(4, 8), (19, 12), (64, 64)])
-@pytest.mark.parametrize("ratio", [3, 8])
+@pytest.mark.parametrize(("shape", "ratio"), [((4, 8), 3), ((19, 12), 8), ((64, 64), 8)])
 def test_adaptive_rows_and_their_code_fit_into_the_bytes_of_the_measurements(
     shape: tuple[int, int], ratio: int
 ) -> None:

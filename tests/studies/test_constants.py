@@ -14,21 +14,6 @@ from sparseskin.studies.accuracy import constants, experiments
 from sparseskin.studies.accuracy.experiments import Runs
 
 
-@pytest.mark.parametrize(
-    ("name", "halved", "doubled"),
-    [
-        *[("motion", 6, 24), ("averaged", 2, 6), ("noise_growth", 1.2, 1.8)],
-        *[("damping", 0.25, 0.75), ("most_alpha", 0.45, 0.95)],
-    ],
-)
-def test_constants_are_halved_and_doubled_within_what_they_may_be(
-    name: str, halved: float, doubled: float
-) -> None:
-    found = [constants.changed(name, times) for times in constants.TIMES]
-    assert found == pytest.approx([halved, doubled])
-    assert [type(one) for one in found] == 2 * [type(getattr(SkinTuning(), name))]
-
-
 def test_every_constant_has_a_candidate_halved_and_doubled() -> None:
     assert set(constants.PARTS + constants.GROWTHS) <= set(constants.VALUES)
     tunings = [one.settings.get("tuning", {}) for one in constants.candidates().values()]

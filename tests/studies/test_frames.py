@@ -50,15 +50,11 @@ def test_noise_of_a_frame_does_not_depend_on_which_frames_are_asked_for() -> Non
         np.testing.assert_array_equal(taxels, taxels_again)
 
 
-def test_the_first_contact_is_the_first() -> None:
-    frame = first_contact("path_40", 0)
-    truths = [truth.max() for truth, _ in scene_frames("path_40", 0, stop=frame + 1)]
-    assert max(truths[:-1]) <= 0.01 < truths[-1]
-
-
 def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_on() -> None:
     frames = SceneFrames("path_40", -4, 6, 2, later=3)
     contact = first_contact("path_40", 0)
+    truths = [truth.max() for truth, _ in scene_frames("path_40", 0, stop=contact + 1)]
+    assert max(truths[:-1]) <= 0.01 < truths[-1]
     (first, stop), (half, end) = frames.windows(0)
     assert (first, stop) == (contact - 4, contact + 6)
     assert half > contact

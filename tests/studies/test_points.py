@@ -86,10 +86,9 @@ def calls(folder: Path) -> Counter[int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("executor", ["process:2", "serial"])
-def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, executor: str) -> None:
+def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     points = tmp_path / "out" / "squares" / POINTS_FILE
-    first = Run(tmp_path, executor)
+    first = Run(tmp_path, "process:2")
     wait_until(lambda: n_lines(points) == 4, "four points")
     first.process.send_signal(signal.SIGKILL)
     first.finish()
@@ -99,7 +98,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, executor: str
         file.write(b'{"key": "torn by the e')
     (tmp_path / "go").touch()
 
-    code, stderr = Run(tmp_path, executor).finish()
+    code, stderr = Run(tmp_path, "process:2").finish()
     assert code == 0, stderr
     assert "4 of 8 points are known" in stderr
     assert (tmp_path / "out" / "squares" / "squares.md").read_text() == str(
@@ -134,19 +133,6 @@ def fail_on_two(point: dict[str, Any]) -> dict[str, Any]:
     return double(point)
 
 
-def test_points_are_computed_once_and_again_when_they_were_forgotten(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    known = []
-    for anew in (False, False, True):
-        if anew:
-            forget(tmp_path)
-            assert n_lines(tmp_path / POINTS_FILE) == 0
-        assert compute(double, [{"k": 4}], tmp_path, "serial", "doubles")[0]["double"] == 8
-        known.append("1 of 1 points are known from an earlier run" in capsys.readouterr().err)
-    assert known == [False, True, False]
-
-
 def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path: Path) -> None:
     points = [{"k": k} for k in (3, 1, 3, 2)]
     fresh = compute(double, points, tmp_path, "thread:3", "doubles")
@@ -156,7 +142,7 @@ def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path:
     assert n_lines(tmp_path / POINTS_FILE) == 3
 
 
-def test_points_of_other_code_are_reported(
+def test_points_that_are_known_and_those_of_other_code_are_reported_until_they_are_forgotten(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
@@ -165,6 +151,10 @@ def test_points_of_other_code_are_reported(
     monkeypatch.setattr(points_module, "code_fingerprint", lambda: "another")
     compute(double, [{"k": 1}, {"k": 2}, {"k": 3}], tmp_path, "serial", "doubles")
     assert "2 of 3 points are known from an earlier run, 2 of them by" in capsys.readouterr().err
+    forget(tmp_path)
+    assert n_lines(tmp_path / POINTS_FILE) == 0
+    compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
+    assert "known from an earlier run" not in capsys.readouterr().err
 
 
 def test_a_line_without_its_end_is_cut_off(tmp_path: Path) -> None:

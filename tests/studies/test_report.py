@@ -21,6 +21,7 @@ def test_a_table_formats_columns_and_leaves_missing_values_empty() -> None:
         "| a | 3 | 41.3 |",
         "| b | 4 |  |",
     ]
+    assert cells(FRAME, "{solver}: {n:.1f}") == ["a: 3.0", "b: 4.0"]
 
 
 NOTES = "# Some page\n\nOf {n} points.\n\n## Second\n\nText.\n"
@@ -47,10 +48,6 @@ def test_a_page_is_notes_with_values_tables_and_links(quick: bool, tmp_path: Pat
         page.section("")
     with pytest.raises(KeyError, match="Third"):
         page.section("Third")
-
-
-def test_cells_are_formatted_row_by_row() -> None:
-    assert cells(FRAME, "{solver}: {n:.1f}") == ["a: 3.0", "b: 4.0"]
 
 
 def draw(out: Path) -> str:

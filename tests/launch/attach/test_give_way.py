@@ -44,12 +44,18 @@ def worker_of(process: subprocess.Popen[str]) -> int:
 
 
 @weighs_sessions
-def test_it_has_a_session_of_its_own_and_that_alone_gives_way(begin: Begin) -> None:
+def test_its_work_has_a_session_of_its_own_that_alone_gives_way_and_ends_with_it(
+    begin: Begin,
+) -> None:
     before = Path("/proc/self/autogroup").read_text()
-    worker = worker_of(begin(WAIT))
+    process = begin(WAIT)
+    worker = worker_of(process)
     assert os.getsid(worker) == worker
     assert Path(f"/proc/{worker}/autogroup").read_text().endswith(f" nice {module.NICE}\n")
     assert Path("/proc/self/autogroup").read_text() == before
+    process.kill()
+    process.wait()
+    wait_until(lambda: not Path(f"/proc/{worker}").exists() or proc.state(worker) == "Z", "its end")
 
 
 def test_where_sessions_are_not_weighed_the_process_itself_gives_way(
@@ -71,29 +77,12 @@ def test_it_ends_with_the_code_of_a_signal_that_ended_its_work(begin: Begin) -> 
     assert process.wait() == 128 + signal.SIGKILL
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_reaches_what_does_the_work(begin: Begin, number: signal.Signals) -> None:
-    process = begin(f"signal.signal({int(number)}, lambda *_: sys.exit(7)); " + WAIT)
-    worker_of(process)
-    process.send_signal(number)
-    assert process.wait() == 7
-
-
-@weighs_sessions
-def test_its_work_ends_with_it_however_it_ends(begin: Begin) -> None:
-    process = begin(WAIT)
-    worker = worker_of(process)
-    process.kill()
-    process.wait()
-    wait_until(lambda: not Path(f"/proc/{worker}").exists() or proc.state(worker) == "Z", "its end")
-
-
-def test_it_is_suspended_and_goes_on(begin: Begin) -> None:
-    process = begin("signal.signal(signal.SIGTERM, lambda *_: sys.exit(7)); " + WAIT)
+def test_signals_reach_what_does_the_work(begin: Begin) -> None:
+    process = begin("signal.signal(signal.SIGHUP, lambda *_: sys.exit(7)); " + WAIT)
     both = {process.pid, worker_of(process)}
     process.send_signal(signal.SIGTSTP)
     wait_until(lambda: {proc.state(pid) for pid in both} == {"T"}, "both to stop")
     process.send_signal(signal.SIGCONT)
     wait_until(lambda: {proc.state(pid) for pid in both} == {"S"}, "both to go on")
-    process.terminate()
+    process.send_signal(signal.SIGHUP)
     assert process.wait() == 7

@@ -16,7 +16,7 @@ from processes import announced
 from sparseskin.launch.attach.stream import Arrival, Losses, TopicStream
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.run.running import RunningGraph, RunningNode
-from sparseskin.messages import End, Message, Taxels, decode, size_bytes
+from sparseskin.messages import End, Taxels, decode, size_bytes
 from sparseskin.nodes.network.gate import Gate
 from sparseskin.nodes.network.keys import KeyFileError, make_key_files, read_key_pair
 from sparseskin.nodes.network.sockets import QUEUE_FRAMES, Writer, make_context
@@ -46,12 +46,12 @@ class Publisher:
         for k in range(n):
             stamp_ns = 10**9 + k * period_ns if period_ns else time.time_ns()
             message = Taxels(stamp_ns=stamp_ns, patch="skin", forces=forces)
-            self._send(message.published(RUN_ID, self.n))
+            self.writer.send(message.published(RUN_ID, self.n))
             self.n += 1
 
     def end(self) -> None:
         end = End(stamp_ns=1, patch="skin", of="taxels", n_messages=self.n)
-        self._send(end.published(RUN_ID, self.n))
+        self.writer.send(end.published(RUN_ID, self.n))
 
     def wait_for_subscription(self) -> None:
         def there() -> bool:
@@ -61,9 +61,6 @@ class Publisher:
 
         wait_until(there, "the subscription")
         self.writer.serve_subscriptions()
-
-    def _send(self, message: Message) -> None:
-        self.writer.send(message)
 
 
 @pytest.fixture
@@ -133,14 +130,14 @@ def test_a_patient_reader_receives_what_is_queued_at_the_writer(publisher: Publi
     assert [one.seq for one in found] == list(range(QUEUE_FRAMES // 2 + 1))
 
 
-@pytest.mark.parametrize("payload", [b"", b"nonsense", b"\x81\xa6schema\xa3end"])
-def test_invalid_messages_are_counted_and_skipped(publisher: Publisher, payload: bytes) -> None:
+def test_invalid_messages_are_counted_and_skipped(publisher: Publisher) -> None:
     with TopicStream(publisher.graph, TOPIC) as stream:
         publisher.wait_for_subscription()
-        publisher.writer.socket.send(TOPIC.encode() + b"\0" + payload)
+        for payload in (b"", b"nonsense", b"\x81\xa6schema\xa3end"):
+            publisher.writer.socket.send(TOPIC.encode() + b"\0" + payload)
         publisher.send(1)
         assert [one.seq for one in take(stream, 1)] == [0]
-        assert stream.unreadable == 1
+        assert stream.unreadable == 3
 
 
 def test_where_keys_are_asked_for_it_has_that_of_the_graph(

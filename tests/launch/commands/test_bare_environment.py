@@ -17,14 +17,6 @@ ENTRY = (sys.executable, "-P", "-m", "sparseskin.launch.commands.entry")
 UNKNOWN_UID = 54321
 
 
-@pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-", "<&- >&- 2>&-"])
-def test_standard_files_may_be_closed(closed: str) -> None:
-    command = ("bash", "-c", f'exec "$@" {closed}', "-", *ENTRY, "--version")
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("sparseskin ") or ">&-" in closed.split()
-
-
 def test_a_graph_runs_while_standard_files_are_closed(start: StartProgram, tmp_path: Path) -> None:
     program = start(
         *("launch", "path_40", "--frames", "3", "--set", "monitor.page=false"),
@@ -37,8 +29,7 @@ def test_a_graph_runs_while_standard_files_are_closed(start: StartProgram, tmp_p
     assert "ready" in (folder / "launch.log").read_text()
 
 
-@pytest.mark.parametrize("arguments", [["--version"], ["launch", "path_40", "--dry-run"]])
-def test_a_user_without_name_and_home_gets_no_traceback(arguments: list[str]) -> None:
+def test_a_user_without_name_and_home_gets_no_traceback() -> None:
     if os.geteuid() != 0 or shutil.which("setpriv") is None:
         pytest.skip("only root, with setpriv (util-linux), can act as an unknown user")
     become = ("setpriv", f"--reuid={UNKNOWN_UID}", f"--regid={UNKNOWN_UID}", "--clear-groups")
@@ -56,7 +47,7 @@ def test_a_user_without_name_and_home_gets_no_traceback(arguments: list[str]) ->
 
     if run(*ENTRY[:2], "-c", "import sparseskin.launch.commands.entry").returncode:
         pytest.skip("the unknown user cannot read this installation")
-    done = run(*ENTRY, *arguments)
+    done = run(*ENTRY, "launch", "path_40", "--dry-run")
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
 

@@ -74,7 +74,7 @@ def test_a_person_is_asked_and_wrong_answers_are_asked_again(
     assert_calibrated("palm.toml")
 
 
-@pytest.mark.parametrize("answers", ["", "24N\n", "24N\nall\n", "24N\nall\n5.2-6.8s\n"])
+@pytest.mark.parametrize("answers", ["", "24N\nall\n5.2-6.8s\n"])
 def test_the_end_of_the_input_is_no_answer(
     folder: Path,
     answers: str,

@@ -29,22 +29,13 @@ def no_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("line", "found"),
     [
-        ("to", ["topic"]),
         ("topic ", ["list", "info", "echo", "hz", "bw", "delay"]),
-        ("topic echo --f", ["--full", "--field"]),
         ("topic echo /palm/taxels --field f", ["forces"]),
         ("launch path", ["path_40", "path.toml"]),
         ("launch drag_wrench_40 --frames ", []),
-        ("node info ", []),
-        ("completion z", ["zsh"]),
-        ("study sta", ["stability"]),
         ("study stability --out ", ["a folder/"]),
         ("bag info my", ["my\\ skin.mcap"]),
-        ("launch path_40 --set sensor.source=scene:x --fr", ["--frames"]),
-        ("scope sc", ["scene:"]),
         ("launch path_40 --set=mon", ["monitor.page="]),
-        ("launch path_40 --set reconstructor.preset=pa", ["paper"]),
-        ("launch path_40 --set sensor.source=scene:x --set compressor.bl", ["compressor.block="]),
     ],
 )
 def test_a_line_is_completed(tmp_path: Path, line: str, found: list[str]) -> None:
@@ -69,23 +60,14 @@ def overrides(launch: str | None, begun: str) -> list[str]:
     ("launch", "begun", "found"),
     [
         ("path_40", "", ["graph.", "sensor.", "compressor.", "reconstructor.", "monitor."]),
-        ("path_40", "graph.tr", ["graph.transport="]),
         ("path_40", "graph.transport=", ["graph.transport=ipc", "graph.transport=tcp"]),
-        ("path_40", "graph.restart=n", ["graph.restart=never"]),
         ("path_40", "compressor.b", ["compressor.bits=", "compressor.block="]),
         ("path_40", "reconstructor.preset=", [f"reconstructor.preset={p}" for p in PRESETS]),
-        ("path_40", "reconstructor.uncertainty=t", ["reconstructor.uncertainty=true"]),
-        ("path_40", "sensor.source=sc", ["sensor.source=scene:"]),
         ("path_40", "sensor.source=scene:p", ["sensor.source=scene:path_40"]),
-        ("path_40", "nothing.", []),
-        ("path_40", "sensor.nothing=", []),
         ("no_such_file", "", []),
         ("own.toml", "", ["graph.", "camera.", "mine."]),
         ("own.toml", "camera.n", ["camera.noise=", *CELLS, "camera.nan=", "camera.negative="]),
-        ("own.toml", "mine.", []),
-        ("", "", []),
         (None, "", ["compressor.", "reconstructor."]),
-        (None, "compressor.bi", ["compressor.bits="]),
     ],
 )
 def test_after_set_come_nodes_of_the_launch_file_their_settings_and_values(
@@ -96,16 +78,13 @@ def test_after_set_come_nodes_of_the_launch_file_their_settings_and_values(
     assert overrides(launch, begun) == found
 
 
-@pytest.mark.parametrize("line", ["to", "launch path", "topic echo --f"])
-def test_a_key_press_imports_no_numpy(
-    tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_key_press_imports_no_numpy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "numpy.py").write_text("raise SystemExit('numpy is imported')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    assert words(line)
+    assert words("launch path")
 
 
-@pytest.mark.parametrize("text", ["", "[nodes", "nodes = 3", "[nodes]\nsensor = 3", "\udcff"])
+@pytest.mark.parametrize("text", ["[nodes", "[nodes]\nsensor = 3", "\udcff"])
 def test_of_a_launch_file_that_cannot_be_read_nothing_is_offered(tmp_path: Path, text: str) -> None:
     path = tmp_path / "f.toml"
     path.write_bytes(text.encode(errors="surrogateescape"))

@@ -38,32 +38,27 @@ RunJson = Callable[..., Any]
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
     """A graph of 40 x 40 taxels without an end that records all messages into run.mcap."""
-    folder = tmp_path_factory.mktemp("graph")
-    program = Program(
+    words = ("--set", "sensor.rate_hz=50", "--set", "reconstructor.iterations=3")
+    with Program(
         *("launch", "path_40", "--record", "run.mcap", "--set", "monitor.port=0"),
-        *("--summary", "summary.json"),
-        *("--set", "sensor.rate_hz=50", "--set", "reconstructor.iterations=3"),
+        *("--summary", "summary.json", *words),
         *("--set", "sensor.source=sparseskin.studies.looped:truth_40"),
-        cwd=folder,
-    )
-    program.wait_for("[launch] ready")
-    program.folder = folder  # type: ignore[attr-defined]
-    yield program
-    program.kill_all()
-    program.process.communicate()
+        cwd=tmp_path_factory.mktemp("graph"),
+    ) as program:
+        program.wait_for("[launch] ready")
+        note_of_graph(program.notes)
+        yield program
 
 
 @pytest.fixture
 def folder(graph: Program, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where the graph runs; commands of this process find that graph, and no other."""
-    found: Path = graph.folder  # type: ignore[attr-defined]
-    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(found / "graphs"))
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(graph.cwd / "graphs"))
     monkeypatch.setenv("COLUMNS", "80")
     # These tests run on, in this process.
     monkeypatch.setattr("sparseskin.launch.commands.topic.give_way", lambda: None)
     monkeypatch.setattr("sparseskin.launch.attach.client.PATIENCE_S", PATIENCE_S)
-    wait_until(lambda: main(["node", "list", "--json"]) == 0, "the note of the graph")
-    return found
+    return graph.cwd
 
 
 @pytest.fixture
@@ -147,24 +142,14 @@ def test_node_info_reports_topics_counts_settings_and_what_it_costs(
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_param_list_reports_value_range_and_meaning_of_all_settings(
+def test_param_list_reports_value_range_meaning_and_what_is_in_force(
     run: Run, run_json: RunJson
 ) -> None:
-    assert list(run_json("param", "list")["nodes"]) == NODES
-    (entries,) = run_json("param", "list", "sensor")["nodes"].values()
-    rate = {entry["key"]: entry for entry in entries}["rate_hz"]
-    assert rate["live"]
-    assert rate["value"] == 50.0
-    text = run("param", "list", "sensor")
-    assert "* rate_hz" in text
-    assert max(map(len, text.splitlines())) <= 80
-
-
-def test_of_a_setting_that_is_not_stated_the_value_in_force_is_reported(
-    run: Run, run_json: RunJson
-) -> None:
-    (entries,) = run_json("param", "list", "reconstructor")["nodes"].values()
-    told = {entry["key"]: (entry["value"], entry["in_force"]) for entry in entries}
+    nodes = run_json("param", "list")["nodes"]
+    assert list(nodes) == NODES
+    rate = {entry["key"]: entry for entry in nodes["sensor"]}["rate_hz"]
+    assert (rate["live"], rate["value"]) == (True, 50.0)
+    told = {entry["key"]: (entry["value"], entry["in_force"]) for entry in nodes["reconstructor"]}
     assert told["preset"] == ("skin", "skin")
     assert told["solver"] == (None, "skin")
     assert told["basis"] == (None, None)  # that solver takes none
@@ -172,7 +157,6 @@ def test_of_a_setting_that_is_not_stated_the_value_in_force_is_reported(
     text = run("param", "list", "reconstructor")
     assert "* solver       = none (preset skin: skin)   (" in text
     assert max(map(len, text.splitlines())) <= 80
-    assert run_json("param", "get", "reconstructor", "solver")["in_force"] == "skin"
 
 
 def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(
@@ -201,9 +185,6 @@ def test_settings_of_one_command_are_changed_all_or_none(run: Run, refused: Run)
     answer = run("param", "set", "sensor", "noise", "0.25", "rate_hz", "51")
     assert answer == "sensor: noise = 0.25, rate_hz = 51\n"
     assert run("param", "get", "sensor", "noise") == "0.25\n"
-
-
-def test_a_setting_that_is_not_stated_is_none(run: Run) -> None:
     assert run("param", "set", "reconstructor", "iterations", "4").endswith("iterations = 4\n")
     answer = run("param", "set", "reconstructor", "iterations", "none")
     assert answer == "reconstructor: iterations is no longer stated\n"
@@ -257,22 +238,16 @@ def test_options_of_the_solver_are_set_one_by_one(
     [
         ("param set compressor ratio.x 3", "compressor: ratio: expected a number, got {'x': 3}"),
         ("node info sensr", "no such node (did you mean 'sensor'?)"),
-        ("param list x", "no such node (known: compressor, monitor, reconstructor, recorder, sens"),
         ("param get sensor nois", "sensor: nois: no such setting (did you mean 'noise'?)"),
         (
             "param set reconstructor preset skn",
             "preset: 'skn' is not allowed while the graph runs (did you mean 'skin'?); "
             "allowed: paper, skin",
         ),
-        ("param set sensor nois 1", "sensor: nois: unknown key (did you mean 'noise'?)"),
         ("param set sensor seed 1", "sensor: seed: cannot be changed while the graph runs"),
-        ("param set compressor ratio many", "compressor: ratio: expected a number, got 'many'"),
         ("param set sensor noise 1 rate_hz", "rate_hz: a setting without a value"),
         ("topic info /skin/taxel", "no such topic (did you mean '/skin/taxels'?)"),
-        ("topic echo skn/phi", "no such topic (did you mean '/skin/phi'?)"),
-        ("topic hz nothing", "nothing: path_40-"),
         ("topic echo skin/phi --field nn", "phi has no such field (did you mean 'n'?)"),
-        ("topic echo skin/phi --field n[]", "expected FIELD or FIELD[I,J]"),
         ("topic echo skin/taxels --field forces[40,0]", "forces is 40 x 40"),
         ("node list --graph drag", "--graph drag: no such graph runs"),
     ],
@@ -319,8 +294,8 @@ def test_echo_summarises_arrays_and_prints_them_in_full_where_asked(
 
 
 def test_echo_in_json_leaves_no_message_out(run_json: RunJson) -> None:
-    seqs = run_json("topic", "echo", "/skin/taxels", "-n", "30", "--field", "seq", lines=True)
-    assert seqs == list(range(seqs[0], seqs[0] + 30))
+    seqs = run_json("topic", "echo", "/skin/taxels", "-n", "20", "--field", "seq", lines=True)
+    assert seqs == list(range(seqs[0], seqs[0] + 20))
 
 
 def test_echo_of_a_latched_topic_shows_its_last_message_at_once(run: Run) -> None:
@@ -328,31 +303,24 @@ def test_echo_of_a_latched_topic_shows_its_last_message_at_once(run: Run) -> Non
 
 
 def test_hz_reports_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
-    last = run_json("topic", "hz", "/skin/taxels", "-n", "60", lines=True)[-1]
+    last = run_json("topic", "hz", "/skin/taxels", "-n", "20", lines=True)[-1]
     assert last["final"]
-    assert (last["messages"], last["over"], last["lost"]) == (60, 60, 0)
+    assert (last["messages"], last["over"], last["lost"]) == (20, 20, 0)
     assert last["sent_hz"] > 0
     assert last["sent_hz"] == pytest.approx(1e3 / last["interval_ms"]["mean"])
     assert last["arrives_hz"] > 0
 
 
 def test_bw_reports_the_bytes_of_the_wire(run_json: RunJson) -> None:
-    last = run_json("topic", "bw", "/skin/taxels", "-n", "50", lines=True)[-1]
+    last = run_json("topic", "bw", "/skin/taxels", "-n", "20", lines=True)[-1]
     assert 1600 * 4 < last["size_bytes"]["min"] <= last["size_bytes"]["max"] < 1600 * 4 + 300
     assert last["bytes_per_s"] > 0
 
 
-def test_delay_is_the_age_of_a_frame(run_json: RunJson) -> None:
-    age = run_json("topic", "delay", "/skin/reconstruction", "-n", "50", lines=True)[-1]["delay_ms"]
+def test_delay_is_the_age_of_a_frame(run: Run, run_json: RunJson) -> None:
+    age = run_json("topic", "delay", "/skin/reconstruction", "-n", "20", lines=True)[-1]["delay_ms"]
     assert 0 < age["min"] <= age["p50"] <= age["p99"] <= age["max"]
-
-
-def test_delay_of_a_latched_topic_is_named_an_age(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["topic", "delay", "skin/solver", "-n", "1"]) == 0
-    (note,), (figures,) = (text.splitlines() for text in reversed(capsys.readouterr()))
-    assert note.endswith("is the age of its last message (latched: sent when it changes)")
+    figures = run("topic", "delay", "skin/solver", "-n", "1")  # latched: sent when it changes
     assert figures.startswith("all 1: delay p50 ")
 
 
@@ -362,7 +330,7 @@ def test_where_nothing_comes_it_reports_why(
     graph = choose_graph(None)
     assert ask_node(graph, "sensor", "pause", True) == Answer(True, "paused")
     try:
-        main(["topic", "hz", "skin/taxels", "--duration", "3"])
+        main(["topic", "hz", "skin/taxels", "--duration", "1.5"])
         assert re.search(r"no message for \d+ s \(sensor: paused\)", capsys.readouterr().err)
         assert main(["topic", "echo", "skin/taxels", "--duration", "0.2"]) == 1
         assert capsys.readouterr().err == "/skin/taxels: no message came (sensor: paused)\n"
@@ -370,14 +338,13 @@ def test_where_nothing_comes_it_reports_why(
         ask_node(graph, "sensor", "pause", False)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_ends_with_a_summary(folder: Path, number: signal.Signals) -> None:
+def test_an_interrupt_ends_with_a_summary(folder: Path) -> None:
     command = [sys.executable, *PATIENT_COMMAND, "topic", "delay", "/skin/taxels"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("delay p50 ")
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         out, error = process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
@@ -399,13 +366,8 @@ def test_a_shell_completes_names_of_the_running_graph(folder: Path) -> None:
     assert words("node info ") == NODES
     assert words("topic hz --window 50 /skin/ta") == ["/skin/taxels"]
     assert words("param set sensor ") == ["rate_hz", "noise", "drift"]
-    assert "seed" in words("param get sensor ")
     assert words("param set reconstructor preset pa") == ["paper"]
-    assert words("param set sensor noise 1 ra") == ["rate_hz"]
-    assert "fista" in words("param set reconstructor preset paper solver ")
-    assert words("topic hz --graph ") == ["path_40"]
     assert words("topic hz --graph=pa") == ["path_40"]
-    assert words("node info --graph=none ") == []
 
 
 def test_other_documents_have_the_documented_fields(run_json: RunJson) -> None:

@@ -63,7 +63,9 @@ def faults(text: str, host: str | None = None) -> list[str]:
     return caught.value.lines
 
 
-def test_each_publishing_node_has_an_endpoint_that_all_parts_agree_on() -> None:
+def test_each_publishing_node_has_an_endpoint_that_a_recorder_more_on_one_host_does_not_move() -> (
+    None
+):
     nodes = load(write(TWO)).nodes
     assert {name: node.public for name, node in nodes.items()} == {
         "sensor": "tcp://192.168.1.10:5700",
@@ -71,11 +73,8 @@ def test_each_publishing_node_has_an_endpoint_that_all_parts_agree_on() -> None:
         "reconstructor": "tcp://192.168.1.20:6000",
         "monitor": "",
     }
-
-
-def test_a_recorder_more_on_one_host_moves_no_port() -> None:
-    plain, recorded = (load(write(TWO), record=out).nodes for out in (None, "out.mcap"))
-    assert all(recorded[name].public == node.public for name, node in plain.items())
+    recorded = load(write(TWO), record="out.mcap").nodes
+    assert all(recorded[name].public == node.public for name, node in nodes.items())
 
 
 def test_a_part_has_its_own_nodes_and_knows_of_the_others() -> None:
@@ -125,9 +124,7 @@ def test_an_address_that_others_reach_is_refused_without_keys(
         "f.toml:8: hosts.desk.address: 192.168.1.20",
     ]
     assert "insecure = true in [graph]" in lines[0]
-
-
-def test_it_is_not_refused_where_it_is_stated_or_nobody_can_reach_it() -> None:
+    # Where it is stated, or nobody can reach it:
     assert load(write(NO_KEYS.replace("[graph]", "[graph]\ninsecure = true"))).insecure
     local = NO_KEYS.replace("192.168.1.10", "127.0.0.1").replace("192.168.1.20", "127.0.0.2")
     assert not load(write(local)).insecure
@@ -137,8 +134,6 @@ def test_it_is_not_refused_where_it_is_stated_or_nobody_can_reach_it() -> None:
     ("old", "new", "line"),
     [
         ('"192.168.1.10"', '"edge.local"', "5: hosts.edge.address: 'edge.local' is no addr"),
-        ('"192.168.1.10"', '"0.0.0.0"', "5: hosts.edge.address: '0.0.0.0' is not the addr"),
-        ("6000", "80", "9: hosts.desk.base_port: 80 is outside 1024..65535"),
         ('host = "edge"\n\n', "\n", "14: nodes.sensor: the key 'host' is missing (hosts:"),
         (
             'reconstructor"\nhost = "desk"',

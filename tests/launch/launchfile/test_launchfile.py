@@ -12,15 +12,11 @@ from hypothesis import strategies as st
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.graph_text import graph_text
-from sparseskin.launch.launchfile.load import BUNDLED, LaunchError, load
+from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.sensor.files.arrays import ArrayRecording
-
-SCENES = [
-    *("lift_box_40", "lift_wrench_40", "drag_wrench_40"),
-    *("path_40", "lift_box_64", "drag_wrench_64"),
-]
+from sparseskin.nodes.sensor.scenes.scenes import SCENES
 
 GOOD = """\
 [graph]
@@ -56,48 +52,34 @@ def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return lines_of
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_every_scene_has_a_launch_file_that_checks(name: str) -> None:
-    launch = load(name)
-    assert launch.nodes["sensor"].settings.source == f"scene:{name}"
-    assert launch.nodes["compressor"].settings.ratio == 3
-    assert launch.nodes["reconstructor"].settings.preset == "skin"
+def test_every_scene_has_a_launch_file_that_checks() -> None:
+    for name in SCENES:
+        assert load(name).nodes["sensor"].settings.source == f"scene:{name}"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line"),
-    [
-        (
-            "iterations",
-            "itertions",
-            "13: nodes.reconstructor.itertions: unknown key (did you mean 'iterations'?)",
-        ),
-        ("= 20", "= 0", "13: nodes.reconstructor.iterations: 0 is outside 1..1000"),
-        (
-            '"compressor"',
-            '"compresor"',
-            '9: nodes.compressor.type: type "compresor" is not known (did you mean '
-            "'compressor'?); or \"module:Class\" for your own",
-        ),
-        ('type = "monitor"', "", "15: nodes.monitor: the key 'type' is missing or not a text"),
-        ("[graph]", "[grap]", "1: grap: unknown table (did you mean 'graph'?)"),
-        (
-            "scene:path_40",
-            "scene:path_41",
-            "6: nodes.sensor.source: no scene is called 'path_41' (did you mean 'path_40'?)",
-        ),
-        (
-            "[nodes.sensor]",
-            "[nodes.Sensor]",
-            "4: nodes.Sensor: 'Sensor' is no name (allowed: a lower-case letter, then lower-case "
-            "letters, digits and underscores)",
-        ),
-    ],
-)
-def test_a_fault_is_one_line_with_its_place(check, old: str, new: str, line: str) -> None:
-    lines = check(GOOD.replace(old, new, 1))
-    assert all("\n" not in each and "Traceback" not in each for each in lines)
-    assert f"f.toml:{line}" in lines
+def test_all_faults_are_reported_at_once_each_in_one_line_with_its_place(check) -> None:
+    text = GOOD + "[nodes.other]\n"
+    for old, new in {
+        "[graph]": "[grap]",
+        "scene:path_40": "scene:path_41",
+        '"compressor"': '"compresor"',
+        "iterations": "itertions",
+        "[nodes.monitor]": "[nodes.Monitor]",
+    }.items():
+        text = text.replace(old, new, 1)
+    assert sorted(check(text, "sensor.sead=3", "senser.seed=3", "nonsense")) == [
+        "--set nonsense: expected NODE.KEY=VALUE",
+        "--set senser.seed=3: unknown node 'senser' (did you mean 'sensor'?)",
+        "--set sensor.sead=3: unknown key (did you mean 'seed'?)",
+        "f.toml:13: nodes.reconstructor.itertions: unknown key (did you mean 'iterations'?)",
+        "f.toml:15: nodes.Monitor: 'Monitor' is no name (allowed: a lower-case letter, then "
+        "lower-case letters, digits and underscores)",
+        "f.toml:17: nodes.other: the key 'type' is missing or not a text",
+        "f.toml:1: grap: unknown table (did you mean 'graph'?)",
+        "f.toml:6: nodes.sensor.source: no scene is called 'path_41' (did you mean 'path_40'?)",
+        'f.toml:9: nodes.compressor.type: type "compresor" is not known (did you mean '
+        "'compressor'?); or \"module:Class\" for your own",
+    ]
 
 
 RECONSTRUCTOR = "f.toml:11: nodes.reconstructor: "
@@ -176,46 +158,23 @@ def own_solver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("own_solver")
-@pytest.mark.parametrize(
-    ("key", "value", "fault"),
-    [
-        (
-            "n_round",
-            "3",
-            f"is no option of solver {SOLVER} (did you mean 'n_rounds'?); allowed: n_rounds, seed",
-        ),
-        ("lambda_n", "3", "is a setting of its own; allowed: lambda_n"),
-        ("seed", "[3]", "[3] is not allowed; allowed: a finite number, a text, true or false"),
-    ],
-)
-def test_an_option_is_one_that_its_solver_has(check, key: str, value: str, fault: str) -> None:
+def test_options_are_those_that_the_solver_has(check) -> None:
     text = WITH_OPTION.replace("n_rounds = 30", "n_rounds = []")
-    option = "f.toml:18: nodes.reconstructor.options.n_rounds: "
-    assert sorted(check(text, f"reconstructor.options.{key}={value}")) == sorted(
-        [
-            f"{option}[] is not allowed; allowed: a finite number, a text, true or false",
-            f"--set reconstructor.options.{key}={value}: {fault}",
-        ]
-    )
-
-
-@pytest.mark.usefixtures("own_solver")
-def test_options_of_a_solver_are_set(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
+    options = {"n_round": "3", "lambda_n": "3", "seed": "[3]"}
+    stated = [f"reconstructor.options.{key}={value}" for key, value in options.items()]
+    kinds = "is not allowed; allowed: a finite number, a text, true or false"
+    assert sorted(check(text, *stated)) == [
+        "--set reconstructor.options.lambda_n=3: is a setting of its own; allowed: lambda_n",
+        f"--set reconstructor.options.n_round=3: is no option of solver {SOLVER} (did you mean "
+        "'n_rounds'?); allowed: n_rounds, seed",
+        f"--set reconstructor.options.seed=[3]: [3] {kinds}",
+        f"f.toml:18: nodes.reconstructor.options.n_rounds: [] {kinds}",
+    ]
     Path("f.toml").write_text(WITH_OPTION)
     reconstructor = load("f.toml", ["reconstructor.options.seed=2"]).nodes["reconstructor"]
     assert reconstructor.settings.options == {"n_rounds": 30, "seed": 2}
     chosen = {"solver": SOLVER, "basis": "haar", "iterations": 20, "n_rounds": 30, "seed": 2}
     assert reconstructor.settings.chosen() == chosen
-
-
-def test_all_faults_are_reported_at_once(check) -> None:
-    text = GOOD.replace("iterations", "itertions").replace('"monitor"', '"moniter"')
-    lines = check(text, "sensor.sead=3", "senser.seed=3", "nonsense")
-    assert len(lines) == 5
-    assert "--set sensor.sead=3: unknown key (did you mean 'seed'?)" in lines
-    assert "--set senser.seed=3: unknown node 'senser' (did you mean 'sensor'?)" in lines
-    assert "--set nonsense: expected NODE.KEY=VALUE" in lines
 
 
 def test_a_topic_has_one_writer_and_every_reader_has_one(check) -> None:
@@ -235,19 +194,14 @@ def test_a_mutated_launch_file_is_used_or_refused_in_lines(
         text[place] = data.draw(st.characters(codec="utf-8") | st.just(""))
     path = tmp_path_factory.mktemp("mutated") / "f.toml"
     path.write_text("".join(text), encoding="utf-8", newline="")
-    lines: list[str] = []
     try:
         assert load(str(path)).nodes
     except LaunchError as error:
-        lines = error.lines
-        refused = True
-    else:
-        refused = False
-    assert refused == bool(lines)
-    for line in lines:  # each begins with the file, and stays one line on a terminal
-        assert line.startswith(str(path))
-        assert line.isprintable()
-        assert line.partition(": ")[2]
+        assert error.lines
+        for line in error.lines:  # each begins with the file, and stays one line on a terminal
+            assert line.startswith(str(path))
+            assert line.isprintable()
+            assert line.partition(": ")[2]
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -277,18 +231,16 @@ def test_a_dry_run_shows_the_graph_and_starts_nothing(capsys: pytest.CaptureFixt
     ("name", "hint"),
     [
         ("replay", "--set sensor.source=file:PATH"),
-        ("replay_taxels", "--set player.file=PATH.mcap"),
         ("replay_measurements", "--set player.file=PATH.mcap"),
     ],
 )
 def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name: str, hint: str) -> None:
-    for stated in (name, str(BUNDLED / f"{name}.toml")):
-        with pytest.raises(LaunchError) as refused:
-            load(stated)
-        (line,) = refused.value.lines
-        assert line.endswith(f"no such file; name yours: {hint}")
-        place = hint.removeprefix("--set ").partition("=")[0]
-        assert f": nodes.{place}: " in line
+    with pytest.raises(LaunchError) as refused:
+        load(name)
+    (line,) = refused.value.lines
+    assert line.endswith(f"no such file; name yours: {hint}")
+    place = hint.removeprefix("--set ").partition("=")[0]
+    assert f": nodes.{place}: " in line
     missing = f"{place}={'file:' if 'sensor' in place else ''}missing.mcap"
     with pytest.raises(LaunchError) as refused:
         load(name, [missing])
@@ -297,7 +249,7 @@ def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name: str, h
     assert line.endswith("no such file")
 
 
-@pytest.mark.parametrize("name", ["launch", "live_recorder_", "live_recorder_1"])
+@pytest.mark.parametrize("name", ["launch", "live_recorder_1"])
 def test_names_of_the_launchers_own_are_refused(tmp_path: Path, name: str) -> None:
     path = tmp_path / "g.toml"
     path.write_text(f'[nodes.{name}]\ntype = "sensor"\n')
@@ -320,10 +272,7 @@ def test_set_states_the_keys_of_the_graph(tmp_path: Path) -> None:
     ("change", "what"),
     [
         ("transport=unix", "'unix' is not allowed; allowed: ipc, tcp"),
-        ("transprt=tcp", "unknown key (did you mean 'transport'?)"),
-        ("transport.x=tcp", "expected a text, got {'x': 'tcp'}"),
         ("insecure=1", "expected true or false, got 1"),
-        ("max_restarts=0", "0 is outside 1..1000"),
         ("priority=99", "99 is outside 0..98"),
         ("cpus=0", "expected a list of whole numbers, got 0"),
     ],
@@ -356,13 +305,6 @@ def test_nodes_that_may_not_be_scheduled_as_stated_are_refused_in_one_line(
     )
 
 
-def _graph_of(source: str, **compressor: object) -> str:
-    """A launch file that compresses the frames of a source."""
-    settings = "".join(f"{key} = {value!r}\n" for key, value in compressor.items())
-    text = GOOD.replace("scene:path_40", source)
-    return text.replace('type = "compressor"\n', f'type = "compressor"\n{settings}')
-
-
 @pytest.mark.parametrize(
     "source", ['file:whole.npy"\n#"', 'file:plain.csv"\nn_rows = 6\nunit = "N']
 )
@@ -372,12 +314,11 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
     frames = np.full((2, 6, 8), 0.5, np.float32)
     np.save("whole.npy", frames)
     np.savetxt("plain.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
-    (line,) = check(_graph_of(source, m=49))
-    assert line.endswith(
-        "nodes.compressor.m: phi: m = 49 is not allowed; allowed: 1..48 (n = 48 taxels)"
-    )
-    Path("f.toml").write_text(_graph_of(source, m=48))
-    load("f.toml")
+    text = GOOD.replace("scene:path_40", source)
+    (line,) = check(text, "compressor.m=49")
+    end = "phi: m = 49 is not allowed; allowed: 1..48 (n = 48 taxels)"
+    assert line == f"--set compressor.m=49: {end}"
+    load("f.toml", ["compressor.m=48"])
 
 
 def test_begin_of_a_recording_is_read_and_no_more(tmp_path: Path) -> None:

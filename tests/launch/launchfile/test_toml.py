@@ -16,12 +16,10 @@ from sparseskin.nodes.toml import MAX_CHARS
     [
         ("\n[graph]\ndescription = " + "9" * 5000, ":3: not TOML: a whole number beyond 64 bits"),
         ("[graph]\ndescription = 0x" + "f" * 5000, "graph.description: a whole number beyond 64"),
-        ("a = 9223372036854775808", "a: a whole number beyond 64 bits"),
         ("".join(f"[t{k}]\n" for k in range(200_000)), f"more than {MAX_CHARS} characters"),
         ("\n[graph]\na" + ".a" * 9000 + " = 1", ":3: not TOML: a key of more than 100 parts"),
         ("a" + ".a" * 50 + " = 1", "more than 8 tables or lists in each other"),
         ("a = " + "[" * 900 + "]" * 900, "more than 8 tables or lists"),
-        ("a = " + "{a=" * 900 + "1" + "}" * 900, "more than 8 tables or lists"),
         ("".join(f"[nodes.n{k}]\n" for k in range(3000)), f"3000 nodes; at most {MAX_NODES}"),
         ("[graph]\ntransport = 'x" + "y" * 60_000 + "'", "graph.transport: 'xyyy"),
         ("[nodes.n]\ntype = '\\u001b[2J'".replace("'", '"'), r"\x1b[2J"),

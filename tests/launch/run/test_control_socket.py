@@ -13,50 +13,32 @@ from typing import Any
 import pytest
 from conftest import wait_until
 
-from sparseskin.launch.run.control_socket import (
-    MAX_CLIENTS,
-    MAX_LINE_BYTES,
-    ControlServer,
-)
+from sparseskin.launch.run.control_socket import MAX_CLIENTS, MAX_LINE_BYTES, ControlServer
 from sparseskin.launch.run.running import GraphError
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.process.control import MAX_QUEUED_BYTES, ControlClient
 
 
-class Loop:
-    """The part of a fleet that a server uses: its loop, and nothing else."""
+class Line:
+    """A server that answers every request with its number, clients of it, and its loop."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
         self._selector = selectors.DefaultSelector()
+        self.unwatch = self._selector.unregister
+        self.taken: list[Mapping[str, Any]] = []
+        self.server = ControlServer(
+            *(self.path, self),  # type: ignore[arg-type]
+            *(self._take, lambda node: {"of": node}),
+        )
+        self._clients: list[ControlClient] = []
 
     def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
         self._selector.register(fd, selectors.EVENT_READ, on_ready)
 
-    def unwatch(self, fd: Any) -> None:
-        self._selector.unregister(fd)
-
     def serve(self) -> None:
         for key, _ in self._selector.select(0.01):
             key.data()
-
-    def close(self) -> None:
-        self._selector.close()
-
-
-class Line:
-    """A server that answers every request with its number, and clients of it."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = str(path)
-        self.loop = Loop()
-        self.taken: list[Mapping[str, Any]] = []
-        self.server = ControlServer(
-            self.path,
-            self.loop,  # type: ignore[arg-type]
-            self._take,
-            lambda node: {"of": node},
-        )
-        self._clients: list[ControlClient] = []
 
     def _take(self, request: Mapping[str, Any], reply: Callable[[dict[str, Any]], None]) -> None:
         self.taken.append(request)
@@ -71,7 +53,7 @@ class Line:
         found: list[dict[str, Any]] = []
 
         def done() -> bool:
-            self.loop.serve()
+            self.serve()
             found.extend(client.receive() or [])
             return len(found) >= n
 
@@ -81,14 +63,14 @@ class Line:
 
     def is_left(self, client: ControlClient) -> bool:
         """True if the server has closed a client's line, once all that waits is read."""
-        self.loop.serve()
+        self.serve()
         return client.receive() is None
 
     def close(self) -> None:
         for client in self._clients:
             client.close()
         self.server.close()
-        self.loop.close()
+        self._selector.close()
 
 
 @pytest.fixture
@@ -103,7 +85,7 @@ def test_a_request_may_come_in_pieces(line: Line) -> None:
     data = json.dumps({"id": "ä"}, ensure_ascii=False).encode() + b"\n"
     for k in range(len(data)):
         client.connection.sendall(data[k : k + 1])
-        line.loop.serve()
+        line.serve()
     assert line.receive(client) == [{"answer": {"id": "ä"}}]
 
 
@@ -113,17 +95,15 @@ def test_only_watchers_receive_the_state_of_the_graph(line: Line) -> None:
     watcher.send({"watch": True})
     other.send({"id": "1"})
     line.receive(other)
-    wait_until(lambda: (line.loop.serve(), line.server.watched)[1], "the watcher")
+    wait_until(lambda: (line.serve(), line.server.watched)[1], "the watcher")
     line.server.publish({"graph": {"nodes": []}})
     assert line.receive(watcher) == [{"graph": {"nodes": []}}]
     assert other.receive() == []
     watcher.close()
-    wait_until(lambda: (line.loop.serve(), not line.server.watched)[1], "the watcher to leave")
+    wait_until(lambda: (line.serve(), not line.server.watched)[1], "the watcher to leave")
 
 
-@pytest.mark.parametrize(
-    "bad", [b"{", b"nonsense", b"[1, 2]", b"3", b"null", b"", b"\xff\xfe", b"[" * 5000]
-)
+@pytest.mark.parametrize("bad", [b"{", b"[1, 2]", b"", b"\xff\xfe", b"[" * 5000])
 def test_a_line_that_is_no_request_is_refused_and_the_next_is_taken(line: Line, bad: bytes) -> None:
     client = line.client()
     client.connection.sendall(bad + b'\n{"id": "2"}\n')
@@ -167,14 +147,15 @@ def test_one_client_too_many_is_turned_away_until_another_leaves(line: Line) -> 
     turned_away = line.client()
     wait_until(lambda: line.is_left(turned_away), "the client to be turned away")
     clients[3].close()
-    wait_until(lambda: (line.loop.serve(), len(line.server._clients))[1] < MAX_CLIENTS, "room")
+    wait_until(lambda: (line.serve(), len(line.server._clients))[1] < MAX_CLIENTS, "room")
     client = line.client()
     client.send({"id": "1"})
     assert line.receive(client) == [{"answer": {"id": "1"}}]
 
 
-def test_a_client_learns_that_the_graph_is_gone(line: Line) -> None:
+def test_the_user_alone_may_connect_and_a_client_learns_that_the_graph_is_gone(line: Line) -> None:
     client = line.client()
+    assert stat.S_IMODE(Path(line.path).stat().st_mode) == 0o600
     client.send({"id": "1"})
     line.receive(client)
     line.server.close()
@@ -188,11 +169,7 @@ def test_two_graphs_with_one_number_do_not_share_a_socket(line: Line) -> None:
         Line(Path(line.path))
 
 
-def test_only_the_user_may_connect(line: Line) -> None:
-    assert stat.S_IMODE(Path(line.path).stat().st_mode) == 0o600
-
-
-@pytest.mark.parametrize("name", ["none.sock", "no folder/none.sock", "file", "left.sock"])
+@pytest.mark.parametrize("name", ["none.sock", "file", "left.sock"])
 def test_where_nobody_listens_an_error_is_reported(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").touch()
     with socket.socket(socket.AF_UNIX) as left:

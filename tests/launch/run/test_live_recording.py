@@ -74,14 +74,11 @@ BEGUN, DONE = "recording to OUT", "OUT: 321 messages recorded"
 @pytest.mark.parametrize(
     ("steps", "done", "refused"),
     [
-        ("on ready", [BEGUN], []),
-        ("on ready off ended", [BEGUN, DONE], []),
         ("on ready off ended on ready", [BEGUN, DONE, BEGUN], []),
         ("on failed ended", [], ["OUT: cannot be recorded; see the log"]),
         ("on error ended on ready", [BEGUN], ["OUT: cannot be recorded; see the log"]),
         ("on ready failed off", [BEGUN], [OFF]),
         ("on ready ended", [BEGUN], []),  # with its streams: nobody asked for it
-        ("off", [], [OFF]),
         ("on ready on", [BEGUN], ["record: already on: OUT"]),
         ("on on", [], [BUSY]),
     ],
@@ -101,7 +98,7 @@ def test_each_request_is_answered_once_and_what_is_on_is_known(
     ended = steps.split()[-1] in ("ended", "failed", "error") or refused == [OFF]
     assert (desk.recording.out is None) == ended
     assert [node.told for node in desk.fleet.nodes.values()][:1] == (
-        [[("stop", {})] if "ready off" in steps else []] if steps != "off" else []
+        [[("stop", {})] if "ready off" in steps else []]
     )
 
 
@@ -122,9 +119,7 @@ def test_a_recording_that_went_wrong_is_no_success(desk: Desk) -> None:
     assert desk.said[1:] == [(False, "a.mcap: no space left")]
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("record", 1), ("record", None), ("record", "true"), ("recrd", True)]
-)
+@pytest.mark.parametrize(("name", "value"), [("record", 1), ("recrd", True)])
 def test_any_other_request_is_refused(desk: Desk, name: str, value: object) -> None:
     with pytest.raises(RefusedError, match=f"launch: {name}: expected the command 'record', true"):
         desk.recording.command(name, value, lambda *said: None)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import StartProgram, note_of_graph, wait_until
+from conftest import PATIENCE_S, StartProgram, note_of_graph, wait_until
 
+from sparseskin.launch.attach.client import Answer, ask_node
 from sparseskin.launch.run.process import (
     CHUNK_BYTES,
     LOG_BYTES,
@@ -17,8 +18,7 @@ from sparseskin.launch.run.process import (
     AwakeClock,
     LogLines,
 )
-from sparseskin.launch.run.running import running_graphs
-from sparseskin.nodes.process.control import ControlClient
+from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.process.proc import n_files
 
 FLOODING = """
@@ -89,7 +89,7 @@ def test_the_clock_stands_still_while_the_launcher_does() -> None:
         assert clock() - began_s == pytest.approx(passed_s)
 
 
-def test_a_live_recording_leaves_no_descriptor_open(
+def test_live_recordings_leave_no_descriptor_open_and_a_killed_one_is_not_on(
     start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = ("--set", "sensor.rate_hz=20", "--set", "monitor.page=false")
@@ -97,16 +97,12 @@ def test_a_live_recording_leaves_no_descriptor_open(
     program.wait_for("[launch] ready")
     pid = program.process.pid
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
+    monkeypatch.setattr("sparseskin.launch.attach.client.PATIENCE_S", PATIENCE_S)
     note_of_graph(tmp_path / "graphs")
-    client = ControlClient(running_graphs()[0].control)
-    answers: list[dict[str, Any]] = []
+    graph = choose_graph(None)
 
     def record(on: bool) -> None:
-        request = {"id": str(len(answers)), "node": "launch", "command": "record", "value": on}
-        n_before = len(answers)
-        assert client.send(request)
-        wait_until(lambda: len(answers.__iadd__(client.receive() or [])) > n_before, "an answer")
-        assert answers[-1]["answer"]["done"], answers
+        assert ask_node(graph, "launch", "record", on).done
 
     record(True)
     n_with_recorder = n_files(pid)
@@ -117,4 +113,15 @@ def test_a_live_recording_leaves_no_descriptor_open(
             recording.unlink()
         record(True)
         record(False)
-    client.close()
+    wait_until(lambda: n_files(pid) == n_with_recorder - 3, "the end of its pipes")
+    for recording in tmp_path.glob("*.mcap"):
+        recording.unlink()
+    record(True)
+    os.kill(program.pid_of("live_recorder_4"), signal.SIGKILL)
+    program.wait_for("[launch] live_recorder_4 ended too early")
+    assert ask_node(graph, "launch", "record", False) == Answer(False, "record: not on")
+    nested: Any = []
+    for _ in range(500):
+        nested = [nested]
+    refused = Answer(False, "value: nested more than 4 deep")
+    assert ask_node(graph, "launch", "record", nested) == refused

@@ -74,8 +74,6 @@ def test_two_askers_with_one_number_get_their_own_answers(desk: Desk) -> None:
         ("sensr", "pause", None, "sensr: no such node (did you mean 'sensor'?)"),
         ("sensor", "pase", None, "sensor: has no command 'pase' (did you mean 'pause'?)"),
         ("compressor", "pause", None, "compressor: has no command 'pause' (known: set)"),
-        ("sensor", "stop", None, "sensor: has no command 'stop'"),
-        ("sensor", "set", {}, "sensor: set: expected settings and their values"),
         ("launch", "recrd", True, "launch: recrd: expected the command 'record'"),
         (3, "pause", None, "expected the texts id, node and command"),
     ],

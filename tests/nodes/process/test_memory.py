@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import resource
+
 import pytest
 
 from sparseskin.nodes.process import memory
@@ -30,3 +32,14 @@ def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown
             free.trim()
         found.append(len(trims))
     assert found == [1, 1, 2, 3, 3]
+
+
+def test_memory_is_not_looked_through_while_no_file_can_be_opened() -> None:
+    free, limits = FreeMemory(), resource.getrlimit(resource.RLIMIT_NOFILE)
+    free.trim()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
+    try:
+        for _ in range(EVERY):
+            free.trim()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)

@@ -193,17 +193,6 @@ class TestWithErrors:
         assert [frame.payload for frame in frames][-1:] == last
         assert len(frames) >= 8
 
-    @few
-    @given(payloads=payloads, data=st.data())
-    def test_the_result_does_not_depend_on_how_the_stream_is_cut(
-        self, payloads: list[bytes], data: st.DataObject
-    ) -> None:
-        sent = [PLAIN.encode(p) for p in payloads]
-        stream = b"".join(damaged(sent, data, safe=False))
-        at_once, _ = parsed(PLAIN, [stream])
-        by_byte, _ = parsed(PLAIN, [stream[k : k + 1] for k in range(len(stream))])
-        assert at_once == by_byte
-
     @pytest.mark.parametrize("checksum", ["none", "sum8"])
     def test_a_damaged_frame_costs_itself_alone(self, checksum: str) -> None:
         framing = Framing(12, start=MARK, checksum=checksum)

@@ -35,11 +35,9 @@ KEYS = ("checksum", "checksum_from", "confirm", "cols", "col_order")
 @pytest.mark.parametrize(
     ("begun", "found"),
     [
-        ("s", ["scene:", "serial:"]),
         ("udp:5005?profile=nu", ["udp:5005?profile=numbered"]),
         ("serial:d?bau", ["serial:d?baud="]),
         ("udp:1?rows=2&c", [f"udp:1?rows=2&{key}=" for key in KEYS]),
-        ("can:d?id", ["can:d?ids="]),
         ("no:d?", []),
     ],
 )

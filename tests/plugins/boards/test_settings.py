@@ -25,13 +25,11 @@ def serial(query: str, **stated: object) -> Board:
 
 
 class TestProfiles:
-    def test_every_profile_is_complete_with_rows_and_columns(self) -> None:
+    def test_every_profile_is_complete_with_rows_and_columns_which_go_before_its_own(self) -> None:
         for name in profile_names():
             board = serial(f"profile={name}&rows=4&cols=5")
+            assert board.skin.shape == (4, 5)
             assert board.framing.is_whole(board.framing.encode(bytes(board.framing.payload_bytes)))
-
-    def test_the_query_goes_before_the_profile(self) -> None:
-        assert serial("profile=flexitac_16x32&rows=8&baud=9600").skin.shape == (8, 32)
 
     def test_a_file_of_ones_own_is_read(self, tmp_path: Path) -> None:
         path = tmp_path / "own.toml"
@@ -47,9 +45,7 @@ class TestProfiles:
     @pytest.mark.parametrize(
         ("text", "fault"),
         [
-            ("rows =", "no TOML"),
             ("rows = 2\nbaudd = 9600", "baudd: unknown key (did you mean 'baud'?)"),
-            ("rows = '2'", "rows: expected a whole number"),
             ("\x00", "no TOML"),
         ],
     )
@@ -71,39 +67,25 @@ class TestProfiles:
 
 
 FAULTS = [
-    ("serial:?x=1", "nothing follows"),
     ("serial:/dev/ttyUSB0?profile=flexitac_16x23", "did you mean 'flexitac_16x32'?"),
-    ("serial:/dev/ttyUSB0?profile=../../../x", "no such file"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&bauds=1", "bauds: unknown key (did you mean 'baud'?)"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&baud=x", "baud: expected a whole number, got 'x'"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&baud=0", "baud: 0 is outside"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&checksum=crc", "did you mean 'crc8'?"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&rows=3", "rows is stated twice"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&baud", "'baud' is no KEY=VALUE"),
-    *(
-        (f"serial:/dev/ttyUSB0?{PLAIN}&row_order={order}", "each of 0..1 once")
-        for order in ("0,0", "0", "0,2", "-1,0", "a,b", "0,1,")
-    ),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&row_order=0,0", "each of 0..1 once"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&row_order=a,b", "each of 0..1 once"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&zero=255", "leaves no range"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&dtype=float32", "f_max is not stated"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&scale=nan", "scale"),
     (f"serial:/dev/ttyUSB0?{PLAIN}", "there is no device /dev/ttyUSB0"),
-    (f"serial:/dev?{PLAIN}", "is no serial port"),
     ("serial:/dev/ttyUSB0?profile=numbered", "rows is not stated; add rows=NUMBER"),
-    ("serial:/dev/ttyUSB0?rows=2&cols=3", "start is not stated"),
     ("serial:/dev/ttyUSB0?rows=2&cols=3&start=A", "pairs of hexadecimal digits"),
     ("serial:/dev/ttyUSB0?rows=4096&cols=4096&start=AA", "at most 1048576"),
-    ("udp:0?rows=2&cols=3", "1..65535"),
     ("udp:5005?rows=2&cols=3&bind=here", "bind: 'here' is no IPv4 address"),
-    ("can:can9?rows=2&cols=3", "ids is not stated"),
     ("can:can9?rows=2&cols=4&ids=0x10", "there is no CAN interface can9"),
     ("can:can9?rows=4&cols=4&ids=0x10", "index=u8"),
     ("can:can9?rows=4&cols=4&ids=0x10-0x12", "3 ids, but a frame of 16 bytes has 2 chunks"),
     ("can:can9?rows=4&cols=4&ids=0x10,0x10", "an id occurs twice"),
-    ("can:can9?rows=4&cols=4&ids=x", "no arbitration id"),
     ("can:can9?rows=4&cols=4&ids=0x20000000", "the largest extended id"),
-    ("can:can9?rows=4&cols=4&ids=0x10-0x11&chunk=9", "do not fit"),
-    ("can:c?rows=4&cols=4&ids=1-2&interface=virtul", "did you mean 'virtual'?"),
     ("serail:/dev/ttyUSB0", "did you mean 'serial'?"),
 ]
 

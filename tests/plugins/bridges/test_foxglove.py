@@ -10,7 +10,7 @@ from bags import skin_state
 from conftest import StartProgram, wait_until
 from foxglove_client import FoxgloveClient, pixels
 
-from sparseskin.messages import Reconstruction, Taxels
+from sparseskin.messages import Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context
@@ -59,24 +59,6 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) ->
             assert np.array_equal(pixels(got.content), message.forces[0])
             stamp = got.content.timestamp
             assert stamp.seconds * 10**9 + stamp.nanos == message.stamp_ns
-
-
-def test_figures_are_numbers_that_can_be_plotted(bridge: FoxgloveBridge) -> None:
-    forces = np.zeros((ROWS, COLS), np.float32)
-    forces[3, 5] = 2.0
-    made = Reconstruction(
-        stamp_ns=5, patch="skin", forces=forces, phi="0" * 16, iterations=(7,), residual=(0.25,),
-        solve_ns=(1_500_000,), done_ns=9, error=(0.125,), trusted=(False,),
-    )  # fmt: skip
-    topic = "/skin/reconstruction/figures"
-    with subscribed(bridge, topic) as client:
-        for message in (SKIN, made):
-            list(bridge.step(message))
-        got = client.data()
-        figures = got.content
-    assert {"iterations", "solve_ns", "latency_ms"} < figures.keys()
-    assert (figures["seq"], figures["total_force"], figures["residual"]) == (0, 2.0, 0.25)
-    assert (figures["error"], figures["trusted"]) == (0.125, False)
 
 
 def test_frames_before_the_skin_and_of_another_shape_are_not_sent(bridge: FoxgloveBridge) -> None:

@@ -123,7 +123,6 @@ def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(
     [
         (["--to", "csv", "--window", "3"], "--window: goes with --to lerobot"),
         (["--to", "lerobot", "--fps", "5000"], "--fps: 5000 is outside 1..1000"),
-        (["--to", "lerobot", "--window", "9999"], "--window: 9999 is outside 1..4096"),
         (["--to", "lerobot", "--topics", "/skin/measurements"], "measurements are no map"),
     ],
 )

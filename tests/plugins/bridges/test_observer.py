@@ -93,7 +93,6 @@ def _line(start: StartProgram) -> str:
     [
         ({"maps": ["taxel"]}, "did you mean 'taxels'"),
         ({"maps": []}, "at least one"),
-        ({"patches": ["a b"]}, "patches"),
         ({"depth": 0}, "depth: 0 is outside 1..1000"),
     ],
 )

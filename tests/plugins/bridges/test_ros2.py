@@ -139,9 +139,7 @@ def test_a_topic_that_nobody_publishes_is_one_line() -> None:
     [
         ("ros2:tactile", "begins with /"),
         ("ros2:/a?domian=3", "did you mean 'domain'"),
-        ("ros2:/a?domain=x", "domain: expected a whole number, got 'x'"),
         ("ros2:/a?domain=300", "outside 0..232"),
-        ("ros2:/a?timeout_s=nan", "outside 0..86400"),
     ],
 )
 def test_a_malformed_source_is_refused_before_any_node_starts(source: str, fault: str) -> None:

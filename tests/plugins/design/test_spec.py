@@ -37,20 +37,14 @@ def test_numbers_of_a_file_are_those_of_options(keys: dict[str, object]) -> None
 @pytest.mark.parametrize(
     ("keys", "line"),
     [
-        ({}, "rows: is missing; state rows and cols, taxels, or points"),
         ({"rows": 12}, "cols: is missing; state rows and cols"),
         ({**PAD, "taxels": 99}, "taxels: states the size once more; leave out rows"),
-        ({"rows": "x", "cols": 2}, "rows: 'x' is not allowed; allowed: 1..1024"),
         ({"rows": 1, "cols": 2}, "rows: 1 x 2 are 2 taxels; allowed: 16..65536"),
-        ({**PAD, "pitch": "4"}, "pitch: '4': has no unit; expected such as 4mm"),
         ({**PAD, "noise": "1N"}, "noise: 1 N is not allowed for a range of 2.5 N; allowed: 0.0001"),
         ({**PAD, "rate": "0"}, "rate: '0': is outside 1 .. 10000"),
-        ({**PAD, "rate": True}, "rate: 'True': expected a number with its unit"),
         ({**PAD, "host": "4 core s"}, "host: '4 core s': expected such as 4cores, 1..4096"),
         ({**PAD, "sums": "analogue"}, "sums: 'analogue' is not allowed (did you mean 'analog'?)"),
-        ({**PAD, "bits": 3}, "bits: '3' is not allowed; allowed: 4..16"),
         ({"points": "few.csv"}, "points: few.csv: 2 points; allowed: 16..65536"),
-        ({"points": 7}, "points: '7': expected a file, or example:torso"),
     ],
 )
 def test_a_wrong_key_is_refused_in_one_line(
@@ -64,7 +58,7 @@ def test_a_wrong_key_is_refused_in_one_line(
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("raw", [b"rows = ", b"a" * 70000, b"\xff\xfe\x00rows"])
+@pytest.mark.parametrize("raw", [b"rows = ", b"\xff\xfe\x00rows"])
 def test_a_wrong_file_is_refused_in_one_line(raw: bytes, tmp_path: Path) -> None:
     path = tmp_path / "design.toml"
     path.write_bytes(raw)

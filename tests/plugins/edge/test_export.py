@@ -35,13 +35,10 @@ def described(n_rows: int, n_cols: int, ratio: float = 3, holes: bool = False, *
 
 CASES = {
     "one taxel": described(1, 1, 1, bits=16),
-    "all rows": described(8, 16, 1, bits=12),
     "remainder of all sizes": described(5, 19, 2, bits=5, rows="rotating", seed=7),
     "masked, not square": described(12, 32, 4, holes=True, bits=10, adc_bits=16),
     "fixed, 8 bits of ADC": described(9, 7, 3, rows="fixed", adc_bits=8, bits=4),
-    "block 1": described(6, 6, 2, block=1, adc_bits=16, bits=16),
     "block 256, many row subsets": described(20, 30, 40, block=256, adc_bits=16, bits=16),
-    "one bit of ADC": described(16, 32, 3, adc_bits=1, bits=9, holes=True),
 }
 
 

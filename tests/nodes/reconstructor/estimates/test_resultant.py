@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
-from bands import held_of
 from pressed import noisy, sliding_disc
-from random_scenes import random_scene
 from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
 from sparseskin.messages import Reconstruction, Resultant
 from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.estimates.resultant import T
 from sparseskin.nodes.reconstructor.node import ReconstructorSettings
-from sparseskin.studies.frames import NOISE, Take
+from sparseskin.nodes.sensor.scenes.presses import press_frames
 
 
-def resultants(truth: Floats) -> list[Resultant]:
-    phi = make_phi("sbhe", N, N // 3, seed=0)
-    desk = Desk(phi, preset="skin", resultant=True)
-    found = desk.messages(phi.forward(noisy(truth).reshape(-1, N)))
+def resultants(truth: Floats, ratio: int = 3, rows: str = FIXED) -> list[Resultant]:
+    desk = Desk(make_phi("sbhe", N, N // ratio, seed=0), rows=rows, preset="skin", resultant=True)
+    taxels = zip(noisy(truth).reshape(-1, N), itertools.cycle(desk.subsets), strict=False)
+    found = desk.messages(phi.forward(frame) for frame, phi in taxels)
     order = [type(message) for message in found]
     assert order == [Resultant, Reconstruction] * len(truth)
     stamps = [message.stamp_ns for message in found]
@@ -89,18 +90,24 @@ def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands() -> 
 
 
 @pytest.mark.parametrize(
-    ("scene", "rows", "held"),
-    [(5, "rotating", ("row", "col")), (7, "fixed", ("total",))],
+    ("course", "rows", "held"),
+    [("sudden", ROTATING, ("row", "col")), ("moving", FIXED, ("total",))],
 )
 def test_bands_hold_in_taps_and_where_most_rows_are_never_read(
-    scene: int, rows: str, held: tuple[str, ...]
+    course: str, rows: str, held: tuple[str, ...]
 ) -> None:
     # A tap has a centre from its first frames on; fixed rows do not measure parts of the sum.
-    rng = np.random.default_rng([1, scene])
-    pairs = [(truth, NOISE.apply(truth, rng)) for truth in random_scene(scene)[1]]
-    take = Take(np.ones(pairs[0][0].shape, np.bool_), 2.5, lambda: [pairs])
-    found = held_of(take, 8, rows, seed=1)
-    assert all((found[name] or 0.0) > 0.85 for name in held)
+    truth = np.array([frame for frame, _ in press_frames("peg", SHAPE, 150, 1, course=course)])
+    inside: dict[str, list[bool]] = {name: [] for name in held}
+    for frame, one in zip(truth.astype(np.float64), resultants(truth, 8, rows), strict=True):
+        if frame.max() > 0.01:
+            row, col = (np.indices(SHAPE) * frame).sum(axis=(1, 2)) / frame.sum()
+            true = {"total": frame.sum(), "row": row, "col": col}
+            for name in held:
+                found, sd = getattr(one, name), getattr(one, f"{name}_sd")
+                if found is not None:
+                    inside[name].append(abs(found - true[name]) <= 1.645 * sd)
+    assert all(len(one) > 50 and np.mean(one) > 0.85 for one in inside.values())
 
 
 def test_an_untouched_skin_has_no_centre_and_next_to_no_force() -> None:

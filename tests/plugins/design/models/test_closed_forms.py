@@ -43,12 +43,8 @@ def test_a_full_frame_of_can_fd_has_34_slow_and_678_fast_bits() -> None:
     assert bus.seconds(64) == pytest.approx(34e-6 + (5 + 512 + 129 + 32) / 5e6)
     # To 16 bytes the CRC has 27 bits: 5 + 128 + (149 // 4 - 4) + 27.
     assert bus.seconds(16) == pytest.approx(34e-6 + (5 + 128 + 33 + 27) / 5e6)
-
-
-def test_the_last_frame_of_can_fd_is_filled_to_the_next_length() -> None:
-    bus = read_bus("can-fd")
+    # The last frame is filled to the next length.
     assert bus.seconds(64 + 33) == pytest.approx(bus.seconds(64) + bus.seconds(48))
-    assert bus.seconds(9) == bus.seconds(12)
 
 
 def test_a_datagram_has_66_bytes_beside_its_data() -> None:
@@ -57,25 +53,16 @@ def test_a_datagram_has_66_bytes_beside_its_data() -> None:
     assert read_bus("udp:1G").seconds(1473) == pytest.approx((1538 + 84) * 8 / 1e9)
 
 
-def test_a_bus_is_read_with_spaces() -> None:
-    assert read_bus(" can-fd : 500 k / 2 M ") == Bus("can-fd", (5e5, 2e6))
-
-
 @pytest.mark.parametrize(
     ("read", "text", "fault"),
     [
         (read_bus, "seral:2M", "'seral:2M': bus is not known (did you mean 'serial'?)"),
-        (read_bus, "serial", "'serial': states no rate; expected such as serial:2M"),
         (read_bus, "serial:2Mbaud", "'2Mbaud': unit 'Mbaud' is not known"),
         (read_bus, "can-fd:5M/1M", "'can-fd:5M/1M': data are slower than the arbitration"),
-        (read_bus, "can-fd:5M", "expected can-fd:ARBITRATION/DATA"),
-        (read_bus, "serial:" + "9" * 500, "expected a number with its unit"),
         (read_adc, "10bit", "expected bits and conversions a second, as 10bit@200kS/s"),
-        (read_adc, "3bit@1kS/s", "3 bits; allowed: 4..24"),
         (read_adc, "10bit@200k", "unit 'k' is not known; allowed: S/s, kS/s, MS/s"),
         (read_edge, "cortex-m5@1MHz", "did you mean 'cortex-m4'?"),
-        (read_edge, "cortex-m4", "expected cortex-m4@168MHz or linux"),
-        *((a_length, text, "") for text in ("4", "mm", "-4mm", "4,0mm", "nanmm", "٤mm", 4)),
+        *((a_length, text, "") for text in ("4", "-4mm", "nanmm", 4)),
     ],
 )
 def test_a_text_of_another_form_is_refused_in_one_line(
@@ -85,6 +72,21 @@ def test_a_text_of_another_form_is_refused_in_one_line(
         read(text)
     assert fault in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (read_bus(" can-fd : 500 k / 2 M "), Bus("can-fd", (5e5, 2e6))),
+        (read_adc("12 bit @ 77 kS/s"), Adc(12, 77e3)),
+        (read_edge("cortex-m4 @ 168 MHz"), Edge(168e6)),
+        (read_edge("linux"), Edge(None)),
+        (quantity("10mN", FORCE, "x", 0.0, 1e6), 0.01),
+        (quantity("1kHz", RATE, "x", 0.0, 1e6), quantity("1000", RATE, "x", 0.0, 1e6)),
+    ],
+)
+def test_texts_are_read_with_spaces_and_units(found: object, expected: object) -> None:
+    assert found == expected
 
 
 def test_converters_share_the_conversions_and_each_waits_for_its_multiplexer() -> None:
@@ -108,27 +110,6 @@ def test_instructions_are_within_5_percent_of_those_counted(
     """Counted by `make cortex-m4` of exported edges, the largest number."""
     d = EdgeDescription.chosen(n_rows, n_cols, ratio=ratio, bits=bits, rows=rows)
     assert instructions(d.n_taxels, d.m, d.frame_bytes) == pytest.approx(counted, rel=0.05)
-
-
-def test_converters_and_edges_are_read() -> None:
-    assert read_adc("12bit@1MS/s") == Adc(12, 1e6)
-    assert read_adc("12 bit @ 77 kS/s") == Adc(12, 77e3)
-    assert read_edge("cortex-m4@168MHz") == read_edge("cortex-m4 @ 168 MHz") == Edge(168e6)
-    assert read_edge("linux") == Edge(None)
-
-
-@pytest.mark.parametrize(
-    ("text", "units", "value"),
-    [
-        ("4mm", LENGTH, 0.004),
-        ("10mN", FORCE, 0.01),
-        ("1000", RATE, 1000.0),
-        ("1kHz", RATE, 1000.0),
-        ("1e3Hz", RATE, 1000.0),
-    ],
-)
-def test_a_quantity_is_read(text: str, units: dict[str, float], value: float) -> None:
-    assert quantity(text, units, "x", 0.0, 1e6) == pytest.approx(value)
 
 
 def test_rigs_that_were_built_are_predicted() -> None:
