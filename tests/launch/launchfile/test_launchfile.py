@@ -15,7 +15,6 @@ from sparseskin.launch.launchfile.graph_text import graph_text
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.nodes.process.scheduling import Scheduling
-from sparseskin.nodes.sensor.files.arrays import ArrayRecording
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
 
 GOOD = """\
@@ -319,15 +318,6 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
     end = "phi: m = 49 is not allowed; allowed: 1..48 (n = 48 taxels)"
     assert line == f"--set compressor.m=49: {end}"
     load("f.toml", ["compressor.m=48"])
-
-
-def test_begin_of_a_recording_is_read_and_no_more(tmp_path: Path) -> None:
-    frames = np.zeros((50_000, 6, 8), np.uint8)
-    np.save(tmp_path / "long.npy", frames)
-    rest = frames.nbytes
-    with (tmp_path / "long.npy").open("rb") as file:
-        assert ArrayRecording(file, "long.npy").head() == (6, 8, 48, None)
-        assert file.tell() < rest / 10
 
 
 @pytest.mark.parametrize(("ratio", "m"), [(4, 400), (3, 534)])

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from processes import announced
@@ -81,11 +80,8 @@ def test_which_of_several_graphs_has_to_be_said() -> None:
 def test_a_graph_that_ends_as_it_is_joined_is_said_to_have_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def chosen(*_: Any) -> RunningGraph:
-        return graph()
-
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sparseskin.launch.commands.observers.choose_graph", chosen)
+    monkeypatch.setattr("sparseskin.launch.commands.observers.choose_graph", lambda *_: graph())
     assert main(["record", "--out", "a.mcap"]) == 2
     assert capsys.readouterr().err == "path_40-7: has just ended\n"
 

@@ -18,7 +18,6 @@ from sparseskin.plugins.design.simulation import (
     N_SCENES,
     N_UNTOUCHED,
     SCENE_S,
-    contact_db,
     light_touch,
     make_reader,
     presses,
@@ -78,20 +77,6 @@ def test_the_full_raster_has_the_error_of_clipped_noise() -> None:
         found = simulate("full", 10, 12, noise, 16, 100.0, seed=0)
         assert 0 < found.psnr_db + 20 * math.log10(noise) < 3.1
         assert found.low_db < found.psnr_db < found.high_db
-
-
-def test_accuracy_falls_with_noise_and_with_fewer_measurements() -> None:
-    quiet, noisy, few = (
-        np.mean(contact_db(make_reader(STRATEGIES[name], ALL, noise, 12, 0), frames))
-        for name, noise in (
-            ("sbhe_3_fixed", 0.002),
-            ("sbhe_3_fixed", 0.03),
-            ("sbhe_16_fixed", 0.002),
-        )
-        for frames in [presses(4, ALL, noise, 60.0, seed=0)]
-    )
-    assert quiet > noisy
-    assert quiet > few
 
 
 def test_the_band_is_the_prediction_interval_of_a_normal_distribution() -> None:

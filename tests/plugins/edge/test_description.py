@@ -78,13 +78,6 @@ def test_a_file_that_was_changed_is_refused_with_its_place(
     assert "\n" not in str(refused.value)
 
 
-def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
-    for name, fault in (("none", "cannot be read: No such file"), ("bytes", "no TOML")):
-        with pytest.raises(SettingsError, match=fault):
-            EdgeDescription.read(tmp_path / f"{name}.toml")
-
-
 EDGE = """
 version = 1
 n_rows = 9

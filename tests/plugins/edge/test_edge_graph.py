@@ -12,34 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from conftest import StartProgram
 from edges import as_input, compiled
 
 from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.sensor.scenes.scenes import open_scene
 from sparseskin.plugins.edge.description import EdgeDescription
 from sparseskin.plugins.edge.frames import compressed, read_frame
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 
 N_FRAMES = 40
-
-
-def counts_of_scene(n: int, full_scale: int) -> npt.NDArray[np.uint16]:
-    """Frames of a peg that is dropped on 40 x 40 taxels, with noise, in counts."""
-    scene = open_scene("path_40", seed=0)
-    rng = np.random.default_rng(0)
-    found = []
-    for k, (_, forces) in enumerate(scene):
-        if len(found) == n:
-            break
-        if k >= 300 and k % 5 == 0:
-            noisy = forces / scene.skin.f_max + rng.normal(0, 0.006, forces.shape)
-            found.append(np.rint(np.clip(noisy, 0, 1) * full_scale))
-    return np.array(found, dtype=np.uint16)
 
 
 def _feed(edge: subprocess.Popen[bytes], counts: bytes) -> None:
@@ -63,7 +47,8 @@ def test_its_frames_are_recorded_with_their_bits_and_reconstructed(
 ) -> None:
     d = EdgeDescription.chosen(40, 40, ratio=3, bits=8, rows="rotating")
     out = compiled(d, tmp_path)
-    counts = counts_of_scene(N_FRAMES, d.full_scale)
+    rng = np.random.default_rng(0)
+    counts = rng.integers(0, d.full_scale, (N_FRAMES, 40, 40), np.uint16, endpoint=True)
     board, host = pty.openpty()
     tty.setraw(host)
     edge = subprocess.Popen([out / "edge_stream"], stdin=subprocess.PIPE, stdout=board)

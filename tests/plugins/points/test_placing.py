@@ -59,7 +59,7 @@ def test_each_point_has_a_cell_of_its_own(n: int, seed: int, form: str) -> None:
     assert np.count_nonzero(found.on_grid(values)) == n
 
 
-@pytest.mark.parametrize("removed", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("removed", [0.0, 0.3])
 def test_a_grid_with_cells_removed_is_found_again(removed: float) -> None:
     rng = np.random.default_rng(4)
     rows, cols = np.nonzero(rng.random((24, 30)) >= removed)
