@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import zstandard
+from scipy.spatial import QhullError, cKDTree
 
 from sparseskin.nodes.compressor.phi.acts import ActsSearch, force_threshold
 from sparseskin.nodes.compressor.phi.quadtree import Quadtree
@@ -57,7 +58,7 @@ class Lattice:
     """Estimator that reads every k-th taxel, the same ones in each frame; linear between them.
 
     The taxels are those of one class of `classes`: of the largest that has not more than N / k of
-    them, rounded up.
+    them, rounded up. Where these lie on a line, the others have the value of the nearest.
     """
 
     def __init__(self, mask: Mask, ratio: int) -> None:
@@ -68,8 +69,12 @@ class Lattice:
         self._read = max(allowed, key=lambda one: one.size)
         self._wanted = np.setdiff1d(np.flatnonzero(mask), self._read)
         places = np.argwhere(np.ones_like(mask)).astype(np.float64)
-        found = interpolated_from(places[self._read], places[self._wanted])
-        self._corners, self._weights = found
+        known, wanted = places[self._read], places[self._wanted]
+        try:
+            self._corners, self._weights = interpolated_from(known, wanted)
+        except QhullError:  # no area between them: the nearest
+            self._corners = cKDTree(known).query(wanted)[1][:, None]
+            self._weights = np.ones((len(wanted), 1), dtype=np.float32)
         self.n_values = self._read.size
 
     def reconstruct(self, taxels: Floats) -> Solved:
