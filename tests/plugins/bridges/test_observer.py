@@ -8,8 +8,10 @@ import signal
 from pathlib import Path
 
 import pytest
-from conftest import StartProgram
+from conftest import StartProgram, note_of_graph, wait_until
 
+from sparseskin.launch.attach.client import describe
+from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.network.sockets import Reader, Writer, make_context
 from sparseskin.plugins.bridges.base import BridgeSettings
@@ -44,7 +46,7 @@ def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(
 
 
 def test_a_stopped_bridge_holds_up_no_source_that_follows_its_readers(
-    start: StartProgram, tmp_path: Path
+    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     (tmp_path / "observed.toml").write_text(
@@ -68,8 +70,16 @@ port = 0
     graph = start("launch", "observed.toml", "--frames", "1200", "--summary", "out.json")
     graph.wait_for("ready")
     os.kill(graph.pid_of("fox"), signal.SIGSTOP)
-    while "sensor ended" not in (line := _line(start)):
-        assert line
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(graph.notes))
+    note_of_graph(graph.notes)
+    found = choose_graph(None)
+
+    def sensor_has_ended() -> bool:
+        return ("sensor", "ended") in {
+            (n["name"], n["condition"]) for n in describe(found)["nodes"]
+        }
+
+    wait_until(sensor_has_ended, "the end of the sensor")
     os.kill(graph.pid_of("fox"), signal.SIGCONT)
     assert graph.finish()[0] == 0
     summary = json.loads((tmp_path / "out.json").read_text())
@@ -80,12 +90,6 @@ port = 0
         assert fox["received"][topic] + fox["lost"][topic] == 1200
     streams = sum(fox["received"][topic] for topic in fox["received"] if topic != "/skin/skin")
     assert fox["bridge"]["sent"] + fox["bridge"]["dropped"] == streams
-
-
-def _line(start: StartProgram) -> str:
-    listed = start("node", "list", "--json").finish()[1]
-    nodes = json.loads(listed)["nodes"]
-    return "; ".join(f"{node['name']} {node['condition']}" for node in nodes)
 
 
 @pytest.mark.parametrize(
