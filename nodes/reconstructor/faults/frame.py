@@ -110,33 +110,32 @@ class FrameWatch:
         rows = self._rows_of(phi)
         if rows is None or not self._sd:
             return y, y
-        innovation = np.subtract(y, expected, dtype=np.float32)
-        energy = float(innovation @ innovation)
-        self._follow_offset(rows, innovation, energy)
+        innovation = np.asarray(y - expected)
+        energy, total = float(innovation @ innovation), float(innovation.sum())
+        self._follow_offset(rows, innovation.size, energy, total)
         given = y
         if self.offset:
-            given = np.subtract(y, np.float32(self.offset), dtype=np.float32)
+            given = np.asarray(y - np.float32(self.offset))
             innovation = given - expected
-        squared = np.square(innovation)
-        largest = float(squared.max())
+            energy = float(innovation @ innovation)
+        largest2 = max(float(innovation.max()), -float(innovation.min())) ** 2
         noise2 = self._noise2 + _step2(y)
-        if largest <= OUTLYING * max(noise2, float(squared.mean()) / 4):
+        if largest2 <= OUTLYING * max(noise2, energy / innovation.size / 4):
             return given, given
-        outlying = _outlying(rows, squared, noise2)
+        outlying = _outlying(rows, np.square(innovation), noise2)
         count = int(np.count_nonzero(outlying))
         if not 0 < count <= max(1, MOST_OUTLYING * y.size):
             return given, given
         self.n_outlying = count
         return given, np.where(outlying, expected, given).astype(np.float32)
 
-    def _follow_offset(self, rows: _Rows, innovation: Floats, energy: float) -> None:
-        """Update the offset by an innovation that has a common change: modifies neither."""
+    def _follow_offset(self, rows: _Rows, m: int, energy: float, total: float) -> None:
+        """Update the offset by the sum and the sum of squares of an innovation of m values."""
         if rows.like > MOST_LIKE:
             return
-        m = innovation.size
-        change = float(innovation.mean()) - self.offset
-        # The innovation without the offset so far.
-        without = energy - 2 * self.offset * float(innovation.sum()) + m * self.offset**2
+        change = total / m - self.offset
+        # The energy without the offset so far.
+        without = energy - 2 * self.offset * total + m * self.offset**2
         least = SIGNIFICANT**2 * self._noise2
         if m * change**2 > max(least, COMMON * without):
             self.offset += change
