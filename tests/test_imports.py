@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Iterator, Mapping
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -57,13 +56,3 @@ def test_no_layer_imports_one_above_it() -> None:
         if LAYERS.index(name.split(".")[1]) < LAYERS.index(other.split(".")[1])
     ]
     assert upward == []
-
-
-def test_nothing_outside_of_the_plugins_names_one() -> None:
-    found = [
-        str(path.relative_to(ROOT))
-        for layer in (*LAYERS[:-1], "sparseskin")
-        for path in (ROOT / layer).rglob("*.py")
-        if re.search(r"sparseskin\.plugins|\bplugins import", path.read_text(encoding="utf-8"))
-    ]
-    assert found == []

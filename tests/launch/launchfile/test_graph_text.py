@@ -76,11 +76,16 @@ def test_a_host_is_a_box_around_its_nodes(tmp_path: Path) -> None:
         assert '"monitor" [' in clusters[1].partition("\n}")[0]
 
 
-def test_a_dry_run_writes_dot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dry_run_shows_the_graph_and_writes_dot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     dot = tmp_path / "g.dot"
     assert main(["launch", "path_40", "--dry-run", "--dot", str(dot)]) == 0
     assert dot.read_text() == dot_of(load("path_40"))
-    assert "/skin/taxels" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert out.rstrip() == graph_text(load("path_40"))
+    (line,) = (line for line in out.splitlines() if line.startswith("/skin/measurements "))
+    assert line.split() == ["/skin/measurements", "compressor", "reconstructor,", "monitor"]
 
 
 def test_a_graph_states_its_transport_and_how_its_nodes_are_scheduled() -> None:
