@@ -58,7 +58,7 @@ STUDIES = {
     "accuracy": Study(
         "recordings, moving bodies and frame rates, beside what a user would try first",
         "sparseskin.studies.accuracy.tables:run",
-        options=("recordings", "seeds", "constants"),
+        options=("recordings", "seeds", "constants", "alone"),
     ),
     "speed": Study(
         "time of solvers, of bodies of many patches, and of a frame by stage",
@@ -130,6 +130,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=None,
         help="accuracy with --recordings: each constant of the default solver halved and doubled",
     )
+    parser.add_argument(
+        "--alone",
+        action="store_true",
+        default=None,
+        help="accuracy: single frames beside total variation (extra peers)",
+    )
     parser.set_defaults(run=_study)
 
 
@@ -157,7 +163,7 @@ def _study(arguments: argparse.Namespace) -> int:
         missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
         raise SettingsError(f"study {name}: {missing}: pip install 'sparseskin[charts]'")
     options = {}
-    for option in ("recordings", "seeds", "constants"):
+    for option in ("recordings", "seeds", "constants", "alone"):
         value = getattr(arguments, option)
         if value is None:
             continue

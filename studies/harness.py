@@ -29,6 +29,7 @@ from .evaluate import (
     Scores,
     evaluate,
     make_method,
+    phis_at,
 )
 from .frames import Frames, Take, opened
 from .points import StudyError, compute
@@ -57,9 +58,10 @@ class Candidate:
 
     `settings`: solver, basis and settings as in `PRESETS`; `lambda_n` is stated for the paper's
     range, and scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own;
-    of "reading": dead_zone_n. `of`: "solver", "reading", "filtered", "lattice", "hold", "acts", or
-    one of `CODECS`. `changes`: fields of the measurement that differ from the experiment's.
-    `alone`: True for a solver that forgets all earlier frames before each one.
+    of "reading": dead_zone_n; of "tv": weight, for the paper's range, and iterations. `of`:
+    "solver", "reading", "filtered", "lattice", "hold", "acts", "tv", or one of `CODECS`.
+    `changes`: fields of the measurement that differ from the experiment's. `alone`: True for a
+    solver that forgets all earlier frames before each one.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -81,6 +83,7 @@ class Candidate:
                 "lattice": lambda: Lattice(mask, ratio),
                 "hold": lambda: Hold(mask, ratio),
                 "acts": lambda: Acts(mask, ratio, take.f_max),
+                "tv": lambda: self._variation(at, take, seed),
                 **{kind: lambda: Codec(mask, take.f_max, self.of) for kind in CODECS},
             }
             return makers[self.of]()
@@ -98,6 +101,13 @@ class Candidate:
         how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
         method = make_method(settings, mask.shape, at.ratio, seed, **how, **skin)
         return Alone(method) if self.alone else method
+
+    def _variation(self, at: Measurement, take: Take, seed: int) -> Estimator:
+        from .baselines.libraries import TotalVariation  # needs sigpy
+
+        (phi, *_) = phis_at(take.n, at.ratio, at.rows, seed, at.phi, at.block)
+        weight = self.settings["weight"] * take.f_max / PAPER_F_MAX_N
+        return TotalVariation(phi, take.mask, weight, self.settings["iterations"])
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,28 @@ READINGS = {
 }
 """Estimators that read all taxels."""
 
+WEIGHTS_N = (0.0005, 0.002, 0.008, 0.032)
+"""Weights of total variation and of Haar for the paper's range, newtons."""
+FEW, MANY = "in the time of skin", "converged"
+"""Iterations of the methods beside `skin`."""
+SINGLE = {
+    SKIN: Candidate(PRESETS["skin"], alone=True),
+    **{
+        f"TV {label}, {weight:g}": Candidate({"weight": weight, "iterations": n}, of="tv")
+        for label, n in ((FEW, 4), (MANY, 300))
+        for weight in WEIGHTS_N
+    },
+    **{
+        f"Haar {label}, {weight:g}": Candidate(
+            {"solver": "fista", "basis": "haar", "iterations": n, "lambda_n": weight}, alone=True
+        )
+        for label, n in ((FEW, 30), (MANY, 300))
+        for weight in WEIGHTS_N
+    },
+}
+"""Methods that reconstruct each frame by itself; total variation is that of SigPy."""
+ALONE_FRAMES = 6
+
 SCENES = (
     *("lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40"),
     *("lift_box_64", "drag_wrench_64"),
@@ -171,6 +193,17 @@ class Runs:
         measurements = [Measurement(ratio, rows) for rows in ROWS]
         scores = ("median", "flagged_wrong", "n_wrong", "mean_db")
         study = Experiment("constants", frames, measurements, candidates, scores, self._seeds)
+        return study.run(self._out, self._executor)
+
+    def frames_alone(self) -> pd.DataFrame:
+        """Single frames without a past, beside total variation and Haar, each weight by itself."""
+        frames: list[Frames] = [*self._recorded(ALONE_FRAMES)]
+        frames += [
+            SceneFrames(scene, first=0, stop=ALONE_FRAMES * 100, every=100) for scene in SCENES[:4]
+        ]
+        measurements = [Measurement(ratio) for ratio in RATIOS]
+        scores = ("median", "mean_ms")
+        study = Experiment("frames alone", frames, measurements, SINGLE, scores, self._seeds)
         return study.run(self._out, self._executor)
 
     def _recorded(self, n_most: int) -> list[RecordedFrames]:

@@ -19,6 +19,7 @@ from sparseskin.studies.evaluate import (
     WRONG,
 )
 from sparseskin.studies.frames import part_of, scene_of
+from sparseskin.studies.harness import unrefused
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
 
@@ -26,6 +27,7 @@ from .constants import LEAST_ERROR, candidates, table
 from .experiments import (
     ALL,
     ALONE,
+    ALONE_FRAMES,
     CANDIDATES,
     DEFAULT,
     FILTERED,
@@ -55,11 +57,13 @@ def run(
     recordings: Path | None = None,
     seeds: int = 1,
     constants: bool = False,
+    alone: bool = False,
 ) -> list[str]:
     """Compute the study, write its page and return its conclusion; see `command.Study`.
 
     `recordings` is a folder of recordings of real skins; without it, the page has none. `seeds`:
-    number of seeds, from `seed` on. `constants`: adds the table of the default solver's constants.
+    number of seeds, from `seed` on. `constants`: adds the table of the default solver's constants;
+    `alone`: that of single frames beside total variation, which needs sigpy.
     """
     if constants and recordings is None:
         raise StudyError("--constants: needs recordings, by --recordings DIR")
@@ -79,6 +83,8 @@ def run(
     sizes(page, runs)
     if constants:
         varied(page, runs)
+    if alone:
+        lines.append(single(page, runs))
     page.write(lines)
     return lines
 
@@ -196,6 +202,30 @@ def sizes(page: Page, runs: Runs) -> None:
         f"Contact frames that have vanished, with an error of {100 * VANISHED:g} % or more, in %:",
         by_ratio(rows, ["taxels"], "{vanished:.0f}"),
     )
+
+
+def single(page: Page, runs: Runs) -> str:
+    """Single frames, beside total variation and Haar with the weight that is best in hindsight."""
+    rows = unrefused(runs.frames_alone())
+    rows = rows[rows["median"].notna()]  # frames in contact
+    names = rows["path"].map(lambda path: Path(path).stem, "ignore")
+    rows["of"] = names.fillna(rows["scene"])
+    rows["method"] = rows["method"].str.rsplit(", ", n=1).str[0]
+    rows = rows.astype({"median": float, "mean_ms": float})
+    best = rows.loc[rows.groupby(["of", "ratio", "method"], sort=False)["median"].idxmin()]
+    page.csv("alone", best.drop(columns=["path"]))
+    text = best.assign(cell=cells(best, "{median:.1f}"))
+    joined = text.groupby(["of", "method"], sort=False)["cell"].agg(" / ".join).unstack("method")
+    times = best.groupby("method", sort=False)["mean_ms"].median()
+    ours = best[best["method"] == SKIN].set_index(["of", "ratio"])["median"]
+    parts = []
+    for method, some in best[best["method"] != SKIN].groupby("method", sort=False):
+        others = some.set_index(["of", "ratio"])["median"]
+        ahead, ms = int((ours <= others).sum()), f"{times[method]:.2g} ms"
+        parts.append(f"{method} ({ms}) in {ahead} of {len(others)}")
+    line = f"Frames alone, {SKIN} ({times[SKIN]:.2g} ms) is ahead of {'; '.join(parts)}."
+    page.section("Frames alone", joined.reset_index(), n=ALONE_FRAMES)
+    return line
 
 
 def varied(page: Page, runs: Runs) -> None:

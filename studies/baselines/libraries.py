@@ -1,4 +1,4 @@
-"""Other libraries on the problem that FISTA solves here: PyLops, SigPy, SPGL1.
+"""Other libraries: on the problem that FISTA solves here PyLops, SigPy, SPGL1; total variation.
 
 Each gets the project's operator as its own kind of linear operator.
 """
@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, NamedTuple, TypeAlias
@@ -16,10 +17,11 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER, block_and_rule
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis, make_basis
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
+from sparseskin.studies.evaluate import Solved
 
 
 class Bpdn:
@@ -114,18 +116,7 @@ def _sigpy(problem: Bpdn, best: Floats) -> Solve:
     """Accelerated proximal gradient of SigPy."""
     import sigpy
 
-    class Operator(sigpy.linop.Linop):  # type: ignore[misc, unused-ignore]
-        def __init__(self, forward: Any, adjoint: Any, shape: tuple[int, int]) -> None:
-            self._forward, self._backward = forward, adjoint
-            super().__init__([shape[0]], [shape[1]])
-
-        def _apply(self, x: Any) -> Any:
-            return self._forward(x)
-
-        def _adjoint_linop(self) -> Any:
-            return Operator(self._backward, self._forward, (self.ishape[0], self.oshape[0]))
-
-    operator = Operator(problem.forward, problem.adjoint, (problem.m, problem.n))
+    operator = _sigpy_operator(problem.forward, problem.adjoint, (problem.n,), (problem.m,))
     proximal = sigpy.prox.L1Reg([problem.n], problem.lambda_n)
     settings = {"proxg": proximal, "alpha": 1.0, "show_pbar": False}
 
@@ -150,6 +141,66 @@ def _spgl1(problem: Bpdn, best: Floats) -> Solve:
             return spg_lasso(operator, y, bound_n, iter_lim=iterations, verbosity=0)[0]
 
     return solve
+
+
+class TotalVariation:
+    """Estimator: min over x of 1/2 ||Phi x - y||^2 + w (|D_row x|_1 + |D_col x|_1), by the
+    primal-dual method of SigPy, each frame by itself; negative forces are set to 0.
+
+    `weight` is w in newtons, for orthonormal rows; `mask` as in `Solver`.
+    """
+
+    def __init__(self, phi: Phi, mask: Mask, weight: float, iterations: int) -> None:
+        import sigpy
+
+        self._phi, self._mask = phi, mask
+        self._flat = np.flatnonzero(mask)
+        differences = sigpy.linop.FiniteDifference(list(mask.shape))
+        self._settings = {
+            "G": differences,
+            "proxg": sigpy.prox.L1Reg(differences.oshape, weight),
+            "max_iter": iterations,
+            "show_pbar": False,
+        }
+        self._operator = _sigpy_operator(
+            lambda x: phi.forward(x.reshape(-1)[self._flat]), self._image, mask.shape, (phi.m,)
+        )
+
+    def _image(self, y: Any) -> Floats:
+        image = np.zeros(self._mask.shape, dtype=np.float32)
+        image.reshape(-1)[self._flat] = self._phi.adjoint(np.asarray(y, dtype=np.float32))
+        return image
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """See `Estimator`."""
+        import sigpy
+
+        y = self._phi.forward(taxels[self._mask])
+        begin = time.perf_counter()
+        with np.errstate(invalid="ignore"):  # its soft threshold divides 0 by 0
+            x = sigpy.app.LinearLeastSquares(self._operator, y, **self._settings).run()
+        forces = np.where(self._mask, np.maximum(x, 0), 0).astype(np.float32)
+        return Solved(forces, wall_s=time.perf_counter() - begin)
+
+
+def _sigpy_operator(forward: Any, adjoint: Any, shape: Sequence[int], out: Sequence[int]) -> Any:
+    """A linear operator of SigPy."""
+    import sigpy
+
+    class Operator(sigpy.linop.Linop):  # type: ignore[misc, unused-ignore]
+        def __init__(
+            self, forward: Any, adjoint: Any, shape: Sequence[int], out: Sequence[int]
+        ) -> None:
+            self._forward, self._backward = forward, adjoint
+            super().__init__(list(out), list(shape))
+
+        def _apply(self, x: Any) -> Any:
+            return self._forward(x)
+
+        def _adjoint_linop(self) -> Any:
+            return Operator(self._backward, self._forward, self.oshape, self.ishape)
+
+    return Operator(forward, adjoint, shape, out)
 
 
 OURS, PYLOPS = "sparseskin FISTA", "PyLops FISTA"
