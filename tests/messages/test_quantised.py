@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from message_strategies import sent
 
 from sparseskin.messages import Measurements, MessageError, decode, encode
-from sparseskin.messages.quantised import Quantised, largest_code, n_bytes, packed, unpacked
+from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.compressor.quantiser import quantised
 
 
@@ -20,15 +20,6 @@ def message(y: np.ndarray) -> Measurements:
 
 def frame(m: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).normal(scale=3.0, size=m).astype(np.float32)
-
-
-@given(bits=st.integers(2, 24), m=st.integers(1, 300), seed=st.integers(0, 99))
-def test_codes_take_their_bits_and_come_back(bits: int, m: int, seed: int) -> None:
-    top = largest_code(bits)
-    codes = np.random.default_rng(seed).integers(-top, top + 1, m).astype(np.int32)
-    data = packed(codes, bits)
-    assert len(data) == n_bytes(m, bits) == -(-m * bits // 8)
-    np.testing.assert_array_equal(unpacked(data, m, bits), codes)
 
 
 @given(bits=st.integers(4, 16), m=st.integers(1, 300), seed=st.integers(0, 99))
@@ -57,6 +48,7 @@ def test_quantised_measurements_survive_the_wire_to_the_bit(bits: int, m: int, s
         assert (found.y.bits, found.y.step) == (bits, made.y.step)  # type: ignore[attr-defined]
         # Encoded again, as by a recorder, it is the same message.
         assert form(found) == (topic, payload)
+    assert len(msgpack.unpackb(encode(made)[1])["y"]["data"]) == -(-m * bits // 8)
 
 
 def test_computed_numbers_are_a_plain_array_and_zeros_stay_zeros() -> None:
@@ -69,9 +61,7 @@ def test_computed_numbers_are_a_plain_array_and_zeros_stay_zeros() -> None:
     [
         ({"dtype": "int99"}, "99 bits is outside 2..24"),
         ({"dtype": "float8"}, "expected dtype intB"),
-        ({"dtype": "int08"}, "dtype"),
         ({"step": 0.0}, "a step of 0.0"),
-        ({"step": float("nan")}, "a step of nan"),
         ({"step": 1}, "step must be a float"),
         ({"shape": [1, 8]}, r"\[1, 8\] of int6 does not fit 7 bytes"),
         ({"shape": [1, 0]}, "none empty"),

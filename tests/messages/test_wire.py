@@ -106,14 +106,6 @@ def test_random_bytes_raise_a_message_error(begin: bytes, topic: bytes, payload:
             decode(place, begin + payload)
 
 
-def test_published_changes_origin_alone() -> None:
-    message = taxels().published("0123456789abcdef", 3)
-    assert (message.run_id, message.seq) == ("0123456789abcdef", 3)
-    assert message.forces is not None
-    assert message != taxels()
-    assert message.published("", 0) == taxels()
-
-
 def test_messages_are_immutable_and_compare_by_value() -> None:
     message = taxels()
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -123,10 +115,9 @@ def test_messages_are_immutable_and_compare_by_value() -> None:
     assert message != Truth(stamp_ns=7, patch="skin", forces=message.forces)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_forces_that_are_not_finite_are_refused_and_the_cell_is_named(bad: float) -> None:
+def test_forces_that_are_not_finite_are_refused_and_the_cell_is_named() -> None:
     forces = np.zeros((2, 3), np.float32)
-    forces[1, 2] = bad
+    forces[1, 2] = -np.inf
     with pytest.raises(NotFiniteError, match=r"forces\[1, 2\]"):
         taxels(forces=forces)
     body = body_of(taxels())
@@ -142,29 +133,11 @@ def test_the_largest_finite_forces_are_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    ("forces", "error"),
-    [
-        (np.zeros((2, 3), np.float64), ShapeError),
-        (np.zeros(6, np.float32), ShapeError),
-        (np.zeros((0, 3), np.float32), ShapeError),
-        (np.zeros((4097, 1), np.float32), OversizedError),
-        ([[0.0]], FieldError),
-        (None, FieldError),
-    ],
-)
-def test_wrong_arrays_are_refused_by_name(forces: object, error: type[MessageError]) -> None:
-    with pytest.raises(error, match=r"^forces: "):
-        taxels(forces=forces)
-
-
-@pytest.mark.parametrize(
     ("change", "error"),
     [
         ({"schema": "taxel"}, UnknownSchemaError),
         ({"version": 1}, VersionError),
-        ({"version": "1"}, VersionError),
         ({"seq": -1}, FieldError),
-        ({"stamp_ns": None}, FieldError),
         ({"patch": "Skin"}, FieldError),
         ({"patch": "s" * 33}, OversizedError),
         ({"patch": "other"}, FieldError),
@@ -185,14 +158,10 @@ def test_wrong_fields_are_refused(change: dict[str, object], error: type[Message
     ("change", "error"),
     [
         ({"dtype": "<f8"}, ShapeError),
-        ({"dtype": "|O"}, ShapeError),
         ({"order": "F"}, ShapeError),
         ({"shape": [6]}, ShapeError),
-        ({"shape": [1, -2, -3]}, ShapeError),
-        ({"shape": [2, 3.0]}, MalformedError),
         ({"shape": [True, 2, 3]}, MalformedError),
         ({"shape": [1, 4096, 4096]}, OversizedError),
-        ({"data": "text"}, MalformedError),
         ({"data": b""}, ShapeError),
         ({"more": 1}, MalformedError),
     ],
@@ -231,12 +200,9 @@ def test_whole_numbers_are_allowed_up_to_the_largest_of_64_bits_with_a_sign() ->
     ("value", "error"),
     [
         (1e30, None),
-        (10, None),
         (np.float32(0.5), None),
         (-1e-9, FieldError),
         (True, FieldError),
-        ("1", FieldError),
-        (float("inf"), NotFiniteError),
         (np.float32("nan"), NotFiniteError),
         (10**400, FieldError),
     ],
@@ -250,18 +216,25 @@ def test_numbers_are_finite_and_in_range(value: Any, error: type[MessageError] |
         field.check("f", value)
 
 
-@pytest.mark.parametrize("body", [None, 3, "text", [1, 2], {}, {1: 2}])
-def test_what_is_no_message_map_is_refused(body: object) -> None:
-    with pytest.raises(MessageError):
-        decode_body(body)
-
-
 def test_two_objects_in_one_payload_and_another_topic_are_refused() -> None:
     topic, payload = encode(taxels())
     with pytest.raises(MalformedError, match="more than one"):
         decode(topic, payload + b"\x00")
     with pytest.raises(FieldError, match="came under topic"):
         decode(b"/skin/truth", payload)
+
+
+@pytest.mark.parametrize(
+    ("forces", "error"),
+    [
+        (np.zeros((2, 3), np.float64), ShapeError),
+        (np.zeros((0, 3), np.float32), ShapeError),
+        ([[0.0]], FieldError),
+    ],
+)
+def test_wrong_arrays_are_refused_by_name(forces: object, error: type[MessageError]) -> None:
+    with pytest.raises(error, match=r"^forces: "):
+        taxels(forces=forces)
 
 
 def test_oversized_parts_are_refused_before_they_are_read() -> None:
@@ -279,22 +252,7 @@ def test_the_largest_array_fits_the_largest_message() -> None:
 
 
 def test_a_mask_must_fit_the_grid_and_hold_booleans() -> None:
-    state = SkinState(
-        stamp_ns=0,
-        patch="skin",
-        n_rows=2,
-        n_cols=2,
-        f_max=2.5,
-        unit="N",
-        pitch_m=None,
-        mask=np.array([[True, False], [True, True]]),
-        source="test",
-        seed=0,
-        rate_hz=0,
-        has_truth=False,
-        sigma_mid=0,
-        sigma_end=0,
-    )
+    state = on_points(None, np.array([[True, False], [True, True]]))
     assert state.skin.n_taxels == 3
     body = body_of(state)
     for change, error in (
@@ -335,21 +293,12 @@ def test_points_are_those_of_the_cells_that_exist() -> None:
         wrong[place] = value
         with pytest.raises(MessageError, match=what):
             on_points(wrong, mask)
-
-
-@pytest.mark.parametrize(
-    ("rows", "fault"),
-    [
+    for rows, fault in (
         (np.zeros(2, np.int32), r"expected int32 \[3\]"),
         (np.zeros(3, np.int32) - 1, "-1 is below 0"),
-    ],
-)
-def test_rows_of_points_are_one_a_point(rows: np.ndarray, fault: str) -> None:
-    points = np.zeros((3, 6), np.float32)
-    points[:, 5] = 1
-    state = on_points(points, np.array([[True, False], [True, True]]))
-    with pytest.raises(MessageError, match=fault):
-        dataclasses.replace(state, point_rows=rows)
+    ):
+        with pytest.raises(MessageError, match=fault):
+            dataclasses.replace(state, point_rows=rows)
     with pytest.raises(MessageError, match="without points"):
         dataclasses.replace(state, points=None, point_rows=np.zeros(3, np.int32))
 

@@ -81,9 +81,7 @@ def test_live_settings_change_and_the_others_stay() -> None:
         ({"rate": 5}, r"rate: unknown key \(did you mean 'rate_hz'\?\)"),
         ({"seed": 5}, r"seed: cannot be changed while the graph runs \(allowed: rate_hz, basis"),
         ({"rate_hz": 0.5}, r"rate_hz: 0.5 is outside 1.0..1000.0"),
-        ({"rate_hz": "50"}, "rate_hz: expected a number, got '50'"),
         ({"rate_hz": 13}, "rate_hz: 13 brings bad luck"),
-        ({"tail": "middle"}, "tail: 'middle' is not allowed"),
         ({"basis": "os:system"}, "basis: 'os:system' is not allowed while the graph runs"),
         ({"rate_hz": 50, "seed": 5}, "seed: cannot be changed"),
     ],
@@ -137,7 +135,6 @@ def test_a_solver_that_is_changed_goes_on_from_what_the_last_one_found() -> None
 @pytest.mark.parametrize(
     ("node", "changes"),
     [
-        ("compressor", {"m": 1601}),
         ("compressor", {"ratio": 4.0, "m": 5000}),
         ("reconstructor", {"iterations": 20, "lambda_n": -1.0}),
         ("sensor", {"noise": 0.0, "rate_hz": 1e9}),

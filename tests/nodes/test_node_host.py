@@ -86,13 +86,7 @@ def test_what_goes_out_is_numbered_and_signed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("numbers", "n_sent", "lost"),
-    [
-        ([0, 1, 2], 3, 0),
-        ([2, 3], 4, 2),
-        ([], 4, 4),
-        ([0, 5], 9, 7),
-    ],
+    ("numbers", "n_sent", "lost"), [([0, 1, 2], 3, 0), ([2, 3], 4, 2), ([], 4, 4), ([0, 5], 9, 7)]
 )
 def test_gaps_are_losses_at_the_start_between_and_at_the_end(
     numbers: list[int], n_sent: int, lost: int
@@ -191,17 +185,6 @@ def test_a_source_that_fails_ends_its_stream_and_reports_why() -> None:
     assert [type(m) for m in out] == [Taxels, End]
     assert host.failure == "the driver hung up"
     assert lines == ["error: the driver hung up"]
-
-
-def test_overtaken_messages_are_counted_and_processed_by_no_step() -> None:
-    host, _ = make(Summer)
-    for seq in range(3):
-        assert list(host.receive(taxels(seq), overtaken=True)) == []
-    count = host.counts.inputs["/skin/taxels"]
-    assert (count.received, count.skipped, count.lost) == (3, 3, 0)
-    assert host.node.steps == 0  # type: ignore[attr-defined]
-    (last,) = host.receive(end(3), overtaken=True)
-    assert isinstance(last, End)
 
 
 class Impossible(Summer):

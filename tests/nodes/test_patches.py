@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sparseskin.messages import (
-    Measurements,
-    PhiState,
-    Reconstruction,
-    SkinState,
-    Taxels,
-    Truth,
-)
+from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, Taxels, Truth
 from sparseskin.messages.frames import Frames
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
@@ -44,10 +37,7 @@ def graph(**reconstructor: Any) -> dict[str, tuple[Any, Any]]:
     return {
         "sensor": (Sensor, Sensor.Settings(**SENSOR)),
         "compressor": (Compressor, Compressor.Settings(**BATCH)),
-        "reconstructor": (
-            Reconstructor,
-            Reconstructor.Settings(**BATCH, **reconstructor),
-        ),
+        "reconstructor": (Reconstructor, Reconstructor.Settings(**BATCH, **reconstructor)),
         "monitor": (Monitor, Monitor.Settings(patches=(), batches={"body": NAMES})),
     }
 
@@ -125,17 +115,9 @@ def test_measurements_of_other_patches_are_refused() -> None:
         (Compressor, {"phi": "acts"}, "phi: acts chooses other rows for each patch"),
         (Compressor, {"bits": 8}, "bits: are not available for several patches"),
         (Compressor, {"patches": ["a", "a"]}, r"patches\[1\]: 'a' occurs twice"),
-        (Compressor, {"patches": [f"p{k}" for k in range(257)]}, "patches: 257 names, at most 256"),
         (Reconstructor, {"patches": [], "skip_idle": True, "resultant": True}, "resultant: is not"),
-        (Reconstructor, {"resultant": True}, "resultant: is not available with several patches"),
-        (
-            Reconstructor,
-            {"uncertainty": True},
-            "uncertainty: is not available with several",
-        ),
         (Sensor, WALK | {"simulated": {"rows": 1024, "cols": 1024}}, "at most 1048576 cells"),
         (Sensor, WALK | {"simulated": SKIN | {"mask": ["01"]}}, "source: simulated: mask"),
-        (Sensor, {"source": "scene:huge"}, "no scene is called 'huge'"),
         (
             Sensor,
             {"source": "sparseskin.studies.looped:path_40"},

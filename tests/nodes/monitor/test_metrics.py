@@ -25,9 +25,9 @@ from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.graph import NodeSpecs, join
-from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, Quality, psnr_db
+from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, psnr_db
 from sparseskin.nodes.monitor.node import Monitor
-from sparseskin.nodes.monitor.table import share_of, status_line, summary_table
+from sparseskin.nodes.monitor.table import status_line, summary_table
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
@@ -35,6 +35,9 @@ from sparseskin.nodes.sensor.node import Sensor
 SHAPE = (4, 5)
 MS = 1_000_000
 HEAD: dict[str, Any] = {"patch": "skin", "run_id": "0" * 16}
+SOLVED: dict[str, Any] = {
+    **{"phi": "0" * 16, "iterations": (1,), "residual": (0.0,), "solve_ns": (2 * MS,)}
+}
 PHI = PhiState(**HEAD, stamp_ns=0, kind="sbhe", n=20, m=7, block=4, seed=0, fingerprint="0" * 16)
 SOLVER = SolverState(
     **HEAD, stamp_ns=0, solver="fista", basis="haar", preset="paper", iterations=30, lambda_n=0.1
@@ -60,13 +63,7 @@ def frame(seq: int, truth: float | None, taxels: float, restored: float | None) 
     if restored is not None:
         messages.append(
             Reconstruction(
-                **origin,
-                forces=uniform(restored),
-                phi="0" * 16,
-                iterations=(1,),
-                residual=(0.0,),
-                solve_ns=(2_000_000,),
-                done_ns=1000 * seq + 3_000_000,
+                **origin, **SOLVED, forces=uniform(restored), done_ns=1000 * seq + 3 * MS
             )
         )
     return messages
@@ -97,17 +94,6 @@ def test_while_a_clock_is_unknown_latency_alone_is_unknown(unknown: str) -> None
     summary = metrics.summary()
     assert (metrics.latency_ns, summary["latency_ms"]) == (None, None)
     assert summary["solve_ms"]["p50"] == pytest.approx(2.0, rel=0.003)
-
-
-def test_contact_begins_just_above_the_threshold() -> None:
-    f_max = 250.0  # the threshold is 1, which float32 represents exactly
-    for force in (1.0, float(np.nextafter(np.float32(1.0), np.float32(2.0)))):
-        summary = metrics_of(skin(f_max=f_max), *frame(0, force, force, force)).summary()
-        psnr, in_contact = summary["psnr_db"], force > 1.0
-        assert psnr["noisy"]["all"] is not None
-        assert (psnr["noisy"]["contact"] is not None) == in_contact
-        assert (psnr["reconstruction"]["contact"] is not None) == in_contact
-        assert (summary["relative_error"] is not None) == in_contact
 
 
 def test_noise_and_reconstruction_are_compared_with_the_truth() -> None:
@@ -155,16 +141,14 @@ def test_without_taxels_frames_are_counted_by_their_measurements(answer_first: b
     assert "taxels" not in table
 
 
-def test_masked_cells_count_neither_in_psnr_nor_in_bytes() -> None:
+def test_masked_cells_do_not_count() -> None:
     mask = np.ones(SHAPE, np.bool_)
     mask[0] = False
-    messages = frame(0, 1.0, 1.0, 1.025)
-    taxels = messages[0]
-    assert isinstance(taxels, Taxels)
-    wrong = taxels.forces.copy()
-    wrong[0, 0] = 2.0
-    messages[0] = dataclasses.replace(taxels, forces=wrong)
-    summary = metrics_of(skin(mask=mask), *messages).summary()
+    taxels, *others = frame(0, 1.0, 1.0, 1.025)
+    wrong = taxels.forces.copy()  # type: ignore[attr-defined]
+    wrong[0, 0, 0] = 2.0
+    taxels = dataclasses.replace(taxels, forces=wrong)
+    summary = metrics_of(skin(mask=mask), taxels, *others).summary()
     assert summary["psnr_db"]["noisy"]["all"]["mean"] == 100.0
     assert summary["bytes_in"] == size_bytes(taxels) - 4 * SHAPE[1]
 
@@ -182,13 +166,8 @@ def test_lost_frames_are_those_sensed_but_not_reconstructed() -> None:
     metrics = metrics_of(*messages)
     metrics.end("taxels", 10)
     metrics.end("reconstruction", 9)
-    assert metrics.summary()["frames"] == {
-        "sensed": 10,
-        "reconstructed": 9,
-        "skipped": 0,
-        "lost": 1,
-        "unpaired": 1,
-    }
+    counts = {"sensed": 10, "reconstructed": 9, "skipped": 0, "lost": 1, "unpaired": 1}
+    assert metrics.summary()["frames"] == counts
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -301,8 +280,6 @@ def test_frames_that_the_solver_does_not_trust_are_counted() -> None:
     messages = [*estimated(1, 0.0, trusted=False), *estimated(2, 0.0, trusted=True)]
     for message in messages:
         metrics.add(message)
-    of_all = {"frames": 2, "untrusted": 1, "trusted_share": 0.5}
-    assert metrics.summary()["trust"] == {"all": of_all, "contact": None}
     for seq, trusted in enumerate((True, True, False, True), start=3):
         for message in estimated(seq, 1.0, trusted, error=0.1 if trusted else None):
             metrics.add(message)
@@ -314,40 +291,11 @@ def test_frames_that_the_solver_does_not_trust_are_counted() -> None:
     line = status_line("skin", metrics, 200.0)
     assert ", lost 0 | trusted 75.0 % | PSNR of contact frames" in line
     table = summary_table({"skin": summary})
-    assert max(map(len, table.splitlines())) <= 80
     words = [row.split() for row in table.splitlines() if row.startswith("trusted by the solver")]
     assert [" ".join(row[4:]) for row in words] == [
         "all frames 66.7 % (2 of 6 not)",
         "contact frames 75.0 % (1 of 4 not)",
     ]
-
-
-def test_the_status_line_has_the_trust_in_the_last_100_contact_frames() -> None:
-    metrics = metrics_of(skin())
-    for seq in range(140):
-        for message in estimated(seq, 1.0, trusted=seq >= 60):
-            metrics.add(message)
-    assert "| trusted 80.0 % |" in status_line("skin", metrics, 200.0)
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [(1.0, "100 %"), (0.9999, "99.9 %"), (0.5, "50.0 %"), (1e-5, "0.1 %"), (0, "0 %")],
-)
-def test_a_share_is_rounded_to_none_and_to_all_only_where_it_is_that(
-    share: float, text: str
-) -> None:
-    assert share_of(share) == text
-
-
-def test_recent_quality_is_that_of_contact_frames_once_there_was_one() -> None:
-    quality = Quality()
-    assert quality.recent() is None
-    quality.add(40.0, in_contact=False)
-    assert quality.recent() == 40.0
-    quality.add(30.0, in_contact=True)
-    quality.add(50.0, in_contact=False)
-    assert quality.recent() == 30.0
 
 
 def resultant(k: int) -> Resultant:
@@ -401,16 +349,14 @@ def test_a_monitor_watches_several_patches_apart() -> None:
 
 @pytest.mark.parametrize(
     ("sensor_ms", "reconstructor_ms", "uncertainty_ms"),
-    [((-5000, 2), (0, 0), 2), ((700, 2), (0, 0), 2), ((0, 0), (3, 1), 1), ((5, 2), (-1, 1), 3)],
+    [((-5000, 2), (0, 0), 2), ((5, 2), (-1, 1), 3)],
 )
 def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
     sensor_ms: tuple[int, int], reconstructor_ms: tuple[int, int], uncertainty_ms: int
 ) -> None:
     clocks = {
         f"/skin/{schema}": ClockEstimate(ahead * MS, within * MS) if within else SAME_CLOCK
-        for schema, (ahead, within) in (
-            *(("taxels", sensor_ms), ("reconstruction", reconstructor_ms)),
-        )
+        for schema, (ahead, within) in (("taxels", sensor_ms), ("reconstruction", reconstructor_ms))
     }
     metrics = PatchMetrics(clock_of=clocks.get)
     acquired_ns = 10_000 * MS  # on our clock
@@ -423,29 +369,6 @@ def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
     metrics.add(message)
     assert metrics.latency_ns == 4 * MS
     assert metrics.latency_uncertainty_ns == uncertainty_ms * MS
-
-
-def test_a_recording_computed_offline_has_no_latency() -> None:
-    *others, last = frame(1, 1.0, 1.0, 1.0)
-    metrics = metrics_of(skin(), *others, dataclasses.replace(last, done_ns=last.stamp_ns))
-    assert (metrics.latency_ns, metrics.summary()["latency_ms"]) == (None, None)
-    assert "latency" not in status_line("skin", metrics, 200.0)
-
-
-def test_a_late_monitor_that_stops_early_counts_no_frame_under_way_as_lost() -> None:
-    metrics = PatchMetrics(late=True)
-    metrics.add(skin())
-    for seq in range(10):
-        answered = seq < 8 and seq != 4  # 4 is lost; 8 and 9 are under way
-        for message in frame(seq, 1.0, 1.0, 1.0 if answered else None):
-            if not (isinstance(message, Reconstruction) and seq > 4):
-                metrics.add(message)
-                continue
-            metrics.add(dataclasses.replace(message, seq=seq - 1))
-    assert (metrics.sensed, metrics.reconstructed, metrics.lost) == (10, 7, 1)
-    metrics.end("taxels", 10)
-    metrics.end("reconstruction", 7)
-    assert metrics.lost == 3
 
 
 def test_an_end_that_counts_fewer_frames_than_arrived_removes_none() -> None:

@@ -14,7 +14,7 @@ from zmq_contexts import wait_for_reader
 from sparseskin.nodes.clock import SAME_CLOCK
 from sparseskin.nodes.network.network import END_RECEIVED_NS, Network
 from sparseskin.nodes.network.peers import ASK_NS, FIRST_NS, N_FIRST, Peers
-from sparseskin.nodes.network.sockets import Peer, Reader, Writer, read_times
+from sparseskin.nodes.network.sockets import Peer, Reader, Writer
 
 LEFT, RIGHT, HERE = "/left/taxels", "/right/taxels", "/here/taxels"
 SECURITY = {"own": [k.decode() for k in zmq.curve_keypair()], "allowed": {}, "known": {}}
@@ -70,9 +70,7 @@ def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any])
     assert "connected: sensor_left on left" in lines
 
 
-@pytest.mark.parametrize(
-    ("n_times", "period_ns"), [(0, FIRST_NS), (N_FIRST - 1, FIRST_NS), (N_FIRST, ASK_NS)]
-)
+@pytest.mark.parametrize(("n_times", "period_ns"), [(N_FIRST - 1, FIRST_NS), (N_FIRST, ASK_NS)])
 def test_other_hosts_are_asked_for_the_time_once_a_period_and_oftener_at_first(
     context: zmq.Context[Any], monkeypatch: pytest.MonkeyPatch, n_times: int, period_ns: int
 ) -> None:
@@ -101,12 +99,6 @@ def test_a_writer_reports_the_time_to_those_alone_who_are_there(context: zmq.Con
     wait_for_reader(writer, "reader")
     assert not stranger.poll(0)
     assert reader.receive() is None
-
-
-def test_a_time_is_read_as_it_was_written() -> None:
-    assert read_times(b"sensor!1:2:3") == ("sensor", 1, 2, 3)
-    for note in (b"sensor:7", b"sensor!1:2", b"sensor!1:2:x", b"sensor!1:2:" + b"9" * 30):
-        assert read_times(note) is None
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from conftest import wait_until
 from zmq_contexts import context as context
 from zmq_contexts import wait_for_reader
 
-from sparseskin.messages import Message, PhiState, Taxels, TruncatedError, decode
-from sparseskin.messages.wire import Payload, wire_bytes
+from sparseskin.messages import PhiState, Taxels, TruncatedError, decode
+from sparseskin.messages.wire import Payload
 from sparseskin.nodes.network.sockets import Reader, Writer
 
 TAXELS, PHI = "/skin/taxels", "/skin/phi"
@@ -113,40 +113,3 @@ def test_a_topic_that_begins_like_another_is_not_taken_for_it(pair: Pair) -> Non
     with pytest.raises(TruncatedError):
         decode(*wrong[0])
     assert decode(*last).seq == 3
-
-
-def test_a_message_without_a_reader_is_not_encoded(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    encoded: list[Message] = []
-
-    def encode(message: Message) -> bytes:
-        encoded.append(message)
-        return wire_bytes(message)
-
-    monkeypatch.setattr("sparseskin.nodes.network.sockets.wire_bytes", encode)
-    pair.writer.send(taxels(0))
-    assert not encoded
-    pair.reader(TAXELS)
-    pair.writer.send(taxels(1))
-    assert [message.seq for message in encoded] == [1]
-
-
-def test_junk_subscriptions_do_no_harm(context: zmq.Context[Any], pair: Pair) -> None:
-    junk = context.socket(zmq.XSUB)
-    junk.connect(pair.writer.endpoint)
-    for note in (b"", b"\x01", b"\x02x", b"\x01@\xff\xfe", b"\x01" + b"t" * 200, b"\x00@gone"):
-        junk.send(note)
-    reader = pair.reader(TAXELS)
-    pair.writer.send(taxels(0))
-    pair.next_messages(reader)
-
-
-def test_a_flood_of_subscriptions_leaves_time_for_messages(
-    context: zmq.Context[Any], pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sparseskin.nodes.network.sockets.MAX_EVENTS", 5)
-    readers = [Reader(context, f"r{k}", [pair.writer.endpoint], []) for k in range(12)]
-    for n_present in (5, 10, len(readers)):
-        pair.writer.serve_subscriptions()
-        assert len(pair.writer.present) == n_present

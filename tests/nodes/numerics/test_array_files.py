@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import io
-import struct
 import tracemalloc
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics import array_files
-from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npy, read_npz
+from sparseskin.nodes.numerics.array_files import read_npy, read_npz
 from sparseskin.nodes.sensor.files.file_source import open_file
 
 MB = 1_000_000
@@ -47,18 +44,8 @@ def peak_below(n_bytes: float) -> Iterator[None]:
         tracemalloc.stop()
 
 
-def mutated(raw: bytes, rng: np.random.Generator) -> bytes:
-    """Some bytes changed, cut out or put in."""
-    data = bytearray(raw)
-    for _ in range(rng.integers(1, 4)):
-        at, n = int(rng.integers(len(data) + 1)), int(rng.integers(1, 5))
-        put = rng.bytes(n) if rng.integers(2) else b""
-        data[at : at + (n if rng.integers(3) else 0)] = put
-    return bytes(data)
-
-
-@pytest.mark.parametrize("dtype", ["u1", "<i2", ">f4", "<f8", "?", "<U3"])
-@pytest.mark.parametrize("shape", [(), (1,), (3, 4), (2, 3, 4), (0, 4, 4)])
+@pytest.mark.parametrize("dtype", ["u1", ">f4", "?", "<U3"])
+@pytest.mark.parametrize("shape", [(), (2, 3, 4), (0, 4, 4)])
 def test_arrays_are_read_as_numpy_wrote_them(shape: tuple[int, ...], dtype: str) -> None:
     array = np.arange(np.prod(shape, dtype=int)).astype(dtype).reshape(shape)
     for written in (array, np.asfortranarray(array)):
@@ -66,15 +53,6 @@ def test_arrays_are_read_as_numpy_wrote_them(shape: tuple[int, ...], dtype: str)
         found = read_npz(npz(a=written, b=written), lambda names: ["b"])
         assert list(found) == ["b"]
         np.testing.assert_array_equal(found["b"], written)
-
-
-@given(st.binary(max_size=200))
-def test_any_bytes_are_an_array_or_refused(tail: bytes) -> None:
-    for raw in (tail, b"\x93NUMPY\x01\x00" + struct.pack("<H", len(tail)) + tail, b"PK" + tail):
-        with contextlib.suppress(ArrayFileError):
-            read_npy(raw)
-        with contextlib.suppress(ArrayFileError):
-            read_npz(raw, lambda names: names)
 
 
 def test_an_archive_that_would_grow_too_far_is_not_unpacked(
@@ -103,21 +81,3 @@ def test_a_recording_of_bytes_takes_the_memory_of_its_frames_and_no_more(tmp_pat
     # The file, its frames in float32, and a part that is checked.
     with peak_below(path.stat().st_size * (1 + 4) + 12 * MB):
         assert open_file(path).n_frames == 4000
-
-
-def refusal(read: Callable[[Path], object], path: Path, error: type[SparseskinError]) -> str:
-    """The text of a refusal, "" for none; anything else that is raised passes."""
-    try:
-        read(path)
-    except error as refused:
-        return str(refused)
-    return ""
-
-
-@pytest.mark.parametrize("raw", [npz(forces=np.ones((2, 3, 4)), unit=np.array("N")), b""])
-def test_a_damaged_recording_is_one_line_or_none(tmp_path: Path, raw: bytes) -> None:
-    rng = np.random.default_rng(1)
-    path = tmp_path / ("skin.npz" if raw else "skin.npy")
-    for _ in range(1000):
-        path.write_bytes(mutated(raw or npy(np.ones((2, 3, 4), np.uint8)), rng))
-        assert refusal(open_file, path, SourceError).isprintable()

@@ -55,9 +55,9 @@ def restored(bus: Bus, n_ticks: int | None = None) -> list[Reconstruction]:
     return [message for message in made if isinstance(message, Reconstruction)]
 
 
-@pytest.mark.parametrize("keep", ["new", "keep_stamps", "verbatim"])
+@pytest.mark.parametrize("keep", ["keep_stamps", "verbatim"])
 def test_every_frame_is_inverted_by_the_phi_that_made_it(recording: str, keep: str) -> None:
-    bus = graph(recording, **({} if keep == "new" else {keep: True}))
+    bus = graph(recording, **{keep: True})
     found = restored(bus)
     assert bus.hosts["reconstructor"].counts.refused == {}
     assert [m.phi for m in found] == [PHIS[k >= CHANGED_AT].fingerprint for k in range(N_FRAMES)]

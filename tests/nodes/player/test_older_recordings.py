@@ -12,11 +12,7 @@ from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.base import RANDOM
 from sparseskin.nodes.player.node import Player
 from sparseskin.nodes.player.settings import PlayerSettings
-from sparseskin.nodes.reconstructor.node import (
-    Reconstructor,
-    ReconstructorSettings,
-    phis_to_invert,
-)
+from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings, phis_to_invert
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
 #: 12 frames of 96 taxels of 9 x 11 cells, recorded by version 0.1: taxels and measurements.

@@ -77,12 +77,7 @@ def test_verbatim_is_what_was_recorded_to_the_bit(recording: tuple[Path, list[Me
 
 @pytest.mark.parametrize(
     ("settings", "first", "count"),
-    [
-        ({"start_s": 0.05}, 5, 15),
-        ({"duration_s": 0.05}, 0, 5),
-        ({"start_s": 0.1, "duration_s": 0.03}, 10, 3),
-        ({"start_s": 5.0}, 0, 0),
-    ],
+    [({"start_s": 0.1, "duration_s": 0.03}, 10, 3), ({"start_s": 5.0}, 0, 0)],
 )
 def test_a_part_is_half_open(
     recording: tuple[Path, list[Message]], settings: dict[str, Any], first: int, count: int
@@ -108,7 +103,6 @@ def test_chosen_topics_alone_are_played_under_new_names(
     ("settings", "text"),
     [
         ({"file": "none.mcap"}, "none.mcap: no such file"),
-        ({"file": ""}, "file: state the recording"),
         ({"schemas": ("taxel",)}, "did you mean 'taxels'"),
         ({"remap": ("/skin",)}, "expected FROM:=TO"),
         ({"remap": ("/skin/taxels:=/skin/truth",)}, "a topic ends in its schema"),
@@ -153,16 +147,7 @@ def test_a_faster_rate_is_shown_and_what_is_no_command_is_refused(
         player(recording[0], rate=0.0).command("faster", None)
 
 
-def test_the_recording_names_versions_and_lost_messages(
-    recording: tuple[Path, list[Message]],
-) -> None:
-    with BagReader(recording[0]) as bag:
-        assert '"numpy"' in bag.metadata["versions"]
-        assert bag.counts is not None
-        assert not any(bag.counts["lost"].values())
-
-
-@pytest.mark.parametrize("n_frames", [1, 5, N_FRAMES])
+@pytest.mark.parametrize("n_frames", [1, N_FRAMES])
 def test_a_number_of_frames_is_played_with_all_their_messages(
     recording: tuple[Path, list[Message]], tmp_path: Path, n_frames: int
 ) -> None:
@@ -181,13 +166,8 @@ def test_a_number_of_frames_is_played_with_all_their_messages(
     bus.run(n_frames)
     bus.check()
     frames = bus.reports()["monitor"]["patches"]["skin"]["frames"]
-    assert frames == {
-        "sensed": n_frames,
-        "reconstructed": n_frames,
-        "skipped": 0,
-        "lost": 0,
-        "unpaired": 0,
-    }
+    counts = {"sensed": n_frames, "reconstructed": n_frames}
+    assert frames == counts | {"skipped": 0, "lost": 0, "unpaired": 0}
     assert bus.reports()["player"]["played"]["frames"] == n_frames
     assert bus.hosts["player"].counts.published["/skin/measurements"] == n_frames
 
@@ -197,7 +177,6 @@ def test_a_number_of_frames_is_played_with_all_their_messages(
     [
         ("--rate 2000", "--rate: 2000.0 is outside 0.0..1000.0"),
         ("--start 100", "--start: 100: the recording lasts 0."),
-        ("--topics /skin/foo", "--topics: /skin/foo: not in the file (known: /skin/"),
         ("--remap /left:=/right", "--remap: /left: not in the file (known: /skin/"),
     ],
 )

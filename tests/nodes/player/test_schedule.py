@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import pytest
-
 from sparseskin.nodes.player.schedule import Schedule
 
 MS = 1_000_000
 
 
-@pytest.mark.parametrize("rate", [0.1, 1.0, 10.0])
-def test_targets_are_absolute(rate: float) -> None:
+def test_targets_are_absolute() -> None:
+    rate = 0.1
     schedule = Schedule(first_ns=500, rate=rate)
     schedule.begin(1_000_000)
     for k in range(0, 100_000, 777):

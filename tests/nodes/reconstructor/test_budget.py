@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from bags import skin_state
 
-from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, SolverState
+from sparseskin.messages import Measurements, PhiState, Reconstruction, SolverState
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.reconstructor.budget import LEAST_STEPS, Costs
+from sparseskin.nodes.reconstructor.budget import LEAST_STEPS
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 
@@ -54,14 +53,6 @@ class SlowSolver(Solver):
         pass
 
 
-def skin_state(side: int, rate_hz: float) -> SkinState:
-    return SkinState(
-        stamp_ns=0, patch="skin", n_rows=side, n_cols=side, f_max=2.5, unit="N", pitch_m=None,
-        mask=None, source="", seed=0, rate_hz=rate_hz, has_truth=False, sigma_mid=0.0,
-        sigma_end=0.0,
-    )  # fmt: skip
-
-
 def restored(budget_ms: float | None, monkeypatch: pytest.MonkeyPatch) -> Reconstruction:
     clockwork = Clockwork()
     SlowSolver.clockwork = clockwork
@@ -74,7 +65,7 @@ def restored(budget_ms: float | None, monkeypatch: pytest.MonkeyPatch) -> Recons
     settings = ReconstructorSettings(budget_ms=budget_ms)
     node = Reconstructor(settings, Context("reconstructor", ManualClock(0)))
     phi = make_phi("sbhe", N, M, 0)
-    list(node.step(skin_state(8, 0.0)))
+    list(node.step(skin_state(n_rows=8, n_cols=8, mask=None, rate_hz=0.0)))
     list(
         node.step(PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe()))
     )
@@ -96,33 +87,12 @@ def test_as_many_steps_are_done_as_fit_into_the_budget_and_three_in_any_case(
     assert found.solve_ns == (steps * 1_000_000,)
 
 
-@given(
-    frame_s=st.floats(1e-6, 1e-2),
-    step_s=st.floats(1e-6, 1e-2),
-    budget_s=st.floats(1e-6, 1.0),
-    most=st.integers(1, 50),
-)
-def test_no_step_more_would_fit_and_those_that_are_done_do(
-    frame_s: float, step_s: float, budget_s: float, most: int
-) -> None:
-    costs = Costs(frame_s, step_s)
-    steps = costs.steps_in(budget_s, most)
-    assert min(LEAST_STEPS, most) <= steps <= most
-    if steps > LEAST_STEPS:
-        assert costs.of(steps) <= budget_s * (1 + 1e-9)
-    if steps < most:
-        assert costs.of(steps + 1) > budget_s * (1 - 1e-9)
-    # Of few numbers, the largest that is no larger.
-    few = costs.steps_in(budget_s, most, (3, 5, 8))
-    assert few == (steps if steps == most else max(k for k in (0, 3, 5, 8) if k <= steps) or steps)
-
-
 def states(rate_hz: float, live: bool = True, **settings: Any) -> SolverState:
     """What the reconstructor of 32 x 32 taxels states at a rate, in a live graph by default."""
     phi = make_phi("sbhe", 1024, 342, 0)
     context = Context("", ManualClock(0), live=live)
     node = Reconstructor(ReconstructorSettings(**settings), context)
-    list(node.step(skin_state(32, rate_hz)))
+    list(node.step(skin_state(n_rows=32, n_cols=32, mask=None, rate_hz=rate_hz)))
     announced = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
     (state,) = node.step(announced)
     assert isinstance(state, SolverState)

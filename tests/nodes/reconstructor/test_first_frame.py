@@ -33,11 +33,12 @@ nodes = {
 bus = Bus(nodes, ManualClock(0))
 for _ in bus.frames(1):
     pass
+assert "numba" not in sys.modules
 """
 
 
 @pytest.mark.parametrize("preset", ["skin", "paper"])
-def test_the_first_frame_imports_nothing(preset: str) -> None:
+def test_the_first_frame_imports_nothing_and_off_no_numba(preset: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", CODE, preset],
         capture_output=True,

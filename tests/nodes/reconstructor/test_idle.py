@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
 import pytest
+from bags import skin_state
 from stress.test_contacts import SKIN, Watched, missed
 
-from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, Taxels
-from sparseskin.messages.skin import Skin
+from sparseskin.messages import Measurements, PhiState, Reconstruction, Taxels
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
@@ -27,7 +28,8 @@ UNTOUCHED = np.zeros(SKIN.shape, np.float32)
 BATCH: dict[str, Any] = {"patch": "body", "patches": ("left", "right", "back", "hand")}
 
 
-def batches(n_frames: int, skip_idle: bool = True) -> list[Reconstruction]:
+@functools.cache
+def batches(skip_idle: bool = True) -> list[Reconstruction]:
     """Reconstructions of a walking body, two patches of which are idle."""
     skin = {"simulated": {"rows": SIDE, "cols": SIDE}}
     sensor = skin | {"source": "scene:walk", "active": 0.5}
@@ -38,7 +40,7 @@ def batches(n_frames: int, skip_idle: bool = True) -> list[Reconstruction]:
             "reconstructor": (Reconstructor, Reconstructor.Settings(**BATCH, skip_idle=skip_idle)),
         }
     )
-    made = [m for messages in bus.frames(n_frames) for m in messages]
+    made = [m for messages in bus.frames(60) for m in messages]
     return [m for m in made if isinstance(m, Reconstruction)]
 
 
@@ -70,9 +72,7 @@ def test_an_idle_patch_is_solved_at_least_every_64_frames_and_not_all_at_once() 
 
 
 def test_a_skin_that_states_no_noise_is_always_solved() -> None:
-    skin = Skin(8, 8, 2.5)
-    state = SkinState(stamp_ns=0, patch="skin", **vars(skin), source="", seed=0, rate_hz=1.0,
-                      has_truth=False, sigma_mid=0.0, sigma_end=0.0)  # fmt: skip
+    state = skin_state(n_rows=8, n_cols=8, mask=None, sigma_mid=0.0, sigma_end=0.0)
     phi = make_phi("sbhe", n=64, m=32, seed=0)
     watch = IdleWatch(3, state, [phi])
     for _ in range(50):
@@ -80,7 +80,7 @@ def test_a_skin_that_states_no_noise_is_always_solved() -> None:
 
 
 def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_solve() -> None:
-    found = batches(60)
+    found = batches()
     held: dict[str, Any] = {}
     last: dict[str, bytes] = {}
     n_unchanged = dict.fromkeys(BATCH["patches"], 0)
@@ -99,7 +99,7 @@ def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_s
 def test_without_the_skip_all_are_solved_and_with_it_the_forces_are_nearly_the_same() -> None:
     held: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
     differences = []
-    for skipping, solving in zip(batches(60), batches(60, skip_idle=False), strict=True):
+    for skipping, solving in zip(batches(), batches(skip_idle=False), strict=True):
         assert not any(solving.unchanged)
         pairs = zip(skipping.split(held[0]), solving.split(held[1]), strict=True)
         differences += [a.forces - b.forces for a, b in pairs]
@@ -116,8 +116,7 @@ def test_the_skip_can_be_switched_while_the_graph_runs() -> None:
 
 def test_a_patch_that_is_served_alone_is_skipped_too() -> None:
     rest = np.random.default_rng(0).normal(0, 0.0141, (40, 8, 8)).clip(0).astype(np.float32)
-    skin = SkinState(stamp_ns=0, patch="skin", **vars(Skin(8, 8, 2.5)), source="", seed=0,
-                     rate_hz=1.0, has_truth=False, sigma_mid=0.0628, sigma_end=0.0141)  # fmt: skip
+    skin = skin_state(n_rows=8, n_cols=8, mask=None, sigma_mid=0.0628, sigma_end=0.0141)
     edge = Compressor(Compressor.Settings(), Context("edge", ManualClock(1)))
     host = Reconstructor(Reconstructor.Settings(skip_idle=True), Context("host", ManualClock(1)))
     (phi,) = edge.step(skin)
@@ -141,9 +140,9 @@ def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes() -> No
         Reconstructor.Settings(patch="body", patches=names, skip_idle=True),
         Context("node", ManualClock(1), lines.append),
     )
-    skin, phi = Skin(SIDE, SIDE, 2.5), make_phi("sbhe", n, n // 3, seed=0)
-    state = SkinState(stamp_ns=0, patch="body", **vars(skin), source="", seed=0, rate_hz=1.0,
-                      has_truth=False, sigma_mid=0.02, sigma_end=0.02)  # fmt: skip
+    phi = make_phi("sbhe", n, n // 3, seed=0)
+    sigmas = {"sigma_mid": 0.02, "sigma_end": 0.02}
+    state = skin_state("body", n_rows=SIDE, n_cols=SIDE, mask=None, **sigmas)
     phi_state = PhiState(
         stamp_ns=0, patch="body", fingerprint=phi.fingerprint, rows="fixed", **phi.describe()
     )

@@ -115,7 +115,6 @@ ORDER = OwnPhi(N, N, seed=0).permutation
     [
         make_phi("sbhe", N, N // 3, seed=5),
         make_phi("gaussian", N, N // 8, seed=5),
-        make_phi("full", N, N, seed=5),
         own(times=np.float32(1.1)),  # 4/3 of the eigenvalue is allowed
     ],
 )

@@ -59,12 +59,6 @@ class TestFrames:
         with pytest.raises(SourceError, match="n_cols = 4 is stated, but the frames have 3"):
             open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=4)
 
-    def test_settings_give_range_and_unit(self, module: Writer) -> None:
-        name = module("def frames():\n    yield 0, np.full((1, 2), 90)\n")
-        source = open_callable(f"{name}:frames", f_max=100, unit="raw")
-        assert (source.skin.f_max, source.skin.unit) == (100.0, "raw")
-        assert source.clipped.n == 0
-
     def test_readings_beyond_the_range_saturate_and_are_counted(self, module: Writer) -> None:
         source = yielding(module, "(0, [[-0.1, 2.6, 2.5, 0.0]])", "(1, [[1e300, 1, 1, -1e300]])")
         np.testing.assert_array_equal(
@@ -76,13 +70,10 @@ class TestFrames:
         ("second", "message"),
         [
             ("(1, np.zeros((3, 2)))", r"frame 1: forces have shape \(3, 2\), .* skin has \(2, 3\)"),
-            ("(1, np.zeros(6))", r"frame 1: forces have shape \(6,\); expected two dimensions"),
             ("(1, [[0, np.nan, 0], [0, 0, 0]])", "frame 1, row 0, column 1: nan is no force"),
             ("(1, np.zeros((2, 3), complex))", "dtype 'complex128'; allowed are integers"),
             ("(1, [[1, 2], [3]])", "forces are no array of numbers"),
-            ("(1, None)", "dtype 'object'"),
             ("(0, np.zeros((2, 3)))", "stamp_ns 0 is not after the one before it, 0"),
-            ("(1.0, np.zeros((2, 3)))", "stamp_ns is float; expected whole nanoseconds"),
             ("(2**63, np.zeros((2, 3)))", r"more than 2\*\*63 ns after the first"),
             ("np.zeros((2, 3))", "frame 1: delivered ndarray; expected a pair"),
             ("1 / 0", "the driver failed: ZeroDivisionError: division by zero"),
@@ -99,18 +90,9 @@ class TestFrames:
         assert source.name in str(caught.value)
         assert "\n" not in str(caught.value)
 
-    @pytest.mark.parametrize(
-        ("first", "message"),
-        [
-            ("(0, np.zeros((0, 3)))", "0 rows x 3 columns"),
-            ("(None, [[1.0]])", "frame 0: stamp_ns is NoneType"),
-        ],
-    )
-    def test_a_bad_first_frame_is_refused_as_the_driver_is_opened(
-        self, module: Writer, first: str, message: str
-    ) -> None:
-        with pytest.raises(SourceError, match=message):
-            yielding(module, first)
+    def test_a_bad_first_frame_is_refused_as_the_driver_is_opened(self, module: Writer) -> None:
+        with pytest.raises(SourceError, match="0 rows x 3 columns"):
+            yielding(module, "(0, np.zeros((0, 3)))")
 
 
 class TestLife:
@@ -138,11 +120,6 @@ class TestLife:
         with pytest.raises(SourceError, match="was read before"):
             list(source)
 
-    def test_what_can_be_iterated_again_can_be_read_again(self, module: Writer) -> None:
-        name = module("def frames():\n    return [(0, [[1.0]]), (5, [[2.0]])]\n")
-        source = open_callable(f"{name}:frames")
-        assert [s for s, _ in source] == [s for s, _ in source] == [0, 5]
-
 
 class TestSourceObject:
     BODY = """
@@ -161,32 +138,20 @@ class TestSourceObject:
 
     def test_its_own_attributes_hold_and_masked_cells_do_not_count(self, module: Writer) -> None:
         source = open_callable(module(self.BODY) + ":Hand")
-        assert (source.name, source.delivers, source.rate_hz, source.n_frames) == (
-            "hand",
-            "truth",
-            200.0,
-            1,
-        )
+        assert (source.name, source.delivers) == ("hand", "truth")
+        assert (source.rate_hz, source.n_frames) == (200.0, 1)
         assert source.skin.n_taxels == 2
         ((stamp, forces),) = source
         assert stamp == 0
         np.testing.assert_array_equal(forces, [[1, 4, 0]])
         assert source.clipped.n == 1
 
-    def test_no_frame_is_pulled_before_it_is_read(self, module: Writer) -> None:
-        body = self.BODY.replace("yield 7,", "1 / 0; yield 7,")
-        source = open_callable(module(body) + ":Hand")
-        with pytest.raises(SourceError, match="ZeroDivisionError"):
-            list(source)
-
     @pytest.mark.parametrize(
         ("old", "new", "message"),
         [
             ("4.0", "2.0", r"f_max = 4 is stated, .* skin has 2\.0"),
             ('"truth"', '"noise"', "delivers = 'noise'; allowed are truth, taxels"),
-            ("200.0", "-1", "rate_hz = '-1'"),
             ("n_frames = 1", "n_frames = 1.5", "n_frames = '1.5'"),
-            ("skin = Skin", "skin = str; Skin", "its skin is type"),
             ("def __iter__", "def frames", "returned Hand; expected a generator or an iterable"),
         ],
     )
@@ -215,22 +180,19 @@ class TestName:
         [
             ("def frame():\n    yield 0, [[1.0]]", "has no 'frames'; did you mean 'frame'"),
             ("frames = 3", "is int, which cannot be called"),
-            ("def frames():\n    return 3", "returned int; expected a generator"),
             ("def frames():\n    yield from ()\n", "ended before its first frame"),
             ("def frames(port):\n    yield", "the driver failed: TypeError: .*'port'"),
             ("def frames():\n    raise OSError('no\\nport')", "failed: OSError: no port"),
             ("raise SystemExit(3)", "importing it failed: SystemExit: 3"),
-            ("import no_such_serial\n", r"importing it failed: .*'no_such_serial'"),
         ],
     )
     def test_what_is_no_driver_is_refused(self, module: Writer, body: str, message: str) -> None:
         with pytest.raises(SourceError, match=message):
             open_callable(module(body) + ":frames")
 
-    @pytest.mark.parametrize("f_max", [0, float("nan"), "2.5"])
-    def test_a_range_that_is_none_is_refused(self, f_max: float) -> None:
+    def test_a_range_that_is_none_is_refused(self) -> None:
         with pytest.raises(SourceError, match="f_max = "):
-            open_callable("a_skin:frames", f_max=f_max)
+            open_callable("a_skin:frames", f_max=float("nan"))
 
 
 def test_a_frame_is_a_copy_of_what_was_delivered() -> None:

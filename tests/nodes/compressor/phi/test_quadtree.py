@@ -5,21 +5,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.nodes.compressor.phi.quadtree import Quadtree
 from sparseskin.nodes.numerics.arrays import Mask
 
-GRIDS = [(1, 1), (1, 16), (4, 4), (5, 7), (8, 8), (31, 11), (40, 40)]
-
 
 def dense(tree: Quadtree) -> npt.NDArray[np.float64]:
     return np.stack([tree.analysis(one) for one in np.eye(tree.n)], axis=1)
 
 
-@settings(max_examples=60, deadline=None)
 @given(exists=grids(), data=st.data())
 def test_rows_are_orthonormal_and_synthesis_the_transpose_on_any_grid(
     exists: Mask, data: st.DataObject
@@ -31,7 +28,7 @@ def test_rows_are_orthonormal_and_synthesis_the_transpose_on_any_grid(
     np.testing.assert_allclose(tree.synthesis(rows), matrix.T @ rows, atol=1e-10)
 
 
-@pytest.mark.parametrize("shape", GRIDS)
+@pytest.mark.parametrize("shape", [(1, 16), (5, 7), (31, 11)])
 def test_first_rows_are_the_normalised_sums_of_tiles(shape: tuple[int, int]) -> None:
     tree = Quadtree(np.ones(shape, np.bool_), shape[0] * shape[1])
     matrix = dense(tree)[: tree.n_tiles]
@@ -41,7 +38,6 @@ def test_first_rows_are_the_normalised_sums_of_tiles(shape: tuple[int, int]) -> 
     assert counts.max() <= 64
 
 
-@settings(max_examples=100, deadline=None)
 @given(exists=grids(), data=st.data())
 def test_the_code_of_nodes_is_read_back(exists: Mask, data: st.DataObject) -> None:
     tree = Quadtree(exists, int(exists.sum()))
@@ -50,7 +46,6 @@ def test_the_code_of_nodes_is_read_back(exists: Mask, data: st.DataObject) -> No
     np.testing.assert_array_equal(tree.decoded(tree.coded(chosen)), chosen)
 
 
-@settings(max_examples=100, deadline=None)
 @given(code=st.binary(min_size=1, max_size=40))
 def test_any_other_code_is_refused(code: bytes) -> None:
     tree = Quadtree(np.ones((20, 20), np.bool_), 400)
@@ -62,7 +57,7 @@ def test_any_other_code_is_refused(code: bytes) -> None:
     np.testing.assert_array_equal(tree.coded(chosen), given_code)
 
 
-@pytest.mark.parametrize("m", [50, 133, 200, 533])
+@pytest.mark.parametrize("m", [50, 533])
 def test_a_code_has_at_most_the_stated_bytes(m: int) -> None:
     tree = Quadtree(np.ones((40, 40), np.bool_), m)
     n_chosen = (m - tree.n_tiles) // 3

@@ -6,20 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matrices import assert_operators
 
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import row_subsets, split_rows
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 
 
 @pytest.mark.parametrize("kind", ["sbhe", "subsample"])
-@pytest.mark.parametrize("ratio", [1, 2, 4, 5, 8])
+@pytest.mark.parametrize("ratio", [1, 5])
 def test_together_the_row_subsets_hold_each_row_of_w_once(kind: str, ratio: int) -> None:
     n = 240
     subsets = row_subsets(make_phi(kind, n, n // ratio, seed=1), "rotating")
@@ -31,45 +31,20 @@ def test_together_the_row_subsets_hold_each_row_of_w_once(kind: str, ratio: int)
     np.testing.assert_allclose(whole @ whole.T, np.eye(n), atol=1e-12)
 
 
-@given(n=st.integers(1, 300), data=st.data())
-@settings(max_examples=80, deadline=None)
-def test_every_row_is_in_one_or_two_subsets(n: int, data: st.DataObject) -> None:
-    m = data.draw(st.integers(1, n))
-    order = np.random.default_rng(data.draw(st.integers(0, 99))).permutation(n)
-    found = split_rows(order, m)
-    assert len(found) == -(-n // m)
-    assert all(rows.size == m and (np.diff(rows) > 0).all() for rows in found)
-    times = np.bincount(np.concatenate(found), minlength=n)
-    assert 1 <= times.min() <= times.max() <= 2
-    np.testing.assert_array_equal(found[0], np.sort(order[:m]))
-    # From places 0, 5 // 3 and 10 // 3 of a circle.
-    found = split_rows(np.array([4, 0, 3, 1, 2]), 2)
-    assert [rows.tolist() for rows in found] == [[0, 4], [0, 3], [1, 2]]
-
-
 @pytest.mark.parametrize(
     ("stated", "expected"),
     [
         ({}, ("rotating", 534)),
         ({"ratio": 4.0}, ("rotating", 400)),
-        ({"m": 533}, ("rotating", 533)),
-        ({"m": 1599}, ("rotating", 1599)),
         ({"phi": "subsample"}, ("rotating", 534)),
-        ({"phi": "local:8"}, ("rotating", 534)),
         ({"phi": "row_local"}, ("rotating", 534)),
         # No row is left to rotate to.
         ({"m": 1600}, ("fixed", 1600)),
-        ({"ratio": 1.0}, ("fixed", 1600)),
-        ({"phi": "full"}, ("fixed", 1600)),
         # 64 row subsets are allowed.
         ({"m": 25}, ("rotating", 25)),
-        ({"ratio": 64.0}, ("rotating", 25)),
         ({"m": 24}, ("fixed", 24)),
-        ({"ratio": 200.0}, ("fixed", 8)),
-        ({"ratio": 150.0}, ("fixed", 10)),
         # Their rows do not rotate.
         ({"phi": "gaussian"}, ("fixed", 533)),
-        ({"phi": "acts"}, ("fixed", 533)),
         ({"phi": "adaptive"}, ("fixed", 533)),
         ({"phi": f"{__name__}:Halves"}, ("rotating", 534)),
         ({"phi": f"{__name__}:Unmoved"}, ("fixed", 533)),
@@ -77,7 +52,6 @@ def test_every_row_is_in_one_or_two_subsets(n: int, data: st.DataObject) -> None
         # What is stated stays.
         ({"rows": "fixed"}, ("fixed", 533)),
         ({"rows": "rotating", "m": 1600}, ("rotating", 1600)),
-        ({"rows": "rotating", "m": 24}, ("rotating", 24)),
     ],
 )
 def test_rows_rotate_by_default_where_they_can(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matrices import assert_operators
 
@@ -37,7 +37,6 @@ def numbers_of(phi: SbhePhi, rows: Indices) -> Indices:
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
-@settings(max_examples=150, deadline=None)
 def test_fixed_rows_are_the_sums_and_others_in_proportion(
     n: int, data: st.DataObject, block: int, seed: int
 ) -> None:
@@ -62,7 +61,6 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
-@settings(max_examples=150, deadline=None)
 def test_each_row_subset_has_rows_of_each_block_in_proportion_and_together_they_have_all(
     n: int, data: st.DataObject, block: int, seed: int
 ) -> None:
@@ -83,7 +81,6 @@ def test_each_row_subset_has_rows_of_each_block_in_proportion_and_together_they_
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, rule=st.sampled_from([RANDOM, SPREAD]))
-@settings(max_examples=60, deadline=None)
 def test_fewer_rows_of_one_seed_are_among_the_more(
     n: int, data: st.DataObject, block: int, rule: int
 ) -> None:

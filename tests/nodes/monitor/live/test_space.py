@@ -186,17 +186,6 @@ def test_the_first_view_faces_the_first_contact_and_stays(page: Any, points: Flo
         wait_until(lambda: "100 % of the contact on the far side" in figures(page), "the front")
 
 
-def test_a_view_that_the_user_has_turned_is_left_alone(page: Any, points: Floats) -> None:
-    from selenium.webdriver.common.keys import Keys
-
-    with opened(page, points) as graph:
-        press(graph, points, BACK, peak_n=0.0)
-        wait_until(lambda: "no contact" in figures(page), "an untouched skin")
-        page.find_element("css selector", "canvas[data-map=truth]").send_keys(Keys.ARROW_LEFT)
-        press(graph, points, BACK)
-        wait_until(lambda: "100 % of the contact on the far side" in figures(page), "the back")
-
-
 def test_faulty_taxels_are_struck_out_in_3d_where_they_are_seen_and_on_the_grid(
     page: Any, graph: Graph, points: Floats
 ) -> None:

@@ -9,23 +9,11 @@ import pytest
 from doubting import DOUBTING, ERROR
 from watched import Desk, N
 
-from sparseskin.messages import Measurements, Reconstruction, decode, encode
+from sparseskin.messages import Reconstruction, decode, encode
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.trust import (
-    ADVICE,
-    EVERY_NS,
-    FIXED_ADVICE,
-    RUN,
-    TrustLog,
-)
-from sparseskin.nodes.reconstructor.solvers.base import (
-    RotatingSolver,
-    make_rotating_solver,
-)
+from sparseskin.nodes.reconstructor.estimates.trust import EVERY_NS, FIXED_ADVICE, TrustLog
 
 FORCES = np.full(10, 0.5, np.float32)
 PHI = make_phi("sbhe", N, N // 3, seed=0)
@@ -72,25 +60,6 @@ def test_an_estimate_that_is_none_is_refused(
         reconstructions(desk, 1)
 
 
-def test_solvers_of_row_subsets_pass_on_that_of_the_last_frame() -> None:
-    phi = make_phi("sbhe", n=64, m=16, seed=0)
-    subsets = row_subsets(phi, "rotating")
-    solver = make_rotating_solver(
-        DOUBTING, subsets, make_basis("haar", 8, 8), n_doubted=1, period=2
-    )
-    assert isinstance(solver, RotatingSolver)
-    assert (solver.error, solver.trusted) == (None, True)
-    found = []
-    for one in [*subsets, *subsets]:
-        solver.use(one)
-        solver.solve(np.zeros(one.m, np.float32))
-        found.append((solver.error, solver.trusted))
-    # Each of them doubts its own first frame.
-    assert found == [(ERROR, False)] * len(subsets) + [(ERROR, True)] * len(subsets)
-    solver.reset()
-    assert (solver.error, solver.trusted) == (None, True)
-
-
 def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
     lines: list[str] = []
     log = TrustLog(lines.append)
@@ -116,44 +85,3 @@ def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
     estimate = "frames not to be trusted: estimated error 62 % of the forces"
     assert first == estimate + FIXED_ADVICE
     assert second == f"{estimate} (6 of the last 7 frames){FIXED_ADVICE}"
-
-
-def test_the_first_two_frames_of_each_row_subset_are_no_run() -> None:
-    lines: list[str] = []
-    log = TrustLog(lines.append)
-    for begun in (1, 2):  # a change of Phi or solver begins anew
-        log.begin(3)
-        for trusted in [False] * 2 * 3 + [True] * 10 + [False] * RUN:
-            assert len(lines) == begun - 1
-            log.update(begun * EVERY_NS, FORCES, 0.31, "" if trusted else "error", n=10, unit="N")
-        assert len(lines) == begun
-        for _ in range(10):
-            log.update(begun * EVERY_NS, FORCES, 0.31, "", n=10, unit="N")
-
-
-def test_the_node_logs_by_the_times_of_the_stamps() -> None:
-    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 1, "period": 1})
-    for stamp_s, y in enumerate(untouched(25)):
-        frame = Measurements(stamp_ns=stamp_s * S, patch="skin", y=y, phi=PHI.fingerprint)
-        list(desk.node.step(frame))
-    assert len(desk.lines) == 3  # at 2, 12 and 22 s
-
-
-@pytest.mark.parametrize(
-    ("error", "forces", "words"),
-    [
-        (None, 0.5, "the solver doubts its estimate"),
-        (0.02, 0.0, "estimated error 0.02 kPa a taxel, more than the forces"),
-        (6.0, 0.5, "estimated error 6 kPa a taxel, more than the forces"),
-        (0.6, 0.5, "estimated error 120 % of the forces"),
-    ],
-)
-def test_the_line_states_the_estimate(error: float | None, forces: float, words: str) -> None:
-    lines: list[str] = []
-    uniform = np.zeros((3, 4), np.float32)
-    uniform[:2] = forces  # there are no taxels in the last row
-    log = TrustLog(lines.append)
-    log.begin(3)
-    for _ in range(4 + RUN):
-        log.update(0, uniform, error, "error", n=8, unit="kPa")
-    assert lines == [f"frames not to be trusted: {words}{ADVICE}"]  # its rows rotate already

@@ -39,8 +39,7 @@ def test_what_may_repeat_is_no_hung_board(sigma: float, frames: list[Floats]) ->
     assert not watch.frozen
 
 
-@pytest.mark.parametrize("rows", ["fixed", "rotating"])
-@pytest.mark.parametrize("last_touch", [0, 15, 30])
+@pytest.mark.parametrize(("last_touch", "rows"), [(0, "fixed"), (15, "rotating"), (30, "rotating")])
 def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a_contact(
     last_touch: int, rows: str
 ) -> None:
@@ -68,8 +67,7 @@ def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a
     assert desk.node.state()["left_out"] == ""
 
 
-@pytest.mark.parametrize("states_noise", [True, False])
-@pytest.mark.parametrize("rows", ["fixed", "rotating"])
+@pytest.mark.parametrize(("rows", "states_noise"), [("fixed", True), ("rotating", False)])
 def test_frames_after_a_hung_board_are_as_accurate_as_those_of_one_that_begins(
     rows: str, states_noise: bool
 ) -> None:

@@ -42,8 +42,9 @@ def spoilt(y: Floats, fault: str) -> Floats:
     return y
 
 
-@pytest.mark.parametrize("preset", ["skin", "paper"])
-@pytest.mark.parametrize("fault", ["zero", "constant", "garbage"])
+@pytest.mark.parametrize(
+    ("preset", "fault"), [("skin", "zero"), ("paper", "constant"), ("skin", "garbage")]
+)
 def test_faulty_measurements_are_found_and_cost_next_to_nothing_then(
     preset: str, fault: str, phi: Phi, truth: Floats
 ) -> None:
@@ -66,8 +67,7 @@ def test_faulty_measurements_are_found_and_cost_next_to_nothing_then(
     assert sum(line.count(str(row)) for line in logged for row in (100, 250, 251, 400)) == 4
 
 
-@pytest.mark.parametrize("preset", ["skin", "paper"])
-@pytest.mark.parametrize("ratio", [3, 8])
+@pytest.mark.parametrize(("preset", "ratio"), [("skin", 8), ("paper", 3)])
 def test_working_rows_are_never_left_out(preset: str, ratio: int, truth: Floats) -> None:
     phi = make_phi("sbhe", N, N // ratio, seed=0)
     desk = Desk(phi, preset=preset)
@@ -75,8 +75,7 @@ def test_working_rows_are_never_left_out(preset: str, ratio: int, truth: Floats)
     assert desk.node.state()["left_out"] == ""
 
 
-@pytest.mark.parametrize("preset", ["skin", "paper"])
-@pytest.mark.parametrize("everywhere", [True, False])
+@pytest.mark.parametrize(("preset", "everywhere"), [("skin", True), ("paper", False)])
 def test_of_rotating_rows_a_faulty_one_is_found_once_its_subset_was_read_as_often(
     preset: str, everywhere: bool, truth: Floats
 ) -> None:
@@ -102,9 +101,7 @@ def test_of_rotating_rows_a_faulty_one_is_found_once_its_subset_was_read_as_ofte
     assert left_out.count("of row subset") == len(found)
 
 
-@pytest.mark.parametrize(
-    ("bits", "states_noise"), [(6, True), (12, True), (None, True), (None, False)]
-)
+@pytest.mark.parametrize(("bits", "states_noise"), [(6, True), (None, True), (None, False)])
 def test_a_skin_without_noise_and_few_bits_have_no_faulty_measurements(
     bits: int | None, states_noise: bool, phi: Phi, truth: Floats
 ) -> None:
@@ -154,11 +151,9 @@ def test_a_row_that_the_frame_was_not_made_from_is_judged_by_its_change(
     assert left_out_of(phi, y, unfitted=[7]) == faulty
 
 
-@pytest.mark.parametrize("pair", [[250, 251], [60, 61]])
-def test_a_faulty_row_is_found_by_its_innovation_where_the_frame_explains_it(
-    phi: Phi, pair: list[int]
-) -> None:
+def test_a_faulty_row_is_found_by_its_innovation_where_the_frame_explains_it(phi: Phi) -> None:
     """A solver that starts anew fits what it reads: residuals are noise, innovations are not."""
+    pair = [250, 251]
     y = noise(n_frames=40)
     fitted = y + noise(seed=1, n_frames=40)
     garbage = np.random.default_rng(2).uniform(-2, 2, (40, 2)).astype(np.float32)
@@ -173,17 +168,6 @@ def test_a_row_that_reads_one_taxel_has_no_peers_and_is_not_judged(kind: str) ->
     y = np.full((30, phi.m), 0.01, np.float32)
     y[:, 1] += 5 * np.arange(1, 31)  # of "sbhe", row 0 is the sum of the only block
     assert left_out_of(phi, y) == ([1] if kind == "sbhe" else [])
-
-
-@pytest.mark.parametrize("m", [67, 40])
-def test_a_row_subset_without_a_row_that_a_bias_shows_in_is_watched_all_the_same(m: int) -> None:
-    subsets = row_subsets(make_phi("sbhe", N, m, seed=0), "rotating")
-    without = [phi for phi in subsets if not phi.forward(np.ones(N, np.float32)).any()]
-    assert without
-    for phi in without:
-        y = 10 * noise(m)
-        y[:, 7] = 9.0
-        assert left_out_of(phi, y) == [7]
 
 
 def test_where_most_rows_disagree_none_is_blamed(phi: Phi) -> None:

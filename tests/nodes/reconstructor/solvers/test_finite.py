@@ -22,13 +22,9 @@ FORMS = ["off", *(["on"] if find_spec("numba") else [])]
 #: Rows that each frame chooses anew: phi "adaptive".
 CHOSEN = "chosen"
 CASES = [
-    *(("skin", side, rows, FORMS[-1]) for side in (8, 18) for rows in (FIXED, ROTATING)),
-    *(("skin", 8, rows, "off") for rows in (FIXED, ROTATING, CHOSEN)),
-]
-OTHERS = [
-    ("skin", 18, ROTATING, "off"),
-    *(("fista", 8, rows, "on") for rows in (FIXED, ROTATING) if "on" in FORMS),
-    *((name, 8, rows, "off") for name in SOLVERS if name != "skin" for rows in (FIXED, ROTATING)),
+    *(("skin", 18, rows, FORMS[-1]) for rows in (FIXED, ROTATING)),
+    *(("skin", 8, rows, "off") for rows in (ROTATING, CHOSEN)),
+    *((name, 8, ROTATING, FORMS[-1]) for name in SOLVERS if name != "skin"),
 ]
 
 
@@ -62,15 +58,12 @@ class Stream:
         return np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 4).astype(np.float32)
 
 
-@pytest.mark.parametrize(
-    ("name", "side", "rows", "fast"),
-    [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS)],
-)
+@pytest.mark.parametrize(("name", "side", "rows", "fast"), CASES)
 def test_a_contact_after_identical_frames_is_reconstructed(
     name: str, side: int, rows: str, fast: str
 ) -> None:
     stream, fresh = Stream(name, side, rows, fast), Stream(name, side, rows, fast)
-    for _ in range(400):
+    for _ in range(200):
         assert np.isfinite(stream.frame(stream.press(2, 2))).all()
     moved = stream.press(5, 4)
 
@@ -83,28 +76,7 @@ def test_a_contact_after_identical_frames_is_reconstructed(
     assert error(stream) < 1.3 * error(fresh) + 0.1
 
 
-@pytest.mark.parametrize("rows", [FIXED, ROTATING])
-def test_noise_is_filtered_again_after_identical_frames(rows: str) -> None:
-    stream, rng = Stream("skin", 24, rows, "auto"), np.random.default_rng(0)
-
-    def noisy(forces: Floats) -> Floats:
-        noise = rng.normal(scale=0.02, size=forces.shape).astype(np.float32)
-        return np.maximum(forces + noise, 0)
-
-    def error(forces: Floats) -> float:
-        frames = [stream.frame(noisy(forces)) for _ in range(40)][20:]
-        off = [np.linalg.norm(frame - forces) / np.linalg.norm(forces) for frame in frames]
-        return float(np.mean(off))
-
-    before = error(stream.press(8, 8))
-    hung = noisy(stream.press(8, 8))
-    for _ in range(400):
-        stream.frame(hung)
-    assert error(stream.press(14, 12)) < 1.5 * before
-
-
-@pytest.mark.parametrize("garbage", [1e4, 1e8, 1e12])
-@pytest.mark.parametrize("rows", [FIXED, ROTATING])
+@pytest.mark.parametrize(("rows", "garbage"), [(FIXED, 1e12), (ROTATING, 1e4)])
 def test_one_frame_of_garbage_does_not_blind_the_skin(rows: str, garbage: float) -> None:
     streams, rng = [Stream("skin", 24, rows, "auto") for _ in range(2)], np.random.default_rng(0)
     off = []

@@ -66,10 +66,8 @@ def ring_mask(shape: tuple[int, int]) -> Mask:
 @pytest.mark.parametrize(
     ("kind", "basis", "shape", "block"),
     [
-        *[("sbhe", "haar", (13, 11), 8), ("sbhe", "haar", (12, 32), 32)],
-        *[("sbhe", "haar", (28, 28), 128), ("sbhe", "identity", (13, 11), 32)],
-        *[("subsample", "haar", (13, 11), 32), ("full", "haar", (13, 11), 32)],
-        *[("gaussian", "haar", (13, 11), 32), ("gaussian", "identity", (13, 11), 32)],
+        *[("sbhe", "haar", (13, 11), 8), ("sbhe", "haar", (12, 32), 128)],
+        *[("subsample", "haar", (13, 11), 32), ("gaussian", "identity", (13, 11), 32)],
     ],
 )
 def test_it_is_the_articles_iteration_from_the_last_frame_or_a_warm_start(
@@ -158,11 +156,11 @@ def test_the_same_bits_with_any_number_of_blas_threads() -> None:
         "from sparseskin.nodes.compressor.phi.base import make_phi;"
         "from sparseskin.nodes.reconstructor.bases.base import make_basis;"
         "from sparseskin.nodes.reconstructor.solvers.base import make_solver;"
-        "phi = make_phi('sbhe', 1600, 533, seed=0);"
-        "solver = make_solver('fista', phi, make_basis('haar', 40, 40));"
-        "x = np.random.default_rng(0).random((3, 1600), dtype=np.float32);"
-        "bits = b''.join(solver.solve(y).tobytes() for y in phi.forward(x));"
-        "print(hashlib.sha256(bits).hexdigest())"
+        "phis = [make_phi(kind, 1600, 533, seed=0) for kind in ('sbhe', 'gaussian')];"
+        "x = np.random.default_rng(0).random(1600, dtype=np.float32);"
+        "basis = make_basis('haar', 40, 40);"
+        "bits = [make_solver('fista', p, basis).solve(p.forward(x)).tobytes() for p in phis];"
+        "print([hashlib.sha256(b).hexdigest() for b in bits])"
     )
     one, two = (
         subprocess.run(
@@ -181,7 +179,6 @@ def test_the_same_bits_with_any_number_of_blas_threads() -> None:
     ("y", "warm", "said"),
     [
         (np.zeros(99), None, r"y has shape \(99,\); expected \(100,\)"),
-        (np.zeros((1, 100)), None, r"y has shape \(1, 100\); expected \(100,\)"),
         (np.full(100, 1e31), None, "too large"),
         (np.zeros(100), np.zeros(256), r"warm start has shape \(256,\); expected \(16, 16\)"),
         (np.zeros(100), np.full((16, 16), np.nan), "warm start has values that are not finite"),
@@ -218,16 +215,12 @@ def test_an_iteration_that_diverges_is_an_error_and_forgotten() -> None:
 @pytest.mark.parametrize(
     ("name", "settings", "said"),
     [
-        ("fista", {"iterations": 1001}, "iterations = 1001 is not allowed; allowed: an integer 1"),
         ("fista", {"iterations": 2.5}, "iterations = 2.5"),
-        ("fista", {"iterations": True}, "iterations = True"),
         ("fista", {"lambda_n": float("inf")}, "lambda_n = inf"),
         ("fista", {"mask": np.ones((4, 64), np.bool_)}, r"shape \(4, 64\); expected .* \(16, 16\)"),
-        ("fista", {"mask": np.ones((16, 16))}, "mask is float64"),
         ("fista", {"mask": ring_mask((16, 16))}, "n = 256 taxels; the grid of 16 x 16 has"),
         ("fist", {}, 'solver "fist" is not known.*fista'),
         ("no_such_module:Solver", {}, "no_such_module"),
-        ("sparseskin.nodes.reconstructor.solvers.fista:FistaSolve", {}, "FistaSolver"),
         ("collections:Counter", {}, "no solver: it lacks setup"),
     ],
 )

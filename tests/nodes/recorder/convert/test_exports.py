@@ -11,7 +11,7 @@ from bags import N_COLS, N_ROWS, make_bag
 from damaged import refusal
 from exported import N_FRAMES, points_bag, rich_frames
 
-from sparseskin.messages import Measurements, Reconstruction, SkinState
+from sparseskin.messages import Measurements, Reconstruction
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.csv import export_csv
 from sparseskin.nodes.recorder.convert.npz import export_npz
@@ -25,15 +25,9 @@ def rich(tmp_path: Path) -> Path:
     return tmp_path / "a.mcap"
 
 
-@pytest.fixture
-def on_points(tmp_path: Path) -> tuple[Path, SkinState]:
-    return tmp_path / "a.mcap", points_bag(tmp_path / "a.mcap")
-
-
-def test_an_npz_has_the_row_of_the_points_file_of_each_taxel(
-    on_points: tuple[Path, SkinState],
-) -> None:
-    path, state = on_points
+def test_an_npz_and_a_csv_have_the_row_of_the_points_file_of_each_taxel(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    state = points_bag(path)
     with BagReader(path) as bag:
         (npz,) = export_npz(bag, path.with_name("a.npz"))
     skin = open_file(npz).skin
@@ -49,12 +43,6 @@ def test_an_npz_has_the_row_of_the_points_file_of_each_taxel(
     line = f"skin: point_rows are int32 [{n - 1}], expected int32 [{n}]"
     assert line in refusal(lambda: open_file(path.with_name("c.npz")))
 
-
-def test_a_csv_states_the_row_of_the_points_file_of_each_taxel(
-    on_points: tuple[Path, SkinState],
-) -> None:
-    path, state = on_points
-    assert state.point_rows is not None
     with BagReader(path) as bag:
         export_csv(bag, path.with_name("a_csv"))
     comment = (path.with_name("a_csv") / "skin_taxels.csv").read_text().splitlines()[1]

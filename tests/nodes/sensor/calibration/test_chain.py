@@ -97,10 +97,12 @@ def run(chain: Chain, force: Any, seconds: float, rate_hz: float = 100.0) -> np.
     return found
 
 
-@pytest.mark.parametrize("force", [0.011, 2.5])
-def test_a_steady_press_of_60_s_loses_nothing_above_the_threshold(force: float) -> None:
+def test_a_steady_press_of_60_s_and_its_edge_lose_nothing() -> None:
     # The threshold of a skin whose noise is not known: 0.004 of 2.5 N.
-    assert run(Chain(skin()), force, 60, rate_hz=20.0) == pytest.approx(force, abs=1e-7)
+    press = np.zeros(SHAPE)
+    press[1, 1], press[1, 2], press[2, 3] = 1.0, 0.008, 0.011
+    found = run(Chain(skin()), press, 60, rate_hz=20.0)
+    np.testing.assert_allclose(found, press, atol=1e-7)
 
 
 PAD = (12, 12)
@@ -126,7 +128,7 @@ def drift_under_a_light_press(
     return chain.drift.value / 2.5
 
 
-@pytest.mark.parametrize(("percent", "noise"), [(0.3, 0.005), (0.6, 0.005), (1.0, 0.0)])
+@pytest.mark.parametrize(("percent", "noise"), [(0.3, 0.005), (1.0, 0.0)])
 def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(
     percent: float, noise: float
 ) -> None:
@@ -134,7 +136,7 @@ def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(
     assert followed[PRESSED].mean() <= 0.01 * percent / 100
 
 
-@pytest.mark.parametrize("percent", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("percent", [0.0, 1.0])
 def test_a_light_press_loses_nothing_beside_a_drift_at_the_bounded_rate(percent: float) -> None:
     rate = 1e-4  # 0.6 % of f_max a minute
     followed = drift_under_a_light_press(percent, 0.005, drift=rate)
@@ -150,13 +152,6 @@ def test_the_drift_is_followed_again_after_a_light_press() -> None:
     assert not chain.drift.value.any()
     run(chain, 0.004, 40)  # stamps go back: a new recording
     assert (chain.drift.value > 0).all()
-
-
-def test_the_edge_of_a_press_is_held_too() -> None:
-    press = np.zeros(SHAPE)
-    press[1, 1], press[1, 2] = 1.0, 0.008
-    found = run(Chain(skin()), press, 60, rate_hz=20.0)
-    np.testing.assert_allclose(found, press, atol=1e-7)
 
 
 def test_a_drift_slower_than_the_rate_is_followed_with_the_lag_of_the_time_constant() -> None:
@@ -181,31 +176,11 @@ def test_a_pause_is_not_made_up_for() -> None:
     assert (chain.drift.value <= 0.5 * 1e-4 * 2.5 + 1e-12).all()
 
 
-def test_drift_is_held_after_a_touch() -> None:
-    chain = Chain(skin())
-    run(chain, lambda t: 1.0 if t < 1 else 0.005, 5.9)
-    assert not chain.drift.value.any()
-    run(chain, 0.005, 9)
-    assert (chain.drift.value >= 0).all()
-
-
-def test_noise_alone_moves_the_baseline_by_a_twentieth_of_it() -> None:
-    rng = np.random.default_rng(0)
-    chain = Chain(skin(noise=0.0141))
-    for k in range(6000):
-        chain.apply(rng.normal(0, 0.0141, SHAPE), k * 10_000_000)
-    # A first-order low pass of one frame in 50 ms: sqrt(0.05 s / (2 x 10 s)) of the noise; of 12
-    # taxels, the root mean square is known to a fifth.
-    found = np.sqrt(np.mean(np.square(chain.drift.value)))
-    assert found < 1.6 * np.sqrt(0.05 / 20) * 0.0141
-
-
-@pytest.mark.parametrize("touched", [0.0, 1.0])
-def test_frames_of_a_board_that_hangs_repeat_exactly_and_show_no_drift(touched: float) -> None:
+def test_frames_of_a_board_that_hangs_repeat_exactly_and_show_no_drift() -> None:
     rng, chain = np.random.default_rng(0), Chain(skin(noise=0.0141))
     for k in range(300):
         raw = rng.normal(0.01, 0.0141, SHAPE)
-        raw[0, 0] += touched
+        raw[0, 0] += 1.0
         chain.apply(raw, k * 10_000_000)
     followed = chain.drift.value.copy()
     assert followed.any()

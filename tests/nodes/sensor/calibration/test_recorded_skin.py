@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import skin_state
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.messages import SkinState
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
@@ -104,17 +104,7 @@ def test_a_message_holds_a_description(own: bool) -> None:
         response=Response(reading, np.array([1.0, 2.0])),
     )
 
-    state = SkinState(
-        stamp_ns=0,
-        patch="p",
-        **vars(skin.skin),
-        source="",
-        seed=0,
-        rate_hz=1.0,
-        has_truth=False,
-        sigma_mid=0.5,
-        sigma_end=0.5,
-    )
+    state = skin_state("p", **vars(skin.skin), has_truth=False, sigma_mid=0.5, sigma_end=0.5)
     found = of_messages(state, skin.message(0, "p"))
     for field in fields(skin):
         if field.name not in ("response", "noise_mid"):

@@ -12,7 +12,6 @@ from sparseskin.messages import Calibration, Message, SkinState, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.nodes.sensor.calibration.chain import Chain
 from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 from sparseskin.nodes.sensor.node import Sensor
@@ -127,12 +126,6 @@ def test_a_tare_is_refused_without_a_calibration_or_with_a_wrong_number() -> Non
     assert "next 30 frames" in sensor.command("tare", None)
 
 
-def test_a_tare_that_would_not_fit_in_memory_is_refused() -> None:
-    chain = Chain(SkinDescription("s", 1024, 1024, 1.0))
-    with pytest.raises(RefusedError, match="65 frames of this skin; at most 64"):
-        chain.start_tare(65)
-
-
 @pytest.mark.usefixtures("folder")
 def test_a_recording_that_ends_before_its_tare_says_so() -> None:
     run = Run(tare=200)
@@ -147,7 +140,6 @@ def test_a_recording_that_ends_before_its_tare_says_so() -> None:
         ({"skin": "plam.toml"}, "skin: plam.toml: there is no such file"),
         ({"skin": "palm.toml", "f_max": 1.0}, "f_max: the file of the skin has its own"),
         ({"skin": "palm.toml", "source": "scene:path_40"}, "skin: a scene has its own"),
-        ({"tare": 10, "source": "scene:path_40"}, "tare: a scene has its own"),
         ({"skin": "palm.toml", "n_rows": 4}, "n_rows = 4 is stated, but the frames have 3"),
         ({"f_min": 0.1}, "f_min: 0.1 is outside"),
     ],
@@ -207,19 +199,6 @@ def test_clipped_readings_are_logged_once_and_then_at_most_every_10_s(folder: Pa
     second = f"{clipped.format(83, 6.0)}, 41 below 0 N (lowest -1)"
     assert [line for line in run.log if "clipped" in line][1:] == [second]
     run.sensor.close({})
-
-
-def test_a_lower_end_below_0_keeps_noise_around_0(folder: Path) -> None:
-    noise = np.random.default_rng(0).normal(0, 0.0125, (50, *SHAPE))
-    np.save(folder / "noise.npy", noise)
-    (folder / "noisy_skin.py").write_text(
-        "import numpy as np\n\n\ndef frames():\n"
-        "    for k, frame in enumerate(np.load('noise.npy')):\n        yield k, frame\n"
-    )
-    kept = Run(source="noisy_skin:frames", f_min=-0.05)
-    np.testing.assert_allclose(np.stack(kept.frames(50)), noise, atol=1e-6)
-    assert kept.log == []
-    assert kept.of(SkinState)[0].f_min == -0.05
 
 
 def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_changed(

@@ -143,38 +143,21 @@ def test_no_file_is_written_over(tmp_path: Path) -> None:
         ("rows = 2\ncols = 3\n", "f_max: is missing"),
         (HEAD + "gain = 1", "gain: unknown key (did you mean 'gains'?)"),
         (HEAD + "[response]\nreadings = [1]", "response.readings: unknown key (did you mean 'rea"),
-        (HEAD + "[response]\nforce = [1]", "response.reading: is missing"),
         (HEAD + "[response]\nreading = [2, 1]\nforce = [1, 2]", "response.reading: must be above"),
-        (HEAD + "[response]\nreading = [1, 2]\nforce = [1]", "2 knots, but response.force has 1"),
         (HEAD + "[response]\nreading = [1e-300]\nforce = [1e30]", "response: a slope is outside"),
         (HEAD + f"[response]\nforce = {list(range(1, 34))}\nreading = [1]", "33 knots; allowed"),
-        (HEAD + "[response]\nreading = [[[1]]]\nforce = [1]", "expected K numbers, or K grids of"),
         (HEAD + "response = 3", "response: expected a table"),
-        (
-            HEAD + "[response]\nreading = [1]\nforce = [1e31]",
-            "response.force: must be above 0,",
-        ),
         ("rows = true\ncols = 3\nf_max = 1", "rows: expected a whole number, got bool"),
         ("rows = 4096\ncols = 4096\nf_max = 1", "4096 x 4096 cells; at most"),
-        ("rows = 2\ncols = 3\nf_max = 0", "f_max: 0.0 is outside 1e-09..1e+30"),
-        (HEAD + "noise = 3", "noise: 3.0 is outside 0.0..2.5"),
         (HEAD + "noise_mid = 1", "noise_mid: is stated without noise"),
-        (HEAD + "f_min = 1", "f_min: 1.0 is outside -2.5..0.0"),
         (HEAD + "unit = ''", "unit: expected 1..32 printable"),
-        (HEAD + 'name = "a\\u001b[2J"', "name: expected 1..64 printable"),
         (HEAD + "mask = ['111', '112']", "mask: expected 2 texts of 3 characters 0 and 1"),
-        (HEAD + "mask = ['000', '000']", "mask: leaves no taxel"),
-        (HEAD + "baseline = [[1, 2, 3], [1, 2]]", "baseline: expected numbers, in lists of one"),
         (HEAD + "baseline = [[1, 2, 3], [1, 2, nan]]", "baseline: expected numbers of at most"),
         (HEAD + "gains = 0", "gains: expected numbers of 1e-12..1e+12"),
         (HEAD + "gains = [1, 2]", "gains: float64 of shape (2,); expected float64 of shape (2, 3)"),
-        (HEAD + "gains = ['1', '2']", "gains: expected numbers, in lists of one length"),
-        (HEAD + "arrays = 3", "arrays: expected the name of an .npz"),
         (HEAD + "arrays = 'b.npz'", "arrays: b.npz: "),
-        (HEAD + "arrays = '../b.npz'", "arrays: '../b.npz' is not a file beside"),
         (HEAD + "a = " + "[" * 900, "more than 8 tables or lists"),
         ("rows = ", "not TOML"),
-        ("#" * (MAX_FILE_CHARS + 1), f"more than {MAX_FILE_CHARS} characters"),
         ("#" * (4 * MAX_FILE_CHARS + 1), "more than 1048576 bytes"),
     ],
 )
@@ -198,10 +181,7 @@ def save_arrays(path: Path, **held: Any) -> None:
     ("held", "line"),
     [
         ({"baseline": np.zeros((3, 2))}, "float64 of shape (3, 2); expected float64"),
-        ({"baseline": np.zeros((2, 3), np.float32)}, "baseline: float32 of shape"),
-        ({"gain": np.ones((2, 3))}, "gain: unknown key (did you mean 'gains'?)"),
         ({"mask": np.array([[object()]])}, "it holds Python objects"),
-        ({"mask": np.zeros((2, 3), bool)}, "mask: leaves no taxel"),
         ({"baseline": np.zeros((2000, 2000))}, "bytes, of a file of"),
         ({"response_reading": np.ones((1, 2, 3))}, "response.force: is missing"),
     ],
@@ -223,12 +203,6 @@ def test_arrays_stay_beside_the_file(tmp_path: Path) -> None:
     (tmp_path / "b.npz").symlink_to(away / "b.npz")
     with pytest.raises(SkinFileError, match="is not a file beside"):
         load_skin(write(tmp_path, HEAD + "arrays = 'b.npz'"))
-
-
-def test_no_array_is_stated_twice(tmp_path: Path) -> None:
-    save_arrays(tmp_path / "b.npz", baseline=np.zeros((2, 3)))
-    with pytest.raises(SkinFileError, match="baseline: is stated in the file and in its arrays"):
-        load_skin(write(tmp_path, HEAD + "baseline = 1\narrays = 'b.npz'"))
 
 
 def test_a_pipe_a_folder_and_no_file_are_refused_at_once(tmp_path: Path) -> None:

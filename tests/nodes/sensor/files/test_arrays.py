@@ -21,7 +21,6 @@ from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import find_address
 
 FORCES = np.arange(24, dtype=np.float64).reshape(2, 3, 4) / 10
-DTYPES = [">f4", "<f8", "<f2", "u1", ">i4", "<u8"]
 
 
 def frames_of(source: RecordedSource) -> npt.NDArray[np.float32]:
@@ -47,8 +46,7 @@ def open_bytes(folder: Path, name: str, raw: bytes, **stated: Any) -> RecordedSo
 
 
 class TestNpy:
-    @pytest.mark.parametrize("dtype", DTYPES)
-    @pytest.mark.parametrize("order", ["C", "F"])
+    @pytest.mark.parametrize(("dtype", "order"), [(">f4", "C"), ("u1", "F"), ("<u8", "C")])
     def test_any_real_dtype_and_order_is_read_as_float32(
         self, tmp_path: Path, dtype: str, order: Any
     ) -> None:
@@ -73,20 +71,13 @@ class TestNpy:
         assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 2.5, 1000)
         assert [stamp for stamp, _ in source] == [0, 1_000_000]
 
-    def test_a_range_that_float32_rounds_is_not_below_its_own_peak(self, tmp_path: Path) -> None:
-        raw = npy_bytes(np.full((1, 1, 1), 0.1, dtype=np.float32))
-        assert open_bytes(tmp_path, "skin.npy", raw, f_max=0.1).skin.f_max == 0.1
-
     @pytest.mark.parametrize(
         ("array", "message"),
         [
             (np.zeros((3, 4)), r"has 2 dimensions, shape \(3, 4\); expected three"),
             (np.zeros((0, 3, 4)), "holds no frame"),
-            (np.zeros((2, 0, 4)), "0 rows x 4 columns"),
-            (np.zeros((1, 1, 5000), dtype="u1"), r"5000 columns; allowed are 1\.\.4096"),
             (np.zeros((1, 2048, 1024), dtype="u1"), "2097152 cells; at most 1048576"),
             (np.zeros((2, 3, 4), dtype=complex), "dtype 'complex128'; allowed are integers"),
-            (np.zeros((2, 3, 4), dtype=[("a", "f4")]), "dtype"),
             (np.zeros((2, 3, 4)), "all readings are 0, so its range is unknown; state f_max"),
         ],
     )
@@ -143,29 +134,18 @@ class TestNpz:
             frames_of(open_bytes(tmp_path, "skin.npz", raw)), FORCES.astype(np.float32)
         )
 
-    def test_a_mask_of_all_taxels_is_no_mask(self, tmp_path: Path) -> None:
-        raw = npz_bytes(forces=FORCES, mask=np.ones((3, 4), dtype=bool))
-        assert open_bytes(tmp_path, "skin.npz", raw).skin.mask is None
-
     @pytest.mark.parametrize(
         ("arrays", "message"),
         [
             ({"a": FORCES, "b": FORCES}, "expected an array 'forces' or exactly one 3-D array"),
             ({}, "it holds nothing"),
-            ({"forces": np.zeros((3, 4))}, "array 'forces': has 2 dimensions"),
             ({"forces": FORCES, "mask": np.zeros((3, 4), bool)}, "no cell of the skin is a taxel"),
             ({"forces": FORCES, "mask": np.ones((4, 3), bool)}, r"array 'mask': shape \(4, 3\)"),
-            ({"forces": FORCES, "mask": np.full((3, 4), 2)}, "expected bool"),
-            ({"forces": FORCES, "stamp_ns": [1.0, 2.0]}, "expected whole nanoseconds"),
             ({"forces": FORCES, "stamp_ns": [1, 2, 3]}, r"expected one a frame: \(2,\)"),
             ({"forces": FORCES, "stamp_ns": [7, 7]}, "stamp 1 is 7, not after"),
             ({"forces": FORCES, "rate_hz": -1.0}, "array 'rate_hz': -1 must be above 0"),
-            ({"forces": FORCES, "rate_hz": np.inf}, "array 'rate_hz': 'inf' is not a finite"),
-            ({"forces": FORCES, "rate_hz": [1, 2]}, "array 'rate_hz': expected one number"),
-            ({"forces": FORCES, "rate_hz": 1e12}, "rate_hz = 1e\\+12 is outside"),
             ({"forces": FORCES, "f_max": "2.5"}, "array 'f_max': expected one number"),
             ({"forces": FORCES, "f_max": 1.0}, "f_max = 1 is below the largest reading, 2.3"),
-            ({"forces": FORCES, "unit": 3}, "array 'unit': expected one text"),
             ({"forces": FORCES, "unit": "a\nb"}, "expected 1 to 32 printable characters"),
             ({"forces": np.array([[["a", None]]], dtype=object)}, "holds Python objects"),
         ],
@@ -197,21 +177,17 @@ class TestPlainCsv:
         ("raw", "stated", "message"),
         [
             (b"1,2,3,4\n", {}, r"line 1: .*set n_rows and n_cols \(this line holds 4 cells\)"),
-            (b"1,2,3,4\n", {"n_rows": 3}, "holds 4 cells, but n_rows x n_cols = 3 x 1 needs 3"),
             (b"1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "2 x 3 needs 6"),
             (b"1,2,3,4\n1,2,3\n", {"n_rows": 2, "n_cols": 2}, "line 2: holds 3 cells"),
             (b"1,2\n\n3,-4\n", {"n_rows": 1}, "line 3, row 0, column 1: '-4' is below 0"),
-            (b"1,,2,3\n", {"n_rows": 2}, "row 0, column 1: '' is not a number"),
             (
                 b"a,b\n1,2\n",
                 {"n_rows": 1},
                 "line 1: 'a' is not a number; allowed: an export of Tekscan or XSENSOR",
             ),
-            (b"1,1e31\n", {"n_rows": 1}, r"'1e31' is beyond 1e\+30"),
             (b"\n# only\n", {"n_rows": 1}, "holds no frame"),
             (b"1,2\n", {"n_rows": 1, "unit": None}, "does not state its unit; set unit"),
             (b"sole_id,timestamp,accel_x\n1,2,3\n", {"n_rows": 1}, "an export of StappOne has sen"),
-            (b"BodiTrak Pro,,\n1,2,3\n", {"n_rows": 1}, "an export of BodiTrak is not read"),
         ],
     )
     def test_what_is_no_table_of_frames_is_refused_with_its_line(
@@ -240,16 +216,17 @@ class TestAnyBytes:
         stated: dict[str, Any] = {"n_rows": 2, "unit": "N"} if suffix == "csv" else {}
         try:
             source = open_bytes(tmp_path, f"any.{suffix}", bytes(raw), **stated)
-        except SourceError:
-            return
-        frames = frames_of(source)
-        assert np.isfinite(frames).all()
-        assert frames.min() >= 0
-        assert frames.max() <= np.float32(source.skin.f_max)
+        except SourceError as error:
+            line = str(error)
+        else:
+            line, frames = "", frames_of(source)
+            assert np.isfinite(frames).all()
+            assert frames.min() >= 0
+            assert frames.max() <= np.float32(source.skin.f_max)
+        assert line.isprintable()
 
 
-@pytest.mark.parametrize("order", ["C", "F"])
-@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+@pytest.mark.parametrize(("suffix", "order"), [(".npy", "F"), (".npz", "C")])
 def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(
     tmp_path: Path, suffix: str, order: Any
 ) -> None:
@@ -296,7 +273,6 @@ def test_an_npz_may_hold_the_points_of_its_taxels(tmp_path: Path) -> None:
     assert np.array_equal(open_file(str(path)).skin.points, points)
     for wrong, what in (
         (points[:2], "the points are float32 .2, 6., expected float32 .3, 6."),
-        (points.astype(np.float64), "the points are float64"),
         (points * 2, "normal 0 has length 2, expected 1"),
         (np.where(points == 3, np.nan, points).astype(np.float32), "point 2 is not within"),
     ):

@@ -30,11 +30,10 @@ def square_bed(stiffness: float, damping: float, with_pitch: bool = False) -> Be
     )
 
 
-def falling_body(inertia_kg_m2: float | None = None, off_centre_m: float = 0.0) -> RigidBody:
-    weight = MASS_KG * GRAVITY_M_S2
-    if inertia_kg_m2 is None:
-        return RigidBody(np.array([MASS_KG]), np.array([-weight]))
-    return RigidBody(np.array([MASS_KG, inertia_kg_m2]), np.array([-weight, weight * off_centre_m]))
+def falling_body(*inertia_kg_m2: float) -> RigidBody:
+    forces = np.zeros(1 + len(inertia_kg_m2))
+    forces[0] = -MASS_KG * GRAVITY_M_S2
+    return RigidBody(np.array([MASS_KG, *inertia_kg_m2]), forces)
 
 
 def bed_of(omega: float, zeta: float) -> Bed:
@@ -54,21 +53,6 @@ def run(
     return np.array(qs), np.array(vs)
 
 
-def test_off_centre_mass_tilts_to_the_closed_form() -> None:
-    stiffness, off_centre_m = 122.24, 0.002
-    bed = square_bed(stiffness, 2.0, with_pitch=True)
-    body = falling_body(inertia_kg_m2=1e-3, off_centre_m=off_centre_m)
-    q, v = run(body, bed, [0.0, 0.0], [0.0, 0.0], 1e-3, 6000)
-    weight = MASS_KG * GRAVITY_M_S2
-    moment_of_bed = stiffness * float(np.sum(bed.jacobian[:, 1] ** 2))
-    forces = bed.forces(q[-1], v[-1])
-    assert forces.min() > 0.0
-    assert q[-1, 0] == pytest.approx(-weight / (stiffness * N_CELLS), rel=0.01)
-    assert q[-1, 1] == pytest.approx(weight * off_centre_m / moment_of_bed, rel=0.01)
-    centre_of_force = -float(forces @ bed.jacobian[:, 1]) / forces.sum()
-    assert centre_of_force == pytest.approx(off_centre_m, rel=0.01)
-
-
 def test_cells_push_and_never_pull() -> None:
     bed = square_bed(100.0, 10.0)
     assert not bed.forces(np.array([1e-4]), np.array([-1.0])).any()  # above, and approaching
@@ -76,47 +60,18 @@ def test_cells_push_and_never_pull() -> None:
     np.testing.assert_allclose(bed.forces(np.array([-0.01]), np.array([-0.1])), 100 * 0.01 + 1.0)
 
 
-@pytest.mark.parametrize("omega_dt", [2.0, 1e4])
-def test_oscillation_faster_than_the_step_only_loses_energy(omega_dt: float) -> None:
-    omega = 1000.0
-    dt_s = omega_dt / omega
-    static = -GRAVITY_M_S2 / omega**2
-    # Half the static depth off the balance: the contact lasts, and the bed is linear.
-    q, v = run(falling_body(), bed_of(omega, 0.0), [0.5 * static], [0.0], dt_s, 1000)
-    energy = (omega * (q[:, 0] - static)) ** 2 + v[:, 0] ** 2
-    falling = energy > 1e-20 * energy[0]
-    assert np.all(np.diff(energy)[falling[:-1]] < 0.0)
-    assert q[-1, 0] == pytest.approx(static, rel=1e-6)
-
-
-@pytest.mark.parametrize("c_dt_over_m", [2.0, 1e4])
-def test_damping_faster_than_the_step_only_slows_the_body(c_dt_over_m: float) -> None:
-    dt_s, speed = 1e-3, 1e-3
-    bed = square_bed(1e-6, c_dt_over_m * MASS_KG / dt_s / N_CELLS)
-    body = RigidBody(np.array([MASS_KG]), np.array([0.0]))
-    q, v = run(body, bed, [-1e-3], [-speed], dt_s, 50)
-    assert np.all(np.abs(np.diff(q[:, 0])) <= speed * dt_s)
-    moving = np.flatnonzero(np.abs(v[:, 0]) > 1e-6 * speed)
-    assert moving.size == moving[-1] + 1 < 50
-    assert np.all(np.diff(v[moving, 0]) > 0.0)
-    assert v[:, 0].max() < 1e-6 * speed
-
-
-@pytest.mark.parametrize("omega_dt", [2.0, 100.0])
-def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest(omega_dt: float) -> None:
-    dt_s = 1e-3
-    omega = omega_dt / dt_s
+def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest() -> None:
+    dt_s, omega = 1e-3, 1e5
     bed = bed_of(omega, 0.05)
     q, v = run(falling_body(), bed, [0.05], [0.0], dt_s, 2000)
     assert q[:, 0].max() <= 0.05
     assert bed.forces(q[-1], v[-1]).sum() == pytest.approx(MASS_KG * GRAVITY_M_S2, rel=0.01)
 
 
-@pytest.mark.parametrize("dt_s", [1e-4, 1e-2])
-def test_bouncing_and_tipping_body_never_gains_energy(dt_s: float) -> None:
-    inertia, stiffness = 1e-4, 500.0
+def test_bouncing_and_tipping_body_never_gains_energy() -> None:
+    inertia, stiffness, dt_s = 1e-4, 500.0, 1e-2
     bed = square_bed(stiffness, 0.0, with_pitch=True)
-    body = falling_body(inertia_kg_m2=inertia)
+    body = falling_body(inertia)
     q, v = run(body, bed, [0.02, 0.3], [0.0, 0.0], dt_s, 1500)
     depth = np.maximum(-(q @ bed.jacobian.T), 0.0)
     energy = (

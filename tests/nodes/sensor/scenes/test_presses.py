@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,7 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import (
     BODIES,
     COURSES,
-    HELD,
     N_BEFORE,
-    PAUSE,
     RAMP,
     SKINS,
     Timing,
@@ -33,9 +32,8 @@ def frames_of(
 
 
 @pytest.mark.parametrize("shape", SKINS)
-@pytest.mark.parametrize("body", BODIES)
-def test_every_body_presses_every_skin_within_its_range(body: str, shape: tuple[int, int]) -> None:
-    for course in COURSES:
+def test_every_body_presses_every_skin_within_its_range(shape: tuple[int, int]) -> None:
+    for body, course in itertools.product(BODIES, COURSES):
         truth, reading = frames_of(body, shape, 70, course=course)
         assert truth.dtype == reading.dtype == np.float32
         assert truth.shape == (70, *shape)
@@ -46,7 +44,7 @@ def test_every_body_presses_every_skin_within_its_range(body: str, shape: tuple[
         assert truth[N_BEFORE + RAMP // 2].any()
 
 
-@pytest.mark.parametrize("active", [0.01, 0.1, 0.3, 0.6])
+@pytest.mark.parametrize("active", [0.01, 0.6])
 @pytest.mark.parametrize("body", BODIES)
 def test_a_body_touches_about_the_stated_part_of_the_skin(body: str, active: float) -> None:
     truth, _ = frames_of(body, (40, 40), 120, active=active)
@@ -54,10 +52,8 @@ def test_a_body_touches_about_the_stated_part_of_the_skin(body: str, active: flo
     assert 0.6 * active < np.median(touched) < 1.25 * active + 0.005
 
 
-@pytest.mark.parametrize("speed", [0.05, 0.3, 1.0])
-def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back(
-    speed: float,
-) -> None:
+def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back() -> None:
+    speed = 0.3
     truth, _ = frames_of("peg", (64, 64), 150, speed=speed, active=0.02)
     i, j = np.indices((64, 64))
     pressed = truth[N_BEFORE + 1 :].astype(np.float64)
@@ -82,16 +78,6 @@ def test_parts_of_a_course_last_as_many_frames_as_are_stated() -> None:
     moving, _ = frames_of("peg", course="moving", n=15, speed=0.0, timing=timing)
     rising = moving.sum(axis=(1, 2))
     assert np.argmax(rising > 0.999 * rising.max()) == 3 + 5 - 1
-
-
-def test_a_sudden_contact_is_whole_in_its_first_frame_and_the_next_one_elsewhere() -> None:
-    truth, _ = frames_of("peg", course="sudden", n=N_BEFORE + 2 * (HELD + PAUSE))
-    first, second = N_BEFORE, N_BEFORE + HELD + PAUSE
-    assert not truth[first - 1].any()
-    np.testing.assert_array_equal(truth[first], truth[first + HELD - 1])
-    assert not truth[first + HELD].any()
-    assert truth[second].any()
-    assert not np.array_equal(truth[first] > 0, truth[second] > 0)
 
 
 def test_frames_follow_from_the_seed_and_not_from_their_number() -> None:

@@ -12,11 +12,8 @@ import numpy.typing as npt
 import pytest
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.scenes.bodies import FAR_M, build_sole, monkey_wrench, slab
 from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2
-from sparseskin.nodes.sensor.scenes.motion import RandomPath
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
-from sparseskin.nodes.sensor.scenes.simulation import MovingAverage
 
 TABLE = {
     "lift_box_40": (40, 700, 1_000_000),
@@ -88,13 +85,11 @@ def test_whole_scene_starts_untouched_touches_stays_in_range_and_all_but_path_en
     assert peak[-len(peak) // 10 :].any()
 
 
-@pytest.mark.parametrize("name", ["lift_box_40", "path_40"])
-def test_same_seed_gives_the_same_frames_at_each_playing(name: str) -> None:
-    source = open_scene(name, 7)
-    first = [f for _, f in itertools.islice(source, 400)]
-    again = [f for _, f in itertools.islice(source, 400)]
+def test_same_seed_gives_the_same_frames_at_each_playing() -> None:
+    source = open_scene("path_40", 7)
+    first, again = ([f for _, f in itertools.islice(source, 400)] for _ in range(2))
     np.testing.assert_array_equal(first, again)
-    np.testing.assert_array_equal(first, frames(name, 0, 400, seed=7))
+    np.testing.assert_array_equal(first, frames("path_40", 0, 400, seed=7))
 
 
 def test_another_seed_drops_the_peg_elsewhere() -> None:
@@ -102,14 +97,6 @@ def test_another_seed_drops_the_peg_elsewhere() -> None:
     assert first.any()
     assert other.any()
     assert not np.array_equal(first > 0, other > 0)
-
-
-def test_a_yielded_frame_is_never_modified_later() -> None:
-    kept, copies = [], []
-    for _, forces in itertools.islice(open_scene("lift_box_40", 0), 310, 360):
-        kept.append(forces)
-        copies.append(forces.copy())
-    np.testing.assert_array_equal(kept, copies)
 
 
 @pytest.mark.parametrize(
@@ -136,62 +123,6 @@ def test_ground_takes_its_part_as_the_wrench_leaves_the_skin() -> None:
     weight = 1.0 * GRAVITY_M_S2
     mean = played("drag_wrench_40").total[4700:4900].mean()
     assert 0.0 < mean < 0.5 * weight
-
-
-def test_a_random_path_fills_its_rectangle_at_constant_speed_and_lasts_to_its_end() -> None:
-    rng = np.random.default_rng(0)
-    places = []
-    for _ in range(200):
-        place, course = RandomPath(at_s=0.0, speed_m_s=0.05).draw(rng, 0.09, 0.04, end_s=3.0)
-        assert course.times_s[-1] > 3.0 >= course.times_s[-2]
-        assert course.offsets_m[0] == (0.0, 0.0)
-        places += [np.add(place, offset) for offset in course.offsets_m]
-        lengths = np.hypot(*np.diff(course.offsets_m, axis=0).T)
-        np.testing.assert_allclose(lengths, 0.05 * np.diff(course.times_s))
-    assert (np.abs(places) <= [0.09, 0.04]).all()
-    # Uniform: mean 0, and standard deviation half a side by sqrt(3).
-    np.testing.assert_allclose(np.mean(places, axis=0), 0.0, atol=0.01)
-    np.testing.assert_allclose(np.std(places, axis=0), np.array([0.09, 0.04]) / 3**0.5, rtol=0.1)
-
-
-def test_wrench_has_the_extent_of_the_mesh() -> None:
-    sole = monkey_wrench(0.0).sole
-    rows, cols = np.nonzero(sole.heights < FAR_M)
-    x = sole.x_min + sole.grid_m * cols
-    y = sole.y_min + sole.grid_m * rows
-    found = [x.min(), x.max(), y.min(), y.max()]
-    np.testing.assert_allclose(found, [-0.2028, 0.1879, -0.0294, 0.0540], atol=0.001)
-
-
-def test_wrench_stands_on_the_wheels_rim_and_the_handles_end() -> None:
-    sole = monkey_wrench(0.0).sole
-    x = np.array([-0.0763, 0.1796, 0.1840, -0.1850, -0.1150, 0.0])
-    y = np.array([-0.0058, 0.0101, 0.0141, 0.0300, 0.0300, 0.0])
-    heights = sole.sample(x, y)
-    np.testing.assert_allclose(heights[:3], 0.0, atol=1e-4)
-    np.testing.assert_allclose(heights[3:], [0.0026, 0.0026, 0.0050], atol=1e-6)
-    assert sole.heights.min() >= 0.0
-    lowest_rows, lowest_cols = np.nonzero(sole.heights < 1e-4)
-    lowest_x = sole.x_min + sole.grid_m * lowest_cols
-    assert np.all((np.abs(lowest_x + 0.0758) < 0.006) | (np.abs(lowest_x - 0.1818) < 0.004))
-    assert lowest_rows.size > 0
-
-
-def test_edge_of_a_body_is_felt_by_the_flank_of_a_taxel() -> None:
-    radius = 0.0025
-    sole = build_sole([slab(-0.01, 0.01, -0.01, 0.01, 0.0)], (-0.01, 0.01, -0.01, 0.01), radius)
-    beyond = np.array([0.0, 0.0005, 0.0010, 0.0015, 0.0020])
-    felt = sole.sample(0.01 + beyond, np.zeros(5))
-    np.testing.assert_allclose(felt, radius - np.sqrt(radius**2 - beyond**2), atol=1e-9)
-    assert sole.sample(np.array([0.0125, 0.02]), np.zeros(2)).min() > 0.1
-
-
-def test_moving_average_of_a_taxel_let_go_is_exactly_zero() -> None:
-    average = MovingAverage(3, (1, 1))
-    for value in (0.1, 0.7, 1e-6, 0.0, 0.0, 0.0):
-        average.newest[:] = value
-        last = average.step()
-    assert last[0, 0] == 0.0
 
 
 @pytest.mark.parametrize(
