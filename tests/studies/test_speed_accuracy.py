@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sparseskin.nodes.compressor.phi.base import KINDS
+from sparseskin.nodes.compressor.phi.base import KINDS, make_phi
 from sparseskin.nodes.reconstructor.bases.base import BASES
-from sparseskin.studies.baselines.libraries import PEERS, Bpdn
+from sparseskin.studies.baselines.libraries import PEERS, Bpdn, TotalVariation
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.speed_accuracy.charts import front
 from sparseskin.studies.speed_accuracy.experiments import (
@@ -64,3 +64,15 @@ def test_the_front_is_of_rows_that_none_beats() -> None:
     )
     best = front(rows, "median_ms", "mean_db")
     assert [*best.itertuples(index=False, name=None)] == [(1, 40), (2, 45), (3, 47)]
+
+
+def test_total_variation_of_sigpy_finds_an_even_box() -> None:
+    pytest.importorskip("sigpy")
+    mask = np.ones((16, 16), np.bool_)
+    mask[0] = False
+    box = np.zeros((16, 16), np.float32)
+    box[5:11, 4:12] = 1
+    phi = make_phi("sbhe", n=240, m=120, seed=0)
+    found = TotalVariation(phi, mask, 0.002, 300).reconstruct(box).forces
+    assert np.linalg.norm(found - box) < 0.1 * np.linalg.norm(box)
+    assert not found[0].any()
