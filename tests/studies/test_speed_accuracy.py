@@ -73,6 +73,6 @@ def test_total_variation_of_sigpy_finds_an_even_box() -> None:
     box = np.zeros((16, 16), np.float32)
     box[5:11, 4:12] = 1
     phi = make_phi("sbhe", n=240, m=120, seed=0)
-    found = TotalVariation(phi, mask, 0.002, 300).reconstruct(box).forces
+    found = TotalVariation(phi, mask, 0.01, 1000).reconstruct(box).forces
     assert np.linalg.norm(found - box) < 0.1 * np.linalg.norm(box)
     assert not found[0].any()
