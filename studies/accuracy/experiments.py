@@ -50,7 +50,7 @@ READINGS = {
 }
 """Estimators that read all taxels."""
 
-WEIGHTS_N = (0.0005, 0.002, 0.008, 0.032)
+WEIGHTS_N = (0.002, 0.008, 0.032)
 """Weights of total variation and of Haar for the paper's range, newtons."""
 FEW, MANY = "in the time of skin", "converged"
 """Iterations of the methods beside `skin`."""
@@ -58,19 +58,19 @@ SINGLE = {
     SKIN: Candidate(PRESETS["skin"], alone=True),
     **{
         f"TV {label}, {weight:g}": Candidate({"weight": weight, "iterations": n}, of="tv")
-        for label, n in ((FEW, 4), (MANY, 300))
+        for label, n in ((FEW, 4), (MANY, 1500))
         for weight in WEIGHTS_N
     },
     **{
         f"Haar {label}, {weight:g}": Candidate(
             {"solver": "fista", "basis": "haar", "iterations": n, "lambda_n": weight}, alone=True
         )
-        for label, n in ((FEW, 30), (MANY, 300))
+        for label, n in ((FEW, 30), (MANY, 1000))
         for weight in WEIGHTS_N
     },
 }
 """Methods that reconstruct each frame by itself; total variation is that of SigPy."""
-ALONE_FRAMES = 6
+ALONE_FRAMES = 4
 
 SCENES = (
     *("lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40"),
