@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .base import Message
+    from .contacts import Contacts
     from .errors import (
         FieldError,
         MalformedError,
@@ -29,14 +30,14 @@ if TYPE_CHECKING:
     from .wire import MAX_MESSAGE_BYTES, decode, encode, size_bytes
 
 __all__ = [
-    "MAX_MESSAGE_BYTES", "Calibration", "End", "FieldError", "MalformedError", "Measurements",
-    "Message", "MessageError", "NotFiniteError", "OversizedError", "PhiState",
+    "MAX_MESSAGE_BYTES", "Calibration", "Contacts", "End", "FieldError", "MalformedError",
+    "Measurements", "Message", "MessageError", "NotFiniteError", "OversizedError", "PhiState",
     "Reconstruction", "Resultant", "ShapeError", "Skin", "SkinState",
     "SolverState", "Taxels", "TruncatedError", "Truth",
     "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
 ]  # fmt: skip
 
-_MODULES = ("topics", "errors", "base", "frames", "skin", "state", "wire")
+_MODULES = ("topics", "errors", "base", "frames", "contacts", "skin", "state", "wire")
 
 
 def __getattr__(name: str) -> Any:

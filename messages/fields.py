@@ -229,7 +229,8 @@ class Array(FieldKind):
     """An array of one dtype, `ndim` dimensions, no side empty; None where `optional`. A side of one
     with several dimensions has at most `longest` elements. The first side of one of `patches` is
     the patches of the message, in their order; a message of one may be made without it. Where
-    `sparse`, the array may hold only the patches that have something to send, also none.
+    `sparse`, the array may hold only the patches that have something to send, also none; of one
+    that is not of `patches`, the first side may be 0.
 
     Its wire form is a map {dtype, shape, order, data}: `dtype` in numpy's array-interface form
     with the byte order ("<f4"), `order` always "C", `data` a msgpack bin field.
@@ -308,7 +309,7 @@ class Array(FieldKind):
         self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         """The array of bytes, as many as `checked_form` returned; MessageError if not finite."""
-        if self._dtype.kind == "b" and max(data) > 1:
+        if self._dtype.kind == "b" and max(data, default=0) > 1:
             raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
         value: npt.NDArray[Any] = np.ndarray(shape, self._dtype, data)
         self._check_finite(name, value)
@@ -341,7 +342,7 @@ class Array(FieldKind):
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
         if shape in self._sound:
             return
-        if len(shape) != self.ndim or min(shape[self.sparse :]) < 1:
+        if len(shape) != self.ndim or min(shape[self.sparse :], default=1) < 1:
             raise ShapeError(
                 f"{name}: expected {self.ndim} dimensions, none empty, got {list(shape)}"
             )

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from sparseskin.launch.launchfile.load import load as load_launch
     from sparseskin.nodes.compressor.phi.base import make_phi
     from sparseskin.nodes.reconstructor.bases.base import make_basis
+    from sparseskin.nodes.reconstructor.contacts import find_contacts
 
     from .arrays import (
         compress,
@@ -42,6 +43,7 @@ _HOMES = {
     "make_solver": ("sparseskin.arrays", "make_solver"),
     "compress": ("sparseskin.arrays", "compress"),
     "reconstruct": ("sparseskin.arrays", "reconstruct"),
+    "find_contacts": ("sparseskin.nodes.reconstructor.contacts", "find_contacts"),
     "Stream": ("sparseskin.stream", "Stream"),
     "psnr_db": ("sparseskin.arrays", "psnr_db"),
     "simulate": ("sparseskin.arrays", "simulate"),
@@ -54,6 +56,7 @@ __all__ = [
     "Stream",
     "__version__",
     "compress",
+    "find_contacts",
     "load_launch",
     "make_basis",
     "make_phi",

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.launchfile.spec import LaunchFile
-from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
+from sparseskin.messages import Contacts, Measurements, Message, Reconstruction, Taxels, Truth
 from sparseskin.messages.frames import Frames, values_alone
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.bus import Bus
@@ -317,6 +317,8 @@ class Frame:
         RMS error of a taxel of `forces` as the solver estimates it, newtons, where it does.
     trusted : bool
         False if that error is a large part of the forces; True also where it is not estimated.
+    contacts : Contacts or None
+        Contacts of `forces`, arrays with an entry each, with `reconstructor.contacts=true`.
     """
 
     patch: str
@@ -327,6 +329,7 @@ class Frame:
     forces: Floats | None = None
     error: float | None = None
     trusted: bool = True
+    contacts: Contacts | None = None
 
 
 def run_launch(
@@ -392,8 +395,11 @@ def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator
         if not isinstance(message, Frames):
             continue
         for one in message.split(held):
-            values = values_alone(one)
             parts = found.setdefault((one.patch, one.stamp_ns), {})
+            if isinstance(one, Contacts):
+                parts["contacts"] = one
+                continue
+            values = values_alone(one)
             parts[_PARTS[type(one)]] = values.get("y", values.get("forces"))
             parts |= {name: values[name] for name in ("error", "trusted") if name in values}
     for (patch, stamp_ns), parts in found.items():

@@ -10,6 +10,7 @@ from bags import MASK, N_COLS, N_ROWS, PERIOD_NS, PHI, M, frame, make_bag, skin_
 
 from sparseskin.messages import (
     Calibration,
+    Contacts,
     Message,
     PhiState,
     Resultant,
@@ -19,6 +20,24 @@ from sparseskin.messages import (
 from sparseskin.messages.quantised import Quantised
 
 N_FRAMES = 12
+
+
+def contacts(k: int) -> Contacts:
+    """Contacts of frame k: k % 3 of them, which begin in that frame; of one alone the place."""
+    n = k % 3
+    ones, pairs = np.full(n, 0.5 + k, np.float32), np.full((n, 2), 0.25 * k, np.float32)
+    ids, flags = np.arange(1, n + 1, dtype=np.int32), np.zeros(n, np.bool_)
+    place = {"place_mm": np.ones((1, 3), np.float32)} if n == 1 else {}
+    events = {"events": np.array([(0, one, 0) for one in ids], np.int32)} if n else {}
+    return Contacts(
+        **{"stamp_ns": k * PERIOD_NS, "patch": "skin", "done_ns": 3, "id": ids, "area": ids},
+        **dict.fromkeys(("total", "total_sd", "peak", "age_s"), ones),
+        **dict.fromkeys(("centre", "centre_sd", "velocity"), pairs),
+        **dict.fromkeys(("over", "sliding"), flags),
+        **place,
+        **events,
+        trusted=k != 4,
+    )
 
 
 def rich_frames() -> list[Message]:
@@ -51,7 +70,7 @@ def rich_frames() -> list[Message]:
         resultant = Resultant(
             stamp_ns=k * PERIOD_NS, patch="skin", total=float(k), total_sd=0.5, done_ns=3, **touched
         )
-        found += [taxels, truth, measurements, resultant, reconstruction]
+        found += [taxels, truth, measurements, resultant, reconstruction, contacts(k)]
         if k == 5:
             found.append(replace(skin_state(), stamp_ns=k * PERIOD_NS, rate_hz=50.0, mask=None))
             gains = np.full((N_ROWS, N_COLS), 2.0, np.float32)

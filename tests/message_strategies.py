@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 from sparseskin.messages import (
     Calibration,
+    Contacts,
     End,
     Measurements,
     Message,
@@ -22,7 +23,7 @@ from sparseskin.messages import (
     Truth,
 )
 from sparseskin.messages.base import wire_fields
-from sparseskin.messages.fields import Each, FieldKind, Flag, Integer, Real, Text
+from sparseskin.messages.fields import Array, Each, FieldKind, Flag, Integer, Real, Text
 from sparseskin.messages.wire import Payload, received, wire_bytes
 
 
@@ -139,6 +140,25 @@ def with_sd(draw: st.DrawFn) -> Message:
     return draw(made(Reconstruction, forces=st.just(found), sd=st.just(np.abs(found))))
 
 
+@st.composite
+def contacts(draw: st.DrawFn) -> Contacts:
+    """Contacts of one patch or several, none or some, with and without what may be unknown."""
+    names = draw(st.sampled_from([(), ("left", "right")]))
+    n, n_events = draw(st.integers(0, 4)), draw(st.integers(0, 3))
+    values = {name: draw(strategy) for name, strategy in scalars(Contacts, names).items()}
+    for name, kind in wire_fields(Contacts).items():
+        if isinstance(kind, Array) and not (kind.optional and draw(st.booleans())):
+            width = 3 if "mm" in name or name == "normal" else 2
+            shape = (n, width)[: kind.ndim]
+            numbers = draw(hnp.arrays(np.int8, shape)).astype(kind.dtype)
+            values[name] = abs(numbers) if name == "id" else numbers
+    rows = [draw(st.integers(0, max(0, len(names) - 1))) for _ in range(n + n_events)]
+    values["patch_of"] = np.array(rows[:n], np.int32) if names else None
+    changes = [(row, draw(st.integers(1, 9)), draw(st.integers(0, 3))) for row in rows[n:]]
+    values["events"] = np.array(changes, np.int32) if changes else None
+    return Contacts(**values)
+
+
 _centre = ("row", "col", "row_sd", "col_sd")
 messages: st.SearchStrategy[Message] = st.one_of(
     made(Taxels, forces=forces(2)),
@@ -149,6 +169,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
     several(),
     made(Resultant, **dict.fromkeys(_centre, st.none())),
     made(Resultant, **dict.fromkeys(_centre, st.floats(0, 1e30))),
+    contacts(),
     skin_states(),
     calibrations(),
     made(PhiState),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Message, MessageError, decode
+from sparseskin.messages import Contacts, Message, MessageError, decode
 from sparseskin.messages.base import wire_fields
 from sparseskin.messages.frames import values_alone
 from sparseskin.messages.quantised import Quantised
@@ -39,6 +39,8 @@ def plain(value: Any, full: bool) -> Any:
     summary: dict[str, Any] = {"dtype": _dtype(value), "shape": list(value.shape)}
     if full:
         return summary | {"data": value.tolist()}
+    if not value.size:
+        return summary | {"min": None, "mean": None, "max": None, "first": []}
     numbers = value.astype(np.float64)
     summary |= {"min": float(numbers.min()), "mean": float(numbers.mean())}
     return summary | {"max": float(numbers.max()), "first": value.ravel()[:N_FIRST].tolist()}
@@ -60,6 +62,8 @@ def text(value: Any, full: bool) -> str:
             suppress_small=True,
         )
         return f"{_dtype(value)}, {shape}\n{lines}"
+    if not value.size:
+        return f"{_dtype(value)}, {shape}"
     if value.dtype.kind == "b":
         return f"{_dtype(value)}, {shape}: {int(value.sum())} of {value.size} true"
     first = " ".join(f"{number:.4g}" for number in value.ravel()[:N_FIRST].astype(np.float64))
@@ -107,6 +111,33 @@ class FieldPath:
         return value[self._index]
 
 
+def _contact_lines(message: Contacts) -> dict[str, Any]:
+    """Fields of contacts as text, a line each: where there is a place in mm, that is shown."""
+    shown: dict[str, Any] = {
+        name: value
+        for name, value in values_of(message).items()
+        if value is not None and not isinstance(value, np.ndarray)
+    }
+    names = message.names
+    for k, number in enumerate(message.id.tolist()):
+        of = "" if message.patch_of is None else f" of {names[message.patch_of[k]]}"
+        at, sd, unit = message.centre[k], message.centre_sd[k], "taxels"
+        if message.place_mm is not None and message.place_sd_mm is not None:
+            at, sd, unit = message.place_mm[k], message.place_sd_mm[k], "mm"
+        place = ", ".join(f"{x:.4g} ± {s:.2g}" for x, s in zip(at, sd, strict=True))
+        marks = [name for name in ("over", "sliding") if getattr(message, name)[k]]
+        shown[f"contact {number}{of}"] = "; ".join(
+            [
+                f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g}, peak {message.peak[k]:.3g}",
+                f"at ({place}) {unit}",
+                f"{message.area[k]} taxels, {message.age_s[k]:.3g} s",
+                *marks,
+            ]
+        )
+    shown |= {f"event of {number}": event for number, event in message.named_events}
+    return shown
+
+
 def _dtype(value: Any) -> str:
     bits = f" of {value.bits} bits" if isinstance(value, Quantised) else ""
     return f"{value.dtype}{bits}"
@@ -148,7 +179,7 @@ class Echo:
             return False
         self._due_ns = arrival.stamp_ns + self._period_ns
         try:
-            print(self._text(decode(arrival.topic, arrival.payload)), flush=True)
+            print(self.text(decode(arrival.topic, arrival.payload)), flush=True)
         except MessageError as error:
             print(f"{self._topic}: {printable(str(error))}", file=sys.stderr)
             return False
@@ -165,7 +196,8 @@ class Echo:
             counts = f"{self._shown} shown, {self._skipped} not shown, {self._losses.n} lost"
             print(f"{self._topic}: {counts}", file=sys.stderr)
 
-    def _text(self, message: Message) -> str:
+    def text(self, message: Message) -> str:
+        """A message as it is printed."""
         if self._field is not None:
             value = self._field.of(message)
             return (
@@ -175,6 +207,8 @@ class Echo:
         if self._in_json:
             found = {name: plain(value, self._full) for name, value in values.items()}
             return json.dumps(formatted("topic-echo", {"topic": message.topic, **found}))
+        if isinstance(message, Contacts):
+            values = _contact_lines(message) if not self._full else values
         lines = ["---" + (f" ({self._skipped_since} not shown)" if self._skipped_since else "")]
         for name, value in values.items():
             first, *rest = text(value, self._full).split("\n")

@@ -139,12 +139,12 @@ def shown(path: Path, by_patch: dict[str, set[str]]) -> tuple[list[str], list[st
     Raises SettingsError if the recording has too little for that.
     """
     present = set.intersection(*by_patch.values()) if by_patch else set()
-    optional = [s for s in ("taxels", "truth", "resultant") if s in present]
+    optional = [s for s in ("taxels", "truth", "resultant", "contacts") if s in present]
     if present >= {"skin", "phi", "measurements"}:
         known = ["skin", "phi", "measurements"]
         if present >= {"solver", "reconstruction"}:
             return [*known, "solver", "reconstruction", *optional], []
-        optional = [schema for schema in optional if schema != "resultant"]
+        optional = [schema for schema in optional if schema in ("taxels", "truth")]
         return [*known, *optional], ["reconstructor"]
     if present >= {"skin", "taxels"}:
         optional = [schema for schema in optional if schema == "truth"]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages import (
+    Contacts,
     Measurements,
     Message,
     PhiState,
@@ -168,6 +169,8 @@ class PatchMetrics:
         unknown, or where no time passes, as in a recording that was computed offline.
     latency_uncertainty_ns : int
         Largest uncertainty of a latency so far; 0 on one host.
+    contacts : Contacts or None
+        Those of the newest frame, where they are published.
     idle : bool
         True while the newest frame was published as unchanged; `unchanged` counts such frames.
     """
@@ -191,6 +194,7 @@ class PatchMetrics:
         self.bits: int | None = None
         self.lost_so_far = self.skipped = self.unchanged = 0
         self.idle = False
+        self.contacts: Contacts | None = None
         self.unpaired = self.compared = 0
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
 
@@ -243,6 +247,8 @@ class PatchMetrics:
                 self._pair(stamp_ns).truth = message
             case Resultant():
                 self._pair(stamp_ns).resultant = message
+            case Contacts():
+                self.contacts = message
             case Reconstruction():
                 self._add_reconstruction(message)
         return self._evaluate(stamp_ns)

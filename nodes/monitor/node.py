@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparseskin.messages import (
+    Contacts,
     Measurements,
     Message,
     PhiState,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 SUMMARY_EVERY_NS = 500_000_000
 """Period in which the live page gets a new summary."""
 REQUIRED = (SkinState, PhiState, Measurements, SolverState, Reconstruction)
-OPTIONAL = (Taxels, Truth, Resultant)
+OPTIONAL = (Taxels, Truth, Resultant, Contacts)
 """A compressor outside the graph publishes no taxels."""
 WATCHED = (*REQUIRED, *OPTIONAL)
 

@@ -22,7 +22,8 @@ FEW = 4
 def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
     """State of a patch in one line: share of the last 100 contact frames that the solver trusts,
     where it estimates its error; mean PSNR of reconstruction and noisy taxels over them, before the
-    first contact over all; latency since the start.
+    first contact over all; contacts and their force, where they are published; latency since the
+    start.
     """
     parts = [
         f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}",
@@ -35,6 +36,8 @@ def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
         parts.append(f"PSNR of {frames} {against}{reconstruction:.1f} dB")
         if noisy is not None:
             parts[-1] += f" (taxels {noisy:.1f})"
+    if metrics.contacts is not None and metrics.skin is not None:
+        parts.append(metrics.contacts.summary(metrics.skin.unit))
     parts += _latency([metrics])
     if len(parts) > 1 and metrics.latency_uncertainty_ns:
         parts[-1] += f" ± {metrics.latency_uncertainty_ns / 1e6:.1f}"

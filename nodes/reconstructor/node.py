@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sparseskin.messages import (
+    Contacts,
     Measurements,
     Message,
     PhiState,
@@ -36,17 +37,19 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 
+from .contact_tracks import NOTHING, joined
 from .limits import OWN_BASIS
 from .patch import Patch
 from .patch_log import PatchLog
-from .settings import PRESETS, ReconstructorSettings
+from .settings import PRESETS, ReconstructorSettings, alike_but_for_contacts
 
 if TYPE_CHECKING:
     from .idle import IdleWatch
 
 
 class Reconstructor(Node[ReconstructorSettings]):
-    """Publishes /PATCH/solver once it knows skin and Phi, then /PATCH/reconstruction.
+    """Publishes /PATCH/solver once it knows skin and Phi, then /PATCH/reconstruction and, of each
+    of them, /PATCH/contacts.
 
     Measurements made by another Phi are refused: inverting the wrong matrix would invent forces.
     Each of several patches has a solver of its own, and the results are those of a node a patch.
@@ -67,6 +70,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._log = PatchLog(self._names, context.log)
         self._patches = [Patch(settings, self._log.of(name)) for name in self._names]
         self._idle: IdleWatch | None = None
+        self._touched = ""
+        head: dict[str, Any] = {"patch": settings.patch, "names": settings.patches}
+        self._untouched = Contacts(**head, stamp_ns=0, done_ns=0, **NOTHING)
 
     @classmethod
     def inputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
@@ -76,7 +82,9 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     @classmethod
     def outputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
-        written = (SolverState, *((Resultant,) if settings.resultant else ()), Reconstruction)
+        written: list[type[Message]] = [SolverState, Reconstruction]
+        written += [Resultant] if settings.resultant else []
+        written += [Contacts] if settings.contacts else []
         return tuple(topic_of(settings.patch, cls.schema) for cls in written)
 
     @classmethod
@@ -126,6 +134,10 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def change(self, settings: ReconstructorSettings) -> Iterable[Message]:
         before, self.settings = self.settings, settings
+        if alike_but_for_contacts(before, settings):
+            for patch in self._patches:
+                patch.set_limits(settings)
+            return ()
         if self._skin is None or self._announced is None:
             return ()
         try:
@@ -154,7 +166,10 @@ class Reconstructor(Node[ReconstructorSettings]):
         basis = "" if chosen["solver"] in OWN_BASIS else f" in {chosen['basis']}"
         n = len(self._patches)
         several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
-        parts = (f"solver {chosen['solver']}{basis}", self._left_out, several if n > 1 else "")
+        parts = (
+            *(f"solver {chosen['solver']}{basis}", self._left_out, several if n > 1 else ""),
+            self._touched,
+        )
         return "; ".join(filter(None, parts))
 
     @property
@@ -264,6 +279,8 @@ class Reconstructor(Node[ReconstructorSettings]):
                 self._idle.solved(k, solved.forces)
         yield self._reconstruction(measurements, unchanged, done_ns)
         self._skipped = 0
+        if self.settings.contacts:
+            yield self._contacts(measurements)
         for k in solving:
             patches[k].learn(stamp_ns, skin)
 
@@ -291,6 +308,23 @@ class Reconstructor(Node[ReconstructorSettings]):
             reason=reasons,
             unchanged=tuple(unchanged),
         )
+
+    def _contacts(self, measurements: Measurements) -> Contacts:
+        """Contacts of the frame that was reconstructed, of all patches."""
+        stamp_ns = measurements.stamp_ns
+        followed = [patch.contacts(stamp_ns) for patch in self._patches]
+        trusted = tuple([not p.solved.reason for p in self._patches if p.solved is not None])
+        done_ns = self.context.clock.now_ns()
+        self._touched = ""
+        if not any(followed):  # so are most frames of most skins
+            return self._untouched.at(stamp_ns, done_ns, trusted)
+        head: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
+        found = Contacts(
+            **head, stamp_ns=stamp_ns, done_ns=done_ns, trusted=trusted, **joined(followed)
+        )
+        if found.id.size and self._skin is not None:
+            self._touched = found.summary(self._skin.unit)
+        return found
 
     def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:
         row, col = found.centre or (None, None)

@@ -26,6 +26,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
 )
 
 from .budget import SHARE, measured_costs
+from .contact_tracks import ContactTracker, Followed
 from .limits import (
     MIN_ITERATIONS,
     OTHER_ROWS,
@@ -70,6 +71,7 @@ class Patch:
         self._trust_log = TrustLog(log)
         self._uncertainty: Uncertainty | None = None
         self._resultant: ResultantEstimator | None = None
+        self._tracker: ContactTracker | None = None
 
     def set_up(
         self,
@@ -120,6 +122,9 @@ class Patch:
             self._uncertainty = Uncertainty(solver.mask, phi.ratio, name, announced.rows, phi.rule)
         if settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
+        if settings.contacts and not (self._tracker and self._tracker.fits(state)):
+            self._tracker = ContactTracker(state)
+        self.set_limits(settings)
         # Another Phi or solver in the middle of a stream starts from the last estimate.
         if self._last is not None and self._last.shape != skin.shape:
             self._last = None
@@ -155,6 +160,14 @@ class Patch:
         """Hand the noise that the skin states to the solver."""
         if isinstance(self.solver, Solver):
             self.solver.noise_sd = skin.least_sd
+        if self._tracker is not None:
+            self._tracker.set_noise(skin)
+
+    def set_limits(self, settings: ReconstructorSettings) -> None:
+        """Take over what counts as a contact."""
+        self.settings = settings
+        if self._tracker is not None:
+            self._tracker.limits = settings.limits
 
     def read(self, phi: Phi, y: Floats, watched: bool) -> None:
         """Begin a frame: its measurements, float32 (m,), newtons. `watched` is False if each frame
@@ -217,6 +230,12 @@ class Patch:
         self._dropped = self.faults.is_constant(y)
         reason = self._reason("")
         self.solved = self.solved._replace(iterations=0, solve_ns=0, reason=reason)
+
+    def contacts(self, stamp_ns: int) -> Followed | None:
+        """Contacts of the frame that was published last; None: there are none."""
+        if self._tracker is None or self.solved is None:
+            return None
+        return self._tracker.update(self.solved.forces, self.solved.error, stamp_ns, self.solved.sd)
 
     def learn(self, stamp_ns: int, skin: SkinState) -> None:
         """Learn from the frame that was solved, once it is published."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sparseskin.messages.ranges import is_real
@@ -20,6 +21,8 @@ from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED
 from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
+from .contacts import Limits
+
 ANNOUNCED = "announced"
 #: Parameters of a solver that are no options: the node gives them, they have settings, or they are
 #: no number, text or truth value.
@@ -34,6 +37,13 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"solver": "fista", "basis": "haar", "iterations": 30, "lambda_n": 0.003125},
     "skin": {"solver": "skin", "basis": "haar"},
 }
+
+
+CONTACT_KEYS = (
+    *("contact_force", "contact_area", "contact_low", "contact_high"),
+    *("contact_over", "contact_slide"),
+)
+"""Settings that change contacts alone, and no solver."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +113,48 @@ class ReconstructorSettings(PatchesSettings):
     resultant: bool = setting(
         False, "publish total force and centre of pressure before the frame is reconstructed"
     )
+    contacts: bool = setting(False, "publish the contacts of each frame, followed by their ids")
+    contact_force: float = setting(
+        0.0,
+        "least total force of a contact, in the skin's unit; it ends below half of that",
+        low=0.0,
+        high=1e9,
+        live=True,
+    )
+    contact_area: int = setting(
+        1, "least number of taxels of a contact when it begins", low=1, high=2**20, live=True
+    )
+    contact_low: float = setting(
+        Limits.low,
+        "threshold of the taxels of a contact, in units of their error: of the estimated one, at "
+        "least the stated noise, or 0.4 % of the range where none is stated",
+        low=0.0,
+        high=1e6,
+        live=True,
+    )
+    contact_high: float = setting(
+        Limits.high,
+        "threshold, in the same units, that one taxel of a contact exceeds when it begins",
+        low=0.0,
+        high=1e6,
+        live=True,
+    )
+    contact_over: float | None = setting(
+        None,
+        "total force above which a contact is reported by an event, in the skin's unit; again once "
+        "it was below half of that",
+        low=0.0,
+        high=1e9,
+        live=True,
+    )
+    contact_slide: float | None = setting(
+        None,
+        "speed of its centre above which a contact is reported as sliding, in mm/s, or in taxels/s "
+        "where no pitch is known; again once it was below half of that",
+        low=0.0,
+        high=1e6,
+        live=True,
+    )
     skip_idle: bool = setting(
         False,
         "publish the frame of a patch as unchanged, without solving it, where its measurements "
@@ -142,6 +194,20 @@ class ReconstructorSettings(PatchesSettings):
         for key in ("uncertainty", "resultant"):
             if getattr(self, key) and (self.n_patches > 1 or self.skip_idle):
                 raise SettingsError(f"{key}: is not available with several patches or skip_idle")
+        if self.contact_high < self.contact_low:
+            raise SettingsError(
+                f"contact_high: {self.contact_high:g} is below contact_low = {self.contact_low:g}"
+            )
+
+    @property
+    def limits(self) -> Limits:
+        """What counts as a contact, and as an event."""
+        over, slide = (
+            math.inf if limit is None else limit
+            for limit in (self.contact_over, self.contact_slide)
+        )
+        thresholds = self.contact_low, self.contact_high
+        return Limits(*thresholds, self.contact_force, self.contact_area, over, slide)
 
     def check(self) -> None:
         check_fast(self.fast)
@@ -251,3 +317,8 @@ class ReconstructorSettings(PatchesSettings):
             # The numbers of a preset belong to its solver.
             preset = {"basis": preset["basis"]}
         return (self.options or {}) | preset | {k: v for k, v in stated.items() if v is not None}
+
+
+def alike_but_for_contacts(one: ReconstructorSettings, other: ReconstructorSettings) -> bool:
+    """True if settings differ in `CONTACT_KEYS` at most."""
+    return replace(one, **{key: getattr(other, key) for key in CONTACT_KEYS}) == other

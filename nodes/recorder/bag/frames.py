@@ -10,6 +10,7 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from sparseskin.messages import (
+    Contacts,
     End,
     Measurements,
     Message,
@@ -31,7 +32,7 @@ from .reader import BagReader
 
 FRAMES = (Taxels, Truth, Measurements, Reconstruction)
 FRAME_SCHEMAS = tuple(cls.schema for cls in FRAMES)
-STREAM_SCHEMAS = (*FRAME_SCHEMAS, Resultant.schema)
+STREAM_SCHEMAS = (*FRAME_SCHEMAS, Resultant.schema, Contacts.schema)
 STATES = tuple(cls for cls in SCHEMAS.values() if cls.latched)
 
 
@@ -91,7 +92,7 @@ def frame_topics(
 
 
 def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
-    """As `frame_topics`, resultants included."""
+    """As `frame_topics`, resultants and contacts included."""
     return frame_topics(bag, topics, STREAM_SCHEMAS)
 
 

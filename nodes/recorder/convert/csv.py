@@ -10,7 +10,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from sparseskin.messages import Measurements, Message
+from sparseskin.messages import Contacts, Measurements, Message
 from sparseskin.messages.fields import Array
 from sparseskin.messages.frames import Floats, kinds_alone, values_alone
 from sparseskin.messages.topics import split_topic
@@ -33,7 +33,8 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     after row (or the measurements y0, y1, ...), in the shortest decimals that give the same float32
     again. The second line is a comment with the states of the patch as JSON: shape, range, unit,
     pitch, mask, points, calibration, Phi, solver. Standard deviations are in
-    PATCH_reconstruction_sd.csv.
+    PATCH_reconstruction_sd.csv. PATCH_contacts.csv has a line a contact of each frame, by the
+    columns of `Contacts`, PATCH_contacts_events.csv a line an event: `stamp_ns`, `id`, `event`.
 
     Raises BagError if the bag has no such frames, OutputError if the folder exists or cannot be
     written.
@@ -60,10 +61,28 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
             files[path].write(",".join(texts) + "\n")
 
         for message, _ in streams(bag, wanted, "export"):
+            if isinstance(message, Contacts):
+                for suffix, rows in (("", _contacts(message)), ("_events", _events(message))):
+                    for row in rows:
+                        write(message.topic, suffix, row, np.empty(0, np.float32))
+                continue
             write(message.topic, "", _figures(message), _cells(message))
             if (sd := values_alone(message).get("sd")) is not None:
                 write(message.topic, "_sd", {"stamp_ns": message.stamp_ns}, sd)
     return list(files)
+
+
+def _contacts(message: Contacts) -> list[dict[str, Any]]:
+    columns = message.columns()
+    cells = zip(*(column.astype(str).tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in cells]
+
+
+def _events(message: Contacts) -> list[dict[str, Any]]:
+    return [
+        {"stamp_ns": message.stamp_ns, "id": number, "event": event}
+        for number, event in message.named_events
+    ]
 
 
 def _alike(topic: str, other: str) -> bool:

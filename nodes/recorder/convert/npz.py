@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Measurements, Message
+from sparseskin.messages import Contacts, Measurements, Message
 from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.nodes.files import os_errors, whole_file
@@ -61,6 +61,10 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     the last states, in `states`, as the comment of `export_csv` has them. `states`, `patch`,
     `metadata` and `counts` are texts, JSON but for the patch.
 
+    Of contacts there is an array `contacts_COLUMN` with an entry for each contact of each frame, by
+    the columns of `Contacts`, e.g. `contacts_stamp_ns`, `contacts_id`, `contacts_total`; and of
+    events `contacts_event_stamp_ns`, `contacts_event_id` and `contacts_event`, its name.
+
     Raises BagError if the bag has no such frames or their shape changes, OutputError if a file
     exists or cannot be written.
     """
@@ -88,10 +92,11 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
 
 def _recorded(bag: BagReader, topics: list[str], folder: Path) -> Iterator[dict[str, Any]]:
     """Arrays of the messages on each topic, by name."""
-    columns: dict[str, _Columns] = {}
+    columns: dict[str, _Columns | _Contacts] = {}
     for message, log_time_ns in streams(bag, topics, "export"):
         if message.topic not in columns:
-            columns[message.topic] = _Columns(f"{bag.path}: {message.topic}", message, folder)
+            made = _Columns(f"{bag.path}: {message.topic}", message, folder)
+            columns[message.topic] = _Contacts() if isinstance(message, Contacts) else made
         columns[message.topic].add(message, log_time_ns)
     for topic in topics:
         if topic not in columns:
@@ -161,6 +166,29 @@ class _Columns:
             row[:m], row[m:] = held[at : at + m], np.nan
             at += m
         return padded
+
+
+class _Contacts:
+    """Contacts of one topic, column by column, and their events."""
+
+    def __init__(self) -> None:
+        self._columns: dict[str, list[npt.NDArray[Any]]] = {}
+        self._events: list[tuple[int, int, str]] = []
+
+    def add(self, message: Message, log_time_ns: int) -> None:
+        assert isinstance(message, Contacts)
+        for name, column in message.columns().items():
+            self._columns.setdefault(name, []).append(column)
+        self._events += [(message.stamp_ns, *event) for event in message.named_events]
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays by their names in the file."""
+        found = {name: np.concatenate(parts) for name, parts in self._columns.items()}
+        stamps, numbers, events = zip(*self._events, strict=True) if self._events else ((), (), ())
+        found["event_stamp_ns"] = np.array(stamps, np.int64)
+        found["event_id"] = np.array(numbers, np.int32)
+        found["event"] = np.array(events, "U8")
+        return {f"{Contacts.schema}_{name}": one for name, one in found.items()}
 
 
 def _described(bag: BagReader, patch: str) -> dict[str, Any]:

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from sparseskin.launch.attach.echo import FieldPath, plain, text
-from sparseskin.messages import Taxels
+from sparseskin.launch.attach.echo import Echo, FieldPath, plain, text
+from sparseskin.messages import Contacts, Taxels
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.errors import SettingsError
 
@@ -33,6 +33,25 @@ def test_an_array_in_full_has_every_element(monkeypatch: pytest.MonkeyPatch) -> 
     big = np.arange(6400, dtype=np.float32).reshape(80, 80)
     assert len(text(big, full=True).replace("[", " ").replace("]", " ").split()) == 4 + 6400
     assert json.loads(json.dumps(plain(big, full=True)))["data"] == big.tolist()
+
+
+def test_contacts_are_a_line_each_and_an_array_may_be_empty() -> None:
+    one, two = np.ones(1, np.float32), np.ones((1, 2), np.float32)
+    contacts = Contacts(
+        **{"stamp_ns": 1, "patch": "skin", "done_ns": 2, "id": np.array([7], np.int32)},
+        **{"total": 3 * one, "total_sd": 0.1 * one, "peak": one, "area": np.array([9], np.int32)},
+        **{"centre": 4 * two, "centre_sd": 0.25 * two, "velocity": two, "age_s": one},
+        **{"over": one > 0, "sliding": one < 0},
+        events=np.array([[0, 7, 0]], np.int32),
+    )
+    echo = Echo("/skin/contacts", None, n=1, max_hz=None, in_json=False, full=False)
+    lines = echo.text(contacts).split("\n")
+    about = "3 ± 0.1, peak 1; at (4 ± 0.25, 4 ± 0.25) taxels; 9 taxels, 1 s; over"
+    assert " ".join(line.strip() for line in lines).endswith(
+        f"contact 7: {about} event of 7: begin"
+    )
+    assert text(one[:0], full=False) == "float32, 0"
+    assert plain(one[:0], full=False)["first"] == []
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from bags import N_COLS, N_ROWS, make_bag
 from damaged import refusal
 from exported import N_FRAMES, points_bag, rich_frames
 
-from sparseskin.messages import Measurements, Reconstruction
+from sparseskin.messages import Contacts, Measurements, Reconstruction
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.csv import export_csv
 from sparseskin.nodes.recorder.convert.npz import export_npz
@@ -61,6 +61,14 @@ def test_an_npz_names_what_it_holds(rich: Path) -> None:
         assert np.isfinite(arrays["reconstruction_sd"][1]).all()
         assert arrays["resultant_total"].tolist() == [float(k) for k in range(N_FRAMES)]
         assert np.array_equal(np.isnan(arrays["resultant_row"]), np.arange(N_FRAMES) % 2 == 0)
+        found = [m for m in rich_frames() if isinstance(m, Contacts)]
+        for name in ("stamp_ns", "id", "total", "col", "x_mm", "trusted"):
+            sent_columns = np.concatenate([m.columns()[name] for m in found])
+            assert np.array_equal(
+                arrays[f"contacts_{name}"], sent_columns, equal_nan=name == "x_mm"
+            )
+        assert arrays["contacts_event"].tolist() == ["begin"] * len(arrays["contacts_id"])
+        assert arrays["contacts_event_id"].tolist() == arrays["contacts_id"].tolist()
         assert arrays["rate_hz"] == 50.0  # the last state
         sent = [m for m in rich_frames() if isinstance(m, Measurements)]
         for row, message in zip(arrays["measurements"], sent, strict=True):
@@ -95,6 +103,14 @@ def test_an_exported_csv_is_a_table_with_a_header(rich: Path) -> None:
     assert table["error"].isna().tolist() == [m.error[0] is None for m in sent]
     cells = table.loc[:, "r0c0":].to_numpy(np.float32).reshape(-1, N_ROWS, N_COLS)
     assert np.array_equal(cells, np.concatenate([m.forces for m in sent]))
+    contacts = pandas.read_csv(rich.with_name("a_csv") / "skin_contacts.csv", comment="#")
+    frames = [m for m in rich_frames() if isinstance(m, Contacts)]
+    assert contacts["total"].tolist() == [one for m in frames for one in m.total.tolist()]
+    assert contacts["trusted"].tolist() == [m.trusted[0] for m in frames for _ in m.id]
+    assert contacts["x_mm"].notna().tolist() == [m.id.size == 1 for m in frames for _ in m.id]
+    events = pandas.read_csv(rich.with_name("a_csv") / "skin_contacts_events.csv", comment="#")
+    assert events["stamp_ns"].tolist() == contacts["stamp_ns"].tolist()
+    assert set(events["event"]) == {"begin"}
     sd = pandas.read_csv(rich.with_name("a_csv") / "skin_reconstruction_sd.csv", comment="#")
     expected = np.stack([m.sd for m in sent if m.sd is not None])
     assert np.array_equal(sd.loc[:, "r0c0":].to_numpy(np.float32).reshape(expected.shape), expected)

@@ -1,0 +1,176 @@
+"""Contacts of a frame: where the skin is touched, how strong, since when, and what changed."""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import ShapeError
+from .fields import Array, Each, Flag, Integer, wire
+from .frames import Floats, Frames
+
+BEGIN, END, OVER, SLIDE = range(4)
+EVENTS = ("begin", "end", "over", "slide")
+"""Names of the events, by number."""
+
+Numbers = npt.NDArray[np.int32]
+Flags = npt.NDArray[np.bool_]
+
+
+def _column(dtype: str, ndim: int = 1, optional: bool = False) -> Any:
+    """A field with an entry or a row for each contact, of which there may be none."""
+    kind = Array(dtype, ndim, optional=optional, sparse=True)
+    return wire(kind, default=None, omitted=True) if optional else wire(kind)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contacts(Frames):
+    """Contacts of a reconstructed frame: arrays with an entry or a row for each, n of them.
+
+    Attributes
+    ----------
+    id : ndarray of int32, shape (n,)
+        Number of a contact, which it keeps from frame to frame, from 1 on.
+    total, total_sd, peak : ndarray of float32, shape (n,)
+        Sum of its forces, the standard deviation of that, and its largest force, in the skin's
+        unit.
+    centre, centre_sd : ndarray of float32, shape (n, 2)
+        Row and column of the centre of pressure, from the middle of taxel (0, 0), and deviations.
+    area : ndarray of int32, shape (n,)
+        Number of taxels.
+    velocity : ndarray of float32, shape (n, 2)
+        Of the centre, rows and columns a second.
+    age_s : ndarray of float32, shape (n,)
+        Time since the contact began, seconds.
+    over, sliding : ndarray of bool, shape (n,)
+        True from the event of that name until force or speed are half of what it was reported at.
+    place_mm, place_sd_mm : ndarray of float32, shape (n, 3), or None
+        Centre, x, y, z, and deviations: of a flat skin, column and row times the pitch, and 0; of
+        one of points, in the frame of their file. None where no pitch is known.
+    velocity_mm_s : ndarray of float32, shape (n, 3), or None
+        Of the centre.
+    area_mm2 : ndarray of float32, shape (n,), or None
+        Number of taxels times the square of the pitch.
+    normal : ndarray of float32, shape (n, 3), or None
+        Outward unit normal, of a skin of points.
+    events : ndarray of int32, shape (n_events, 3), or None
+        What changed in this frame: row of the patch in `patches`, id, and number in `EVENTS`:
+        begin; end; over (the total exceeds a stated force); slide. None: nothing.
+    patch_of : ndarray of int32, shape (n,), or None
+        Row in `patches` of each contact's patch; None: all are of the first.
+    trusted : tuple of bool
+        As of the reconstruction, of each patch.
+    done_ns : int
+        Time of the estimate on the graph's clock, nanoseconds.
+    """
+
+    schema: ClassVar[str] = "contacts"
+    times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
+
+    id: Numbers = _column("<i4")
+    total: Floats = _column("<f4")
+    total_sd: Floats = _column("<f4")
+    peak: Floats = _column("<f4")
+    centre: Floats = _column("<f4", 2)
+    centre_sd: Floats = _column("<f4", 2)
+    area: Numbers = _column("<i4")
+    velocity: Floats = _column("<f4", 2)
+    age_s: Floats = _column("<f4")
+    over: Flags = _column("|b1")
+    sliding: Flags = _column("|b1")
+    done_ns: int = wire(Integer())
+    trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
+    place_mm: Floats | None = _column("<f4", 2, optional=True)
+    place_sd_mm: Floats | None = _column("<f4", 2, optional=True)
+    velocity_mm_s: Floats | None = _column("<f4", 2, optional=True)
+    area_mm2: Floats | None = _column("<f4", 1, optional=True)
+    normal: Floats | None = _column("<f4", 2, optional=True)
+    patch_of: Numbers | None = _column("<i4", 1, optional=True)
+    events: Numbers | None = _column("<i4", 2, optional=True)
+
+    def validate(self) -> None:
+        super().validate()
+        n, n_patches = self.id.size, len(self.patches)
+        for name, sides in _SIDES.items():
+            value = self.__dict__[name]
+            if value is not None and value.shape != (n, *sides):
+                raise ShapeError(f"{name}: shape {value.shape}, expected {(n, *sides)}")
+        if self.patch_of is not None and not _within(self.patch_of, n_patches):
+            raise ShapeError(f"patch_of: a row outside 0..{n_patches - 1}")
+        if self.events is not None:
+            if self.events.shape[1] != 3:
+                raise ShapeError(f"events: shape {self.events.shape}, expected rows of 3")
+            if not (_within(self.events[:, 0], n_patches) and _within(self.events[:, 2], 4)):
+                raise ShapeError("events: a patch or event that is not known")
+
+    def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
+        if not self.names:
+            return [self]
+        of = np.zeros(self.id.size, np.int32) if self.patch_of is None else self.patch_of
+        parts = []
+        for k in range(len(self.names)):
+            rows = {name: self.__dict__[name] for name in _SIDES if name != "patch_of"}
+            ours = {name: row if row is None else row[of == k] for name, row in rows.items()}
+            events = self.events
+            if events is not None:
+                events = events[events[:, 0] == k] * np.array([0, 1, 1], np.int32)
+                events = events if events.size else None
+            parts.append(self._single(k, **ours, events=events, patch_of=None))
+        return parts
+
+    def at(self, stamp_ns: int, done_ns: int, trusted: tuple[bool, ...]) -> Self:
+        """The same contacts at another time."""
+        return self._copy(stamp_ns=stamp_ns, done_ns=done_ns, trusted=trusted)
+
+    @property
+    def named_events(self) -> list[tuple[int, str]]:
+        """Id and name of each event."""
+        rows = [] if self.events is None else self.events.tolist()
+        return [(number, EVENTS[event]) for _, number, event in rows]
+
+    def summary(self, unit: str) -> str:
+        """Number of contacts and their total force, in a few words."""
+        n = self.id.size
+        total = f", {float(self.total.sum()):.3g} {unit}" if n else ""
+        return f"{n or 'no'} contact{'s' * (n > 1)}{total}"
+
+    def columns(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays with an entry for each contact, by the names of the columns of a table: `row` and
+        `col` of `centre`, `x_mm`, ... of a place. What is not known is NaN.
+        """
+        n = self.id.size
+        found: dict[str, npt.NDArray[Any]] = {"stamp_ns": np.full(n, self.stamp_ns)}
+        for name, sides in _SIDES.items():
+            value = self.__dict__[name]
+            if value is None:
+                value = np.full((n, *sides), np.nan, np.float32)
+            columns = value.T if sides else value[np.newaxis]
+            found |= dict(zip(_COLUMNS.get(name, (name,)), columns, strict=True))
+        del found["patch_of"]
+        return found | {"trusted": np.full(n, self.trusted[0])}
+
+
+_COLUMNS = {
+    "centre": ("row", "col"),
+    "centre_sd": ("row_sd", "col_sd"),
+    "velocity": ("row_velocity", "col_velocity"),
+    "place_mm": ("x_mm", "y_mm", "z_mm"),
+    "place_sd_mm": ("x_sd_mm", "y_sd_mm", "z_sd_mm"),
+    "velocity_mm_s": ("x_mm_s", "y_mm_s", "z_mm_s"),
+    "normal": ("x_normal", "y_normal", "z_normal"),
+}
+_ONE = ("id", "total", "total_sd", "peak", "area", "age_s", "over", "sliding", "area_mm2")
+_SIDES: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys((*_ONE, "patch_of"), ()),
+    **dict.fromkeys(("centre", "centre_sd", "velocity"), (2,)),
+    **dict.fromkeys(("place_mm", "place_sd_mm", "velocity_mm_s", "normal"), (3,)),
+}
+"""Sides of the fields behind the first one, the contacts."""
+
+
+def _within(values: Numbers, n: int) -> bool:
+    return not values.size or bool(values.min() >= 0 and values.max() < n)

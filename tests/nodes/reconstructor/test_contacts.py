@@ -1,0 +1,213 @@
+"""Contacts: closed forms of what is found, ids from frame to frame, events, messages, a graph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sparseskin
+from sparseskin.messages import Contacts, SkinState
+from sparseskin.messages.contacts import EVENTS
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.contact_tracks import ContactTracker, joined
+from sparseskin.nodes.reconstructor.contacts import SD_SCALE, Limits, find_contacts
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
+from sparseskin.nodes.sensor.node import Sensor
+
+SHAPE, NOISE_N, PITCH_M, DT_NS = (32, 40), 0.0141, 0.002, 10_000_000
+
+
+def boxes(*corners: tuple[int, int], force: float = 0.5, size: tuple[int, int] = (4, 6)) -> Floats:
+    """Uniform forces on boxes of 4 x 6 taxels, by their first rows and columns."""
+    forces = np.zeros(SHAPE, np.float32)
+    for row, col in corners:
+        forces[row : row + size[0], col : col + size[1]] = force
+    return forces
+
+
+def state(**changes: Any) -> SkinState:
+    stated: dict[str, Any] = {"stamp_ns": 0, "patch": "skin", "n_rows": SHAPE[0]}
+    stated |= {"n_cols": SHAPE[1], "f_max": 2.5, "unit": "N", "pitch_m": PITCH_M, "mask": None}
+    stated |= {"source": "", "seed": 0, "rate_hz": 100.0, "has_truth": False}
+    return SkinState(**{**stated, "sigma_mid": NOISE_N, "sigma_end": NOISE_N, **changes})
+
+
+class Stream:
+    """Contacts of frames, 10 ms apart."""
+
+    def __init__(self, limits: Limits | None = None, **changes: Any) -> None:
+        self.tracker, self.stamp_ns = ContactTracker(state(**changes)), 0
+        self.tracker.limits = limits or Limits()
+
+    def __call__(self, forces: Floats, error: float | None = None) -> Contacts:
+        self.stamp_ns += DT_NS
+        followed = self.tracker.update(forces, error, self.stamp_ns)
+        fields = joined([followed])
+        return Contacts(stamp_ns=self.stamp_ns, patch="skin", done_ns=0, **fields)
+
+
+def test_total_centre_area_and_deviations_of_boxes_are_those_of_their_closed_forms() -> None:
+    found = find_contacts(boxes((2, 3), (20, 30)), NOISE_N)
+    assert found.total.tolist() == [12.0, 12.0]
+    assert found.area.tolist() == [24, 24]
+    assert found.peak.tolist() == [0.5, 0.5]
+    assert found.centre.tolist() == [[3.5, 5.5], [21.5, 32.5]]
+    error = SD_SCALE * NOISE_N
+    assert found.total_sd == pytest.approx(error * np.sqrt(24))
+    rows, cols = np.arange(4) - 1.5, np.arange(6) - 2.5
+    spread = np.sqrt([6 * np.sum(rows**2), 4 * np.sum(cols**2)])
+    assert found.centre_sd == pytest.approx(np.tile(error * spread / 12.0, (2, 1)))
+    mean = find_contacts(boxes((2, 3)), NOISE_N, is_mean=True)
+    assert mean.total_sd == pytest.approx(error * np.sqrt(32 * 40))
+    stated = find_contacts(boxes((2, 3)), NOISE_N, sd=np.full(SHAPE, 0.1, np.float32))
+    assert stated.total_sd == pytest.approx(0.1 * np.sqrt(24))
+
+
+def test_thresholds_have_hysteresis_and_diagonal_neighbours_are_one_contact() -> None:
+    forces = boxes((2, 3), force=3 * NOISE_N)
+    assert not find_contacts(forces, NOISE_N).total.size
+    forces[2, 3] = 7 * NOISE_N
+    assert find_contacts(forces, NOISE_N).area.tolist() == [24]
+    forces[6, 9] = forces[7, 10] = 3 * NOISE_N
+    assert find_contacts(forces, NOISE_N).area.tolist() == [26]
+    assert not find_contacts(forces, NOISE_N, area=27).total.size
+    assert not find_contacts(forces, NOISE_N, force=3.0).total.size
+    outside = np.ones(SHAPE, np.bool_)
+    outside[2:6, 3:9] = False
+    assert not find_contacts(forces, NOISE_N, mask=outside).total.size
+
+
+def test_bodies_that_slide_keep_their_ids_and_have_their_velocity() -> None:
+    stream = Stream(Limits(slide=100.0))
+    seen = [stream(boxes((2, 2 + k), (24, 30 - k))) for k in range(20)]
+    assert all(one.id.tolist() == [1, 2] for one in seen)
+    assert seen[0].named_events == [(1, "begin"), (2, "begin")]
+    # One taxel of 2 mm in 10 ms is 200 mm/s; an event comes where it is half of that.
+    assert seen[-1].velocity_mm_s is not None
+    assert seen[-1].velocity_mm_s == pytest.approx(np.array([[200, 0, 0], [-200, 0, 0]]), abs=5)
+    assert seen[-1].velocity == pytest.approx(np.array([[0, 100], [0, -100]]), abs=3)
+    slides = [k for k, one in enumerate(seen) if (1, "slide") in one.named_events]
+    assert slides == [4]
+    assert seen[-1].sliding.all()
+    assert seen[-1].age_s == pytest.approx(0.19)
+    assert seen[0].place_mm is not None
+    assert seen[0].place_mm.tolist() == [[9.0, 7.0, 0.0], [65.0, 51.0, 0.0]]
+    assert seen[0].area_mm2 is not None
+    assert seen[0].area_mm2 == pytest.approx(24 * 4.0)
+
+
+def test_a_contact_that_moves_farther_than_its_size_is_the_nearest_one_within_a_gate() -> None:
+    stream = Stream()
+    assert stream(boxes((2, 2))).id.tolist() == [1]
+    assert stream(boxes((2, 10))).id.tolist() == [1]
+    far = stream(boxes((2, 30)))
+    assert far.id.tolist() == [2]
+    assert far.named_events == [(2, "begin"), (1, "end")]
+
+
+def test_two_that_meet_are_one_and_have_their_ids_again_where_they_part() -> None:
+    stream = Stream()
+    places = [*range(2, 11), *range(10, 1, -1)]
+    seen = [stream(boxes((8, k), (8, 26 - k))) for k in places]
+    assert [one.id.size for one in seen] == [2] * 8 + [1] * 2 + [2] * 8
+    (kept,) = set(seen[8].id.tolist())
+    assert seen[8].named_events == [(3 - kept, "end")]
+    assert seen[10].named_events == [(3 - kept, "begin")]
+    for before, after in zip(seen[:8], reversed(seen[10:]), strict=True):
+        assert dict(zip(before.id.tolist(), before.centre.tolist(), strict=True)) == dict(
+            zip(after.id.tolist(), after.centre.tolist(), strict=True)
+        )
+
+
+def test_events_come_at_their_frames_once_and_again_after_half_the_force() -> None:
+    stream = Stream(Limits(force=3.0, over=12.0))
+    forces = [0.1, 0.3, 0.6, 0.4, 0.6, 0.2, 0.6, 0.1, 0.05, 0.0]
+    seen = [stream(boxes((4, 4), force=force)) for force in forces]
+    assert [[event for _, event in one.named_events] for one in seen] == [
+        *([], ["begin"], ["over"], [], [], [], ["over"], [], ["end"], []),
+    ]
+    assert [one.over.tolist() for one in seen[2:6]] == [[True], [True], [True], [False]]
+
+
+def test_an_untouched_skin_with_noise_has_no_contact_in_1000_frames() -> None:
+    stream, rng = Stream(), np.random.default_rng(1)
+    for _ in range(1000):
+        readings = rng.normal(0, NOISE_N, SHAPE).clip(0).astype(np.float32)
+        assert not stream(readings).id.size
+
+
+def test_the_contacts_of_a_skin_of_points_have_a_place_and_a_normal() -> None:
+    mask = np.ones(SHAPE, np.bool_)
+    mask[0, 0] = False
+    rows, cols = np.nonzero(mask)
+    angle = cols * 0.02
+    normal = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+    places = np.stack([0.1 * np.sin(angle), 0.002 * rows, 0.1 * np.cos(angle)], axis=1)
+    points = np.concatenate([places, normal], axis=1).astype(np.float32)
+    found = Stream(mask=mask, points=points)(boxes((4, 10), size=(1, 1)))
+    assert found.place_mm is not None
+    assert found.normal is not None
+    expected = [100 * np.sin(0.2), 8.0, 100 * np.cos(0.2)]
+    assert found.place_mm[0] == pytest.approx(np.array(expected), rel=1e-5)
+    assert found.normal[0] == pytest.approx(np.array([np.sin(0.2), 0, np.cos(0.2)]), rel=1e-5)
+
+
+def test_contacts_of_several_patches_are_split_with_their_events() -> None:
+    left, right = ContactTracker(state()), ContactTracker(state())
+    both = [one.update(boxes((4, 4 + k)), None, 1) for k, one in enumerate((left, right))]
+    message = Contacts(
+        stamp_ns=1, patch="body", names=("left", "idle", "right"), done_ns=0, trusted=(True,) * 3,
+        **joined([both[0], None, both[1]]),
+    )  # fmt: skip
+    parts = message.split()
+    assert [part.patch for part in parts] == ["left", "idle", "right"]
+    assert [part.centre[:, 1].tolist() for part in parts] == [[6.5], [], [7.5]]
+    assert [part.named_events for part in parts] == [[(1, "begin")], [], [(1, "begin")]]
+
+
+def test_a_graph_publishes_the_contacts_of_each_reconstruction() -> None:
+    stated = [f"reconstructor.{one}" for one in ("contacts=true", "contact_over=5.0")]
+    frames = list(sparseskin.run_launch("drag_wrench_40", 345, stated))
+    seen = [frame.contacts for frame in frames]
+    assert all(
+        one is not None and one.stamp_ns == f.stamp_ns for one, f in zip(seen, frames, strict=True)
+    )
+    known = [one for one in seen if one is not None]
+    assert not any(one.id.size for one in known[:300])
+    events = {event for one in known for _, event in one.named_events}
+    assert {"begin", "over"} <= events <= set(EVENTS)
+    frame, found = frames[330], known[330]
+    assert frame.truth is not None
+    assert found.id.tolist() == [1]
+    assert found.total[0] == pytest.approx(frame.truth.sum(), rel=0.1)
+    place = np.argwhere(frame.truth > 0).T
+    centre = place @ frame.truth[tuple(place)] / frame.truth.sum()
+    assert found.centre[0] == pytest.approx(centre, abs=0.5)
+
+
+def test_limits_change_while_a_graph_runs_and_set_up_no_solver_anew() -> None:
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source="scene:drag_wrench_40")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (Reconstructor, Reconstructor.Settings(contacts=True)),
+        }
+    )
+    node, sizes = bus.hosts["reconstructor"].node, []
+    for k, messages in enumerate(bus.frames(332)):
+        sizes += [one.id.size for one in messages if isinstance(one, Contacts)]
+        if k == 328:
+            assert not list(node.change(replace(node.settings, contact_force=1e6)))
+    assert sizes[-4:] == [1, 0, 0, 0]
+
+
+def test_thresholds_that_contradict_each_other_are_refused() -> None:
+    with pytest.raises(SettingsError, match="contact_high: 1 is below contact_low = 2"):
+        ReconstructorSettings(contact_high=1.0)
