@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from sparseskin.messages import SkinState
@@ -86,6 +87,11 @@ class ContactTracker:
         self._map = np.zeros(skin.n_rows * skin.n_cols, dtype=np.int32)
         self._index: Indices = np.zeros(0, dtype=np.intp)
         self._last_id, self._last_ns = 0, 0
+
+    @property
+    def regions(self) -> npt.NDArray[np.int32]:
+        """Number of the contact of each cell in the last frame, from 1 on, flat; 0: none."""
+        return self._map
 
     def fits(self, skin: SkinState) -> bool:
         """True if it follows contacts on the taxels of that skin."""

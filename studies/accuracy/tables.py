@@ -23,6 +23,7 @@ from sparseskin.studies.harness import unrefused
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
 
+from . import contacts
 from .constants import LEAST_ERROR, candidates, table
 from .experiments import (
     ALL,
@@ -81,6 +82,7 @@ def run(
     lines = recorded(page, runs, quick) if recordings else []
     lines += [scenes(page, runs), rates(page, runs), moving(page, runs)]
     sizes(page, runs)
+    touched(page, contacts.rows(out, executor, quick, range(seed, seed + seeds)))
     if constants:
         varied(page, runs)
     if alone:
@@ -226,6 +228,30 @@ def single(page: Page, runs: Runs) -> str:
     line = f"Frames alone, {SKIN} ({times[SKIN]:.2g} ms) is ahead of {'; '.join(parts)}."
     page.section("Frames alone", joined.reset_index(), n=ALONE_FRAMES)
     return line
+
+
+def touched(page: Page, rows: pd.DataFrame) -> None:
+    """Contacts that are found, beside the true ones."""
+    parts = rows[["kind", "scene", "body", "course"]].astype(object)
+    rows["frames"] = [
+        " ".join(str(one) for one in (row.scene, row.body, row.course) if isinstance(one, str))
+        or row.kind
+        for row in parts.itertuples()
+    ]
+    page.csv("contacts", rows)
+    keys = ["frames"]
+    page.section(
+        "Contacts",
+        "True contacts that are missed, in % of all in all frames:",
+        by_ratio(rows, keys, "{missed:.1f}"),
+        "Contacts where nothing touches, in 1000 frames:",
+        by_ratio(rows, keys, "{ghosts:.0f}"),
+        "Median error of the centre, taxels, and of the total force, %:",
+        by_ratio(rows, keys, "{off:.2f}, {force:.1f}"),
+        "Changes of id in 1000 frames of a contact:",
+        by_ratio(rows, keys, "{changes:.1f}"),
+        least=contacts.LEAST_N,
+    )
 
 
 def varied(page: Page, runs: Runs) -> None:
