@@ -155,7 +155,7 @@ def test_param_list_reports_value_range_meaning_and_what_is_in_force(
     assert told["basis"] == (None, None)  # that solver takes none
     assert told["iterations"] == (3, 3)
     text = run("param", "list", "reconstructor")
-    assert "* solver       = none (preset skin: skin)   (" in text
+    assert re.search(r"^\* solver += none \(preset skin: skin\)   \(", text, re.M)
     assert max(map(len, text.splitlines())) <= 80
 
 

@@ -42,7 +42,7 @@ def test_a_scenario_is_small_whole_complete_and_in_contact(
     assert path.stat().st_size < MAX_BYTES
     with BagReader(path) as bag:
         assert bag.recovered == ""
-        unasked = ("end", "resultant", "calibration")
+        unasked = ("end", "resultant", "contacts", "calibration")
         asked = [name for name in SCHEMAS if name not in unasked]
         assert set(bag.topics) == {f"/skin/{name}" for name in asked}
         assert bag.topics["/skin/taxels"].rate_hz == pytest.approx(100)
