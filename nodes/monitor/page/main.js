@@ -190,7 +190,7 @@ function drawHeadline() {
   const doubt = notTrusted(model.state?.patches[patch]);
   for (const title of document.querySelectorAll(
     '[data-tile="gain"], [data-panel="reconstruction"] h2')) {
-    title.dataset.mark = doubt;
+    title.dataset.mark = title.closest(".tile") && doubt ? "not trusted" : doubt;
   }
 }
 
