@@ -46,6 +46,11 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
         return np.asarray(k, dtype=np.int32)
 
 
+def step_of(values: npt.NDArray[np.float32]) -> float:
+    """Step of quantised numbers, in their unit; 0 of others."""
+    return values.step if isinstance(values, Quantised) else 0.0
+
+
 def largest_code(bits: int) -> int:
     """Largest code of `bits` bits: 2^(bits-1) - 1."""
     return (1 << (bits - 1)) - 1

@@ -243,9 +243,9 @@ class Patch:
         assert self.solved is not None
         solver, forces, phi = self.solver, self._last, self._phi
         assert forces is not None
-        following = self._subsets[(self._subsets.index(phi) + 1) % len(self._subsets)]
         if self._dropped:
             return
+        following = self._subsets[(self._subsets.index(phi) + 1) % len(self._subsets)]
         self._trust_log.update(
             stamp_ns,
             forces,

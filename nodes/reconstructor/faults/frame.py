@@ -7,27 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparseskin.messages import SkinState
-from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.quantised import step_of
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .rows import blocks_of, mixed_taxels
+from .frozen import LEAST_NOISE
+from .rows import HEAVY, LEAST_MIXED, blocks_of, mixed_taxels
 
-LEAST_MIXED = 8.0
-"""Least number of taxels that each measurement sums, for measurements to be compared."""
 LEAST_EQUAL = 40
 """Least number of measurements that are not equal by chance: noise of half a step of the quantiser
 gives two equal ones in half of the cases."""
-LEAST_NOISE = 0.5
-"""Least deviation of the stated noise, in steps of the quantiser, at which measurements cannot be
-equal by themselves."""
 OUTLYING = 64.0
 """Squared innovation of a measurement, in the mean of its block, that only a fault reaches.
 Derived: the signs of rows are random, so that 8 deviations occur in one of 10^15 measurements."""
-HEAVY = 0.25
-"""Part of the largest |Phi 1| beyond which a measurement is a sum of its block: its signs are not
-random, and its squared innovation is bounded by the number of taxels times the mean."""
 LEAST_PEERS = 16
 """Least number of other measurements of a block that one is compared with."""
 MOST_OUTLYING = 0.1
@@ -88,7 +81,7 @@ class FrameWatch:
         self._f_max = np.float32(state.f_max)
         self._mask = mask
         self._n_taxels = int(np.count_nonzero(mask))
-        self._rows: dict[str, _Rows] = {}
+        self._rows: dict[str, _Rows | None] = {}
         self.offset = 0.0
         self.n_outlying = 0
 
@@ -96,8 +89,7 @@ class FrameWatch:
         """True if all measurements, float32 (m,), are equal, on a skin with noise: those of a link
         or converter that delivers nothing.
         """
-        step = y.step if isinstance(y, Quantised) else 0.0
-        if y.size < LEAST_EQUAL or self._least_sd <= LEAST_NOISE * step:
+        if y.size < LEAST_EQUAL or self._least_sd <= LEAST_NOISE * step_of(y):
             return False
         return bool(y[0] == y[-1] and np.all(y == y[0]))
 
@@ -119,7 +111,7 @@ class FrameWatch:
             innovation = given - expected
             energy = float(innovation @ innovation)
         largest2 = max(float(innovation.max()), -float(innovation.min())) ** 2
-        noise2 = self._noise2 + _step2(y)
+        noise2 = self._noise2 + step_of(y) ** 2 / 12
         if largest2 <= OUTLYING * max(noise2, energy / innovation.size / 4):
             return given, given
         outlying = _outlying(rows, np.square(innovation), noise2)
@@ -147,10 +139,11 @@ class FrameWatch:
         key = phi.fingerprint
         if key not in self._rows:
             if mixed_taxels(phi) < LEAST_MIXED:
+                self._rows[key] = None
                 return None
             kept, starts, block = np.unique(blocks_of(phi), return_index=True, return_inverse=True)
             most = np.full(phi.m, 2 * phi.n, dtype=np.float32)
-            if is_sbhe(phi):
+            if is_sbhe(phi):  # all rows but the sums of blocks have random signs
                 most = 2 * np.array(phi.sizes, dtype=np.float32)[kept][block]
                 ones = np.abs(phi.forward(np.ones(phi.n, dtype=np.float32)))
                 most[ones <= HEAVY * ones.max()] = OUTLYING
@@ -191,8 +184,3 @@ def _outlying(rows: _Rows, squared: Floats, noise2: float) -> Mask:
     n_others = np.bincount(block)[block] - 2
     mean = others / np.maximum(n_others, 1)
     return (n_others >= LEAST_PEERS) & (squared > rows.bound * np.maximum(mean, noise2))
-
-
-def _step2(y: Floats) -> float:
-    """Variance of the rounding of a quantiser."""
-    return y.step**2 / 12 if isinstance(y, Quantised) else 0.0

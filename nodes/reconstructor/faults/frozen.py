@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.quantised import step_of
 from sparseskin.nodes.numerics.arrays import Floats
 
 FRAMES, MEASUREMENTS = 4, 60
@@ -46,12 +46,13 @@ class FrozenWatch:
         """
         if not self._sigma:
             return False
-        step = y.step if isinstance(y, Quantised) else 0.0
         last = self._last.get(subset)
         repeats = last is not None and np.array_equal(last, y)
         if not repeats:
             self._last[subset] = np.array(y, dtype=np.float32)
-        self._n_equal = self._n_equal + 1 if repeats and self._sigma > LEAST_NOISE * step else 0
+        self._n_equal = (
+            self._n_equal + 1 if repeats and self._sigma > LEAST_NOISE * step_of(y) else 0
+        )
         before = self.frozen
         self.frozen = self._n_equal >= max(FRAMES, MEASUREMENTS / y.size)
         return self.frozen != before

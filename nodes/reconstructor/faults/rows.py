@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.quantised import step_of
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
@@ -152,7 +152,7 @@ class RowWatch:
         """Compare all rows with their peers; return True if `left_out` has changed."""
         # A solver that fits the noise leaves less than that, and small errors would seem large.
         noise2 = _typical(self._last - self._last_but_one) / 2
-        step = y.step if isinstance(y, Quantised) else 0.0
+        step = step_of(y)
         self._coarse = step > FINE * math.sqrt(noise2)
         # A force below a step is read as 0 or as a step, in turn.
         noise2 += step * step / 4

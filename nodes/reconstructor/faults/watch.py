@@ -39,7 +39,7 @@ class FaultWatch:
         self._frozen = FrozenWatch(0.0)
         self._frame: FrameWatch | None = None
         self._expected: tuple[str, Floats] | None = None
-        self._constant = self._outlying = self._off = False
+        self._constant = self._outlying = False
 
     @property
     def frozen(self) -> bool:
@@ -127,14 +127,15 @@ class FaultWatch:
         assert self._expected is not None
         assert self._frame is not None
         expected, self._expected = self._expected[1], None
+        was_off = bool(self._frame.offset)
         given, believed = self._frame.cleaned(phi, given, expected)
-        self._log_frame()
+        self._log_frame(was_off)
         left_out = self._rows[phi.fingerprint].left_out
         if left_out.any():
             believed = np.where(left_out, expected, believed).astype(np.float32)
         return given, believed
 
-    def _log_frame(self) -> None:
+    def _log_frame(self, was_off: bool) -> None:
         """Log the first outliers, and an offset that begins or ends."""
         assert self._frame is not None
         if self._frame.n_outlying and not self._outlying:
@@ -143,10 +144,11 @@ class FaultWatch:
                 "measurements of a frame contradict the others and the frame before: such "
                 "measurements are left out of their frame"
             )
-        if bool(self._frame.offset) != self._off:
-            self._off = not self._off
-            now = f"share an offset of {self._frame.offset:.2g}, which is subtracted"
-            self._log(f"all measurements {now if self._off else 'have no offset any more'}")
+        offset = self._frame.offset
+        if offset and not was_off:
+            self._log(f"all measurements share an offset of {offset:.2g}, which is subtracted")
+        elif was_off and not offset:
+            self._log("all measurements have no offset any more")
 
     def checked(self, forces: Floats) -> tuple[Floats, str]:
         """Return the forces within the range, and why they cannot be right; as in `FrameWatch`."""
