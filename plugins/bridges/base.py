@@ -10,6 +10,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from sparseskin.messages import (
+    Contacts,
     Message,
     Reconstruction,
     Resultant,
@@ -139,21 +140,26 @@ class Bridge(Node[S]):
 
     @classmethod
     def optional_inputs(cls, settings: S) -> tuple[str, ...]:
-        schemas = (*settings.maps, Resultant.schema)
+        schemas = (*settings.maps, Resultant.schema, Contacts.schema)
         return tuple(topic_of(patch, schema) for patch in settings.patches for schema in schemas)
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, SkinState):
             self.skins[message.patch] = message
-        elif isinstance(message, Taxels | Truth | Reconstruction):
+        elif isinstance(message, Taxels | Truth | Reconstruction | Contacts):
             if message.names:
                 raise RefusedError(f"{message.topic}: a bridge shows no patches of a batch")
             skin = self.skins.get(message.patch)
-            if skin is None or skin.skin.shape != message.forces.shape[1:]:
+            if skin is None or not (
+                isinstance(message, Contacts) or skin.skin.shape == message.forces.shape[1:]
+            ):
                 # The skin may arrive on another connection than its frames.
                 self.n_dropped += 1
                 return ()
-            self.send(message, skin)
+            if isinstance(message, Contacts):
+                self.send_contacts(message, skin)
+            else:
+                self.send(message, skin)
             self.n_sent += 1
         elif isinstance(message, Resultant):
             self.send_resultant(message)
@@ -162,6 +168,9 @@ class Bridge(Node[S]):
     def send(self, message: Map, skin: SkinState) -> None:
         """Send one map."""
         raise NotImplementedError
+
+    def send_contacts(self, message: Contacts, skin: SkinState) -> None:
+        """Send the contacts of a frame, where the tool has a place for them."""
 
     def send_resultant(self, message: Resultant) -> None:
         """Send one resultant, where the tool has a place for it."""

@@ -5,22 +5,28 @@ rosbags, which needs no ROS.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages import Contacts, SkinState
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
 
 from .base import ROW
+from .contacts import COLOURS, numbers, shapes, wrench
 
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
 ARRAY = "std_msgs/msg/Float32MultiArray"
+WRENCH, MARKERS = "geometry_msgs/msg/WrenchStamped", "visualization_msgs/msg/MarkerArray"
 MAX_SIDE = 4096
 UINT32, FLOAT32 = 6, 7
 """Numbers of the types of a field in sensor_msgs/PointField."""
+ARROW, SPHERE, TEXT, ADD, DELETE_ALL = 0, 2, 9, 0, 3
+"""Numbers of the types and actions of a visualization_msgs/Marker."""
+ORIGIN = np.zeros(3)
 FORMATS = {
     "32FC1": "f4",
     "64FC1": "f8",
@@ -92,13 +98,74 @@ def cloud(stamp: tuple[int, int], frame_id: str, columns: Mapping[str, Floats]) 
     )
 
 
-def array(forces: Floats) -> bytes:
-    """A std_msgs/Float32MultiArray of forces (n_rows, n_cols), row after row."""
-    made, (n_rows, n_cols) = types().types, forces.shape
+def array(values: Floats, labels: tuple[str, str] = ("rows", "cols")) -> bytes:
+    """A std_msgs/Float32MultiArray of values (n_rows, n_cols), row after row."""
+    made, (n_rows, n_cols) = types().types, values.shape
     dimension = made["std_msgs/msg/MultiArrayDimension"]
-    sides = [dimension("rows", n_rows, n_rows * n_cols), dimension("cols", n_cols, n_cols)]
+    sides = [dimension(labels[0], n_rows, n_rows * n_cols), dimension(labels[1], n_cols, n_cols)]
     layout = made["std_msgs/msg/MultiArrayLayout"](dim=sides, data_offset=0)
-    return encoded(ARRAY, layout=layout, data=np.ascontiguousarray(forces, "<f4").reshape(-1))
+    return encoded(ARRAY, layout=layout, data=np.ascontiguousarray(values, "<f4").reshape(-1))
+
+
+def contact_array(contacts: Contacts) -> bytes:
+    """A std_msgs/Float32MultiArray with a row for each contact; the second label names the columns,
+    separated by commas.
+    """
+    columns = numbers(contacts)
+    return array(np.column_stack(list(columns.values())), ("contacts", ",".join(columns)))
+
+
+def contact_wrench(stamp: tuple[int, int], contacts: Contacts) -> bytes:
+    """A geometry_msgs/WrenchStamped of all contacts together, in the frame of the patch."""
+    made = types().types
+    vector = made["geometry_msgs/msg/Vector3"]
+    parts = [vector(*part.tolist()) for part in wrench(contacts)]
+    return encoded(
+        WRENCH,
+        header=_header(stamp, contacts.patch),
+        wrench=made["geometry_msgs/msg/Wrench"](*parts),
+    )
+
+
+def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState) -> bytes:
+    """A visualization_msgs/MarkerArray, which replaces the one before: of each contact a sphere, an
+    arrow and a text, in the namespaces of these names, with its id.
+    """
+    made, header = types().types, _header(stamp, contacts.patch)
+    point, vector = made["geometry_msgs/msg/Point"], made["geometry_msgs/msg/Vector3"]
+    upright = made["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    never = made["builtin_interfaces/msg/Duration"](0, 0)
+    none = np.zeros(0, np.uint8)
+    texture = made["sensor_msgs/msg/CompressedImage"](header, "", none)
+    mesh = made["visualization_msgs/msg/MeshFile"]("", none)
+    colour = made["std_msgs/msg/ColorRGBA"](*COLOURS[contacts.trusted[0]])
+
+    def marker(
+        name: str,
+        kind: int,
+        scale: tuple[float, float, float],
+        number: int = 0,
+        at: Doubles = ORIGIN,
+        points: Sequence[Doubles] = (),
+        text: str = "",
+        action: int = ADD,
+    ) -> Any:
+        pose = made["geometry_msgs/msg/Pose"](point(*at.tolist()), upright)
+        ends = [point(*one.tolist()) for one in points]
+        return made["visualization_msgs/msg/Marker"](
+            *(header, name, number, kind, action, pose, vector(*scale), colour, never),
+            *(False, ends, [], "", texture, [], text, "", mesh, False),
+        )
+
+    markers = [marker("", SPHERE, (0.0, 0.0, 0.0), action=DELETE_ALL)]
+    for one in shapes(contacts, skin):
+        d = one.diameter
+        markers += [
+            marker("sphere", SPHERE, (d, d, d / 4), one.id, one.centre),
+            marker("arrow", ARROW, (d / 4, d / 2, 0.0), one.id, points=(one.tail, one.centre)),
+            marker("text", TEXT, (0.0, 0.0, d), one.id, one.tail, text=one.text),
+        ]
+    return encoded(MARKERS, markers=markers)
 
 
 class Received(NamedTuple):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from sparseskin.messages import Message, Resultant, SkinState
+from sparseskin.messages import Contacts, Message, Resultant, SkinState
 from sparseskin.messages.topics import topic_of
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import one_line
@@ -14,7 +14,17 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
 from .base import LOOPBACK, MAPS, RESULTANT, Bridge, BridgeSettings, Map, check_installed
-from .exports.foxglove import Channels, figure_names, figures_of, grid, point_cloud, raw_image
+from .contacts import as_json, json_schema
+from .exports.foxglove import (
+    Channels,
+    Schema,
+    contact_scene,
+    figure_names,
+    figures_of,
+    grid,
+    point_cloud,
+    raw_image,
+)
 
 BACKLOG = 1024
 """Messages that the server keeps for a client that reads slowly; beyond it drops the oldest."""
@@ -35,8 +45,9 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
     """Sends each map as `foxglove.RawImage` (32FC1) and `foxglove.Grid`, its figures as JSON; of a
     skin of points as `foxglove.PointCloud`, too.
 
-    Topics: /PATCH/SCHEMA, /PATCH/SCHEMA/grid, /PATCH/SCHEMA/figures, /PATCH/resultant. A topic
-    that no client has subscribed to costs nothing.
+    Topics: /PATCH/SCHEMA, /PATCH/SCHEMA/grid, /PATCH/SCHEMA/figures, /PATCH/resultant, and
+    /PATCH/contacts as JSON, /PATCH/contacts/scene as `foxglove.SceneUpdate`. A topic that no client
+    has subscribed to costs nothing.
     """
 
     HELP = "serve a running graph to Foxglove and Lichtblick"
@@ -94,6 +105,10 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         names = _names(type(message))
         self._log(message, "/figures", names, lambda: figures_of(message) | now)
 
+    def send_contacts(self, message: Contacts, skin: SkinState) -> None:
+        self._log(message, "", json_schema(message), lambda: as_json(message))
+        self._log(message, "/scene", "SceneUpdate", lambda: contact_scene(message, skin))
+
     def send_resultant(self, message: Resultant) -> None:
         self._log(message, "", RESULTANT, lambda: figures_of(message, RESULTANT))
 
@@ -102,9 +117,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
             channel.close()
         self._server.stop()
 
-    def _log(
-        self, message: Message, ending: str, schema: str | Sequence[str], make: Callable[[], Any]
-    ) -> None:
+    def _log(self, message: Message, ending: str, schema: Schema, make: Callable[[], Any]) -> None:
         """Log what `make` returns, where a client has subscribed to the topic with that ending."""
         channel = self._channels.of(message.topic + ending, schema)
         if channel.has_sinks():

@@ -1,20 +1,27 @@
-"""The bridge `ros2`: publishes the forces of patches as messages of ROS 2, without ROS."""
+"""The bridge `ros2`: publishes forces and contacts of patches as messages of ROS 2, without ROS."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from sparseskin.messages import Message, SkinState, topic_of
+from sparseskin.messages import Contacts, Message, SkinState, topic_of
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
 from . import cdr
 from .base import Bridge, BridgeSettings, Map, check_installed, check_words, point_columns
 
-KINDS = {"image": ("", cdr.IMAGE), "points": ("/points", cdr.CLOUD), "array": ("/array", cdr.ARRAY)}
+KINDS = {
+    "image": ("", cdr.IMAGE),
+    "points": ("/points", cdr.CLOUD),
+    "array": ("/array", cdr.ARRAY),
+    "wrench": ("/wrench", cdr.WRENCH),
+    "markers": ("/markers", cdr.MARKERS),
+}
 """Ending of the topic of each kind of message, and its type."""
+OF_MAPS, OF_CONTACTS = ("image", "points", "array"), ("array", "wrench", "markers")
 
 
 @dataclass(frozen=True)
@@ -24,7 +31,8 @@ class Ros2Settings(BridgeSettings):
     messages: tuple[str, ...] = setting(
         tuple(KINDS),
         "image: sensor_msgs/Image on /PATCH/MAP; points: sensor_msgs/PointCloud2 on "
-        "/PATCH/MAP/points; array: std_msgs/Float32MultiArray on /PATCH/MAP/array",
+        "/PATCH/MAP/points; array: std_msgs/Float32MultiArray on /PATCH/MAP/array; of contacts: "
+        "array, wrench: geometry_msgs/WrenchStamped, markers: visualization_msgs/MarkerArray",
     )
     domain: int = setting(0, "DDS domain, ROS_DOMAIN_ID of the readers", low=0, high=232)
     interface: str = setting(
@@ -67,8 +75,9 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         dds, settings = self._dds, self.settings
         quality = dds.quality(settings.history, settings.reliable)
         for patch in settings.patches:
-            for schema in settings.maps:
-                for kind in settings.messages:
+            kinds_of = dict.fromkeys(settings.maps, OF_MAPS) | {Contacts.schema: OF_CONTACTS}
+            for schema, kinds in kinds_of.items():
+                for kind in (kind for kind in kinds if kind in settings.messages):
                     ending, of = KINDS[kind]
                     name = dds.dds_name(topic_of(patch, schema) + ending)
                     topic = Topic(self._participant, name, dds.message_type(of))
@@ -83,24 +92,37 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         return f"DDS domain {self.settings.domain}{by}"
 
     def send(self, message: Map, skin: SkinState) -> None:
+        stamp, patch, forces = _time(message), message.patch, message.forces[0]
+
+        def points() -> bytes:
+            return cdr.cloud(stamp, patch, point_columns(skin, {"force": forces}))
+
+        self._write("image", message, lambda: cdr.image(stamp, patch, forces))
+        self._write("points", message, points)
+        self._write("array", message, lambda: cdr.array(forces))
+
+    def send_contacts(self, message: Contacts, skin: SkinState) -> None:
+        stamp = _time(message)
+        self._write("array", message, lambda: cdr.contact_array(message))
+        self._write("wrench", message, lambda: cdr.contact_wrench(stamp, message))
+        self._write("markers", message, lambda: cdr.contact_markers(stamp, message, skin))
+
+    def _write(self, kind: str, message: Message, make: Callable[[], bytes]) -> None:
+        """Write what `make` returns, where that kind is wanted and somebody reads it."""
         from cyclonedds.core import DDSException
 
-        stamp = divmod(message.stamp_ns, 1_000_000_000)
-        for kind in self.settings.messages:
-            writer = self._writers[f"{kind} {message.topic}"]
-            if not writer.get_matched_subscriptions():
-                continue
-            if kind == "image":
-                made = cdr.image(stamp, message.patch, message.forces[0])
-            elif kind == "array":
-                made = cdr.array(message.forces[0])
-            else:
-                columns = point_columns(skin, {"force": message.forces[0]})
-                made = cdr.cloud(stamp, message.patch, columns)
-            try:
-                writer.write(self._dds.ready(writer.topic.data_type, made))
-            except DDSException:  # a reader is behind
-                self.n_dropped += 1
+        writer = self._writers.get(f"{kind} {message.topic}")
+        if writer is None or not writer.get_matched_subscriptions():
+            return
+        try:
+            writer.write(self._dds.ready(writer.topic.data_type, make()))
+        except DDSException:  # a reader is behind
+            self.n_dropped += 1
 
     def close(self, counts: dict[str, Any]) -> None:
         self._writers.clear()
+
+
+def _time(message: Message) -> tuple[int, int]:
+    """Seconds and nanoseconds of its stamp."""
+    return divmod(message.stamp_ns, 1_000_000_000)

@@ -8,6 +8,7 @@ LEROBOT = Export(
     f"{__name__}.lerobot:export_lerobot",
     {
         "fps": ("N", "rows a second (default: 30)"),
+        "contacts": ("K", "contacts of a patch in the state, the strongest (default: 4)"),
         "window": ("K", "tactile frames a row (default: as many as come meanwhile)"),
     },
 )

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Measurements, Message, Reconstruction, Resultant, SkinState
+from sparseskin.messages import (
+    Contacts,
+    Measurements,
+    Message,
+    Reconstruction,
+    Resultant,
+    SkinState,
+)
 from sparseskin.messages.fields import Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.nodes.files import OutputError, whole_file
@@ -31,8 +38,12 @@ from sparseskin.plugins.bridges.base import (
     check_installed,
     point_columns,
 )
+from sparseskin.plugins.bridges.contacts import COLOURS, as_json, json_schema, shapes
 
 FLOAT32_BYTES = 4
+Schema = str | Sequence[str] | Mapping[str, Any]
+"""Schema of a channel: a name of Foxglove's, "json", a JSON Schema, or the names of the numbers in
+an object."""
 
 
 def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -48,6 +59,9 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
     - the standard deviations as a RawImage on /PATCH/reconstruction/sd, and as field `sd` of that
       grid;
     - all numbers of the message, and the sum of the frame, as JSON on /PATCH/SCHEMA/figures;
+    - contacts as JSON, numbers and events, on /PATCH/contacts, and as foxglove.SceneUpdate on
+      /PATCH/contacts/scene: an arrow, a sphere and a text for each, in the frame of the grid or, of
+      a skin of points, of the cloud;
     - skin, calibration, Phi and solver as JSON on /PATCH/skin, /PATCH/phi ...
 
     Stamps are those of the acquisition, log times those of the recording. The bag's metadata are
@@ -87,10 +101,8 @@ class Channels(dict[str, Any]):
     def __init__(self, context: Any) -> None:
         self._context = context
 
-    def of(self, topic: str, schema: str | Sequence[str]) -> Any:
-        """The channel of a topic. Its schema is a name of Foxglove's, "json", or the names of the
-        numbers in its objects.
-        """
+    def of(self, topic: str, schema: Schema) -> Any:
+        """The channel of a topic."""
         import foxglove
         from foxglove import channels
 
@@ -102,7 +114,8 @@ class Channels(dict[str, Any]):
             elif isinstance(schema, str):
                 make = getattr(channels, f"{schema}Channel")
             else:
-                form = {"schema": numbers_schema(schema)}
+                is_json_schema = isinstance(schema, Mapping)
+                form = {"schema": schema if is_json_schema else numbers_schema(schema)}
             self[topic] = make(topic, context=self._context, **form)
         return self[topic]
 
@@ -113,7 +126,11 @@ def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, A
     if isinstance(message, STATES):
         yield topic, "json", state_json(message)
         return
-    if isinstance(message, Measurements):
+    if isinstance(message, Contacts):
+        yield topic, json_schema(message), as_json(message)
+        if skin is not None:
+            yield f"{topic}/scene", "SceneUpdate", contact_scene(message, skin)
+    elif isinstance(message, Measurements):
         yield topic, "RawImage", raw_image(message, np.asarray(message.y))
     elif (forces := values.get("forces")) is not None:
         yield topic, "RawImage", raw_image(message, forces)
@@ -209,11 +226,64 @@ def point_cloud(
     )
 
 
-def _pose(x: float, y: float) -> Any:
+def contact_scene(message: Contacts, skin: SkinState) -> Any:
+    """foxglove.SceneUpdate of the contacts of a frame, which replaces the one before."""
+    from foxglove import messages as made
+
+    at = _timestamp(message.stamp_ns)
+    colour = made.Color(**dict(zip("rgba", COLOURS[message.trusted[0]], strict=True)))
+    middle = np.zeros(3)
+    if skin.points is None:
+        side = skin.pitch_m or UNKNOWN_PITCH_M
+        middle[:2] = side * (skin.n_cols - 1) / 2, side * (skin.n_rows - 1) / 2
+    entities = []
+    for one in shapes(message, skin):
+        d, centre, tail = one.diameter, one.centre - middle, one.tail - middle
+        length = float(np.linalg.norm(centre - tail))
+        head = min(d / 2, length)
+        arrow = made.ArrowPrimitive(
+            pose=_pose(*tail, *_turn_from_x((centre - tail) / (length or 1.0))),
+            shaft_length=length - head,
+            shaft_diameter=d / 4,
+            head_length=head,
+            head_diameter=d / 2,
+            color=colour,
+        )
+        sphere = made.SpherePrimitive(
+            pose=_pose(*centre), size=made.Vector3(x=d, y=d, z=d / 4), color=colour
+        )
+        text = made.TextPrimitive(
+            pose=_pose(*tail), billboard=True, font_size=d, color=colour, text=one.text
+        )
+        entities.append(
+            made.SceneEntity(
+                timestamp=at,
+                frame_id=message.patch,
+                id=str(one.id),
+                arrows=[arrow],
+                spheres=[sphere],
+                texts=[text],
+            )
+        )
+    everything = made.SceneEntityDeletion(timestamp=at, type=made.SceneEntityDeletionType.All)
+    return made.SceneUpdate(deletions=[everything], entities=entities)
+
+
+def _turn_from_x(direction: npt.NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Quaternion x, y, z, w of the shortest turn of the x axis into a unit vector."""
+    x, y, z = direction.tolist()
+    if x < -0.999999:
+        return (0.0, 0.0, 1.0, 0.0)
+    half = float(np.sqrt(2 + 2 * x))
+    return (0.0, -z / half, y / half, half / 2)
+
+
+def _pose(x: float, y: float, z: float = 0.0, *turn: float) -> Any:
+    """A pose turned by a quaternion, x, y, z, w; none: not turned."""
     from foxglove.messages import Pose, Quaternion, Vector3
 
-    orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
-    return Pose(position=Vector3(x=x, y=y, z=0.0), orientation=orientation)
+    orientation = Quaternion(**dict(zip("xyzw", turn or (0.0, 0.0, 0.0, 1.0), strict=True)))
+    return Pose(position=Vector3(x=x, y=y, z=z), orientation=orientation)
 
 
 def _fields(names: Iterable[str]) -> list[Any]:

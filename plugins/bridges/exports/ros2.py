@@ -12,12 +12,21 @@ import numpy as np
 import numpy.typing as npt
 from mcap.writer import Writer
 
-from sparseskin.messages import Measurements, Message, Reconstruction, Resultant
+from sparseskin.messages import (
+    Contacts,
+    Measurements,
+    Message,
+    Reconstruction,
+    Resultant,
+    SkinState,
+)
 from sparseskin.messages.frames import values_alone
 from sparseskin.nodes.files import whole_folder
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     STATES,
+    patch_of,
+    skin_of,
     state_json,
     stream_topics,
     streams,
@@ -40,8 +49,11 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     not of measurements) and /PATCH/reconstruction/residual; where the solver estimates its error,
     /PATCH/reconstruction/error, and /PATCH/reconstruction/trusted, a std_msgs/msg/Bool. Standard
     deviations are an Image on /PATCH/reconstruction/sd, the resultant's numbers Float32 on
-    /PATCH/resultant/NAME. Skin (with its mask), calibration, Phi and solver are JSON in a
-    std_msgs/msg/String on /PATCH/skin, /PATCH/phi ...
+    /PATCH/resultant/NAME. Contacts are, of all together, a geometry_msgs/msg/WrenchStamped on
+    /PATCH/contacts/wrench, and each a part of a visualization_msgs/msg/MarkerArray on
+    /PATCH/contacts/markers and a row of a std_msgs/msg/Float32MultiArray on /PATCH/contacts/array.
+    Skin (with its mask), calibration, Phi and solver are JSON in a std_msgs/msg/String on
+    /PATCH/skin, /PATCH/phi ...
 
     Raises BagError if rosbags is not installed, the bag has no such frames, or a stamp
     does not fit into ROS's 31 bits of seconds; OutputError if the folder exists or cannot be
@@ -49,6 +61,7 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     """
     check_installed("writing for ROS 2", "ros2", "rosbags", error=BagError)
     wanted = with_states(bag, stream_topics(bag, topics))
+    skins = {patch: skin_of(bag, patch) for patch in {patch_of(topic) for topic in wanted}}
     counts: Counter[tuple[str, str]] = Counter()
     first_ns = last_ns = -1
     with whole_folder(out):
@@ -56,7 +69,7 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
         with open(path, "xb") as file:
             channels = _Channels(file)
             for message, log_time_ns in streams(bag, wanted, "export"):
-                for topic, kind, data in _messages(message, bag.path):
+                for topic, kind, data in _messages(message, skins[message.patch], bag.path):
                     channels.write(topic, kind, data, log_time_ns, message.stamp_ns)
                     counts[topic, kind] += 1
                 first_ns = log_time_ns if first_ns < 0 else min(first_ns, log_time_ns)
@@ -89,16 +102,18 @@ class _Channels:
         self._writer.finish()
 
 
-def _messages(message: Message, path: Path) -> Iterator[tuple[str, str, bytes]]:
+def _messages(
+    message: Message, skin: SkinState | None, path: Path
+) -> Iterator[tuple[str, str, bytes]]:
     """Topic, type and CDR of all that is written of one message."""
     topic, values = message.topic, values_alone(message)
+    stamp = divmod(message.stamp_ns, 1_000_000_000)
+    if stamp[0] > _MAX_SECONDS:
+        raise BagError(
+            f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 can hold, 2**31 seconds"
+        )
 
     def image(array: npt.NDArray[np.float32]) -> tuple[str, bytes]:
-        stamp = divmod(message.stamp_ns, 1_000_000_000)
-        if stamp[0] > _MAX_SECONDS:
-            raise BagError(
-                f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 can hold, 2**31 seconds"
-            )
         return cdr.IMAGE, cdr.image(stamp, message.patch, array)
 
     def one(kind: str, value: object) -> tuple[str, bytes]:
@@ -110,6 +125,11 @@ def _messages(message: Message, path: Path) -> Iterator[tuple[str, str, bytes]]:
         for name in RESULTANT:
             if (value := getattr(message, name)) is not None:
                 yield f"{topic}/{name}", *one(FLOAT, value)
+    elif isinstance(message, Contacts):
+        yield f"{topic}/wrench", cdr.WRENCH, cdr.contact_wrench(stamp, message)
+        yield f"{topic}/array", cdr.ARRAY, cdr.contact_array(message)
+        if skin is not None:
+            yield f"{topic}/markers", cdr.MARKERS, cdr.contact_markers(stamp, message, skin)
     elif isinstance(message, Measurements):
         yield topic, *image(np.asarray(message.y))
     elif (forces := values.get("forces")) is not None:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import LAG_NS, MASK, N_COLS, N_ROWS, frame, make_bag
-from exported import points_bag, rich_frames
+from exported import N_FRAMES, contacts, points_bag, rich_frames
 
-from sparseskin.messages import Measurements, Message, Reconstruction, Resultant, Taxels
+from sparseskin.messages import Contacts, Measurements, Message, Reconstruction, Resultant, Taxels
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges.exports.foxglove import export_foxglove, figures_of
@@ -111,6 +111,32 @@ def test_figures_and_states_of_a_foxglove_export_are_those_of_the_messages(foxgl
     assert np.array_equal([[cell == "1" for cell in row] for row in skin["mask"]], MASK)
 
 
+def test_a_foxglove_export_has_the_contacts_as_numbers_and_as_a_scene(foxglove: Held) -> None:
+    for k in range(N_FRAMES):
+        sent = contacts(k)
+        (_, schema, held), (_, _, scene) = (
+            foxglove[f"/skin/contacts{ending}"][k] for ending in ("", "/scene")
+        )
+        assert (schema, held["n"], held["trusted"]) == ("sparseskin.Contacts", k % 3, k != 4)
+        assert [one["total"] for one in held["contacts"]] == sent.total.tolist()
+        assert all(("x_mm" in one) == (k % 3 == 1) for one in held["contacts"])
+        assert held["events"] == [{"id": n, "event": "begin"} for n in sent.id]
+        assert [one.type for one in scene.deletions] == [1]  # all: the scene is replaced
+        assert [one.id for one in scene.entities] == [str(n) for n in sent.id]
+        for n, entity in enumerate(scene.entities):
+            (sphere,), (arrow,), (text,) = entity.spheres, entity.arrows, entity.texts
+            if k % 3 == 1:  # its place is known, in mm; the frame is that of the middle
+                corner = 0.001 - 0.005 * (N_COLS - 1) / 2, 0.001 - 0.005 * (N_ROWS - 1) / 2
+                at = sphere.pose.position
+                assert (at.x, at.y, at.z) == pytest.approx((*corner, 0.001))
+            length = arrow.shaft_length + arrow.head_length
+            assert arrow.pose.position.z - sphere.pose.position.z == pytest.approx(length)
+            assert length == pytest.approx(sent.total[n] * 0.005 * N_COLS / (10 * 2.5))
+            turn = arrow.pose.orientation  # of x into -z: a quarter about y
+            assert (turn.x, turn.y, turn.z, turn.w) == pytest.approx((0, 0.5**0.5, 0, 0.5**0.5))
+            assert text.text == f"{n + 1}: {0.5 + k:.3g} N"
+
+
 def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(
     tmp_path: Path,
 ) -> None:
@@ -162,9 +188,36 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich: Path) ->
             expected = {name: np.float32(value) for name, value in of.items() if value is not None}
         for name, value in expected.items():
             assert held[f"{message.topic}/{name}"].pop(0)[2].data == value
+        if isinstance(message, Contacts):
+            check_contacts(message, {kind: held[f"{message.topic}/{kind}"].pop(0) for kind in
+                                     ("wrench", "markers", "array")})  # fmt: skip
     states = {name: json.loads(held[f"/skin/{name}"].pop(0)[2].data) for name in ("skin", "phi")}
     assert states["phi"]["seed"] == 7
     assert np.array_equal([[cell == "1" for cell in row] for row in states["skin"]["mask"]], MASK)
+
+
+def check_contacts(sent: Contacts, held: dict[str, tuple[int, str, Any]]) -> None:
+    kinds = {name: schema for name, (_, schema, _) in held.items()}
+    assert kinds["wrench"] == "geometry_msgs/msg/WrenchStamped"
+    assert kinds["markers"] == "visualization_msgs/msg/MarkerArray"
+    wrench, markers, table = (held[name][2] for name in ("wrench", "markers", "array"))
+    stamp = wrench.header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == sent.stamp_ns
+    assert wrench.wrench.force.z == pytest.approx(-sent.total.sum())
+    everything, *others = markers.markers
+    assert (everything.action, everything.ns) == (3, "")
+    assert [(m.ns, m.id, m.type, m.action) for m in others] == [
+        (*kind, 0) for n in sent.id for kind in (("sphere", n, 2), ("arrow", n, 0), ("text", n, 9))
+    ]
+    for n, (_, arrow, text) in enumerate(zip(*[iter(others)] * 3, strict=True)):
+        tail, tip = arrow.points
+        assert (tail.x, tail.y) == (tip.x, tip.y)
+        assert tail.z - tip.z == pytest.approx(sent.total[n] * 0.005 * N_COLS / (10 * 2.5))
+        assert text.text.startswith(f"{sent.id[n]}: ")
+    names = table.layout.dim[1].label.split(",")
+    rows = np.array(table.data).reshape(table.layout.dim[0].size, len(names))
+    for name, values in (("id", sent.id), ("total", sent.total), ("row", sent.centre[:, 0])):
+        assert np.array_equal(rows[:, names.index(name)], values)
 
 
 def test_a_stamp_beyond_ros_is_refused(tmp_path: Path) -> None:

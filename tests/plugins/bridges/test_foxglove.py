@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from bags import skin_state
 from conftest import StartProgram, wait_until
+from exported import contacts
 from foxglove_client import FoxgloveClient, pixels
 
 from sparseskin.messages import Taxels
@@ -59,6 +60,17 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) ->
             assert np.array_equal(pixels(got.content), message.forces[0])
             stamp = got.content.timestamp
             assert stamp.seconds * 10**9 + stamp.nanos == message.stamp_ns
+
+
+def test_contacts_arrive_as_numbers_and_as_a_scene(bridge: FoxgloveBridge) -> None:
+    topics = ("/skin/contacts", "/skin/contacts/scene")
+    list(bridge.step(SKIN))
+    list(bridge.step(contacts(0)))  # announces the channels
+    with subscribed(bridge, *topics) as client:
+        list(bridge.step(contacts(5)))
+        got = {data.topic: data.content for data in (client.data(), client.data())}
+    assert [one["total"] for one in got[topics[0]]["contacts"]] == [5.5, 5.5]
+    assert [one.id for one in got[topics[1]].entities] == ["1", "2"]
 
 
 def test_frames_before_the_skin_and_of_another_shape_are_not_sent(bridge: FoxgloveBridge) -> None:

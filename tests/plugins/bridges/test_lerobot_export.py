@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from bags import N_COLS, N_ROWS, PERIOD_NS, frame, make_bag, skin_state
+from exported import contacts
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 from sparseskin.launch.commands.cli import main
@@ -93,6 +94,29 @@ def test_each_row_holds_the_last_frames_at_or_before_its_time(exported: Dataset)
             assert ages[row, place] == pytest.approx((at_ns - k * PERIOD_NS) / 1e9, abs=1e-6)
 
 
+def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path: Path) -> None:
+    bag, out = tmp_path / "touched.mcap", tmp_path / "touched"
+    make_bag(bag, [skin_state(), *(m for k in range(N_FRAMES) for m in [*frame(k), contacts(k)])])
+    options = ["--out", str(out), "--contacts", "2"]
+    assert main(["bag", "export", str(bag), "--to", "lerobot", *options]) == 0
+    made = Dataset(out)
+    feature = made.info["features"]["observation.state"]
+    rows = made.column("observation.state")
+    assert rows.shape == (len(made.rows), len(feature["names"]))
+    trusted, first, second = (
+        feature["names"].index(f"skin.{name}")
+        for name in ("trusted", "contact_1.total", "contact_2.total")
+    )
+    for row, values in enumerate(rows):
+        k = row * 10**9 // FPS // PERIOD_NS
+        n = k % 3
+        assert values[trusted] == (k != 4)
+        assert values[[first, second]].tolist() == [(0.5 + k) * (n > 0), (0.5 + k) * (n > 1)]
+    stats = made.stats["observation.state"]
+    assert np.allclose(stats["mean"], rows.mean(axis=0, dtype="f8"), atol=1e-5)
+    assert "/skin/contacts (2, N)" in (out / "README.md").read_text()
+
+
 def test_statistics_are_those_of_the_rows(exported: Dataset) -> None:
     for key in exported.info["features"]:
         rows = exported.column(key).astype(np.float64)
@@ -123,6 +147,7 @@ def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(
     [
         (["--to", "csv", "--window", "3"], "--window: goes with --to lerobot"),
         (["--to", "lerobot", "--fps", "5000"], "--fps: 5000 is outside 1..1000"),
+        (["--to", "lerobot", "--contacts", "101"], "--contacts: 101 is outside 1..100"),
         (["--to", "lerobot", "--topics", "/skin/measurements"], "measurements are no map"),
     ],
 )

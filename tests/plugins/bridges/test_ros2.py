@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
 from bags import skin_state
 from conftest import wait_until
+from exported import contacts
 from ros2_peer import forces
 
 from sparseskin.messages import Message, Taxels
@@ -116,6 +117,38 @@ def test_points_are_the_taxels_that_exist_with_their_place_and_row(of_file: bool
 def test_arrays_have_rows_and_columns() -> None:
     (got,) = sent([frame(4)], "array", "/skin/taxels/array")
     assert got == {"shape": [6, 9], "values": frame(4).forces.ravel().tolist()}
+
+
+def test_contacts_are_published_as_wrench_markers_and_array() -> None:
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+
+    from sparseskin.plugins.bridges import dds
+
+    kinds = {"wrench": cdr.WRENCH, "markers": cdr.MARKERS, "array": cdr.ARRAY}
+    bridge = Ros2Bridge(
+        Ros2Settings(domain=DOMAIN, messages=tuple(kinds)), Context("ros2", ManualClock(0))
+    )
+    list(bridge.start())
+    readers = {}
+    for kind, of in kinds.items():
+        topic = Topic(
+            bridge._participant, dds.dds_name(f"/skin/contacts/{kind}"), dds.message_type(of)
+        )
+        readers[kind] = DataReader(bridge._participant, topic, qos=dds.quality(10))
+        writer = bridge._writers[f"{kind} /skin/contacts"]
+        wait_until(lambda writer=writer: bool(writer.get_matched_subscriptions()), kind)
+    for message in (skin_state(), contacts(5)):
+        list(bridge.step(message))
+    got = {}
+    for kind, reader in readers.items():
+        (sample,) = (reader.take_one(timeout=dds.duration(seconds=60)),)
+        got[kind] = cdr.types().deserialize_cdr(sample.cdr, kinds[kind])
+    bridge.close({})
+    assert got["wrench"].header.frame_id == "skin"
+    assert got["wrench"].wrench.force.z == -11
+    assert [m.id for m in got["markers"].markers] == [0, 1, 1, 1, 2, 2, 2]
+    assert got["array"].layout.dim[0].size == 2
 
 
 @pytest.mark.parametrize("kind", ["image", "array"])
