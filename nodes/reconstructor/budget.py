@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -32,15 +31,27 @@ class Costs(NamedTuple):
         """Time of a frame of this many steps, seconds."""
         return self.frame_s + steps * self.step_s
 
-    def steps_in(self, budget_s: float, most: int, paces: Sequence[int] = ()) -> int:
-        """Number of steps that fit into a budget, at most `most`, at least `LEAST_STEPS`.
-
-        Of few `paces`, hosts that differ a little choose the same one.
-        """
+    def steps_in(self, budget_s: float, most: int) -> int:
+        """Number of steps that fit into a budget, at most `most`, at least `LEAST_STEPS`."""
         fit = int((budget_s - self.frame_s) / self.step_s) if self.step_s > 0 else most
-        if fit < most:
-            fit = max((pace for pace in paces if pace <= fit), default=fit)
         return min(max(fit, LEAST_STEPS), most)
+
+
+def steps_within(solver: Solver, phi: Phi, f_max: float, budget_s: float) -> tuple[int, float]:
+    """Number of steps of a frame that fit into a budget on this host, and its time, seconds.
+
+    A solver that has paces uses the largest one that fits: of few, hosts that differ a little
+    choose the same one.
+    """
+    paces = [pace for pace in getattr(solver, "paces", ()) if pace < solver.n_steps]
+    costs = measured_costs(solver, phi, f_max)
+    while paces and costs.of(solver.n_steps) > budget_s:
+        solver.use_pace(paces.pop())
+        costs = measured_costs(solver, phi, f_max)
+    steps = costs.steps_in(budget_s, solver.n_steps)
+    if getattr(solver, "paces", ()):
+        steps = solver.n_steps
+    return steps, costs.of(steps)
 
 
 def measured_costs(solver: Solver, phi: Phi, f_max: float) -> Costs:

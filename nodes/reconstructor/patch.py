@@ -25,7 +25,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     make_rotating_solver,
 )
 
-from .budget import SHARE, measured_costs
+from .budget import SHARE, steps_within
 from .contact_tracks import ContactTracker, Followed
 from .limits import (
     MIN_ITERATIONS,
@@ -111,6 +111,8 @@ class Patch:
         most_steps, frame_ms = sys.maxsize, 0.0
         if alike is not None:
             most_steps = alike.most_steps
+            if most_steps in getattr(solver, "paces", ()):
+                solver.use_pace(most_steps)
         elif budget_ms is not None:
             most_steps, frame_ms = self._steps_within(settings, budget_ms, solver, phi, skin.f_max)
         self.settings, self.solver, self._subsets = settings, solver, subsets
@@ -145,12 +147,12 @@ class Patch:
         f_max: float,
     ) -> tuple[int, float]:
         """Steps of a frame that fit into a budget on this host, and their time, milliseconds."""
-        costs = measured_costs(solver, phi, f_max)
-        steps = costs.steps_in(budget_ms / 1e3, solver.n_steps, getattr(solver, "paces", ()))
-        frame_ms = round(1e3 * costs.of(steps), 3)
+        n_steps = solver.n_steps
+        steps, frame_s = steps_within(solver, phi, f_max, budget_ms / 1e3)
+        frame_ms = round(1e3 * frame_s, 3)
         if steps < MIN_ITERATIONS.get(settings.chosen()["solver"], 0):
             self.log(
-                f"{steps} of {solver.n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
+                f"{steps} of {n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
                 f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
                 "budget_ms, a lower rate, or fewer taxels a node"
             )

@@ -27,7 +27,7 @@ ANNOUNCED = "announced"
 #: Parameters of a solver that are no options: the node gives them, they have settings, or they are
 #: no number, text or truth value.
 _NO_OPTIONS = (
-    *("phi", "basis", "mask", "fast", "rows", "tuning", "gates"),
+    *("phi", "basis", "mask", "fast", "rows", "tuning"),
     *("solver", "iterations", "lambda_n"),
 )
 #: Named sets of settings. "paper": exactly the method of the paper, sections IV and V-A, for a

@@ -29,6 +29,7 @@ from sparseskin.studies.points import StudyError
 RATIOS = (3, 4, 8)
 DEFAULT, SKIN, PAPER = "skin, rotating", "skin", "paper"
 ADAPTIVE, ALONE = "skin, adaptive", "skin, each frame alone"
+FEW_STEPS, FORMULA = "skin, 3 iterations", "skin, formula"
 SIMPLE = ("lattice", "hold", "subsample", "acts")
 """Methods that read single taxels at the edge, and need no measurement matrix."""
 ALL, FILTERED, RAW = "skin, all taxels", "all taxels, filtered", "all taxels, raw"
@@ -37,6 +38,8 @@ CANDIDATES = {
     SKIN: Candidate(PRESETS["skin"]),
     ADAPTIVE: Candidate(PRESETS["skin"], changes={"phi": "adaptive"}),
     ALONE: Candidate(PRESETS["skin"], alone=True),
+    FEW_STEPS: Candidate({**PRESETS["skin"], "iterations": 3}, changes={"rows": ROTATING}),
+    FORMULA: Candidate({**PRESETS["skin"], "gates": "formula"}, changes={"rows": ROTATING}),
     PAPER: Candidate(PRESETS["paper"], changes={"rows": PAPER_ROWS}),
     "lattice": Candidate(of="lattice"),
     "hold": Candidate(of="hold"),

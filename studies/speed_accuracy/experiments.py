@@ -67,8 +67,8 @@ STEPS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33, 40, 50, 60, 75, 90, 12
 def variants() -> dict[str, Candidate]:
     """Solvers by the label they are shown with.
 
-    Each preset, `skin` with rotating rows and (with numba) in compiled loops, the tuned FISTA,
-    and each solver that has no preset with its own defaults.
+    Each preset, `skin` with rotating rows, (with numba) in compiled loops and without learned
+    weights, the tuned FISTA, and each solver that has no preset with its own defaults.
     """
     paper = {"rows": PAPER_ROWS}
     found = {
@@ -79,6 +79,7 @@ def variants() -> dict[str, Candidate]:
     }
     if find_spec("numba"):
         found["skin, compiled"] = Candidate({**PRESETS["skin"], "fast": "on"})
+    found["skin, formula"] = Candidate({**PRESETS["skin"], "gates": "formula"})
     covered = {one.settings["solver"] for one in found.values()}
     others = [name for name in SUM_SOLVERS if name not in covered]
     return found | {name: Candidate({"solver": name, "basis": "haar"}) for name in others}

@@ -125,6 +125,10 @@ class AdaptiveSkinSolver(Solver):
         self._filter.setup(self._whole.forward(self._x), warm)
         self._steps_left = self.n_steps
 
+    def use_pace(self, n_steps: int) -> None:
+        super().use_pace(n_steps)
+        self._filter.use_pace(n_steps)
+
     def step(self) -> None:
         self._count_step()
         self._filter.step()

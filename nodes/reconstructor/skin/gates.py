@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from io import BytesIO
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -45,6 +46,7 @@ CLEARLY = 1.2
 QUIET = 0.01
 """Expected squared error of a tile in which nothing stands out. Measured: 0.003 to 0.01."""
 FILE = "gates.npz"
+FORMULA = "formula"
 Places: TypeAlias = npt.NDArray[np.uint32]
 
 
@@ -89,19 +91,24 @@ class Gates:
         """
         try:
             with np.load(BytesIO(content), allow_pickle=False) as stored:
-                found = {name: np.ascontiguousarray(stored[name], np.float32) for name in _SHAPES}
+                found = {
+                    name: np.ascontiguousarray(stored[name], np.float32) for name in _shapes(0, 0)
+                }
         except (OSError, ValueError, KeyError, EOFError) as error:
             raise SolverError(f"{place}: holds no gates: {error}") from error
-        k, h = len(found["filters"]), len(found["hidden_0"])
-        sides = {"k": k, "h": h, "2k": 2 * k, "k+1": k + 1}
-        for name, shape in _SHAPES.items():
-            expected = tuple(sides.get(str(side), side) for side in shape)
+        for name, expected in _shapes(len(found["filters"]), len(found["hidden_0"])).items():
             if found[name].shape != expected or not np.isfinite(found[name]).all():
                 raise SolverError(
                     f"{place}: {name} has shape {found[name].shape}; "
                     f"expected finite numbers of shape {expected}"
                 )
         return cls(**found, fingerprint=hashlib.sha256(content).hexdigest()[:16])
+
+    @classmethod
+    def zero(cls) -> Gates:
+        """The smallest weights, all 0."""
+        made: dict[str, Floats] = {n: np.zeros(s, np.float32) for n, s in _shapes(1, 1).items()}
+        return cls(**made, fingerprint="")
 
     def denoise(self, windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
         """Return the denoised tiles of windows of unit noise.
@@ -161,23 +168,50 @@ def standing_out(windows: Floats, strictness: float = 1.0) -> Floats:
     return found
 
 
-_SHAPES: dict[str, tuple[int | str, ...]] = {
-    "filters": ("k", WINDOW * WINDOW),
-    "hidden": ("h", "2k"),
-    "hidden_0": ("h",),
-    "gates": ("k+1", "h"),
-    "gates_0": ("k+1",),
-    "synthesis": (TILE * TILE, "k"),
-    "error": (1, "h"),
-    "error_0": (1,),
-}
+def _shapes(k: int, h: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of `Gates`."""
+    return {
+        "filters": (k, WINDOW * WINDOW),
+        "hidden": (h, 2 * k),
+        "hidden_0": (h,),
+        "gates": (k + 1, h),
+        "gates_0": (k + 1,),
+        "synthesis": (TILE * TILE, k),
+        "error": (1, h),
+        "error_0": (1,),
+    }
 
 
 @cache
-def stored_gates() -> Gates:
-    """Weights that come with the package; what they were trained on is in the file."""
+def stored_gates() -> Gates | None:
+    """Weights that come with the package, what they were trained on is in the file; None if the
+    file was left out.
+    """
     place = files("sparseskin.nodes.reconstructor.skin").joinpath(FILE)
-    return Gates.read(place.read_bytes(), FILE)
+    return Gates.read(place.read_bytes(), FILE) if place.is_file() else None
+
+
+def gates_of(setting: Gates | str | None) -> Gates | None:
+    """Return the weights that the setting `gates` of `SkinSolver` names; None: none.
+
+    Raises
+    ------
+    SolverError
+        If it names no file of weights.
+    """
+    if setting is None:
+        return stored_gates()
+    if isinstance(setting, Gates):
+        return setting
+    if not isinstance(setting, str):
+        allowed = f'allowed: "{FORMULA}", the path of a .npz file, Gates'
+        raise SolverError(f"skin: gates = {setting!r} is not allowed; {allowed}")
+    if setting == FORMULA:
+        return None
+    try:
+        return Gates.read(Path(setting).read_bytes(), setting)
+    except OSError as error:
+        raise SolverError(f"skin: gates: {setting}: {error.strerror}") from error
 
 
 class Tiles:

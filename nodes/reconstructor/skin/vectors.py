@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
 
+from .formula import shrink
 from .gates import Gates, Tiles
 from .rows import Rows
 from .tuning import SkinTuning
@@ -20,13 +22,27 @@ NEGLIGIBLE = 1e-3
 """Length of a change, in that of an innovation, which does not show its direction."""
 
 
+class Settled(NamedTuple):
+    """The estimate of a frame, x: its forces, float32 (n,), and sums that tell how it fits.
+
+    power and residual2 are the mean squares of x and of the residual; `along` is the residual along
+    Phi 1, and `unpressed` the sum of what taxels within the noise read.
+    """
+
+    forces: Floats
+    power: float
+    residual2: float
+    along: float
+    unpressed: float
+
+
 class FrameVectors:
     """The work on vectors of `SkinSolver`, whose docstring states the method.
 
     Parameters
     ----------
     rows, tiles, gates
-        W; the windows of the skin; the denoiser.
+        W; the windows of the skin; the weights of the denoiser: None for none.
     places : ndarray of intp, shape (n_rows, n_cols)
         As in `Tiles`.
     tuning : SkinTuning
@@ -37,12 +53,16 @@ class FrameVectors:
         The last estimate, the state of the iterations, and the prediction that they began from.
     innovation, off_target : ndarray of float32, shape (n_read,)
         What the values of the rows read exceed the prediction, and their target, by.
+    innovation2 : float
+        Mean square of the innovation.
+    alike : float
+        Correlation of the innovation with what the last measurements changed, -1 to 1.
     variance_of_read : float
         Mean variance of the targets of the rows read.
     """
 
     def __init__(
-        self, rows: Rows, tiles: Tiles, gates: Gates, places: Indices, tuning: SkinTuning
+        self, rows: Rows, tiles: Tiles, gates: Gates | None, places: Indices, tuning: SkinTuning
     ) -> None:
         self._rows, self._tiles, self._gates, self._t = rows, tiles, gates, tuning
         self._neighbours = neighbours_of(places, rows.n)
@@ -92,15 +112,17 @@ class FrameVectors:
         most = float(x.max()) * max(1.0, 1 + float(a[0]))
         self.predicted = np.clip(x + a.astype(np.float32) @ terms, 0, np.float32(most))
         self._moved = rows.forward(self.predicted)
-        self.innovation = values - self._moved[rows.read]
+        self.innovation = now = values - self._moved[rows.read]
         self.z = self.predicted.copy()
+        last = self._correction[rows.read]
+        self._compare(float(now @ now), float(last @ last), float(now @ last))
 
-    def alignment(self) -> float:
-        """Correlation of the innovation with what the last measurements changed, -1 to 1."""
-        last, now = self._correction[self._rows.read], self.innovation
-        power = float(now @ now)
-        least = NEGLIGIBLE**2 * power
-        return float(now @ last) / math.sqrt(power * (float(last @ last) + least) + TINY)
+    def _compare(self, power: float, of_last: float, product: float) -> None:
+        """Set `innovation2` and `alike` by the sums of squares of the innovation and of the last
+        correction, and the sum of their products.
+        """
+        self.innovation2 = power / self.innovation.size
+        self.alike = product / math.sqrt(power * (of_last + NEGLIGIBLE**2 * power) + TINY)
 
     def filter_rows(
         self, values: Floats, noise: float, signal: float, error2: float, floor: float
@@ -158,8 +180,9 @@ class FrameVectors:
         ridge = t.recall_ridge * noise * sums[2]
         return np.float32(min(max((sums[0] + ridge) / (sums[1] + ridge + TINY), 0.0), 1.0))
 
-    def step(self, shift: int, floor: float) -> tuple[Floats, float, float]:
-        """Move z, with the tiles of a shift; floor is the least variance.
+    def step(self, shift: int, floor: float, formula: bool) -> tuple[Floats, float, float]:
+        """Move z, with the tiles of a shift; floor is the least variance. `formula` is True for
+        `shrink` in place of the weights, which is used where there are none, too.
 
         Returns
         -------
@@ -184,7 +207,8 @@ class FrameVectors:
         windows, back, share = self._tiles.tables(shift)
         scaled = np.zeros(rows.n + 1, dtype=np.float32)
         np.divide(u, s, out=scaled[:-1])
-        tiles, error = self._gates.denoise(scaled[windows], self._tiles.strictness)
+        denoise = shrink if formula or self._gates is None else self._gates.denoise
+        tiles, error = denoise(scaled[windows], self._tiles.strictness)
         x: Floats = tiles.reshape(-1)[back] * s
         expected = float(share @ error)
         alpha = np.float32(min(expected, t.most_alpha))
@@ -192,15 +216,35 @@ class FrameVectors:
         self.z = (z + t.damping * (free - z)).astype(np.float32, copy=False)
         return x, expected * float(s) ** 2, residual2
 
-    def settle(self, estimates: Sequence[Floats], part: float) -> Floats:
+    def settle(
+        self,
+        estimates: Sequence[Floats],
+        part: float,
+        values: Floats,
+        ones: Floats,
+        bias: float,
+        noise_sd: float,
+        least: float,
+    ) -> Settled:
         """Take the mean of some estimates, float32 (n,), and `part` of the prediction for x.
 
-        Returns the values of the rows read, W x, float32 (n_read,).
+        values and ones, float32 (n_read,), are those of the rows read and Phi 1. Readings of mean
+        bias + u are of the force u + bias (1 - exp(-u / bias)), which is not clipped as often;
+        forces below `least` are 0. noise_sd is that of an untouched taxel.
         """
-        x = np.add.reduce(estimates, axis=0) * np.float32((1 - part) / len(estimates))
-        self.start_from(x + np.float32(part) * self.predicted)
+        mean = np.add.reduce(estimates, axis=0) * np.float32((1 - part) / len(estimates))
+        self.start_from(mean + np.float32(part) * self.predicted)
         self._correction = self._whole - self._moved
-        return self._whole[self._rows.read]
+        x, residual = self.x, values - self._whole[self._rows.read]
+        near = np.minimum(x / np.float32(2 * noise_sd + math.sqrt(TINY)), 8)
+        forces = x + np.float32(bias) * (1 - np.exp(-x / np.float32(bias))) if bias else x
+        return Settled(
+            np.where(forces < least, 0, forces),
+            float(x @ x) / x.size,
+            float(residual @ residual) / residual.size,
+            float(ones @ residual),
+            float(x @ np.exp(-near * near)),
+        )
 
 
 def neighbours_of(places: Indices, n: int) -> Indices:

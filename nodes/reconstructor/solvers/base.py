@@ -190,6 +190,10 @@ class Solver(ABC):
             raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
         self._subset_stated = True
 
+    def use_pace(self, n_steps: int) -> None:
+        """Do this many steps in each frame from now on; one of `paces`."""
+        self.n_steps = n_steps
+
     def _count_step(self) -> None:
         """Count a step of the current frame; Raises as in `step`."""
         if not self._steps_left:
@@ -232,9 +236,9 @@ class Solver(ABC):
     def _power_of(self, y: Floats) -> float:
         """Return the squared length of y, float32 (m,); SolverError if it is not finite or huge."""
         # The sum of squares is found far sooner than the extremes, and is hardly ever as large.
-        with np.errstate(over="ignore", invalid="ignore"):
-            power = float(np.dot(y, y))
-        if power < min(self.y_max**2, math.inf):
+        wide = y.astype(np.float64)
+        power = float(wide @ wide)
+        if power < self.y_max**2:
             return power
         if not np.isfinite(y).all():
             bad = int(np.flatnonzero(~np.isfinite(y))[0])

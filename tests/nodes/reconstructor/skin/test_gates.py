@@ -1,14 +1,25 @@
-"""Learned gates: their formula and their file."""
+"""Denoisers of tiles: learned gates and their file, Haar shrinkage by a formula."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from io import BytesIO
 
 import numpy as np
 import pytest
 
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.reconstructor.skin.gates import INNER, WINDOW, Gates, stored_gates
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.skin.formula import shrink
+from sparseskin.nodes.reconstructor.skin.gates import INNER, WINDOW, Gates, gates_of
+
+Denoise = Callable[[Floats], tuple[Floats, Floats]]
+
+
+def stored_gates() -> Gates:
+    found = gates_of(None)
+    assert found is not None
+    return found
 
 
 def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters() -> None:
@@ -24,13 +35,36 @@ def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters() -> None:
     np.testing.assert_allclose(error, np.exp(gates.error @ h + gates.error_0), rtol=1e-4)
 
 
-def test_forces_far_above_the_noise_stay_as_they_are() -> None:
+@pytest.mark.parametrize("denoise", [stored_gates().denoise, shrink])
+def test_forces_far_above_the_noise_stay_as_they_are(denoise: Denoise) -> None:
     """Else a floor in parts of the forces would be left however little noise there is."""
     row, col = np.mgrid[:WINDOW, :WINDOW] - 5.5
     edge, pad = np.where(row > 0, 1.0, 0.2), np.exp(-(row**2 + col**2) / 18)
     u = np.float32(1e5) * np.array([edge, pad], dtype=np.float32).reshape(2, -1)
-    tiles, _ = stored_gates().denoise(u)
+    tiles, _ = denoise(u)
     assert np.linalg.norm(tiles - u[:, INNER]) < 1e-3 * np.linalg.norm(u[:, INNER])
+
+
+@pytest.mark.parametrize(("height", "spread"), [(3.0, 9), (10.0, 2), (30.0, 1)])
+def test_the_expected_error_of_shrinkage_is_the_true_one(height: float, spread: float) -> None:
+    """Stein's estimate has no bias, where no force is so small that it is clipped at 0."""
+    row, col = np.mgrid[:WINDOW, :WINDOW] - 5.5
+    pad = 20 + height * np.exp(-(row**2 + col**2) / (2 * spread)).reshape(-1)
+    noise = np.random.default_rng(0).standard_normal((2000, WINDOW**2))
+    tiles, error = shrink((pad + noise).astype(np.float32))
+    np.testing.assert_allclose(np.mean(error), np.mean(np.square(tiles - pad[INNER])), rtol=0.02)
+
+
+def test_haar_coefficients_of_one_group_are_shrunk_alike() -> None:
+    """An edge along the middle is one coefficient: its gain is that of the formula."""
+    window = np.where(np.mgrid[:WINDOW, :WINDOW][0] < 6, 5.0, 0.0).astype(np.float32)
+    tiles, _ = shrink(window.reshape(1, -1))
+    mean = gain = 2.5 * 8.0  # of the mean, and of the one detail of the coarsest group
+    expected = [
+        mean / (1 + (2.5 / mean**2) ** 2) / 8 + sign * gain / (1 + (7.5 / gain**2) ** 2) / 8
+        for sign in (1, -1)
+    ]
+    np.testing.assert_allclose(tiles.reshape(8, 8)[[0, -1], 0], expected, atol=1e-5)
 
 
 def written(**changes: object) -> bytes:

@@ -64,20 +64,22 @@ def test_few_measurements_in_small_blocks_do_not_make_it_diverge(block: int) -> 
         assert solver.solve(y).max() < 10
 
 
+@pytest.mark.parametrize("settings", [{}, {"iterations": 3}])
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-def test_a_change_of_rounding_stays_one(rows: str) -> None:
+def test_a_change_of_rounding_stays_one(rows: str, settings: Any) -> None:
     truth = np.concatenate([np.zeros((15, *SHAPE), np.float32), sliding_disc(SHAPE, 45)])
     frames, phis = noisy(truth), phis_of(rows)
-    plain, _ = reconstructed(solver_of(phis), phis, frames)
-    changed, _ = reconstructed(solver_of(phis), phis, frames, change=1e-7)
+    plain, _ = reconstructed(solver_of(phis, **settings), phis, frames)
+    changed, _ = reconstructed(solver_of(phis, **settings), phis, frames, change=1e-7)
     assert np.abs(changed - plain).max() < 1e-4 * plain.max()
 
 
-def test_compiled_steps_are_those_of_numpy_but_for_rounding() -> None:
+@pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}])
+def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings: Any) -> None:
     pytest.importorskip("numba")
     frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(ROTATING)
-    plain, errors = reconstructed(solver_of(phis, fast="off"), phis, frames)
-    found, more = reconstructed(solver_of(phis, fast="on"), phis, frames)
+    plain, errors = reconstructed(solver_of(phis, fast="off", **settings), phis, frames)
+    found, more = reconstructed(solver_of(phis, fast="on", **settings), phis, frames)
     assert np.abs(found - plain).max() < 1e-4 * plain.max()
     np.testing.assert_allclose(more, errors, rtol=1e-3)
 
@@ -142,7 +144,8 @@ def test_the_budget_may_end_a_frame_after_any_step() -> None:
     ("settings", "named"),
     [
         ({"iterations": 0}, "iterations = 0 .* 1..1000"),
-        ({"gates": "mine.npz"}, "gates = 'mine.npz' .* Gates"),
+        ({"gates": "none.npz"}, "gates: none.npz: No such file"),
+        ({"gates": 3}, 'gates = 3 .* "formula", the path of a .npz file, Gates'),
         ({"tuning": 3}, "tuning = 3 .* SkinTuning"),
     ],
 )
