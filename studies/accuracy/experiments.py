@@ -168,7 +168,7 @@ class Runs:
             for course in COURSES
             for body in (QUICK_BODIES if self._quick else BODIES)
         ]
-        names = (DEFAULT, SKIN, ADAPTIVE, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, FEW_STEPS, FORMULA, ADAPTIVE, PAPER, "lattice", "hold")
         return self._rows("presses", frames, names, PSNR)
 
     def sizes(self) -> pd.DataFrame:
