@@ -134,9 +134,7 @@ class Contacts(Frames):
 
     def summary(self, unit: str) -> str:
         """Number of contacts and their total force, in a few words."""
-        n = self.id.size
-        total = f", {float(self.total.sum()):.3g} {unit}" if n else ""
-        return f"{n or 'no'} contact{'s' * (n > 1)}{total}"
+        return summary(self.id.size, float(self.total.sum()), unit)
 
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays with an entry for each contact, by the names of the columns of a table: `row` and
@@ -152,6 +150,11 @@ class Contacts(Frames):
             found |= dict(zip(_COLUMNS.get(name, (name,)), columns, strict=True))
         del found["patch_of"]
         return found | {"trusted": np.full(n, self.trusted[0])}
+
+
+def summary(n: int, total: float, unit: str) -> str:
+    """Number of contacts and their total force, in a few words."""
+    return f"{n or 'no'} contact{'s' * (n > 1)}" + (f", {total:.3g} {unit}" if n else "")
 
 
 _COLUMNS = {

@@ -22,9 +22,9 @@ from sparseskin.messages.quantised import Quantised
 N_FRAMES = 12
 
 
-def contacts(k: int) -> Contacts:
-    """Contacts of frame k: k % 3 of them, which begin in that frame; of one alone the place."""
-    n = k % 3
+def contacts(k: int, n: int | None = None) -> Contacts:
+    """n or k % 3 contacts of frame k, which begin in that frame; of one alone the place."""
+    n = k % 3 if n is None else n
     ones, pairs = np.full(n, 0.5 + k, np.float32), np.full((n, 2), 0.25 * k, np.float32)
     ids, flags = np.arange(1, n + 1, dtype=np.int32), np.zeros(n, np.bool_)
     place = {"place_mm": np.ones((1, 3), np.float32)} if n == 1 else {}

@@ -27,6 +27,23 @@ DRAGGED_FROM = 1200
 """The wrench of drag_wrench_40 lies on the skin and is dragged from about this frame on."""
 CONTACT_HZ, CONTACT_FROM, CONTACT_S = 55, 300, 15.0
 """It touches the skin at frame 320, bounces twice, and lies on it from about frame 850 on."""
+TWO_BODIES = """
+import numpy as np
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.sensor.scenes.presses import press_frames
+from sparseskin.nodes.sensor.source import Source
+
+class Bodies(Source):
+    name, delivers, n_frames = "two_bodies", "truth", 3000
+    skin = Skin(40, 40, f_max=2.5, pitch_m=0.005)
+
+    def __iter__(self):  # each on its half; the peg is lifted now and then
+        plate = press_frames("plate", (20, 40), self.n_frames, 3, speed=0.2)
+        peg = press_frames("peg", (20, 40), self.n_frames, 8, speed=0.3, active=0.06)
+        for k, ((above, _), (below, _)) in enumerate(zip(plate, peg)):
+            pressed = np.float32(np.clip(4 * np.cos(k / 50) + 3, 0, 1))
+            yield 50_000_000 * k, np.concatenate([above, pressed * below])
+"""
 CONTACT_FPS, COLOURS, MAX_BYTES = 8, 128, 2_000_000
 
 
@@ -45,8 +62,11 @@ def text(page: Any, selector: str) -> str:
 
 
 def shoot(page: Any, name: str) -> None:
+    from PIL import Image
+
     path = DOCS / f"page_{name}.png"
-    page.save_screenshot(str(path))
+    with Image.open(io.BytesIO(page.get_screenshot_as_png())) as image:
+        image.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     print(f"{path.relative_to(DOCS.parent)}", flush=True)
 
 
@@ -109,6 +129,25 @@ def contact(page: Any, folder: Path) -> None:
     size = path.stat().st_size
     print(f"docs/contact.gif: {len(frames)} pictures, {size / 1e6:.2f} MB", flush=True)
     assert size < MAX_BYTES, f"{path}: larger than {MAX_BYTES} bytes"
+
+
+def contacts(page: Any, folder: Path) -> None:
+    """A plate and a peg slide over the skin: rings, trails, list, events."""
+    (folder / "two_bodies.py").write_text(TWO_BODIES)
+    stated = ("contacts=true", "contact_over=50", "contact_slide=20", "iterations=6", "depth=1")
+    settings = ("sensor.source=two_bodies:Bodies", "sensor.rate_hz=20")
+    named = (f"reconstructor.{setting}" for setting in stated)
+    with launched(page, folder, "replay", *settings, *named):
+        rings = "return document.querySelectorAll('ellipse.contact:not(.doubtful)').length"
+        wait_until(
+            lambda: (
+                n_frames(page) > 900
+                and page.execute_script(rings) == 2
+                and not text(page, "#notices")
+            ),
+            "two bodies on the skin",
+        )
+        shoot(page, "contacts")
 
 
 def n_frames(page: Any) -> int:
@@ -177,6 +216,7 @@ def main() -> int:
 SHOTS = {
     "hero": hero,
     "contact": contact,
+    "contacts": contacts,
     "stale": one_patch,
     "patches": two_patches,
     "torso": torso,

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 SPAN_S = 60.0
 COLUMNS = ("time_s", "psnr_noisy_db", "psnr_db", "latency_ms", "solve_ms", "lost")
-_ROW = struct.Struct(f"{len(COLUMNS)}d")
 MIN_CAPACITY = 2048
 MAX_CAPACITY = 1 << 17
 """60 s at 2.2 kHz; of a faster stream less than 60 s is kept."""
@@ -74,7 +73,12 @@ class Quantiles:
 
 
 class History:
-    """Rows, one a frame, of the last `SPAN_S` seconds, and `MIN_CAPACITY` ones at least.
+    """Rows of the last `SPAN_S` seconds, and `MIN_CAPACITY` ones at least.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Names of the values of a row, the first of them its time in seconds.
 
     Attributes
     ----------
@@ -82,18 +86,20 @@ class History:
         Number of rows added so far, the removed ones included.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, columns: tuple[str, ...] = COLUMNS) -> None:
+        self.columns = columns
         self.n = 0
+        self._row = struct.Struct(f"{len(columns)}d")
         self._rows: deque[bytes] = deque()
 
     def add(self, *row: float) -> None:
-        """Add one row with the values of `COLUMNS`; time must not decrease."""
+        """Add one row with the values of the columns; time must not decrease."""
         rows = self._rows
         while len(rows) >= MIN_CAPACITY and (
-            len(rows) >= MAX_CAPACITY or row[0] - _ROW.unpack(rows[1])[0] >= SPAN_S
+            len(rows) >= MAX_CAPACITY or row[0] - self._row.unpack(rows[1])[0] >= SPAN_S
         ):
             rows.popleft()
-        rows.append(_ROW.pack(*row))
+        rows.append(self._row.pack(*row))
         self.n += 1
 
     def since(self, n: int) -> tuple[int, npt.NDArray[np.float64]]:
@@ -103,9 +109,11 @@ class History:
         -------
         first : int
             Number of the first returned row: `n`, or more if that is removed.
-        rows : ndarray of float64, shape (k, 6)
+        rows : ndarray of float64, shape (k, n_columns)
             A copy.
         """
         first = max(n, self.n - len(self._rows))
         newest = [*islice(reversed(self._rows), max(0, self.n - first))]
-        return first, np.frombuffer(bytearray().join(reversed(newest))).reshape(-1, len(COLUMNS))
+        return first, np.frombuffer(bytearray().join(reversed(newest))).reshape(
+            -1, len(self.columns)
+        )

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from sparseskin.messages.contacts import summary
 from sparseskin.messages.text import printable
 
 from .metrics import FLOAT_BITS, PatchMetrics
@@ -20,13 +21,14 @@ FEW = 4
 
 
 def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
-    """State of a patch in one line: share of the last 100 contact frames that the solver trusts,
-    where it estimates its error; mean PSNR of reconstruction and noisy taxels over them, before the
-    first contact over all; contacts and their force, where they are published; latency since the
-    start.
+    """State of a patch in one line: contacts and their force, where they are published; share of
+    the last 100 contact frames that the solver trusts, where it estimates its error; mean PSNR of
+    reconstruction and noisy taxels over them, before the first contact over all; latency since the
+    start. A terminal of 80 columns shows the contacts at least.
     """
     parts = [
         f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}",
+        *_contacts([metrics]),
         *_trusted([metrics]),
     ]
     reconstruction, noisy = metrics.reconstruction.recent(), metrics.noisy.recent()
@@ -36,8 +38,6 @@ def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
         parts.append(f"PSNR of {frames} {against}{reconstruction:.1f} dB")
         if noisy is not None:
             parts[-1] += f" (taxels {noisy:.1f})"
-    if metrics.contacts is not None and metrics.skin is not None:
-        parts.append(metrics.contacts.summary(metrics.skin.unit))
     parts += _latency([metrics])
     if len(parts) > 1 and metrics.latency_uncertainty_ns:
         parts[-1] += f" ± {metrics.latency_uncertainty_ns / 1e6:.1f}"
@@ -59,12 +59,21 @@ def status_of_many(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
         [
             f"{len(every)} patches: {min(m.reconstructed for m in every)} frames, {rate}, "
             f"skipped {max(m.skipped for m in every)}, lost {max(m.lost_so_far for m in every)}",
+            *_contacts(every),
             f"idle {sum(m.idle for m in every)}",
             *_trusted(pressed),
             *([f"PSNR of contact frames {sum(psnr) / len(psnr):.1f} dB"] if psnr else ()),
             *_latency(every),
         ]
     )
+
+
+def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
+    """Contacts of the newest frames and their force; none where they are not published."""
+    known = [m.contacts for m in patches if m.contacts is not None]
+    units = [m.skin.unit for m in patches if m.skin is not None]
+    n, total = sum(c.id.size for c in known), sum(float(c.total.sum()) for c in known)
+    return [summary(n, total, units[0])] if known and units else []
 
 
 def _trusted(patches: Sequence[PatchMetrics]) -> list[str]:

@@ -10,7 +10,18 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from sparseskin.messages import Message, Reconstruction, Resultant, SkinState, Taxels, Truth
+import numpy as np
+
+from sparseskin.messages import (
+    Contacts,
+    Message,
+    Reconstruction,
+    Resultant,
+    SkinState,
+    Taxels,
+    Truth,
+)
+from sparseskin.messages.contacts import EVENTS
 from sparseskin.nodes.monitor.metrics import FrameMetrics
 from sparseskin.nodes.monitor.statistics import COLUMNS, History
 from sparseskin.nodes.numerics.arrays import Floats
@@ -31,13 +42,17 @@ class PatchFeed:
     While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
     the newest of each kind. Their names are those of the schemas. `idle` is true while the newest
     frame was published as unchanged. `newest_trusted` is that of the
-    newest reconstruction shown, `untrusted_s` the time of the last one not to be trusted, `reason`
-    that of the last one.
+    newest reconstruction shown, `stamp_ns` too, `untrusted_s` the time of the last one not to be
+    trusted, `reason` that of the last one. `contacts` are those of the newest frame, where they are
+    published, `events` their events, a row for each frame with some: time, number of each kind.
     """
 
     skin: SkinState | None = None
     maps: dict[str, Floats] = field(default_factory=dict)
     resultant: Resultant | None = None
+    contacts: Contacts | None = None
+    events: History = field(default_factory=lambda: History(("time_s", *EVENTS)))
+    stamp_ns: int = 0
     came_s: dict[str, float] = field(default_factory=dict)
     n_maps: int = 0
     history: History = field(default_factory=History)
@@ -60,8 +75,9 @@ class PatchFeed:
         """False while a reconstruction shown, or one just before it, is not to be trusted."""
         return self.newest_trusted and now_s - self.untrusted_s > UNTRUSTED_S
 
-    def note_trust(self, reconstruction: Reconstruction, now_s: float) -> None:
-        """Note if a reconstruction that is shown is to be trusted."""
+    def note(self, reconstruction: Reconstruction, now_s: float) -> None:
+        """Note which reconstruction is shown, and if it is to be trusted."""
+        self.stamp_ns = reconstruction.stamp_ns
         (self.newest_trusted,) = reconstruction.trusted
         if not self.newest_trusted:
             self.untrusted_s = now_s
@@ -101,10 +117,13 @@ class Feed:
             if isinstance(message, SkinState):
                 feed.skin = message
                 feed.maps.clear()
-                feed.resultant = None
+                feed.resultant = feed.contacts = None
                 feed.newest_trusted, feed.untrusted_s = True, -math.inf
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
+            if isinstance(message, Contacts):
+                self._add_contacts(feed, message, now_s)
+                return
             if complete is None:
                 self._add_unpaired(feed, message, now_s)
                 return
@@ -113,13 +132,12 @@ class Feed:
             feed.resultant = complete.resultant
             if complete.reconstruction is not None:
                 (feed.idle,) = complete.reconstruction.unchanged
-                feed.note_trust(complete.reconstruction, now_s)
+                feed.note(complete.reconstruction, now_s)
             feed.came_s.update(dict.fromkeys(feed.maps, now_s))
-            feed.n_maps += 1
             feed.lost = complete.lost
             feed.ended = False
             feed.history.add(now_s, *(getattr(complete, name) for name in COLUMNS[1:]))
-            self._wake_readers()
+            self._show(feed)
 
     @property
     def paused(self) -> bool:
@@ -141,11 +159,18 @@ class Feed:
         if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:
             feed.maps = {**feed.maps, message.schema: message.forces[0]}
             if isinstance(message, Reconstruction):
-                feed.note_trust(message, now_s)
+                feed.note(message, now_s)
             feed.resultant = None
             feed.came_s[message.schema] = now_s
-            feed.n_maps += 1
-            self._wake_readers()
+            self._show(feed)
+
+    def _add_contacts(self, feed: PatchFeed, message: Contacts, now_s: float) -> None:
+        feed.contacts = message
+        if message.events is not None:
+            counts = np.bincount(message.events[:, 2], minlength=len(EVENTS))
+            feed.events.add(now_s, *counts.tolist())
+        if message.stamp_ns == feed.stamp_ns:
+            self._show(feed)
 
     def update(
         self,
@@ -176,6 +201,9 @@ class Feed:
             if answer is not None or closed:
                 self.changed.notify_all()
 
-    def _wake_readers(self) -> None:
-        if self.n_waiting:
+    def _show(self, feed: PatchFeed) -> None:
+        """Offer what is new to readers; where contacts are published, with those of its frame."""
+        feed.n_maps += 1
+        is_whole = feed.contacts is None or feed.contacts.stamp_ns == feed.stamp_ns
+        if self.n_waiting and is_whole:
             self.changed.notify_all()

@@ -54,6 +54,10 @@ def _patch_lines(name: str, patch: PatchFeed, now_s: float) -> list[str]:
         lines.append("!! NOT TRUSTED NOW" + (f" ({patch.reason})" if patch.reason else ""))
     if patch.resultant is not None:
         lines.append(_resultant_line(patch.resultant))
+    if (found := patch.contacts) is not None:
+        forces = zip(found.id, found.total, found.total_sd, strict=True)
+        each = ", ".join(f"{number}: {total:.3g} ± {sd:.2g}" for number, total, sd in forces)
+        lines.append(f"{found.summary(patch.skin.unit):<26}{each}")
     return lines
 
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages import Reconstruction
-from sparseskin.nodes.monitor.statistics import COLUMNS
 
 from .feed import Feed, PatchFeed
 from .notices import Notices, host_lines
@@ -27,6 +26,12 @@ OVERVIEW_S = 0.1
 FULL_RATE = 32
 """Patches of an overview that is drawn 10 times a second; one of more is drawn less often."""
 STATE_S = 0.1
+MOST = 16
+"""Contacts of a patch that are sent: the strongest ones."""
+CONTACT_FIELDS = (
+    *("id", "total", "total_sd", "centre", "area", "velocity", "age_s", "over", "sliding"),
+    *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
+)
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
@@ -66,7 +71,7 @@ class StreamReader:
         self._period_s = FRAME_S if patch is not None else OVERVIEW_S * slower
         self._n_maps = dict.fromkeys(feed.patches, -1)
         self._shown = list(feed.patches) if patch is None else [patch]
-        self._n_rows = 0
+        self._n_rows = {"rows": 0, "events": 0}
         self._n_answers = feed.n_answers
         self._sent: dict[str, Any] = {}
         self._frame_due_s = self._state_at_s = -math.inf
@@ -122,18 +127,24 @@ class StreamReader:
                 self._n_maps[name] = patch.n_maps
                 names = set(patch.maps) if self._patch else {Reconstruction.schema}
                 maps = {key: array for key, array in patch.maps.items() if key in names}
-                if self._patch is None and not self._is_new(
-                    f"map {name}", maps.get(Reconstruction.schema)
-                ):
+                contacts = patch.contacts
+                touched = contacts if contacts is not None and contacts.id.size else None
+                is_new = self._is_new(f"map {name}", maps.get(Reconstruction.schema))
+                is_new |= self._is_new(f"contacts {name}", touched)
+                if self._patch is None and not is_new:
                     continue  # an idle patch
-                yield {"kind": "maps", "patch": name, **_resultant(patch)}, dict(maps)
-        if self._patch is not None:
-            first, rows = feed.patches[self._patch].history.since(self._n_rows)
+                shown = _resultant(patch) | _contacts(patch, now_s)
+                yield {"kind": "maps", "patch": name, **shown}, dict(maps)
+        if self._patch is None:
+            return
+        patch = feed.patches[self._patch]
+        for kind, history in (("rows", patch.history), ("events", patch.events)):
+            first, rows = history.since(self._n_rows[kind])
             if len(rows):
-                self._n_rows = first + len(rows)
+                self._n_rows[kind] = first + len(rows)
                 # As ages: float32 holds a minute to 4 us.
                 rows[:, 0] -= now_s
-                header = {"kind": "rows", "columns": COLUMNS, "now_s": now_s}
+                header = {"kind": kind, "columns": history.columns, "now_s": now_s}
                 yield header, {"rows": rows.astype(np.float32)}
 
     def _state(self, now_s: float, closed: bool) -> dict[str, Any]:
@@ -186,6 +197,21 @@ def _resultant(patch: PatchFeed) -> dict[str, Any]:
         return {}
     fields = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
     return {"resultant": {name: getattr(patch.resultant, name) for name in fields}}
+
+
+def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
+    """Contacts of the frame shown, by their ids, if they are published: number and total of all,
+    fields of the strongest.
+    """
+    found = patch.contacts
+    if found is None or abs(found.stamp_ns - patch.stamp_ns) > 1e9 * patch.stale_s:
+        return {}
+    strongest = np.argsort(-found.total, kind="stable")[:MOST]
+    rows = strongest[np.argsort(found.id[strongest])]
+    fields = {name: getattr(found, name) for name in CONTACT_FIELDS}
+    listed = {name: each[rows].tolist() for name, each in fields.items() if each is not None}
+    head = {"n": found.id.size, "sum": float(found.total.sum()), "trusted": patch.trusted(now_s)}
+    return {"contacts": {**head, **listed}}
 
 
 def _skin(name: str, patch: PatchFeed) -> Part:

@@ -11,6 +11,9 @@ const SETTINGS = [
   ["reconstructor", "iterations", "Iterations"],
   ["reconstructor", "lambda_n", "λ (N)"],
   ["reconstructor", "budget_ms", "Time budget (ms/frame)"],
+  ["reconstructor", "contact_force", "Least force of a contact"],
+  ["reconstructor", "contact_over", "Force of the event ◆ over"],
+  ["reconstructor", "contact_slide", "Speed of the event ▶ slide"],
   ["compressor", "m", "Measurements M"],
   ["compressor", "rows", "Rows of Φ"],
   ["compressor", "bits", "Bits per measurement"],
@@ -27,14 +30,14 @@ export class Controls {
   }
 
   // Show the state of the graph; rebuild the controls if its nodes differ.
-  show(graph, patch) {
+  show(graph, patch, hasContacts) {
     const serves = (node) => node.patch === patch || (node.patch && node.patches.includes(patch));
     const nodes = graph.nodes.filter((node) => serves(node) || "seek" in node.commands);
-    const shape = JSON.stringify([patch,
+    const shape = JSON.stringify([patch, hasContacts,
       nodes.map((node) => [node.name, node.type, "tare_left" in node.state])]);
     if (shape !== this.shape) {
       this.shape = shape;
-      this.build(nodes);
+      this.build(nodes, hasContacts);
     }
     for (const node of nodes) this.refresh(node);
     const recording = byId("record");
@@ -44,7 +47,7 @@ export class Controls {
     }
   }
 
-  build(nodes) {
+  build(nodes, hasContacts) {
     this.root.replaceChildren(element("h2", {}, "Controls"));
     const player = nodes.find((node) => "seek" in node.commands);
     if (player) this.root.append(this.playerControls(player.name));
@@ -62,7 +65,8 @@ export class Controls {
     for (const [type, key, label] of SETTINGS) {
       for (const node of nodes.filter((found) => found.type.replace(/_batch$/, "") === type)) {
         const entry = node.controls.find((found) => found.key === key);
-        if (entry) this.root.append(this.field(node.name, entry, label));
+        if (!entry || (key.startsWith("contact_") && !hasContacts)) continue;
+        this.root.append(this.field(node.name, entry, label));
       }
     }
   }

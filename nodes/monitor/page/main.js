@@ -1,5 +1,6 @@
 // The page: reads records of the monitor's stream and draws them.
 
+import { ContactList, summary } from "./contacts.js";
 import { Controls } from "./controls.js";
 import { ago, brief, byId, bytes, element, fixed, setText } from "./dom.js";
 import { Maps, thumbnail } from "./maps.js";
@@ -16,7 +17,7 @@ const model = {
   graph: null, hosts: [], state: null, summaries: {}, skins: {}, maps: {}, fresh: {}, traffic: {},
 };
 let patch = null; // null: the overview
-let stream = null, maps = null, strips = null;
+let stream = null, maps = null, strips = null, contactList = null;
 const cards = {}; // panels of the overview by patch
 let clock = 0; // the monitor's clock less the browser's, in seconds
 const controls = new Controls(byId("controls"));
@@ -38,7 +39,7 @@ function onRecord(record) {
     model.maps[record.patch] = record;
     model.fresh[record.patch] = true;
     requestAnimationFrame(drawMaps);
-  } else if (record.kind === "rows") strips?.add(record);
+  } else if (["rows", "events"].includes(record.kind)) strips?.add(record);
   else if (record.kind === "answer") controls.answer(record);
 }
 
@@ -104,10 +105,11 @@ function drawMaps() {
 
 function drawCard(name) {
   const canvas = document.querySelector(`#card-${name} canvas`);
-  const { reconstruction } = model.maps[name].data;
-  if (!canvas || !reconstruction) return;
+  const record = model.maps[name];
+  if (!canvas || !record.data.reconstruction) return;
   if (cards[name]?.canvas !== canvas) cards[name] = { canvas };
-  setText(canvas.nextElementSibling, thumbnail(cards[name], reconstruction, model.skins[name]));
+  setText(document.querySelector(`#card-${name} small`),
+    thumbnail(cards[name], record, model.skins[name], performance.now()));
 }
 
 function tile(title, value, note, id) {
@@ -242,7 +244,8 @@ function drawOverview() {
   if (root.children.length !== names.length) {
     root.replaceChildren(...names.map((name) => element("a",
       { class: "card", id: `card-${name}`, href: `#/${name}` },
-      element("h2", {}, name), element("canvas"), element("small", {}), element("p", {}))));
+      element("h2", {}, name), element("div", { class: "map" }, element("canvas")),
+      element("small", {}), element("p", {}))));
   }
   for (const name of names) {
     const s = model.summaries[name] ?? {}, state = model.state.patches[name];
@@ -252,15 +255,17 @@ function drawOverview() {
     const now = state.ended ? "ended" : age === undefined ? "no frame yet"
       : age > state.stale_s ? `stale for ${ago(age)}` : state.idle ? "idle" : "live";
     const skipped = s.frames?.skipped ? [`${s.frames.skipped} skipped`] : [];
+    const touched = [summary(model.maps[name]?.contacts, model.skins[name]?.unit)].filter(Boolean);
     const lost = state.lost ? [`${state.lost} lost`] : [];
     setText(card.querySelector("p"), names.length > MANY ? [
-      now, fixed(mean(s, "reconstruction"), 1, "dB"), ...skipped, ...lost,
+      now, ...touched, fixed(mean(s, "reconstruction"), 1, "dB"), ...skipped, ...lost,
       ...(state.trusted ? [] : [notTrusted(state)]),
     ].join(" · ") : [
       s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
       `PSNR ${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1, "dB")}`,
       `latency p50 ${fixed(s.latency_ms?.p50, 1)}, p99 ${fixed(s.latency_ms?.p99, 1, "ms")}`,
       `${state.lost} lost`,
+      ...touched,
       ...(trusted(s) ? [trusted(s)] : []),
       ...skipped,
       ...(state.trusted ? [] : [notTrusted(state)]),
@@ -282,7 +287,11 @@ function drawText() {
     return;
   }
   drawHeadline();
-  if (model.graph && model.state) controls.show(model.graph, patch);
+  const record = model.maps[patch];
+  if (record?.contacts && maps) {
+    contactList.show(maps.contacts, record.contacts, model.skins[patch], seconds());
+  }
+  if (model.graph && model.state) controls.show(model.graph, patch, contactList.isShown);
   const state = model.state?.patches[patch];
   const reachable = model.connection === "open";
   // Data that arrived before the last record are older by the time since.
@@ -307,6 +316,7 @@ function open() {
   maps?.close();
   maps = null;
   strips = name === null ? null : new Strips(byId("strips"));
+  contactList = name === null ? null : new ContactList(byId("strips"));
   model.skins = {};
   model.maps = {};
   byId("maps").replaceChildren();

@@ -3,6 +3,7 @@
 
 import { Cloud } from "./cloud.js";
 import { GRADIENT, VIRIDIS, rounded } from "./colours.js";
+import { Contacts } from "./contacts.js";
 import { brief, byId, cross, element, setText, tick, within } from "./dom.js";
 import { DARK, SpaceView } from "./space.js";
 
@@ -21,6 +22,7 @@ const ELLIPSE = 2.146; // standard deviations that contain 90 % of a normal dist
 class GridView {
   constructor(skin) {
     this.skin = skin;
+    this.pixel = 0; // of the page in taxels
   }
 
   canvas(label, name) {
@@ -39,7 +41,12 @@ class GridView {
 
   attach() {}
 
-  prepare() {}
+  // The size of a pixel is asked for where contacts need it: it costs a layout.
+  prepare(canvas, contacts) {
+    if (!contacts.list.length) return;
+    const { n_cols: nCols, n_rows: nRows } = this.skin;
+    this.pixel = Math.max(nCols / (canvas.clientWidth || 1), nRows / (canvas.clientHeight || 1));
+  }
 
   paint(panel, map, top) {
     panel.image ??= new ImageData(this.skin.n_cols, this.skin.n_rows);
@@ -61,19 +68,28 @@ class GridView {
   }
 
   // The centre of pressure estimated from the measurements alone: a cross, and the ellipse that
-  // contains it in 90 % of the frames. Faulty taxels are struck out on all panels.
-  mark(panels, { resultant, faulty }) {
+  // contains it in 90 % of the frames; contacts. Faulty taxels are struck out on all panels.
+  mark(panels, { resultant, faulty, contacts }) {
     const { row, col, row_sd: rowSd, col_sd: colSd } = resultant ?? {};
     const arm = 0.04 * Math.max(this.skin.n_rows, this.skin.n_cols);
     const plus = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
     for (const [name, { over }] of Object.entries(panels)) {
       over.replaceChildren(...faulty.map((cell) => element("path", { class: "faulty",
         d: cross(cell % this.skin.n_cols, Math.floor(cell / this.skin.n_cols), 0.35) })));
-      if (name !== "reconstruction" || !Number.isFinite(row)) continue;
+      if (name !== "reconstruction") continue;
+      over.append(...this.#drawn(contacts));
+      if (!Number.isFinite(row)) continue;
       over.append(
         element("ellipse", { cx: col, cy: row, rx: ELLIPSE * colSd, ry: ELLIPSE * rowSd }),
         element("path", { d: plus }));
     }
+  }
+
+  // Contacts in the overlay's units, which begin half a taxel before the first one's centre.
+  #drawn(contacts) {
+    const { n_cols: w, n_rows: h } = this.skin;
+    return contacts.drawn({ w, h, pixel: this.pixel },
+      ({ centre: [row, col] }) => [col, row], ({ area }) => Math.sqrt(area / Math.PI));
   }
 
   // Centre of the forces of a map, in mm if the pitch is known.
@@ -105,6 +121,7 @@ export class Maps {
     this.panels = {};
     this.maps = {};
     this.faulty = []; // cells of the taxels that the reconstructor leaves out
+    this.contacts = new Contacts(skin.unit);
     this.mask = skin.data.mask ?? null;
     this.aborter = new AbortController();
     const hasPlaces = Cloud.of(skin);
@@ -191,9 +208,11 @@ export class Maps {
     if (map && highest(map) > CONTACT * this.skin.f_max) this.view.turnTo?.(map);
   }
 
-  // Show new maps, each float32 (n_rows * n_cols,), row after row, and the frame's resultant.
-  show({ data: maps, resultant }, now) {
+  // Show new maps, each float32 (n_rows * n_cols,), row after row, and the frame's resultant and
+  // contacts.
+  show({ data: maps, resultant, contacts }, now) {
     this.maps = { ...maps };
+    this.contacts.show(contacts, now);
     this.resultant = resultant;
     const reference = maps.truth ?? maps.taxels, felt = maps.reconstruction ?? maps.taxels;
     if (highest(felt) > FIRST * this.skin.f_max) this.view.turnAtFirst?.(felt);
@@ -207,7 +226,7 @@ export class Maps {
     const shown = Object.entries(this.panels).filter(
       ([name, { canvas }]) => this.maps[name] && !canvas.closest("figure").hidden);
     if (!shown.length) return;
-    this.view.prepare(shown[0][1].canvas);
+    this.view.prepare(shown[0][1].canvas, this.contacts);
     const peak = Math.max(...["truth", "taxels", "reconstruction"].map((m) => highest(this.maps[m])));
     this.peaks = this.peaks.filter(([at]) => now - at < HOLD_MS);
     this.peaks.push([now, peak]);
@@ -231,8 +250,8 @@ export class Maps {
 
   // What is drawn over the maps.
   mark() {
-    const { resultant, faulty, pointed } = this;
-    this.view.mark(this.panels, { resultant, faulty, cell: pointed?.cell });
+    const { resultant, faulty, contacts, pointed } = this;
+    this.view.mark(this.panels, { resultant, faulty, contacts, cell: pointed?.cell });
   }
 
   // Mark the taxels of these cells as faulty.
@@ -299,20 +318,26 @@ export class Maps {
   }
 }
 
-// One small map, for the overview, drawn on a panel {canvas} that is kept; returns its range in
-// words.
-export function thumbnail(panel, map, skin) {
+// One small map with its contacts, for the overview, of a record of maps; drawn on a panel {canvas}
+// that is kept. Returns its range in words.
+export function thumbnail(panel, { data: { reconstruction: map }, contacts }, skin, now) {
   if (panel.skin !== skin) {
     panel.skin = skin;
     panel.image = panel.pixels = undefined;
     panel.view = Cloud.of(skin) ? new SpaceView(new Cloud(skin)) : new GridView(skin);
     panel.canvas.classList.toggle("smooth", Cloud.of(skin));
     [panel.canvas.width, panel.canvas.height] = [skin.n_cols, skin.n_rows];
+    panel.over?.remove();
+    panel.over = panel.view.overlay();
+    panel.canvas.after(panel.over);
+    panel.contacts = new Contacts(skin.unit);
   }
   const top = Math.max(rounded(highest(map)), 0.1 * skin.f_max); // noise is no picture
   if (highest(map) > FIRST * skin.f_max) panel.view.turnAtFirst?.(map);
-  panel.view.prepare(panel.canvas);
+  panel.contacts.show(contacts, now);
+  panel.view.prepare(panel.canvas, panel.contacts);
   panel.view.paint(panel, map, top);
+  panel.view.mark({ reconstruction: panel }, { faulty: [], contacts: panel.contacts });
   return `peak ${brief(highest(map), skin.unit)}, colours to ${tick(top)} ${skin.unit}`;
 }
 

@@ -234,14 +234,16 @@ export class SpaceView {
   }
 
   // A ring around the taxel of a cell on all panels, crosses on faulty ones, and the skin's axes in
-  // a corner.
-  mark(panels, { faulty, cell }) {
-    if (!this.size || this.marked === String([this.size, cell, faulty])) return;
-    this.marked = String([this.size, cell, faulty]);
+  // a corner; contacts on the reconstruction.
+  mark(panels, { faulty, cell, contacts }) {
+    const shown = String([this.size, cell, faulty]);
+    if (!this.size || (this.marked === shown && !contacts.list.length)) return;
+    this.marked = contacts.list.length ? null : shown;
     const [w, h] = this.size;
-    for (const { over } of Object.values(panels)) {
+    for (const [name, { over }] of Object.entries(panels)) {
       over.setAttribute("viewBox", `0 0 ${w} ${h}`);
       const marks = cell === undefined ? [] : [this.#ring(this.cloud.taxels[cell], w, h)];
+      if (name === "reconstruction") marks.push(...this.#drawn(contacts, w, h));
       over.replaceChildren(...this.#triad(h), ...this.#crosses(faulty, w, h), ...marks);
     }
   }
@@ -267,6 +269,16 @@ export class SpaceView {
     return element("ellipse", { cx: x, cy: y, rx: r, ry: r });
   }
 
+  #drawn(contacts, w, h) {
+    const { cloud, view } = this, [, , eye] = axes(view), scale = scaleOf(cloud, view, w, h);
+    const spacing = cloud.spacing.reduce((a, b) => a + b, 0) / cloud.n;
+    return contacts.drawn({ w, h, pixel: 1 },
+      ({ place_mm: place }) =>
+        place && projected(cloud, view, w, h, place.map((v) => v / 1000)).slice(0, 2),
+      ({ area }) => scale * spacing * Math.sqrt(area / Math.PI),
+      ({ normal }) => normal && dot(eye, normal) <= 0);
+  }
+
   #triad(h) {
     const [right, up] = axes(this.view), x = 1.6 * TRIAD, y = h - 1.6 * TRIAD;
     return ["x", "y", "z"].flatMap((letter, k) => {
@@ -274,7 +286,7 @@ export class SpaceView {
       const line = element("path", { class: "axis", d: `M${x} ${y}l${dx} ${dy}` });
       // The letter of one that points to the eye would lie on those of the others.
       return Math.hypot(dx, dy) < 0.4 * TRIAD ? [line]
-        : [line, element("text", { x: x + 1.35 * dx, y: y + 1.35 * dy }, letter)];
+        : [line, element("text", { x: x + 1.35 * dx, y: y + 1.35 * dy, class: "axis" }, letter)];
     });
   }
 

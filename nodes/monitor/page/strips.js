@@ -1,6 +1,7 @@
 // Strip charts of the last 60 s. Every frame counts: frames are grouped into buckets of 1 s or
 // 0.25 s, each with the extremes, mean and quantiles of its frames.
 
+import { EVENTS } from "./contacts.js";
 import { brief, element, tick } from "./dom.js";
 
 const SPAN_S = 60;
@@ -56,25 +57,26 @@ const CHARTS = [
   { id: "lost", title: "Frames lost", unit: "", lines: [
     ["bad", "lost", (f) => f.last, "lost since the start"]] },
 ];
-const WIDTHS = { psnr_noisy_db: 0.25, psnr_db: 0.25, latency_ms: 1, solve_ms: 1, lost: 0.25, rate: 1 };
+const WIDTHS = { psnr_noisy_db: 0.25, psnr_db: 0.25, latency_ms: 1, solve_ms: 1, lost: 0.25, rate: 1,
+  ...Object.fromEntries(Object.keys(EVENTS).map((name) => [name, 0.5])) };
 
 export class Strips {
   constructor(root) {
     this.series = Object.fromEntries(
       Object.entries(WIDTHS).map(([name, width]) => [name, new Buckets(width)]));
-    this.nFrames = 0;
     this.canvases = CHARTS.map((chart) => element("canvas", { "data-strip": chart.id, role: "img",
       "aria-label": `${chart.title}, last ${SPAN_S} s` }));
     root.replaceChildren(...this.canvases.map((canvas) => element("figure", {}, canvas)));
   }
 
-  // Add the figures of frames: a record of kind "rows".
-  add({ columns, now_s: now, data: { rows } }) {
+  // Add the figures of frames or the numbers of their events: a record of kind "rows" or "events".
+  add({ kind, columns, now_s: now, data: { rows } }) {
     for (let at = 0; at < rows.length; at += columns.length) {
       const time = now + rows[at];
-      columns.forEach((name, c) => this.series[name]?.add(time, rows[at + c]));
-      this.series.rate.add(time, 1);
-      this.nFrames += 1;
+      columns.forEach((name, c) => {
+        if (kind === "rows" || rows[at + c]) this.series[name]?.add(time, rows[at + c]);
+      });
+      if (kind === "rows") this.series.rate.add(time, 1);
     }
   }
 
@@ -119,7 +121,7 @@ export class Strips {
     g.fillStyle = g.strokeStyle = colour("dim");
     g.lineWidth = 0.5;
     g.textBaseline = "middle";
-    for (const v of [low, (low + high) / 2, high]) {
+    for (const v of [low, low < 0 && !chart.floating ? 0 : (low + high) / 2, high]) {
       g.beginPath(); g.moveTo(LEFT, y(v)); g.lineTo(width - RIGHT, y(v)); g.stroke();
       g.textAlign = "right"; g.fillText(tick(v), LEFT - 5, y(v));
     }
@@ -128,6 +130,7 @@ export class Strips {
       g.textAlign = s === 60 ? "left" : s === 0 ? "right" : "center";
       g.fillText(s ? `−${s} s` : "now", x(now - s), height - 3);
     }
+    this.marks(g, now, x, y(low), colour);
     if (chart.asked && asked) {
       g.setLineDash([4, 3]); g.strokeStyle = colour("text"); g.lineWidth = 1;
       g.beginPath(); g.moveTo(LEFT, y(asked)); g.lineTo(width - RIGHT, y(asked)); g.stroke();
@@ -139,19 +142,34 @@ export class Strips {
     }
     legend(g, chart, lines, asked, colour, width);
   }
+
+  // Events of contacts: begin and end on the lowest line, the others above it.
+  marks(g, now, x, bottom, colour) {
+    g.textAlign = "center";
+    g.font = "9px system-ui, sans-serif";
+    Object.entries(EVENTS).forEach(([name, [mark, tone]], k) => {
+      g.fillStyle = colour(tone);
+      for (const [t, f] of this.series[name].points()) {
+        if (f && t > now - SPAN_S) g.fillText(mark, x(t), bottom - (k < 2 ? 2 : 11));
+      }
+    });
+  }
 }
 
-function limits(lines, chart, asked) {
+// Ends of the axis of a chart.
+export function limits(lines, chart, asked) {
   const values = lines.flatMap(({ points }) => points.flatMap(([, v, f]) =>
     chart.band && f ? [f.low, f.high] : v === null ? [] : [v]));
   if (chart.asked && asked) values.push(asked);
-  let low = chart.floating && values.length ? Math.min(...values) : 0;
+  let low = values.length ? Math.min(...values) : 0;
   let high = values.length ? Math.max(...values) : 1;
   if (chart.floating) {
     low = 5 * Math.floor((low - 0.5) / 5);
     high = 5 * Math.ceil((high + 0.5) / 5);
   } else {
-    high = nice(high * 1.08) || 1;
+    // Latencies are below 0 where stamps are ahead of the clock.
+    low = low < 0 ? -nice(-low * 1.08) : 0;
+    high = nice(high * 1.08);
   }
   return [low, high > low ? high : low + 1];
 }

@@ -8,6 +8,7 @@ from typing import Any
 import bags
 import numpy as np
 import pytest
+from exported import contacts
 
 from sparseskin.messages import (
     Measurements,
@@ -27,7 +28,7 @@ from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.graph import NodeSpecs, join
 from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, psnr_db
 from sparseskin.nodes.monitor.node import Monitor
-from sparseskin.nodes.monitor.table import status_line, summary_table
+from sparseskin.nodes.monitor.table import status_line, status_of_many, summary_table
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
@@ -265,6 +266,13 @@ def test_the_status_line_counts_what_is_missing_so_far() -> None:
         "skin: 2 frames, 200 Hz, lost 2 | PSNR of contact frames 100.0 dB (taxels 100.0) | "
         "latency p50 3.0, p99 3.0 ms"
     )
+
+
+def test_a_status_line_of_80_columns_has_the_contacts() -> None:
+    metrics = metrics_of(skin(), *estimated(123456, 1.0, trusted=True), contacts(2))
+    assert "| 2 contacts, 5 N |" in status_line("forearm", metrics, 1000.0)[:79]
+    many = {f"p{k:03}": metrics for k in range(9)}
+    assert "| 18 contacts, 45 N" in status_of_many(many, 1000.0)[:79]
 
 
 def estimated(seq: int, force: float, trusted: bool, error: float | None = 0.1) -> list[Message]:

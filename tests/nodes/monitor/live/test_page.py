@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from browser import browser, lack
 from conftest import Program, StartProgram, wait_until
+from exported import contacts
 from feeds import Graph, graph_state, served
 
 from sparseskin.messages import Resultant
@@ -177,6 +178,67 @@ def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(pag
         graph.frame()
         wait_until(lambda: "resultant" not in text(page, figures), "a frame without")
         assert page.find_elements("css selector", "ellipse") == []
+
+
+def test_contacts_are_rings_with_their_force_rows_that_stay_and_marks(page: Any) -> None:
+    graph = Graph()
+    graph.skin()
+    rows = (
+        "return [...document.querySelectorAll('#contacts tbody tr')]"
+        ".map((e) => [e.innerText, e.className]);"
+    )
+
+    def row(k: int) -> str:
+        shown = page.execute_script(rows)
+        return " ".join(" ".join(shown[k]).split()) if shown else ""
+
+    def touch(k: int, **estimate: Any) -> None:
+        graph.frame(**estimate)
+        graph.take(contacts(k))
+
+    with served(graph, page):
+        graph.frame()
+        wait_until(lambda: int(drawn(page)) > 0, "the first frame")
+        assert page.find_elements("css selector", "#contacts, .contact") == []
+        touch(1)
+        touch(2)
+        labels = "return [...document.querySelectorAll('text.contact')].map((e) => e.textContent);"
+        told = ["1: 2.50 N", "2: 2.50 N"]
+        wait_until(lambda: page.execute_script(labels) == told, "the labels")
+        of_map, of_ring = page.execute_script(
+            "return ['canvas', 'ellipse.contact'].map((which) => {"
+            "  const b = document.querySelector(`[data-panel=reconstruction] ${which}`)"
+            "    .getBoundingClientRect();"
+            "  return [b.x + b.width / 2, b.y + b.height / 2, b.width];"
+            "});"
+        )
+        cell = (of_map[2] - 2) / 7  # row and column 0.5 of 5 rows and 7 columns
+        place = [of_ring[k] - of_map[k] for k in (0, 1)]
+        assert place == pytest.approx([-2.5 * cell, -1.5 * cell], abs=1.0)
+        wait_until(lambda: row(1) == "2 3 ± 3 2.5, 2.5 2 1 2.5", "the second row")
+        touch(3)
+        touch(4, error=0.1, trusted=False)
+        first = "1 5 ± 5 5.0, 5.0 1 1 4.5 doubtful"
+        wait_until(lambda: row(0) == first, "the first row again")
+        assert row(1).endswith("ended")
+        assert len(page.find_elements("css selector", "ellipse.contact.doubtful")) == 1
+        begins = (
+            "const canvas = document.querySelector('[data-strip=lost]');"
+            "const {data} = canvas.getContext('2d')"
+            "  .getImageData(0, 0, canvas.width, canvas.height);"
+            "return data.some((_, k) => k % 4 === 0 && data[k] === 0x0b && data[k + 1] === 0x6e);"
+        )
+        wait_until(lambda: bool(page.execute_script(begins)), "the mark of a begin")
+
+
+def test_the_axis_of_a_chart_has_room_for_latencies_below_0(page: Any) -> None:
+    script = (
+        "const done = arguments[1], points = arguments[0].map((v, k) => [k, v, null]);"
+        "import('./strips.js').then((m) => done(m.limits([{ points }], {}, 0)));"
+    )
+    with served(Graph(), page):
+        assert page.execute_async_script(script, [-3, 5]) == [-4, 6]
+        assert page.execute_async_script(script, [3, 5]) == [0, 6]
 
 
 def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any) -> None:

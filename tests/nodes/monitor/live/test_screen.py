@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import PHI
+from exported import contacts
 from feeds import FakeTime, Graph, graph_state, node_state
 
 from sparseskin.messages import Measurements, PhiState, Reconstruction, Resultant, Taxels, Truth
@@ -102,6 +103,15 @@ def test_the_resultant_of_the_last_frame_is_a_line_where_it_is_reported(clock: F
     graph.feed.patches["skin"].resultant = replace(told, **place)
     line = line_with(lines_of(graph), "resultant")
     assert " ".join(line.split()) == "resultant 3.2 ± 0.12 row 1.5 ± 0.3, column 2.5 ± 0.4"
+
+
+def test_contacts_are_a_line_that_fits(clock: FakeTime) -> None:
+    graph = filled(clock)
+    graph.take(contacts(2))
+    line = line_with(lines_of(graph), "2 contacts, 5 N")
+    assert " ".join(line.split()) == "2 contacts, 5 N 1: 2.5 ± 2.5, 2: 2.5 ± 2.5"
+    graph.take(contacts(2, n=30))
+    assert len(line_with(lines_of(graph), "30 contacts, 75 N")) == WIDTH
 
 
 @pytest.mark.parametrize(

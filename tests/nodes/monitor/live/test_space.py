@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from browser import browser, lack
 from clouds import pressed, torso
 from conftest import wait_until
+from exported import contacts
 from feeds import Graph, graph_state, node_state, served
 
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
@@ -144,6 +146,29 @@ def settled(page: Any) -> None:
     canvas = "document.querySelector('canvas[data-map=reconstruction]')"
     fine = f"return {canvas}.width > 1.4 * {canvas}.clientWidth"
     wait_until(lambda: bool(run(page, fine)), "the fine picture")
+
+
+def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(
+    page: Any, graph: Graph, points: Floats
+) -> None:
+    middle = (
+        "const [m, e] = ['canvas', 'ellipse.contact'].map((which) => document.querySelector("
+        "  `[data-panel=reconstruction] ${which}`)?.getBoundingClientRect());"
+        "return e && ['x', 'y'].map((a) => {"
+        "  const side = a === 'x' ? 'width' : 'height';"
+        "  return (e[a] + e[side] / 2 - m[a]) / m[side]; });"
+    )
+    for at, normal in ((FRONT, 1.0), (BACK, -1.0)):
+        place = {"place_mm": 1e3 * np.array([at], np.float32), "area": np.array([30], np.int32)}
+        press(graph, points, FRONT)
+        stamp_ns = graph.feed.patches["skin"].stamp_ns
+        one = replace(contacts(1), stamp_ns=stamp_ns, **place)
+        graph.take(replace(one, normal=np.array([[normal, 0, 0]], np.float32)))
+        far = "return document.querySelectorAll('ellipse.contact.far').length"
+        wait_until(lambda: run(page, far) == (normal < 0) and run(page, middle), "the ring")  # noqa: B023
+        if normal > 0:
+            _, x, y = pixels(page, VIRIDIS_TOP)
+            assert run(page, middle) == pytest.approx([x, y], abs=0.05)
 
 
 def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import MASK, N_COLS, N_ROWS
+from exported import contacts
 from feeds import BEGIN_S, FakeTime, Graph, Record, graph_state, node_state, read_records
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +19,7 @@ from hypothesis.extra import numpy as st_numpy
 
 from sparseskin.messages import Reconstruction, Taxels, Truth
 from sparseskin.nodes.monitor.live.notices import Notices
-from sparseskin.nodes.monitor.live.stream import StreamReader, record
+from sparseskin.nodes.monitor.live.stream import MOST, StreamReader, record
 from sparseskin.nodes.monitor.statistics import COLUMNS
 
 NUMBERS = st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats()
@@ -146,6 +147,38 @@ def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(
         assert list(maps[patch]) == ["reconstruction"]
         forces = messages[-1].forces[0]  # type: ignore[attr-defined]
         np.testing.assert_array_equal(maps[patch]["reconstruction"], forces)
+
+
+def test_contacts_come_with_their_frame_and_each_event_once(
+    clock: FakeTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph = Graph()
+    graph.skin()
+    page = Page(graph, clock)
+    graph.frame()
+    assert "contacts" not in only(page.pull(), "maps")[0]
+    for k in (1, 2):
+        graph.frame()
+        graph.take(contacts(k))
+    records = page.pull()
+    found = only(records, "maps")[0]["contacts"]
+    assert (found["n"], found["id"], found["sum"], found["trusted"]) == (2, [1, 2], 5.0, True)
+    assert only(records, "events")[1]["rows"][:, 1:].tolist() == [[1, 0, 0, 0], [2, 0, 0, 0]]
+    assert page.kinds() == ["state"]
+    graph.frame()
+    graph.take(contacts(3))
+    woken: list[bool] = []
+    graph.feed.n_waiting = 1
+    monkeypatch.setattr(graph.feed.changed, "notify_all", lambda: woken.append(True))
+    graph.frame()
+    assert not woken
+    graph.take(contacts(4, n=100))
+    assert len(woken) == 1
+    found = only(page.pull(), "maps")[0]["contacts"]
+    assert (found["n"], found["id"]) == (100, list(range(1, MOST + 1)))
+    for _ in range(30):  # 0.3 s without
+        graph.frame()
+    assert "contacts" not in only(page.pull(), "maps")[0]
 
 
 def test_answers_are_sent_once_to_every_page_that_is_open(clock: FakeTime) -> None:
