@@ -132,6 +132,15 @@ class Node(Generic[S]):
         """Settings to change when the node is restarted after its n-th failure."""
         return {}
 
+    @classmethod
+    def totals(
+        cls, settings: S, report: Mapping[str, Any], counts: Iterable[Any], again: bool
+    ) -> dict[str, Any]:
+        """What the counters of all nodes, over all their runs, correct in the report of the node,
+        in a graph in which nodes were restarted; `again`: this one was.
+        """
+        return {}
+
     def start(self) -> Iterable[Message]:
         """Messages to publish before the first step."""
         return ()

@@ -115,6 +115,7 @@ class NodeHost:
         )
         self.streams = [topic for topic in self.inputs if not is_latched(topic)]
         self.raised: Callable[[Exception], None] = lambda error: None
+        self.published: Callable[[str, int], None] = lambda topic, n: None
         self.finished = False
         self.ends: list[End] = []
         self.failure = ""
@@ -249,6 +250,7 @@ class NodeHost:
         topic = message.topic
         seq = self.counts.published[topic]
         self.counts.published[topic] = seq + 1
+        self.published(topic, seq + 1)  # before it is sent: none is sent that is not counted
         if not self.node.verbatim:
             message = message.published(self.run_id, seq)
         self._sent[topic] = (message.run_id, message.seq + 1)

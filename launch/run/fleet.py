@@ -236,6 +236,7 @@ class Fleet:
         bound = self._peers.get(dead.name)
         try:
             self._start_process(spec, late=True, endpoint=bound.endpoint if bound else "")
+            self.nodes[dead.name].earlier = dead.counts
         except SparseskinError as error:
             self._died(dead, EXIT_FAILED, str(error))
 
@@ -302,12 +303,12 @@ class Fleet:
                     self._to_pause.discard(node.name)
                     node.command("pause", value=True)
             case "heartbeat":
-                node.lacks, node.line, node.counts = event["lacks"], event["line"], event["counts"]
+                node.lacks, node.line, node.counted = event["lacks"], event["line"], event["counts"]
                 node.state, node.refusal = event["state"], event["refusal"]
                 node.heard, node.clocks = event["heard"], event["clocks"]
             case "ended":
                 node.ended = True
-                node.counts, node.report = event["counts"], event["report"]
+                node.counted, node.report = event["counts"], event["report"]
                 node.clocks = event["clocks"]
             case "failed":  # the node has logged the reason
                 self._fail(node, EXIT_USAGE)

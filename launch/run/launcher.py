@@ -130,13 +130,18 @@ class Launcher:
         if self._launch.host:
             merged["host"] = self._launch.host
             merged["hosts"] = hosts_state(self._launch, self._fleet)
+        restarts = {name: found.total for name, found in self._fleet.restarts.items()}
+        counts = [node.counts for node in self._fleet]
         for node in self._fleet:
             found = dict(node.report)
+            if any(restarts.values()):
+                again = restarts[node.name] > 0
+                found |= node.spec.cls.totals(node.spec.settings, found, counts, again)
             merged["patches"].update(found.pop("patches", {}))
             merged["nodes"][node.name] = {
                 **found,
                 "type": node.spec.type_name,
-                "restarts": self._fleet.restarts[node.name].total,
+                "restarts": restarts[node.name],
                 "failures": list(self._fleet.restarts[node.name].failures),
                 **node.counts,
             }

@@ -16,6 +16,7 @@ from typing import IO, Any
 
 from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.process.tally import Tally
 
 NEW_S = 8.0
 """Time that a log line is published as the latest one, seconds."""
@@ -73,6 +74,7 @@ class NodeProcess:
         # -P: a file of the user's that is named like a standard module must not shadow it.
         # The name at the end is for whoever lists processes.
         try:
+            self._tally = Tally(spec.outputs)
             self._popen = subprocess.Popen(
                 [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", name],
                 stdin=subprocess.PIPE,
@@ -80,6 +82,7 @@ class NodeProcess:
                 stderr=subprocess.PIPE,
                 start_new_session=True,
                 env=environment,
+                pass_fds=(self._tally.fd,),
             )
         except OSError as error:
             raise SparseskinError(f"{name}: cannot be started: {error.strerror}") from error
@@ -92,7 +95,8 @@ class NodeProcess:
         self.state: dict[str, Any] = {}
         self.settings: dict[str, Any] = spec.settings.live_values()
         self.heard_s = awake_s()
-        self.counts: dict[str, Any] = {}
+        self.counted: dict[str, Any] = {}
+        self.earlier: dict[str, Any] = {}
         self.report: dict[str, Any] = {}
         self.closed_pipes: list[IO[bytes]] = []
         self._log = LogLines()
@@ -101,7 +105,7 @@ class NodeProcess:
         assert self._popen.stdin is not None
         for pipe in (*self.pipes, self._popen.stdin):
             os.set_blocking(pipe.fileno(), False)
-        self._write(config)
+        self._write({**config, "tally": [spec.outputs, self._tally.fd]})
 
     @property
     def pipes(self) -> tuple[IO[bytes], IO[bytes]]:
@@ -131,6 +135,16 @@ class NodeProcess:
     def said(self) -> str:
         """The last line of its log, while it is new."""
         return self._said if awake_s() - self._said_s < NEW_S else ""
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        """Counters of the node and of its `earlier` runs. Of a run that was killed, the numbers of
+        messages published are exact; the others are those of its last heartbeat.
+        """
+        if not self.closed:
+            self.counted["published"] = self._tally.counts()
+        counts: dict[str, Any] = _added(self.earlier, self.counted)
+        return counts
 
     @property
     def closed(self) -> bool:
@@ -182,6 +196,8 @@ class NodeProcess:
             self._popen.stdin.close()
         self.send_signal(signal.SIGKILL)
         self._popen.wait()
+        if not self.closed:
+            self.counted["published"] = self._tally.close()
         for pipe in self.pipes:
             pipe.close()
 
@@ -205,6 +221,14 @@ def _event(line: str) -> dict[str, Any]:
     except json.JSONDecodeError:
         event = None
     return event if isinstance(event, dict) else {"event": "garbage", "text": line[:200]}
+
+
+def _added(first: Any, second: Any) -> Any:
+    """Sums of counters that have the same keys."""
+    if not isinstance(first, dict):
+        return first + second
+    both = {key: _added(first[key], second[key]) for key in first.keys() & second.keys()}
+    return {**first, **second, **both}
 
 
 def exit_text(code: int) -> str:

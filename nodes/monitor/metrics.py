@@ -157,8 +157,8 @@ class PatchMetrics:
 
     Parameters
     ----------
-    late : bool
-        True if the graph already ran when the monitor joined it.
+    since_ns : int or None
+        Time at which the monitor joined a graph that already ran; None from its begin on.
     clock_of : callable
         Takes a topic and returns the clock estimate of its publisher, None while unknown.
 
@@ -175,7 +175,11 @@ class PatchMetrics:
         True while the newest frame was published as unchanged; `unchanged` counts such frames.
     """
 
-    def __init__(self, late: bool = False, clock_of: ClockOf = lambda topic: SAME_CLOCK) -> None:
+    def __init__(
+        self, since_ns: int | None = None, clock_of: ClockOf = lambda topic: SAME_CLOCK
+    ) -> None:
+        self.since_ns = since_ns
+        late = since_ns is not None
         self._clock_of = clock_of
         self._sensed_schema = Taxels.schema  # its publisher states the time of acquisition
         self.latency_ns: int | None = None
@@ -378,6 +382,7 @@ class PatchMetrics:
             },
             "unchanged": self.unchanged,
             "compared": self.compared,
+            "since_ns": self.since_ns,
             "reference": _reference(skin),
             "psnr_db": {
                 "noisy": self.noisy.summary(),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -96,12 +96,13 @@ class Monitor(Node[MonitorSettings]):
 
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
+        since_ns = context.clock.now_ns() if context.late else None
         self._patches = {
-            patch: PatchMetrics(context.late, context.clock_of) for patch in settings.patches
+            patch: PatchMetrics(since_ns, context.clock_of) for patch in settings.patches
         }
         for batch, names in (settings.batches or {}).items():
             clock_of = _clock_of_batch(context, batch)
-            self._patches |= {name: PatchMetrics(context.late, clock_of) for name in names}
+            self._patches |= {name: PatchMetrics(since_ns, clock_of) for name in names}
         self._held: dict[str, Any] = {}
         self._feed: Feed | None = None
         self._page: PageServer | None = None
@@ -117,6 +118,35 @@ class Monitor(Node[MonitorSettings]):
     @classmethod
     def optional_inputs(cls, settings: MonitorSettings) -> tuple[str, ...]:
         return _topics(settings, OPTIONAL)
+
+    @classmethod
+    def totals(
+        cls,
+        settings: MonitorSettings,
+        report: Mapping[str, Any],
+        counts: Iterable[Any],
+        again: bool,
+    ) -> dict[str, Any]:
+        groups = {patch: patch for patch in settings.patches}
+        for batch, names in (settings.batches or {}).items():
+            groups |= dict.fromkeys(names, batch)
+        by = {topic: found for found in counts for topic in found["published"]}
+        patches = {}
+        for name, patch in report.get("patches", {}).items():
+            taxels, measured, answered = (
+                topic_of(groups[name], kind.schema)
+                for kind in (Taxels, Measurements, Reconstruction)
+            )
+            sensed = taxels if taxels in by else measured
+            found = dict(patch["frames"])
+            if sensed in by:  # by a node of this host
+                found["sensed"] = by[sensed]["published"][sensed]
+            if again and answered in by:
+                found["reconstructed"] = by[answered]["published"][answered]
+                found["skipped"] = by[answered]["skipped"].get(measured, 0)
+            found["lost"] = max(0, found["sensed"] - found["reconstructed"] - found["skipped"])
+            patches[name] = {**patch, "frames": found}
+        return {"patches": patches}
 
     def start(self) -> Iterable[Message]:
         ask = self.context.ask

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -41,6 +42,8 @@ def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
     parts += _latency([metrics])
     if len(parts) > 1 and metrics.latency_uncertainty_ns:
         parts[-1] += f" ± {metrics.latency_uncertainty_ns / 1e6:.1f}"
+    if since := _since(metrics.since_ns):
+        parts.append(since.strip())
     return " | ".join(parts)
 
 
@@ -152,7 +155,15 @@ def _compared(patch: Mapping[str, Any]) -> str:
     """How many frames the figures are of, where they are not of all reconstructed ones."""
     if patch["compared"] >= patch["frames"]["reconstructed"]:
         return ""
-    return f"; figures of {patch['compared']} (the others came too late)"
+    why = _since(patch["since_ns"]) or " (the others came too late)"
+    return f";\n            figures of {patch['compared']}{why}"
+
+
+def _since(stamp_ns: Any) -> str:
+    """Time of day from which a monitor reads, where it joined a graph that already ran."""
+    if not isinstance(stamp_ns, int):
+        return ""
+    return time.strftime(" since %H:%M:%S", time.localtime(stamp_ns / 1e9))
 
 
 def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:

@@ -29,6 +29,7 @@ from .backlog import Backlog
 from .control import Control, ControlClient
 from .memory import FreeMemory
 from .scheduling import Scheduling
+from .tally import Tally
 
 POLL_MS = 100
 """Longest wait, so that signals are noticed."""
@@ -54,7 +55,8 @@ class Runner:
         readers (names of the nodes that read this one), offset_ns (of the graph's clock); optional
         max_frames (of a source), folder (in which modules are searched too), late (the node joins a
         running graph), control (path of the control socket, of a node that watches its graph),
-        page_token, page_file, cpus and priority (`Scheduling`), and the keys of `Network`.
+        page_token, page_file, tally (arguments of a `Tally`), cpus and priority (`Scheduling`), and
+        the keys of `Network`.
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:
@@ -78,6 +80,8 @@ class Runner:
             node, run_id, self.log, config["inputs"], late, config.get("distant_inputs", ())
         )
         self.host.raised = self._raised
+        if tally := config.get("tally"):
+            self.host.published = Tally(*tally).set
         self.expected = set(config["readers"])
         self.max_frames: int | None = config.get("max_frames")
         scheduling = Scheduling(tuple(config.get("cpus", ())), config.get("priority", 0))

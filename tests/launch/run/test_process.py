@@ -108,12 +108,12 @@ def test_live_recordings_leave_no_descriptor_open_and_a_killed_one_is_not_on(
     n_with_recorder = n_files(pid)
     record(False)
     for _ in range(2):
-        wait_until(lambda: n_files(pid) == n_with_recorder - 3, "the end of its pipes")
+        wait_until(lambda: n_files(pid) == n_with_recorder - 4, "the end of its pipes")
         for recording in tmp_path.glob("*.mcap"):  # two within a second have one name
             recording.unlink()
         record(True)
         record(False)
-    wait_until(lambda: n_files(pid) == n_with_recorder - 3, "the end of its pipes")
+    wait_until(lambda: n_files(pid) == n_with_recorder - 4, "the end of its pipes")
     for recording in tmp_path.glob("*.mcap"):
         recording.unlink()
     record(True)

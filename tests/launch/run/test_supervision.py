@@ -18,6 +18,16 @@ from sparseskin.launch.run.restarts import NEVER, ON_FAILURE, RestartPolicy, Res
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.process.control import ControlClient
 
+#: Frames of which each is a byte more in a file before it is delivered: their true number.
+COUNTED = """
+import os
+import numpy as np
+def frames():
+    with open("acquired", "ab", buffering=0) as acquired:
+        for k in range(1000):
+            acquired.write(b".")
+            yield k, np.full((8, 8), 1 + k / 1000)
+"""
 GRAPH = (BUNDLED / "path_40.toml").read_text()
 
 
@@ -137,7 +147,9 @@ def killed(program: Program, node: str) -> None:
 def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
     start: StartProgram, tmp_path: Path
 ) -> None:
-    program = launched(start, tmp_path, 'restart = "on-failure"')
+    (tmp_path / "counted.py").write_text(COUNTED)
+    source = ("--set", "sensor.source=counted:frames", "--set", "reconstructor.preset=paper")
+    program = launched(start, tmp_path, 'restart = "on-failure"', *source)
     client = connected(program)
     client.send({"watch": True})
 
@@ -154,8 +166,8 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
     # A pause holds the graph's end off, however long the first restart takes.
     client.send({"id": "1", "node": "sensor", "command": "pause", "value": True})
     wait_for("sensor", condition="paused")
-    # Two at once: each has to find the other where it was, while that one is still starting.
-    for node in ("compressor", "reconstructor"):
+    # Several at once: each has to find the other where it was, while that one is still starting.
+    for node in ("compressor", "reconstructor", "monitor"):
         os.kill(program.pid_of(node), signal.SIGKILL)
     wait_for("reconstructor", condition="running", restarts=1)
     killed(program, "sensor")
@@ -176,14 +188,18 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
     assert "Traceback" not in stderr
     summary: dict[str, Any] = json.loads((tmp_path / "out.json").read_text())
     restarts = {name: node["restarts"] for name, node in summary["nodes"].items()}
-    assert restarts == {"sensor": 1, "compressor": 1, "reconstructor": 1, "monitor": 0}
+    assert restarts == {"sensor": 1, "compressor": 1, "reconstructor": 1, "monitor": 1}
     assert summary["nodes"]["sensor"]["failures"] == ["ended too early: killed by SIGKILL"]
-    assert summary["nodes"]["monitor"]["failures"] == []
-    frames = summary["patches"]["skin"]["frames"]
-    # The second sensor goes through all its frames, whatever the first one had sent.
-    assert frames["sensed"] >= 1000
-    assert frames["reconstructed"] > 0
+    patch, nodes = summary["patches"]["skin"], summary["nodes"]
+    frames = patch["frames"]
+    # The second sensor goes through all its frames, whatever the first one had sent. The monitor,
+    # which was restarted, has not seen the frames of the first one, nor all reconstructions.
+    assert frames["sensed"] == (tmp_path / "acquired").stat().st_size > 1000
+    assert frames["reconstructed"] == nodes["reconstructor"]["published"]["/skin/reconstruction"]
     assert frames["lost"] == frames["sensed"] - frames["reconstructed"]
+    assert 0 < patch["compared"] <= 1000
+    assert f"figures of {patch['compared']} since " in stdout
+    assert patch["since_ns"] > 0
     assert program.survivors() == {}
 
 

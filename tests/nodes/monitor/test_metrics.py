@@ -173,7 +173,7 @@ def test_lost_frames_are_those_sensed_but_not_reconstructed() -> None:
 
 @pytest.mark.parametrize("late", [False, True])
 def test_frames_that_were_skipped_on_purpose_are_not_lost(late: bool) -> None:
-    metrics = PatchMetrics(late=late)
+    metrics = PatchMetrics(since_ns=0 if late else None)
     metrics.add(skin(has_truth=False))
     n_restored = 0
     for seq in range(10):
@@ -206,7 +206,7 @@ def test_the_table_states_of_how_many_frames_its_figures_are() -> None:
     # The truth of the last frame is missing.
     cut = [m for m in frames if not (isinstance(m, Truth) and m.stamp_ns == frames[-1].stamp_ns)]
     part = summary_table({"skin": metrics_of(skin(), PHI, SOLVER, *cut).summary()})
-    assert f"{stated}; figures of 2 (the others came too late)\n" in part
+    assert f"{stated};\n            figures of 2 (the others came too late)\n" in part
 
 
 def test_times_and_bytes_and_names() -> None:
@@ -313,7 +313,7 @@ def resultant(k: int) -> Resultant:
 
 
 def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares() -> None:
-    metrics = PatchMetrics(late=True)
+    metrics = PatchMetrics(since_ns=0)
     metrics.add(resultant(0).published("0" * 16, 0))  # of a frame whose taxels it has not received
     metrics.add(skin(has_truth=False))
     frames = [frame(seq, None, 1.0, 1.0) for seq in range(40, 45)]
