@@ -28,7 +28,7 @@ def frames():
         n_bad = n_dropped = logged = 0
         while True:
             try:
-                packet, notes, _, _ = skin.recvmsg(65536, 64)
+                packet, notes, _, sender = skin.recvmsg(65536, 64)
             except TimeoutError:
                 raise TimeoutError(f"no packet for {SILENT_S:g} s on port {PORT}") from None
             n_dropped = max(int.from_bytes(n[2], sys.byteorder) for n in notes) if notes else 0
@@ -38,5 +38,6 @@ def frames():
                 logged = n_bad + n_dropped
                 print(f"{n_bad} packets of a wrong size, {n_dropped} dropped by the kernel")
             if whole:
+                skin.connect(sender)  # packets of others are dropped by the kernel from now on
                 counts = np.frombuffer(packet, "<u2").reshape(SHAPE)
                 yield time.monotonic_ns(), counts * (RANGE_N / 65535)

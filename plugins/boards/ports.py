@@ -26,11 +26,14 @@ class Port(ABC):
     ----------
     n_bytes : int
         Bytes received since it was made.
+    lines : list of str
+        Lines for the log that are not yet taken.
     """
 
     def __init__(self, address: str, settings: Any, framing: Framing, counts: Counts) -> None:
         self.address, self._settings = address, settings
         self.n_bytes = 0
+        self.lines: list[str] = []
 
     @classmethod
     @abstractmethod

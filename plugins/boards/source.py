@@ -119,6 +119,8 @@ class BoardSource(LiveSource):
             self._retry_at = self._gone_at + RETRY_S
             self._lines.append(f"{self.name}: the device is gone; waiting for it")
             return
+        self._lines += (f"{self.name}: {line}" for line in self._port.lines)
+        self._port.lines.clear()
         if arrived:
             self._heard_at = arrived[-1][0] / 1e9
             self._bytes_before = self._port.n_bytes
@@ -223,6 +225,7 @@ def dropped_text(figures: dict[str, int]) -> str:
         "missing_frames": "missing frames",
         "late_frames": "late frames",
         "not_finite_frames": "frames with a reading that is no number",
+        "other_senders": "packets of other senders",
         "kernel_packets": "packets dropped by the kernel",
         "port_errors": "errors of the port",
         "dropped_bytes": "bytes",

@@ -6,6 +6,7 @@ import select
 import socket
 import sys
 import time
+from functools import partial
 from typing import Any
 
 from sparseskin.nodes.errors import SourceError
@@ -16,18 +17,27 @@ from .settings import UdpSettings
 
 RECEIVE_BUFFER_BYTES = 1 << 22
 """Buffer of the socket that is asked for; the kernel may give less."""
+HOLD_S = 2.0
+"""Silence of the sender after which frames of another one are used, seconds; chosen: a board that was
+started again may send from another port.
+"""
 SO_RXQ_OVFL = 40
 """Linux: with a packet the kernel states how many it has dropped. Source: asm-generic/socket.h."""
 
 
 class UdpPort(Port):
-    """Packets of whole frames at a UDP port."""
+    """Packets of whole frames at a UDP port, of the first address and port that sends one; those of
+    others are counted and dropped. Where the settings state a sender, all its ports are one.
+    """
 
     def __init__(
         self, address: str, settings: UdpSettings, framing: Framing, counts: Counts
     ) -> None:
         super().__init__(address, settings, framing, counts)
-        self._parser = PacketParser(framing, counts)
+        self._new_parser = partial(PacketParser, framing, counts)
+        self._parser = self._new_parser()
+        self._sender: tuple[str, int] | None = None
+        self._heard_s = 0.0
         self._socket: socket.socket | None = None
         self._n_dropped = self._n_strangers = self._last_bytes = 0
 
@@ -65,13 +75,30 @@ class UdpPort(Port):
             for level, kind, value in notes:
                 if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL):
                     self._n_dropped = max(self._n_dropped, int.from_bytes(value, sys.byteorder))
-            if self._settings.sender not in (None, sender[0]):
+            if not self._is_heard(sender, now_ns / 1e9):
                 self._n_strangers += 1
+                if self._n_strangers == 1:
+                    used = self._settings.sender or _text(self._sender)
+                    self.lines.append(
+                        f"packets of {_text(sender)} are dropped; {used} is the sender"
+                    )
                 continue
             self.n_bytes += len(packet)
             self._last_bytes = len(packet)
-            frames += [(now_ns, frame) for frame in self._parser.feed(packet)]
+            is_new = self._settings.sender is None and sender != self._sender
+            parser = self._new_parser() if is_new else self._parser
+            found = parser.feed(packet)
+            if found:
+                if is_new and self._sender is not None:
+                    self.lines.append(f"{_text(sender)} is the sender now")
+                self._parser, self._sender, self._heard_s = parser, sender, now_ns / 1e9
+            frames += [(now_ns, frame) for frame in found]
         return frames
+
+    def _is_heard(self, sender: tuple[str, int], now_s: float) -> bool:
+        if (stated := self._settings.sender) is not None:
+            return bool(sender[0] == stated)
+        return self._sender in (None, sender) or now_s - self._heard_s >= HOLD_S
 
     def close(self) -> None:
         if self._socket is not None:
@@ -84,3 +111,7 @@ class UdpPort(Port):
 
     def hint(self) -> str:
         return f"; the last packet had {self._last_bytes} bytes"
+
+
+def _text(sender: tuple[str, int] | None) -> str:
+    return "nobody" if sender is None else f"{sender[0]}:{sender[1]}"

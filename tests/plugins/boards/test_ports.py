@@ -23,6 +23,7 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.sources import open_source
 from sparseskin.plugins.boards import source as source_module
+from sparseskin.plugins.boards import udp_port
 from sparseskin.plugins.boards.framing import Framing
 from sparseskin.plugins.boards.source import BoardSource, dropped_text
 
@@ -147,16 +148,44 @@ class TestUdp:
         assert other.next_frame(WAIT_S) is None
         assert other.figures()["other_senders"] == 1
 
+    def test_frames_of_others_than_the_first_sender_are_dropped_and_counted(
+        self, opened: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        port = free_port(socket.SOCK_DGRAM)
+        source = opened(f"udp:{port}?rows=2&cols=3&sequence=u32")
+        framing = Framing(6, sequence_bytes=4)
+        send_packets(port, b"no frame")  # of nobody who is then the sender
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
+            board.connect(("127.0.0.1", port))
+            board.send(framing.encode(bytes([1] * 6), 7))
+            taken(source, 1)
+            send_packets(port, *(framing.encode(bytes([9] * 6), k << 20) for k in range(300)))
+            board.send(framing.encode(bytes([2] * 6), 8))
+            board.send(framing.encode(bytes([3] * 6), 2**31))  # no board has lost so many
+            assert [forces.max() for _, forces in taken(source, 2)] == [2, 3]
+            (line,) = source.take_lines()
+            assert line.endswith(f" are dropped; 127.0.0.1:{board.getsockname()[1]} is the sender")
+        figures = source.figures()
+        assert (figures["other_senders"], figures["missing_frames"]) == (300, 0)
+        assert "300 packets of other senders" in source.dropped()
+        monkeypatch.setattr(udp_port, "HOLD_S", 0.0)  # as if the board had been silent
+        send_packets(port, framing.encode(bytes([4] * 6), 1))
+        assert taken(source, 1)[0][1].max() == 4
+        assert source.take_lines()[0].endswith(" is the sender now")
+
     def test_what_the_kernel_drops_is_counted(self, opened: Any) -> None:
         port = free_port(socket.SOCK_DGRAM)
         source = opened(f"udp:{port}?rows=100&cols=100")
         n_sent = 3000
-        send_packets(port, *[bytes(10_000)] * n_sent)
-        n = 0
-        while source.next_frame(0.2) is not None:
-            n += 1
-        send_packets(port, bytes(10_000))  # with it comes the number
-        n += len(taken(source, 1))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
+            board.connect(("127.0.0.1", port))
+            for _ in range(n_sent):
+                board.send(bytes(10_000))
+            n = 0
+            while source.next_frame(0.2) is not None:
+                n += 1
+            board.send(bytes(10_000))  # with it comes the number
+            n += len(taken(source, 1))
         assert n + source.figures()["kernel_packets"] == n_sent + 1
         with pytest.raises(SourceError, match=f"port {port} of 127.0.0.1 cannot be opened: Addr"):
             opened(f"udp:{port}?rows=2&cols=3")
