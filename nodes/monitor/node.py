@@ -131,17 +131,17 @@ class Monitor(Node[MonitorSettings]):
         for batch, names in (settings.batches or {}).items():
             groups |= dict.fromkeys(names, batch)
         by = {topic: found for found in counts for topic in found["published"]}
-        patches = {}
-        for name, patch in report.get("patches", {}).items():
+        patches = dict(report.get("patches", {}))
+        for name, patch in patches.items():
             taxels, measured, answered = (
                 topic_of(groups[name], kind.schema)
                 for kind in (Taxels, Measurements, Reconstruction)
             )
             sensed = taxels if taxels in by else measured
-            found = dict(patch["frames"])
-            if sensed in by:  # by a node of this host
-                found["sensed"] = by[sensed]["published"][sensed]
-            if again and answered in by:
+            if not ({sensed, answered} if again else {sensed}) <= by.keys():
+                continue  # some are of another host
+            found = {**patch["frames"], "sensed": by[sensed]["published"][sensed]}
+            if again:
                 found["reconstructed"] = by[answered]["published"][answered]
                 found["skipped"] = by[answered]["skipped"].get(measured, 0)
             found["lost"] = max(0, found["sensed"] - found["reconstructed"] - found["skipped"])

@@ -7,6 +7,8 @@ the members of a message to DDS, as it asks for, and carry its bytes as they are
 from __future__ import annotations
 
 import functools
+import os
+import socket
 import types
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +30,9 @@ TOPIC_PREFIX = "rt"
 """Begins the DDS name of a ROS topic: /skin/taxels is rt/skin/taxels."""
 BLOCK_MS = 10
 """Longest wait of a write for a reader that is behind, milliseconds; then the sample is dropped."""
+MAX_DOMAIN = 232
+RANGES = {"LOCALHOST": "lo", "SUBNET": "", "SYSTEM_DEFAULT": ""}
+"""Interface of each range of discovery of ROS 2."""
 WHC_HIGH = "16 MB"
 """Unacknowledged bytes of a writer beyond which a write waits: far more than any history here."""
 
@@ -75,21 +80,70 @@ _domains: dict[int, tuple[str, Domain]] = {}
 """Domains that this process has configured, and their interfaces: it can do so once each."""
 
 
-def participant(domain: int, interface: str) -> DomainParticipant:
-    """Join a domain by one network interface, "lo" for this host alone; "" as CYCLONEDDS_URI or
-    the defaults of cyclonedds have it.
+def participant(domain: int | None, interface: str | None) -> tuple[DomainParticipant, str]:
+    """Join a domain by one network interface, "lo" for this host alone, "" as CYCLONEDDS_URI or
+    the defaults of cyclonedds have it; where None is stated, as the variables of ROS 2 have it.
+    Return the participant and the place at which it listens, in words.
 
     Raises SettingsError if that cannot be done.
     """
+    domain = _ros_domain() if domain is None else domain
+    interface = _ros_interface() if interface is None else interface
+    before = _udp_sockets()
     try:
         if interface and _domains.get(domain, ("",))[0] != interface:
             _domains[domain] = interface, Domain(domain, _config(interface))
-        return DomainParticipant(domain)
-    except DDSException as error:
+        joined = DomainParticipant(domain)
+        made = {fd: at for fd, at in _udp_sockets().items() if fd not in before}
+        for fd in made if interface == "lo" else ():
+            # cyclonedds 11 binds what it receives by to all interfaces, whichever is stated.
+            with socket.socket(fileno=os.dup(fd)) as one:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+    except (DDSException, OSError) as error:
         raise SettingsError(
             f"interface: cannot join DDS domain {domain} by {interface or 'any interface'}: "
-            f"{error.msg or error}"
+            f"{getattr(error, 'msg', '') or error}"
         ) from error
+    addresses = sorted({*made.values()} - {"0.0.0.0"})
+    by = interface or ", ".join(addresses) or "the interface of CYCLONEDDS_URI"
+    return joined, f"DDS domain {domain} by {by}"
+
+
+def _ros_domain() -> int:
+    """Domain of ROS_DOMAIN_ID, 0 where it is not set."""
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (text.isascii() and text.isdecimal() and int(text[:4]) <= MAX_DOMAIN):
+        raise SettingsError(f"ROS_DOMAIN_ID: {text[:40]!r} is outside 0..{MAX_DOMAIN}")
+    return int(text)
+
+
+def _ros_interface() -> str:
+    """Interface of the range in which nodes of ROS 2 find each other, SUBNET where none is set.
+    Source: docs.ros.org, "Improved Dynamic Discovery".
+    """
+    if os.environ.get("ROS_LOCALHOST_ONLY") == "1":
+        return RANGES["LOCALHOST"]
+    found = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET"
+    if found not in RANGES:
+        raise SettingsError(
+            f"ROS_AUTOMATIC_DISCOVERY_RANGE: {found[:40]!r} is not allowed (allowed: "
+            f"{', '.join(RANGES)}); or state interface"
+        )
+    return RANGES[found]
+
+
+def _udp_sockets() -> dict[int, str]:
+    """IPv4 addresses of the UDP sockets of this process, by their file descriptors."""
+    found = {}
+    for name in os.listdir("/proc/self/fd"):
+        try:
+            if os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
+                with socket.socket(fileno=os.dup(int(name))) as one:
+                    if (one.family, one.type) == (socket.AF_INET, socket.SOCK_DGRAM):
+                        found[int(name)] = one.getsockname()[0]
+        except OSError:
+            continue  # it was closed meanwhile
+    return found
 
 
 def _config(interface: str) -> str:

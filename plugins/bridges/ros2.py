@@ -34,9 +34,13 @@ class Ros2Settings(BridgeSettings):
         "/PATCH/MAP/points; array: std_msgs/Float32MultiArray on /PATCH/MAP/array; of contacts: "
         "array, wrench: geometry_msgs/WrenchStamped, markers: visualization_msgs/MarkerArray",
     )
-    domain: int = setting(0, "DDS domain, ROS_DOMAIN_ID of the readers", low=0, high=232)
-    interface: str = setting(
-        "lo", 'network interface; "lo": this host alone; "": as CYCLONEDDS_URI has it'
+    domain: int | None = setting(
+        None, "DDS domain; not stated: ROS_DOMAIN_ID, or 0", low=0, high=232
+    )
+    interface: str | None = setting(
+        None,
+        'network interface; "lo": this host alone; "": as CYCLONEDDS_URI has it; not stated: as '
+        "ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_LOCALHOST_ONLY have it",
     )
     history: int = setting(10, "samples of a topic kept for readers", low=1, high=1000)
     reliable: bool = setting(True, "send again what a reader has missed, as far as it is kept")
@@ -65,7 +69,7 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         from . import dds
 
         self._dds = dds
-        self._participant = dds.participant(settings.domain, settings.interface)
+        self._participant, self._where = dds.participant(settings.domain, settings.interface)
         self._writers: dict[str, Any] = {}
 
     def start(self) -> Iterable[Message]:
@@ -85,11 +89,12 @@ class Ros2Bridge(Bridge[Ros2Settings]):
                         self._participant, topic, qos=quality
                     )
         self.context.log(f"ros2: {self.where()}")
+        if not self._where.endswith(" by lo"):
+            self.context.log("ros2: whoever reaches that network can read the graph")
         return ()
 
     def where(self) -> str:
-        by = f" by {self.settings.interface}" if self.settings.interface else ""
-        return f"DDS domain {self.settings.domain}{by}"
+        return self._where
 
     def send(self, message: Map, skin: SkinState) -> None:
         stamp, patch, forces = _time(message), message.patch, message.forces[0]

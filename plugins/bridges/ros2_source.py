@@ -33,8 +33,8 @@ READERS = {cdr.IMAGE: cdr.read_image, cdr.ARRAY: cdr.read_array}
 class Ros2Query(Settings):
     """How a topic is reached: the keys of a source."""
 
-    domain: int = setting(0, "DDS domain, ROS_DOMAIN_ID of the publisher", low=0, high=232)
-    interface: str = setting("lo", "network interface, as of the bridge")
+    domain: int | None = setting(None, "DDS domain, as of the bridge", low=0, high=232)
+    interface: str | None = setting(None, "network interface, as of the bridge")
     timeout_s: float = setting(10.0, "longest wait for a message, seconds", low=0, high=86400)
 
 
@@ -82,8 +82,9 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
     from . import dds
 
     name, query = parse(source)
-    member = dds.participant(query.domain, query.interface)
-    kind, reliable = _publication(member, name, query)
+    member, where = dds.participant(query.domain, query.interface)
+    print(f"{source}: {where}", file=sys.stderr, flush=True)
+    kind, reliable = _publication(member, name, query.timeout_s, where)
     read = READERS[kind]
     topic = Topic(member, dds.dds_name(name), dds.message_type(kind))
     reader = DataReader(member, topic, qos=dds.quality(HISTORY, reliable))
@@ -117,7 +118,7 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
             yield time.monotonic_ns(), received.values
 
 
-def _publication(member: Any, topic: str, query: Ros2Query) -> tuple[str, bool]:
+def _publication(member: Any, topic: str, timeout_s: float, where: str) -> tuple[str, bool]:
     """Type of the messages on a topic, of `READERS`, and True if they are sent reliably."""
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
     from cyclonedds.qos import Policy
@@ -128,7 +129,7 @@ def _publication(member: Any, topic: str, query: Ros2Query) -> tuple[str, bool]:
     wanted = dds.dds_name(topic)
     seen: set[str] = set()
     reader = BuiltinDataReader(member, BuiltinTopicDcpsPublication)
-    deadline_s = time.monotonic() + query.timeout_s
+    deadline_s = time.monotonic() + timeout_s
     while time.monotonic() < deadline_s:
         for found in reader.take(N=BATCH):
             name, type_name = getattr(found, "topic_name", None), getattr(found, "type_name", "")
@@ -146,8 +147,7 @@ def _publication(member: Any, topic: str, query: Ros2Query) -> tuple[str, bool]:
     topics = sorted(name.removeprefix("rt") for name in seen if name.startswith("rt/"))[:20]
     hint = did_you_mean(topic, topics) if topics else ""
     raise SourceError(
-        f"ros2:{topic}: nobody publishes there on DDS domain {query.domain} "
-        f"({query.interface or 'any interface'}){hint}"
+        f"ros2:{topic}: nobody publishes there on {where} within {timeout_s:g} s{hint}"
     )
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -25,7 +28,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.sources import find_address, open_source
-from sparseskin.plugins.bridges import cdr
+from sparseskin.plugins.bridges import cdr, dds
 from sparseskin.plugins.bridges.ros2 import Ros2Bridge, Ros2Settings
 from sparseskin.plugins.bridges.ros2_source import frames
 
@@ -34,6 +37,12 @@ DOMAIN = 100 + hash(sys.executable + str(Path.cwd())) % 100
 """Not that of another test run on this host."""
 MASK = np.ones((6, 9), bool)
 MASK[2, 3] = MASK[5, 8] = False
+
+
+@pytest.fixture(autouse=True)
+def this_host_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.delenv("ROS_LOCALHOST_ONLY", raising=False)
 
 
 class Peer:
@@ -185,6 +194,46 @@ def test_an_interface_that_is_not_there_is_one_line() -> None:
         Ros2Bridge(
             Ros2Settings(domain=DOMAIN + 31, interface="nowhere0"), Context("r", ManualClock(0))
         )
+
+
+def test_by_lo_no_packet_of_another_host_is_received() -> None:
+    before = dds._udp_sockets()
+    _, where = dds.participant(DOMAIN + 32, None)
+    assert where == f"DDS domain {DOMAIN + 32} by lo"
+    made = dds._udp_sockets().keys() - before.keys()
+    assert made
+    for fd in made:
+        with socket.socket(fileno=os.dup(fd)) as one:
+            device = one.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16)
+        assert device.strip(b"\0") == b"lo"
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        ({}, r"by (?!lo$)"),
+        ({"RANGE": "SUBNET"}, r"by (?!lo$)"),
+        ({"RANGE": "SUBNET", "ONLY": "1"}, "by lo$"),
+        ({"RANGE": "OFF"}, r"'OFF' is not allowed \(allowed: LOCALHOST, SUBNET, SYSTEM_DEFAULT"),
+        ({"ID": "233"}, r"ROS_DOMAIN_ID: '233' is outside 0\.\.232"),
+    ],
+)
+def test_domain_and_range_are_those_of_ros_2(
+    variables: dict[str, str], expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = {"RANGE": "ROS_AUTOMATIC_DISCOVERY_RANGE", "ONLY": "ROS_LOCALHOST_ONLY"}
+    monkeypatch.setattr(dds, "Domain", lambda *_: None)  # a process can configure each once
+    monkeypatch.delenv(names["RANGE"])
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN + 30))
+    for key, value in variables.items():
+        monkeypatch.setenv(names.get(key, "ROS_DOMAIN_ID"), value)
+    try:
+        _, where = dds.participant(None, None)
+    except SettingsError as error:
+        where = str(error)
+    else:
+        assert where.startswith(f"DDS domain {DOMAIN + 30} by ")
+    assert re.search(expected, where)
 
 
 IMAGE = cdr.image((3, 4), "skin", forces(0))
