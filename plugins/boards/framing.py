@@ -24,8 +24,8 @@ LATE = 16
 """A sequence number that is lower than the last one by at most so many is of a frame that came too
 late; by more, of a board that was started again. Chosen: packets overtake few others."""
 MAX_MISSING = 1 << 20
-"""A number that is higher by more is forged, or of a board that was started again: no frame is counted
-as missing. Chosen: 17 minutes at 1 kHz."""
+"""A number that is higher by more is forged, or of a board that was started again: no frame is
+counted as missing. Chosen: 17 minutes at 1 kHz."""
 MAX_CHECKS = 64
 """Places that are tried after an error for each call, and eight more for each frame's length of
 bytes; chosen, so that no bytes take much longer to parse than frames do."""

@@ -18,8 +18,8 @@ from .settings import UdpSettings
 RECEIVE_BUFFER_BYTES = 1 << 22
 """Buffer of the socket that is asked for; the kernel may give less."""
 HOLD_S = 2.0
-"""Silence of the sender after which frames of another one are used, seconds; chosen: a board that is
-started again may send from another port."""
+"""Silence of the sender after which frames of another one are used, seconds; chosen: a board that
+is started again may send from another port."""
 SO_RXQ_OVFL = 40
 """Linux: with a packet the kernel states how many it has dropped. Source: asm-generic/socket.h."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import platform
+import sys
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
@@ -71,6 +72,8 @@ def make_dask_executor(spec: str) -> DaskExecutor:
         raise SettingsError(
             f"--executor {spec}: needs the package distributed; pip install 'sparseskin[scale]'"
         ) from error
+    if place.startswith("tcp://"):
+        print(f"{place}: who controls that scheduler runs code here: use tls://", file=sys.stderr)
     for name in ("distributed", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:

@@ -8,7 +8,7 @@ import pytest
 from other_user import NOBODY, give
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.nodes.files import overwrite
+from sparseskin.nodes.files import OutputError, overwrite, whole_folder
 
 
 def test_a_file_is_written_over_and_a_link_of_ones_own_followed(tmp_path: Path) -> None:
@@ -18,6 +18,14 @@ def test_a_file_is_written_over_and_a_link_of_ones_own_followed(tmp_path: Path) 
         overwrite(tmp_path / name, data)
         assert (tmp_path / name).read_bytes() == data
     assert (tmp_path / "file").read_bytes() == b"then"
+
+
+def test_a_folder_is_a_new_one_and_no_link(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
+    for path in (tmp_path / "link", tmp_path):
+        with pytest.raises(OutputError, match="exists already"), whole_folder(path):
+            pass
+    assert [one.name for one in tmp_path.iterdir()] == ["link"]
 
 
 @pytest.mark.parametrize("option", ["--summary", "--dot"])

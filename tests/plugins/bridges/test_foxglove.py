@@ -89,6 +89,9 @@ def test_a_port_that_is_taken_is_refused_in_one_line(bridge: FoxgloveBridge) -> 
 
 def test_hostile_requests_end_neither_server_nor_bridge(bridge: FoxgloveBridge) -> None:
     with FoxgloveClient(bridge.where()) as client:
+        info = client.receive()
+        assert isinstance(info, dict)
+        assert info["capabilities"] == ["time"]  # neither parameters nor messages of clients
         for text in ("", "[]", "{", '{"op": 5}', '{"op": "subscribe", "subscriptions": 3}'):
             client._socket.send(text)
         client._socket.send(b"\xff" * 100)

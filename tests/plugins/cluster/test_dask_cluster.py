@@ -26,6 +26,16 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
         make_executor("dask:tcp://host:8786")
 
 
+def test_what_a_scheduler_without_keys_can_do_is_said_before_it_is_asked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.1)
+    for scheme, said in (("tcp", True), ("tls", False)):
+        with pytest.raises(SettingsError):
+            make_executor(f"dask:{scheme}://127.0.0.1:1")
+        assert ("runs code here" in capsys.readouterr().err) == said
+
+
 class FakeClient:
     """Answers of a scheduler with one worker."""
 
