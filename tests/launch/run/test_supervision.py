@@ -152,6 +152,8 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
     program = launched(start, tmp_path, 'restart = "on-failure"', *source)
     client = connected(program)
     client.send({"watch": True})
+    acquired = tmp_path / "acquired"
+    wait_until(lambda: acquired.stat().st_size > 1, "a frame after that which shows the shape")
 
     def wait_for(node: str, **wanted: Any) -> None:
         """Wait for news of a node in which it is as stated."""
@@ -194,7 +196,7 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
     frames = patch["frames"]
     # The second sensor goes through all its frames, whatever the first one had sent. The monitor,
     # which was restarted, has not seen the frames of the first one, nor all reconstructions.
-    assert frames["sensed"] == (tmp_path / "acquired").stat().st_size > 1000
+    assert frames["sensed"] == acquired.stat().st_size > 1000
     assert frames["reconstructed"] == nodes["reconstructor"]["published"]["/skin/reconstruction"]
     assert frames["lost"] == frames["sensed"] - frames["reconstructed"]
     assert 0 < patch["compared"] <= 1000
