@@ -36,7 +36,7 @@ def ros2(address: str) -> Iterator[Any]:
     from sparseskin.plugins.bridges import dds
     from sparseskin.plugins.bridges.ros2 import KINDS
 
-    member = dds.participant(int(address), "lo")
+    member, _ = dds.participant(int(address), "lo")
     readers: list[Any] = [
         DataReader(
             member,

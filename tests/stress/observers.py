@@ -31,7 +31,7 @@ COMMANDS = (
 )
 BRIDGES = {
     "foxglove": ("foxglove: ", ["--port", "0"]),
-    "ros2": ("ros2: ", ["--set", f"domain={DOMAIN}"]),
+    "ros2": ("ros2: ", ["--set", f"domain={DOMAIN}", "--set", "interface=lo"]),
 }
 """Of each bridge the token before its address, and its options: each sends every frame."""
 
