@@ -6,6 +6,7 @@ is served alone is one of them. Arrays are of shape (n_patches, ...), numbers of
 
 from __future__ import annotations
 
+import math
 from collections.abc import MutableMapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -108,7 +109,44 @@ def values_alone(message: Message) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Taxels(Frames):
+class Sensed(Frames):
+    """Base of frames that come of readings, of which some may be missing.
+
+    `missing` marks, in a frame of one patch, the taxels that gave no number, whose forces are
+    filled in: one bit for each cell, row after row, the highest bit first, uint8, shape
+    (n_rows n_cols / 8,), rounded up. None: all gave one.
+    """
+
+    missing: npt.NDArray[np.uint8] | None = wire(
+        Array("|u1", 1, optional=True), default=None, omitted=True
+    )
+
+    def validate(self) -> None:
+        super().validate()
+        if self.missing is not None and len(self.patches) > 1:
+            raise FieldError("missing: is that of one patch")
+
+    def missing_cells(self, shape: tuple[int, ...]) -> npt.NDArray[np.bool_] | None:
+        """`missing` as bool of a shape (n_rows, n_cols). Raises ShapeError if it has another."""
+        if self.missing is None:
+            return None
+        n = math.prod(shape)
+        if self.missing.size != -(-n // 8):
+            raise ShapeError(f"missing: {self.missing.size} bytes for {n} cells")
+        return np.unpackbits(self.missing, count=n).reshape(shape).view(np.bool_)
+
+
+def known_forces(message: Taxels | Truth | Reconstruction) -> Floats:
+    """Forces of a message of one patch, float32 (n_rows, n_cols), NaN where the reading is missing.
+    Raises ShapeError if `missing` is of another shape.
+    """
+    forces = message.forces[0]
+    missing = None if isinstance(message, Truth) else message.missing_cells(forces.shape)
+    return forces if missing is None else np.where(missing, np.float32(np.nan), forces)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Taxels(Sensed):
     """Readings of the taxels, noise included: forces of shape (n_patches, n_rows, n_cols), float32,
     in [0, f_max], in the skin's unit; 0 in masked cells.
     """
@@ -130,7 +168,7 @@ class Truth(Frames):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Measurements(Frames):
+class Measurements(Sensed):
     """Measurements y = Phi x of each patch, shape (n_patches, M), float32, in the skin's unit;
     `Quantised` where they are sent in fewer bits.
 
@@ -165,7 +203,7 @@ class Measurements(Frames):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reconstruction(Frames):
+class Reconstruction(Sensed):
     """Forces reconstructed from the measurements.
 
     Attributes
@@ -197,8 +235,9 @@ class Reconstruction(Frames):
     reason : tuple of str
         Why a patch is not trusted: "error" (the estimated error is a large part of the forces),
         "constant" (all measurements are equal: the frame was left out), "frozen" (frames repeat
-        exactly), "range" (a force beyond f_max), "uniform" (all taxels rose together), "rows"
-        (measurements contradict each other); "" of one that is, and where it was not stated.
+        exactly), "missing" (readings are missing next to each other, see `Sensed`), "range" (a
+        force beyond f_max), "uniform" (all taxels rose together), "rows" (measurements contradict
+        each other); "" of one that is, and where it was not stated.
     unchanged : tuple of bool
         True of a patch whose measurements changed by no more than their noise: the frame was not
         solved, and its forces are those of the frame before.

@@ -319,6 +319,8 @@ class Frame:
         False if that error is a large part of the forces; True also where it is not estimated.
     contacts : Contacts or None
         Contacts of `forces`, arrays with an entry each, with `reconstructor.contacts=true`.
+    missing : ndarray of bool, shape (n_rows, n_cols), or None
+        Taxels whose reading is missing, and filled in; None: no reading is, or none was allowed to.
     """
 
     patch: str
@@ -330,6 +332,7 @@ class Frame:
     error: float | None = None
     trusted: bool = True
     contacts: Contacts | None = None
+    missing: Mask | None = None
 
 
 def run_launch(
@@ -400,6 +403,8 @@ def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator
                 parts["contacts"] = one
                 continue
             values = values_alone(one)
+            if isinstance(one, Taxels | Reconstruction):
+                parts["missing"] = one.missing_cells(one.forces.shape[1:])
             parts[_PARTS[type(one)]] = values.get("y", values.get("forces"))
             parts |= {name: values[name] for name in ("error", "trusted") if name in values}
     for (patch, stamp_ns), parts in found.items():
@@ -424,7 +429,8 @@ def read_recording(
     Returns
     -------
     dict
-        `forces` (readings), `truth`, `reconstruction`: float32 (k, n_rows, n_cols);
+        `forces` (readings), `truth`, `reconstruction`: float32 (k, n_rows, n_cols), NaN where a
+        reading is missing;
         `measurements`: float32 (k, M), NaN behind the last one where M changes; `stamp_ns` (of
         `forces`), `truth_stamp_ns`, `reconstruction_stamp_ns`, `measurements_stamp_ns`: int64
         (k,), nanoseconds; `f_max` (float) and `unit` (str), `mask` (bool, shape (n_rows,

@@ -181,6 +181,8 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
             print(f"{name}: restarted {n} {times} after a failure; the last: {last}")
         for line in node.get("lines", ()):
             print(f"{name}: {line}")
+        if n := node.get("missing"):
+            print(f"{name}: {n} readings were missing")
         if node["type"] == "sensor" and node.get("clipped"):
             from sparseskin.nodes.sensor.saturation import clipped_text
 

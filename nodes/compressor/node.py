@@ -281,6 +281,7 @@ class Compressor(Node[CompressorSettings]):
             names=self.settings.patches,
             y=y if bits is None else quantised(y, bits),
             phi=phi.fingerprint,
+            missing=taxels.missing,
             places=places,
             nodes=nodes,
         )

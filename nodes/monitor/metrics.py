@@ -336,7 +336,10 @@ class PatchMetrics:
         self.compared += 1
         # Both streams count the same frames: the difference of their counts is lost.
         frame.lost = self.lost_so_far = max(0, frame.n_sensed - frame.n_answered - self._n_before)
-        cells = skin.mask if skin.mask is not None else slice(None)
+        cells: Any = skin.mask if skin.mask is not None else slice(None)
+        missing = frame.reconstruction.missing_cells((skin.n_rows, skin.n_cols))
+        if missing is not None and not missing.all():
+            cells = ~missing if skin.mask is None else skin.mask & ~missing
         forces = frame.reconstruction.forces[0][cells]
         taxels = None if frame.taxels is None else frame.taxels.forces[0][cells]
         reference = taxels if frame.truth is None else frame.truth.forces[0][cells]

@@ -15,6 +15,7 @@ from sparseskin.messages import (
     PhiState,
     Reconstruction,
     Resultant,
+    ShapeError,
     SkinState,
     SolverState,
     topic_of,
@@ -125,6 +126,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             self._state_noise()
             return
         if self._skin is not None and self._announced is not None:
+            if self._subsets and self._announced.n != self._skin.skin.n_taxels:
+                return  # a skin that has changed: its Phi is on its way, or the reverse
             self._subsets = {}
             stamp_ns = max(self._skin.stamp_ns, self._announced.stamp_ns)
             yield self._set_up(self._skin, self._announced, stamp_ns)
@@ -253,6 +256,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         n = len(patches)
         unchanged = [False] * n
         try:
+            patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
             follow(phi, measurements.places)
             follow_nodes(phi, measurements.nodes)
             if self._idle is not None:
@@ -270,7 +274,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             solving = [k for k in range(n) if not unchanged[k]]
             for k in solving:
                 patches[k].solve()
-        except (PhiError, SolverError) as error:
+        except (PhiError, ShapeError, SolverError) as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         done_ns = self.context.clock.now_ns()
         for k in solving:
@@ -297,6 +301,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             names=self.settings.patches,
             forces=_stacked(forces) if forces else all_forces[0][np.newaxis][:0],
             phi=measurements.phi,
+            missing=measurements.missing,
             iterations=iterations,
             residual=residuals,
             solve_ns=solve_ns,

@@ -13,7 +13,8 @@ import numpy as np
 from sparseskin.messages import PhiState, SkinState
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.neighbours import of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.trust import TrustLog
@@ -65,6 +66,9 @@ class Patch:
         #: Steps of a frame that the budget allows.
         self.most_steps = 0
         self._trusted = True
+        self._f_max = 0.0
+        self._missing: Mask | None = None
+        self._blind = False  # a reading is missing whose neighbours are missing, too
         self._subsets: list[Phi] = []
         self._last: Floats | None = None
         self._warm: Floats | None = None
@@ -160,6 +164,7 @@ class Patch:
 
     def set_noise(self, skin: SkinState) -> None:
         """Hand the noise that the skin states to the solver."""
+        self._f_max = skin.f_max
         if isinstance(self.solver, Solver):
             self.solver.noise_sd = skin.least_sd
         if self._tracker is not None:
@@ -170,6 +175,13 @@ class Patch:
         self.settings = settings
         if self._tracker is not None:
             self._tracker.limits = settings.limits
+
+    def set_missing(self, missing: Mask | None) -> None:
+        """State the taxels whose readings are missing in the next frame, bool (n_rows, n_cols)."""
+        self._missing, self._blind = missing, False
+        if missing is not None and self.solver is not None:
+            known = self.solver.mask & ~missing
+            self._blind = bool((missing & ~of_nine(known, np.logical_or)).any())
 
     def read(self, phi: Phi, y: Floats, watched: bool) -> None:
         """Begin a frame: its measurements, float32 (m,), newtons. `watched` is False if each frame
@@ -211,6 +223,8 @@ class Patch:
         left = np.subtract(self._fitted, self._y, dtype=np.float64)
         residual = math.sqrt(float(np.dot(left, left)) / left.size)
         sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
+        if sd is not None and self._missing is not None:
+            sd[self._missing] = self._f_max  # nothing is known of them
         error, reason = self._error, self._reason(reason)
         self.solved = Solved(filled, sd, self._n_steps, residual, self._solve_ns, error, reason)
         return self.solved
@@ -220,6 +234,7 @@ class Patch:
         reasons = (
             ("constant", self._dropped),
             ("frozen", self.faults.frozen),
+            ("missing", self._blind),
             ("error", not self._trusted),
             ("rows", self.faults.swamped),
         )

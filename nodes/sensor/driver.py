@@ -15,6 +15,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.files.recording import (
+    NAN_HINT,
+    REFUSE,
     check_grid,
     check_number,
     check_stated_shape,
@@ -31,7 +33,8 @@ class DriverSource(LiveSource):
     Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range. Its
     attributes are those of a `Source`: the driver's own where it has them, or else the name
     `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. With `raw`, no
-    reading is clipped: a calibration converts them.
+    reading is clipped: a calibration converts them. Readings that are not finite are NaN, unless
+    `nan` refuses them.
     """
 
     def __init__(
@@ -42,9 +45,10 @@ class DriverSource(LiveSource):
         f_max: float | None,
         unit: str | None,
         raw: bool = False,
+        nan: str = REFUSE,
     ) -> None:
         super().__init__()
-        self._raw = raw
+        self._raw, self._nan = raw, nan
         self._target = target
         self._driver = driver
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
@@ -185,12 +189,15 @@ class DriverSource(LiveSource):
             values = array.astype(np.float64)
         if skin is not None and skin.mask is not None:
             values[~skin.mask] = 0
-        if not np.isfinite(values).all():
-            row, col = np.argwhere(~np.isfinite(values))[0]
-            raise SourceError(
-                f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
-                "a fault of the sensor or its driver"
-            )
+        missing = ~np.isfinite(values)
+        if missing.any():
+            if self._nan == REFUSE:
+                row, col = np.argwhere(missing)[0]
+                raise SourceError(
+                    f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
+                    f"a fault of the sensor or its driver{NAN_HINT}"
+                )
+            values[missing] = np.nan
         if self._raw:
             return values.astype(np.float32)
         self.clipped.add(values, 0.0, self._f_max)
@@ -213,7 +220,12 @@ class DriverSource(LiveSource):
 
 
 def open_callable(
-    target: str, *, f_max: float | None = None, unit: str | None = None, raw: bool = False
+    target: str,
+    *,
+    f_max: float | None = None,
+    unit: str | None = None,
+    raw: bool = False,
+    nan: str = REFUSE,
 ) -> DriverSource:
     """Open a user's sensor driver.
 
@@ -229,6 +241,8 @@ def open_callable(
         Upper end of the range and its unit; by default those of the driver's skin, or 2.5 N.
     raw : bool
         True: readings are not clipped to the range.
+    nan : str
+        "refuse" for an error at a reading that is not finite; else it is NaN.
 
     Raises
     ------
@@ -246,7 +260,7 @@ def open_callable(
             f"{target}: returned {type(driver).__name__}; expected a generator or an iterable of "
             "(stamp_ns, forces)"
         )
-    return DriverSource(target, driver, f_max=f_max, unit=unit, raw=raw)
+    return DriverSource(target, driver, f_max=f_max, unit=unit, raw=raw, nan=nan)
 
 
 @contextmanager

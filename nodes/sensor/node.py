@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages import Calibration, Message, SkinState, Taxels, Truth, topic_of
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
@@ -17,6 +18,8 @@ from .calibration.chain import Chain
 from .calibration.description import of_skin
 from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
+from .files.recording import MASK, REFUSE
+from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
 from .saturation import clipped_text
@@ -27,7 +30,8 @@ WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
 LOG_S = 10
 """Least time between two lines of clipped readings, seconds; chosen: a log stays readable."""
-_Frame = tuple[Floats, Floats | None]  # taxels, and truth where it is known
+_Bits = npt.NDArray[np.uint8]
+_Frame = tuple[Floats, Floats | None, _Bits | None]  # taxels; where known, truth; missing taxels
 
 
 class Sensor(SourceNode[SensorSettings]):
@@ -58,7 +62,9 @@ class Sensor(SourceNode[SensorSettings]):
         except Exception:
             self.close({})
             raise
-        self.skin = self._stage.skin if self._stage else self._source_skin
+        skin = self._stage.skin if self._stage else self._source_skin
+        learns = settings.nan == MASK and self._source.is_live
+        self._readings = MissingReadings(settings.nan, skin, learns)
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._arrived_ns = -1
@@ -76,8 +82,10 @@ class Sensor(SourceNode[SensorSettings]):
 
     @classmethod
     def facts(cls, settings: SensorSettings) -> Mapping[str, Any]:
-        if settings.points:
-            n: int | None = point_skins().n_taxels(settings.points)
+        if settings.nan == MASK:  # the frames show which taxels give no number
+            n: int | None = None
+        elif settings.points:
+            n = point_skins().n_taxels(settings.points)
         elif settings.skin:  # a source that masks further cells shows when it runs
             n = load_skin(settings.skin).skin.n_taxels
         else:
@@ -91,7 +99,13 @@ class Sensor(SourceNode[SensorSettings]):
         self._log_lines()
         # First, so that a recorder knows it once the graph's other states follow from the skin.
         yield from self._calibration()
-        yield self._describe()
+        if not self._readings.learns:
+            yield self._describe()
+
+    @property
+    def skin(self) -> Skin:
+        """Geometry and range of the frames."""
+        return self._readings.skin
 
     def change(self, settings: SensorSettings) -> Iterable[Message]:
         if settings.noise != self.settings.noise and self._source.delivers != "truth":
@@ -101,14 +115,17 @@ class Sensor(SourceNode[SensorSettings]):
         new_pace = settings.rate_hz != self.settings.rate_hz
         self.settings = settings
         self._noise = self._chosen_noise()
-        if self._next is not None and self._next[1] is not None:
-            self._next = self._measured(self._next[1])  # it was computed with the noise before
+        if self._next is not None:
+            _, truth, missing = self._next
+            if truth is not None:  # it was computed with the noise before
+                self._next = (*self._measured(truth), missing)
         if new_pace:
             self._set_pace()
             self.begin(self.context.clock.now_ns())
         if self._stage is not None:
             self._stage.drift.rate = self._drift_rate()
-        yield self._describe()
+        if self._readings.is_known:
+            yield self._describe()
 
     @property
     def follows_readers(self) -> bool:
@@ -116,6 +133,7 @@ class Sensor(SourceNode[SensorSettings]):
         return super().follows_readers and not self._source.arrives
 
     def _describe(self) -> SkinState:
+        self._readings.is_news = False
         has_truth = self._source.delivers == "truth"
         sigmas = (self._noise.sigma_mid, self._noise.sigma_end) if has_truth else None
         if self._stage is not None:
@@ -162,9 +180,11 @@ class Sensor(SourceNode[SensorSettings]):
             yield from self._calibration()
         if self._next is None:
             return
-        taxels, truth = self._next
+        if self._readings.is_news:
+            yield self._describe()
+        taxels, truth, missing = self._next
         patch, names = self.settings.patch, self.settings.patches
-        yield Taxels(stamp_ns=stamp_ns, patch=patch, names=names, forces=taxels)
+        yield Taxels(stamp_ns=stamp_ns, patch=patch, names=names, forces=taxels, missing=missing)
         if truth is not None:
             yield Truth(stamp_ns=stamp_ns, patch=patch, names=names, forces=truth)
         self._n_frames += 1
@@ -175,8 +195,9 @@ class Sensor(SourceNode[SensorSettings]):
     def state(self) -> dict[str, Any]:
         # Without a stated rate, the pace of a driver is its own and not known.
         paced = self._source.is_live and self.settings.rate_hz is None
-        stage = self._stage.state() if self._stage is not None else {}
-        return {**super().state(), **({} if paced else {"rate_hz": self.rate_hz}), **stage}
+        state = {**super().state(), **({} if paced else {"rate_hz": self.rate_hz})}
+        state |= self._stage.state() if self._stage is not None else {}
+        return state | ({} if self.settings.nan == REFUSE else self._readings.state())
 
     def status(self) -> str:
         source = self._source
@@ -184,13 +205,14 @@ class Sensor(SourceNode[SensorSettings]):
         text = f"{source.name}: frame {self._n_frames}{total}"
         text += f" of {n} patches" if (n := self.settings.n_patches) > 1 else ""
         text += f"; dropped: {dropped}" if (dropped := source.dropped()) else ""
+        text += f"; {n} readings missing" if (n := self._readings.n_now) else ""
         return text if source.is_there else f"{text}; the device is gone"
 
     def close(self, counts: dict[str, Any]) -> None:
         self._source.close()
 
     def report(self) -> dict[str, Any]:
-        return {**self._clipped(), **self._source.report()}
+        return {**self._clipped(), **self._source.report(), **self._readings.report()}
 
     @property
     def _f_min(self) -> float:
@@ -255,11 +277,21 @@ class Sensor(SourceNode[SensorSettings]):
             forces = self._placement.on_grid(forces)
         if self._stage is not None:
             converted = self._stage.process(forces, stamp_ns)
-            return None if converted is None else (converted, None)
-        return (forces, None) if source.delivers == "taxels" else self._measured(forces)
+            if converted is None:
+                return None
+            forces = converted
+        missing = None
+        if self.settings.nan != REFUSE and forces.ndim == 2:
+            filled = self._readings.fill(forces, stamp_ns)
+            if filled is None:
+                return None
+            forces, missing = filled
+        if source.delivers == "taxels":
+            return forces, None, missing
+        return (*self._measured(forces), missing)
 
     def _log_lines(self) -> None:
-        for line in self._source.take_lines():
+        for line in (*self._source.take_lines(), *self._readings.take_lines()):
             self.context.log(line)
 
     def idle(self) -> None:
@@ -298,7 +330,7 @@ class Sensor(SourceNode[SensorSettings]):
         found = self._placement.skin(skin.f_max, skin.unit)
         return found if skin.mask is None else found.without(~self._placement.on_grid(skin.mask))
 
-    def _measured(self, truth: Floats) -> _Frame:
+    def _measured(self, truth: Floats) -> tuple[Floats, Floats]:
         """Return the readings of true forces, and these, of each patch."""
         n = self.settings.n_patches
         if n > 1 and truth.ndim == 2:  # a scene of one patch, which all then show

@@ -36,8 +36,8 @@ class Clipped:
         return self.n_below + self.n_above
 
     def add(self, readings: npt.NDArray[Any], low: float, high: float) -> None:
-        """Count those of a frame that are below `low` or above `high`; all are finite."""
-        lowest, highest = float(readings.min()), float(readings.max())
+        """Count those of a frame that are below `low` or above `high`; NaN is neither."""
+        lowest, highest = (float(most.reduce(readings, axis=None)) for most in (np.fmin, np.fmax))
         if low <= lowest and highest <= high:
             return
         self.n_below += int(np.count_nonzero(readings < low))

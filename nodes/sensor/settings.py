@@ -58,7 +58,14 @@ class SensorSettings(PatchesSettings):
     f_max: float | None = setting(
         None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
     )
-    nan: str = setting("refuse", "readings of a file that are not finite", choices=NAN_WAYS)
+    nan: str = setting(
+        "refuse",
+        "readings that are not finite, which are counted, and marked in their frame: refuse the "
+        "file, end the driver, drop the board's frame; mask: mask taxels that give no number, and "
+        "fill in the mean of the neighbours where one gives none for a while; hold: the last "
+        "reading; zero",
+        choices=NAN_WAYS,
+    )
     negative: str = setting(
         "refuse",
         "readings of a file below 0; with a calibration, they are kept by default",

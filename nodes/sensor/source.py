@@ -75,7 +75,7 @@ class Source:
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): time since the first frame in nanoseconds, and
         float32 forces of shape (n_rows, n_cols) in [0, f_max], or (n_patches, n_rows, n_cols) of
-        several patches; 0 in masked cells.
+        several patches; 0 in masked cells. NaN where a reading is missing, where that was allowed.
         """
         raise NotImplementedError
 
@@ -187,7 +187,7 @@ class Address(ABC):
     seed : int
         Seed of a scene.
     policy : Policy
-        What to do with readings of a file that are not finite or below 0.
+        What to do with readings that are not finite, and with those of a file below 0.
     raw : bool
         True: readings may have any sign and size, as a calibration converts them.
     points : str

@@ -93,7 +93,8 @@ class DriverAddress(Address):
 
     def open(self) -> Source:
         self.check()
-        driver = open_callable(self.source, f_max=self.f_max, unit=self.unit, raw=self.raw)
+        stated: dict[str, Any] = {"f_max": self.f_max, "unit": self.unit, "raw": self.raw}
+        driver = open_callable(self.source, **stated, nan=self.policy.nan)
         driver.check_shape(self.n_rows, self.n_cols)
         return driver
 

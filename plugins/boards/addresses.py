@@ -25,7 +25,7 @@ class BoardAddress(Address):
         return self._board().skin.n_taxels
 
     def open(self) -> BoardSource:
-        return BoardSource(self._board(), self.raw)
+        return BoardSource(self._board(), self.raw, self.policy.nan)
 
     def _board(self) -> Board:
         stated: dict[str, Any] = {"unit": self.unit, "f_max": self.f_max}

@@ -12,6 +12,7 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.files.recording import NAN_HINT, REFUSE
 from sparseskin.nodes.sensor.source import LiveSource
 
 from .board import PORTS, Board, check_board, naming_board
@@ -30,9 +31,10 @@ MAX_WAITING = 1024
 class BoardSource(LiveSource):
     """The frames of a board. Its attributes are those of a `Source`.
 
-    What comes is checked: a frame that is not whole, or has a reading that is no number, is counted
-    and dropped; readings outside [0, f_max] are clipped and counted (`clipped`). A device that goes
-    away is waited for. Raises SourceError if its device is missing or cannot be opened.
+    What comes is checked: a frame that is not whole, or that `nan` refuses for a reading that is no
+    number, is counted and dropped; readings outside [0, f_max] are clipped and counted (`clipped`).
+    A device that goes away is waited for. Raises SourceError if its device is missing or cannot be
+    opened.
 
     Parameters
     ----------
@@ -40,14 +42,16 @@ class BoardSource(LiveSource):
         Description of the board.
     raw : bool
         True: readings are not clipped, as a calibration converts them.
+    nan : str
+        "refuse" to drop frames with a reading that is no number; else it is NaN.
     """
 
     arrives = True
 
-    def __init__(self, board: Board, raw: bool = False) -> None:
+    def __init__(self, board: Board, raw: bool = False, nan: str = REFUSE) -> None:
         check_board(board)
         super().__init__()
-        self._raw = raw
+        self._raw, self._nan = raw, nan
         self.name = board.name
         self.skin = board.skin
         self.counts = Counts()
@@ -168,13 +172,19 @@ class BoardSource(LiveSource):
         return f"{self.name}: nothing came for {SILENT_S:g} s"
 
     def _checked(self, forces: Floats) -> Floats | None:
-        """Readings clipped to the range; None if one is no number."""
+        """Readings clipped to the range; None if one is no number, and that is refused."""
         f_max = self.skin.f_max
         if 0 <= forces.min() <= forces.max() <= f_max:  # False for a NaN
             return forces
-        if not np.isfinite(forces).all():
-            self.n_not_finite += 1
-            return None
+        missing = ~np.isfinite(forces)
+        if missing.any():
+            if self._nan == REFUSE:
+                if not self.n_not_finite:
+                    line = f"{self.name}: a frame is dropped, as a reading is no number"
+                    self._lines.append(f"{line}{NAN_HINT}")
+                self.n_not_finite += 1
+                return None
+            forces[missing] = np.nan
         if self._raw:
             return forces
         self.clipped.add(forces, 0.0, f_max)

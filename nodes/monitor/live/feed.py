@@ -22,6 +22,7 @@ from sparseskin.messages import (
     Truth,
 )
 from sparseskin.messages.contacts import EVENTS
+from sparseskin.messages.frames import known_forces
 from sparseskin.nodes.monitor.metrics import FrameMetrics
 from sparseskin.nodes.monitor.statistics import COLUMNS, History
 from sparseskin.nodes.numerics.arrays import Floats
@@ -40,8 +41,8 @@ class PatchFeed:
     """One patch: its newest maps, each with its time of arrival, and its history.
 
     While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
-    the newest of each kind. Their names are those of the schemas. `idle` is true while the newest
-    frame was published as unchanged. `newest_trusted` is that of the
+    the newest of each kind; NaN where a reading is missing. Their names are those of the schemas.
+    `idle` is true while the newest frame was published as unchanged. `newest_trusted` is that of the
     newest reconstruction shown, `stamp_ns` too, `untrusted_s` the time of the last one not to be
     trusted, `reason` that of the last one. `contacts` are those of the newest frame, where they are
     published, `events` their events, a row for each frame with some: time, number of each kind.
@@ -128,7 +129,7 @@ class Feed:
                 self._add_unpaired(feed, message, now_s)
                 return
             maps = (complete.taxels, complete.reconstruction, complete.truth)
-            feed.maps = {each.schema: each.forces[0] for each in maps if each is not None}
+            feed.maps = {each.schema: known_forces(each) for each in maps if each is not None}
             feed.resultant = complete.resultant
             if complete.reconstruction is not None:
                 (feed.idle,) = complete.reconstruction.unchanged
@@ -157,7 +158,7 @@ class Feed:
         if not isinstance(message, Taxels | Truth | Reconstruction):
             return
         if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:
-            feed.maps = {**feed.maps, message.schema: message.forces[0]}
+            feed.maps = {**feed.maps, message.schema: known_forces(message)}
             if isinstance(message, Reconstruction):
                 feed.note(message, now_s)
             feed.resultant = None

@@ -20,6 +20,14 @@ export const VIRIDIS = Uint32Array.from({ length: N }, (_, k) => {
   return ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0;
 });
 
+export const MISSING = 0xff8c8c8c; // grey, as no force is: the reading of a taxel is missing
+
+// The pixel of a force, of which `scale` makes a place in the map; NaN: its reading is missing.
+export function pixel(force, scale) {
+  if (Number.isNaN(force)) return MISSING;
+  return VIRIDIS[Math.max(0, Math.min(N - 1, (force * scale) | 0))];
+}
+
 export function css(fraction) {
   const [r, g, b] = interpolated(Math.round(fraction * (N - 1)));
   return `rgb(${r},${g},${b})`;

@@ -2,7 +2,7 @@
 // A skin is drawn as its grid, or, where its taxels have places, in 3-D.
 
 import { Cloud } from "./cloud.js";
-import { GRADIENT, VIRIDIS, rounded } from "./colours.js";
+import { GRADIENT, pixel, rounded } from "./colours.js";
 import { Contacts } from "./contacts.js";
 import { brief, byId, cross, element, setText, tick, within } from "./dom.js";
 import { DARK, SpaceView } from "./space.js";
@@ -53,7 +53,7 @@ class GridView {
     panel.pixels ??= new Uint32Array(panel.image.data.buffer);
     const { mask } = this.skin.data, { pixels } = panel, scale = 255 / top;
     for (let k = 0; k < map.length; k++) {
-      pixels[k] = mask && !mask[k] ? 0 : VIRIDIS[Math.max(0, Math.min(255, (map[k] * scale) | 0))];
+      pixels[k] = mask && !mask[k] ? 0 : pixel(map[k], scale);
     }
     panel.canvas.getContext("2d").putImageData(panel.image, 0, 0);
   }
@@ -97,8 +97,8 @@ class GridView {
     const { n_cols: nCols, pitch_m: pitch } = this.skin;
     let rows = 0, cols = 0;
     for (let k = 0; k < map.length; k++) {
-      rows += map[k] * Math.floor(k / nCols);
-      cols += map[k] * (k % nCols);
+      rows += (map[k] || 0) * Math.floor(k / nCols);
+      cols += (map[k] || 0) * (k % nCols);
     }
     const scale = pitch ? 1000 * pitch : 1;
     return `centre ${[rows, cols].map((sum) => ((scale * sum) / total).toFixed(1)).join(", ")} ${
@@ -264,16 +264,17 @@ export class Maps {
   forceText(map) {
     const { unit, f_max: fMax } = this.skin;
     let total = 0;
-    for (const force of map) total += force;
+    for (const force of map) total += force || 0;
     const peak = highest(map);
     const centre = peak > CONTACT * fMax ? this.view.centre(map, total, peak) : "centre no contact";
-    return `peak ${brief(peak, unit)}\ntotal ${brief(total, unit)}\n${centre}`;
+    const missing = missingOf(map), note = missing ? `\n${missing} readings missing` : "";
+    return `peak ${brief(peak, unit)}\ntotal ${brief(total, unit)}\n${centre}${note}`;
   }
 
   errorText(map) {
     let sum = 0;
-    for (const value of map) sum += value * value;
-    const n = this.mask ? this.mask.reduce((a, b) => a + b, 0) : map.length;
+    for (const value of map) sum += value * value || 0;
+    const n = (this.mask ? this.mask.reduce((a, b) => a + b, 0) : map.length) - missingOf(map);
     return `peak ${brief(highest(map), this.skin.unit)}\nRMS ${brief(Math.sqrt(sum / n),
       this.skin.unit)}`;
   }
@@ -301,7 +302,8 @@ export class Maps {
       return;
     }
     const values = Object.keys(this.panels).filter((which) => this.maps[which])
-      .map((which) => `${TITLES[which].toLowerCase()} ${this.maps[which][cell].toFixed(4)}`);
+      .map((which) => [TITLES[which].toLowerCase(), this.maps[which][cell]])
+      .map(([title, value]) => `${title} ${Number.isNaN(value) ? "missing" : value.toFixed(4)}`);
     setText(byId("under-pointer"), `${name}: ${values.join(", ")} ${this.skin.unit}`);
   }
 
@@ -339,6 +341,11 @@ export function thumbnail(panel, { data: { reconstruction: map }, contacts }, sk
   panel.view.paint(panel, map, top);
   panel.view.mark({ reconstruction: panel }, { faulty: [], contacts: panel.contacts });
   return `peak ${brief(highest(map), skin.unit)}, colours to ${tick(top)} ${skin.unit}`;
+}
+
+// Taxels whose reading is missing.
+function missingOf(map) {
+  return map.reduce((n, value) => n + Number.isNaN(value), 0);
 }
 
 function highest(map) {

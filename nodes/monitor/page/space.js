@@ -2,7 +2,7 @@
 // wheel, two fingers, + and -. All maps of a patch share it.
 
 import { OUTSIDE, INSIDE, SHADES, TAXELS, axes, dot, projected, rasterise, scaleOf } from "./cloud.js";
-import { VIRIDIS } from "./colours.js";
+import { pixel } from "./colours.js";
 import { cross, element } from "./dom.js";
 
 const FINENESS = 2; // pixels drawn for one of the page: their mean has smooth edges
@@ -74,7 +74,7 @@ export class SpaceView {
   #facing(map) {
     const { cloud } = this, sum = [0, 0, 0];
     for (let k = 0; k < cloud.n; k++) {
-      const force = map[cloud.cells[k]];
+      const force = map[cloud.cells[k]] || 0;
       cloud.normal(k).forEach((v, axis) => (sum[axis] += force * force * v));
     }
     if (!(Math.hypot(...sum) > 0)) return null;
@@ -196,7 +196,7 @@ export class SpaceView {
     }
     const { pixels } = panel, scale = 255 / top;
     for (let k = 0; k < cloud.n; k++) {
-      palette[TAXELS + k] = VIRIDIS[Math.max(0, Math.min(255, (map[cloud.cells[k]] * scale) | 0))];
+      palette[TAXELS + k] = pixel(map[cloud.cells[k]], scale);
     }
     for (let at = 0; at < pixels.length; at++) pixels[at] = palette[index[at]];
     canvas.getContext("2d").putImageData(panel.image, 0, 0);
@@ -295,7 +295,7 @@ export class SpaceView {
     const { cloud } = this, sums = [0, 0, 0], [, , eye] = axes(this.view);
     let contact = 0, hidden = 0;
     for (let k = 0; k < cloud.n; k++) {
-      const force = map[cloud.cells[k]];
+      const force = map[cloud.cells[k]] || 0;
       cloud.place(k).forEach((v, axis) => (sums[axis] += force * v));
       if (force < PRESSED * peak) continue;
       contact += force;

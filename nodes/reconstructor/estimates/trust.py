@@ -23,6 +23,7 @@ ADVICE, FIXED_ADVICE = _ADVICE.format(""), _ADVICE.format(" or rotating rows")
 
 LOGGED = {
     "error": "",
+    "missing": "readings are missing over an area",
     "range": "forces exceed the range of the skin",
     "uniform": "all taxels rose together: drift, hum, or a pressure on the whole skin",
 }

@@ -11,6 +11,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.neighbours import of_nine
 
 #: Frames between two searches for taxels that stand alone: with at least this part of the range,
 #: next to neighbours of at most this part of their own force.
@@ -97,7 +98,8 @@ class EndWatch:
         pressed = forces > np.float32(PRESSED * self._f_max)
         if np.count_nonzero(pressed) < INSIDE:
             return [], []
-        inside = self._mask & (_around(pressed.astype(np.int8)) >= INSIDE)
+        around = of_nine(pressed.astype(np.int8), np.add) - pressed
+        inside = self._mask & (around >= INSIDE)
         holes = np.flatnonzero(inside & ~pressed).tolist()
         # Most frames have neither holes nor watched taxels.
         watched = [place for place in self._low if inside.flat[place]]
@@ -156,14 +158,6 @@ def _neighbours(forces: Floats, place: int, which: Mask | None = None) -> Floats
     among = np.ones_like(forces[around], dtype=np.bool_) if which is None else which[around].copy()
     among[row - around[0].start, col - around[1].start] = False
     return forces[around][among]
-
-
-def _around(counts: np.ndarray[tuple[int, int], np.dtype[np.int8]]) -> Floats:
-    """Return the sum of the eight neighbours of each taxel; 0 beyond the edge."""
-    edged = np.pad(counts, 1)
-    three = edged[:-2] + edged[1:-1] + edged[2:]
-    sums: Floats = three[:, :-2] + three[:, 1:-1] + three[:, 2:] - counts
-    return sums
 
 
 def _reach(pressed: Mask, place: int) -> Reach:

@@ -23,6 +23,7 @@ from sparseskin.messages import (
     decode,
 )
 from sparseskin.messages.base import wire_fields
+from sparseskin.messages.frames import known_forces
 from sparseskin.messages.skin import Skin
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.messages.wire import SCHEMAS
@@ -148,12 +149,14 @@ def frames(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[Frame]
 
 
 def values_of(message: Message) -> npt.NDArray[np.float32] | None:
-    """The forces of a frame of one patch or its measurements; None of another message."""
+    """The forces of a frame of one patch, NaN where a reading is missing, or its measurements; None
+    of another message.
+    """
     values: npt.NDArray[np.float32] | None = None
     if isinstance(message, Measurements):
         values = message.y[0]
     elif isinstance(message, Taxels | Truth | Reconstruction):
-        values = message.forces[0]
+        values = known_forces(message)
     return values
 
 

@@ -31,10 +31,10 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     Each file has, below lines that begin with `#`, a header line with the names of its columns, and
     then a frame a line: `stamp_ns`, the figures of the message, and the taxels r0c0, r0c1, ... row
     after row (or the measurements y0, y1, ...), in the shortest decimals that give the same float32
-    again. The second line is a comment with the states of the patch as JSON: shape, range, unit,
-    pitch, mask, points, calibration, Phi, solver. Standard deviations are in
-    PATCH_reconstruction_sd.csv. PATCH_contacts.csv has a line a contact of each frame, by the
-    columns of `Contacts`, PATCH_contacts_events.csv a line an event: `stamp_ns`, `id`, `event`.
+    again; nan where a reading is missing. The second line is a comment with the states of the patch
+    as JSON: shape, range, unit, pitch, mask, points, calibration, Phi, solver. Standard deviations
+    are in PATCH_reconstruction_sd.csv. PATCH_contacts.csv has a line a contact of each frame, by
+    the columns of `Contacts`, PATCH_contacts_events.csv a line an event: `stamp_ns`, `id`, `event`.
 
     Raises BagError if the bag has no such frames, OutputError if the folder exists or cannot be
     written.

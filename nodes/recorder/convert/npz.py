@@ -48,12 +48,12 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     """Write one .npz a patch, `out` or OUT_PATCH.npz each for several patches; their paths.
 
     Its arrays: `forces` (the taxels' readings), `truth`, `reconstruction`, float32 of shape
-    (n_frames, n_rows, n_cols); `measurements`, float32 of shape (n_frames, M), padded with NaN
-    where M changes; a stamp a frame in `stamp_ns` (of `forces`), `truth_stamp_ns`,
-    `reconstruction_stamp_ns`, `measurements_stamp_ns`, int64; and the skin's `f_max`, `unit`,
-    `mask`, `points` (float32, (n_taxels, 6): place in metres and normal of each taxel of a skin
-    that is no flat grid), `point_rows` (int32, (n_taxels,): the row of each among those of the file
-    of points), `pitch_m`, `rate_hz`, where known.
+    (n_frames, n_rows, n_cols), NaN where a reading is missing; `measurements`, float32 of shape
+    (n_frames, M), padded with NaN where M changes; a stamp a frame in `stamp_ns` (of `forces`),
+    `truth_stamp_ns`, `reconstruction_stamp_ns`, `measurements_stamp_ns`, int64; and the skin's
+    `f_max`, `unit`, `mask`, `points` (float32, (n_taxels, 6): place in metres and normal of each
+    taxel of a skin that is no flat grid), `point_rows` (int32, (n_taxels,): the row of each among
+    those of the file of points), `pitch_m`, `rate_hz`, where known.
 
     All other numbers and texts of all messages are arrays SCHEMA_FIELD with one entry a message,
     e.g. `reconstruction_sd` (NaN in frames without one), `reconstruction_trusted`,

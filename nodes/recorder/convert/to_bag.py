@@ -16,6 +16,7 @@ from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.recording import REFUSE, Policy
+from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 _RUN_ID_BYTES = 8
@@ -73,9 +74,12 @@ def import_file(
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
         bag.record(state.published(run_id, 0), 0)
-        for seq, (stamp_ns, forces) in enumerate(progress(frames, frames.n_frames or 0, "import")):
-            taxels = Taxels(stamp_ns=stamp_ns, patch=patch, forces=forces)
-            bag.record(taxels.published(run_id, seq), stamp_ns)
+        readings = MissingReadings(nan, skin, learns=False)
+        for stamp_ns, forces in progress(frames, frames.n_frames or 0, "import"):
+            if (filled := readings.fill(forces, stamp_ns)) is not None:
+                values, missing = filled
+                taxels = Taxels(stamp_ns=stamp_ns, patch=patch, forces=values, missing=missing)
+                bag.record(taxels.published(run_id, bag.n_messages - 1), stamp_ns)
     return bag.n_messages - 1
 
 

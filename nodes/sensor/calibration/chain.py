@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import RefusedError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.sensor.saturation import Clipped
 
 from .description import SkinDescription
@@ -81,6 +81,7 @@ class Chain:
         self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
         self.clipped = Clipped()
         self._last: Doubles | None = None
+        self._untared: Mask = np.zeros(d.shape, np.bool_)
         self._log = log
         self.is_starting, self.is_news = tare > 0, False
         self._tared = ""
@@ -108,24 +109,26 @@ class Chain:
         Parameters
         ----------
         raw : ndarray of a real number, shape (rows, cols)
-            Raw readings, finite where a taxel exists; not modified.
+            Raw readings, NaN where they are missing; not modified.
         stamp_ns : int
             Time of the frame, nanoseconds.
 
         Returns
         -------
         ndarray of float32, shape (rows, cols)
-            A fresh array in [f_min, f_max], in the skin's unit.
+            A fresh array in [f_min, f_max], in the skin's unit; NaN where the reading, or that of
+            the tare, is missing.
         """
         d = self.description
         found = d.forces(raw)
+        found[self._untared] = np.nan
         # On a skin with noise, a frame that repeats the last one is of a board that hangs: what is
         # followed meanwhile would be no drift, and its frames would differ.
-        hangs = self._last is not None and np.array_equal(found, self._last)
+        hangs = self._last is not None and np.array_equal(found, self._last, equal_nan=True)
         self._last = found.copy() if d.noise else None
         found -= self.drift.value
         if not hangs:
-            self.drift.update(found, stamp_ns)
+            self.drift.update(np.nan_to_num(found), stamp_ns)
         self.clipped.add(found, d.f_min - self.drift.threshold, d.f_max)
         return np.clip(found, d.f_min, d.f_max, out=found).astype(np.float32)
 
@@ -151,9 +154,16 @@ class Chain:
 
     def tare(self, frames: Sequence[npt.NDArray[Any]]) -> None:
         """Take the median of one or more untouched frames for the baseline, forget the drift, and
-        log how much the forces of the untouched skin changed.
+        log how much the forces of the untouched skin changed. A taxel whose reading is missing in
+        all of them has no baseline, and no force until the next tare.
         """
-        baseline = np.median(np.asarray(frames), axis=0).astype(np.float64)
+        readings = np.array(frames)
+        missing = np.isnan(readings)
+        self._untared = missing.all(axis=0)
+        readings[:, self._untared] = 0.0
+        median = np.nanmedian if missing.any() else np.median
+        old = 0.0 if self.description.baseline is None else self.description.baseline
+        baseline = np.where(self._untared, old, median(readings, axis=0).astype(np.float64))
         moved = np.abs(self.description.forces(baseline) - self.drift.value)[self.skin.exists]
         self.description = replace(self.description, baseline=baseline)
         self.drift.reset()

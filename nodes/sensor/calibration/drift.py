@@ -20,13 +20,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.neighbours import of_nine
 
 DRIFT_RATE = 1e-4
 """Largest rate of the drift that is followed, in parts of f_max a second: 0.6 % of f_max a minute.
@@ -159,7 +158,7 @@ class Drift:
         pressed = self._lightly_pressed(self._sum / self._n, dt_s)
         self._sum, self._n = np.zeros_like(forces), 0
         touched = (self._fast[0] > self.threshold) | (forces > 2 * self.threshold) | pressed
-        touched = _of_nine(touched, np.logical_or)
+        touched = of_nine(touched, np.logical_or)
         new = touched & ~self._held
         self.value[new] = np.minimum(self.value, self._earlier)[new]
         self._since_s += dt_s
@@ -181,7 +180,7 @@ class Drift:
         """
         t = TUNING
         self._n_updates += 1
-        means = np.stack([mean, _of_nine(mean, np.add) / 9])
+        means = np.stack([mean, of_nine(mean, np.add) / 9])
         # At first the mean of all: one frame would be believed for as long as the slow low pass.
         fast = max(1 - math.exp(-dt_s / t.fast_s), 1 / self._n_updates)
         slow = max(1 - math.exp(-dt_s / t.slow_s), 1 / self._n_updates)
@@ -202,11 +201,3 @@ class Drift:
         self._risen &= rise >= t.step_left * self._rise
         found: Mask = np.logical_or(*self._risen)
         return found
-
-
-def _of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
-    """Each cell and its eight neighbours, combined; beyond the edge is 0."""
-    padded = np.pad(field, 1)
-    rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
-    found: npt.NDArray[Any] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
-    return found

@@ -28,6 +28,7 @@ from .recording import (
     KEEP,
     MAX_READING,
     NO_UNIT,
+    REFUSE,
     Parsed,
     Policy,
     check_grid,
@@ -70,7 +71,7 @@ class RecordedSource(Source):
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): nanoseconds since the first frame, and a new float32 array
-        of shape (n_rows, n_cols) in [0, f_max], 0 in masked cells.
+        of shape (n_rows, n_cols) in [0, f_max], 0 in masked cells; NaN as in `open_file`.
         """
         for stamp, frame in zip(self.stamp_ns, self.frames, strict=True):
             yield stamp, frame.copy()
@@ -119,8 +120,9 @@ def open_file(
     Returns
     -------
     RecordedSource
-        Frames float32 of shape (n_rows, n_cols) in [0, f_max]; 0 in masked cells. Stamps are
-        the file's, or follow from the rate, or are 10 ms apart where there is neither.
+        Frames float32 of shape (n_rows, n_cols) in [0, f_max]; 0 in masked cells; NaN where a
+        reading is not finite and `policy` allows it: `MissingReadings` fills it in. Stamps are the
+        file's, or follow from the rate, or are 10 ms apart where there is neither.
 
     Raises
     ------
@@ -150,7 +152,7 @@ def open_file(
     check_grid(rows, cols, name)
     check_stated_shape(rows, cols, n_rows, n_cols, name)
     keeps = policy.negative == KEEP
-    check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0)
+    check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0, policy.nan != REFUSE)
     if parsed.mask is not None and not parsed.mask.any():
         raise SourceError(f"{name}: no cell of the skin is a taxel, all are masked")
     frames = parsed.forces.astype(np.float32)
@@ -216,7 +218,7 @@ def n_taxels(
 
 
 def _range(frames: Floats, stated: float | None, name: str, keeps: bool) -> float:
-    peak = float(frames.max())
+    peak = float(np.fmax.reduce(frames, axis=None))
     if keeps:
         return max(peak, stated or 1.0)
     if stated is None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .recording import HOLD, KEEP, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
+from .recording import FILLED, KEEP, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,11 @@ class Treated:
     def lines(self, policy: Policy, unit: str) -> list[str]:
         """One line for a log on each kind of invalid reading; none where there was none."""
         found = []
-        done = {ZERO: "set to 0", HOLD: "replaced by the last finite one", MASK: "masked"}
         if self.not_finite:
-            found.append(
-                f"{self.not_finite} readings of the file are not finite: {done[policy.nan]}"
-            )
+            way = FILLED[policy.nan]
+            found.append(f"{self.not_finite} readings of the file are not finite: {way}")
         if self.negative:
+            done = {ZERO: "set to 0", MASK: "masked"}
             way = done.get(policy.negative, f"{self.offset:g} {unit} subtracted from all readings")
             found.append(f"{self.negative} readings of the file are below 0: {way}")
         if self.masked_taxels:
@@ -52,8 +51,9 @@ class Treated:
 def treat(parsed: Parsed, policy: Policy) -> tuple[Parsed, Treated]:
     """Return a recording whose invalid readings are treated, and their counts.
 
-    Those of a kind that is refused remain, for `check_readings` to name. Cells without a taxel are
-    not looked at.
+    Those of a kind that is refused remain, for `check_readings` to name. Those that are not finite
+    become NaN, for `MissingReadings`; a taxel of which all are is masked with `nan` "mask". Cells
+    without a taxel are not looked at.
     """
     allowed = policy.nan == REFUSE and policy.negative in (REFUSE, KEEP)
     if allowed or not len(parsed.forces):
@@ -64,16 +64,12 @@ def treat(parsed: Parsed, policy: Policy) -> tuple[Parsed, Treated]:
     is_negative = finite & (forces < 0) & (policy.negative not in (REFUSE, KEEP))
     exists = np.ones(forces.shape[1:], np.bool_) if parsed.mask is None else parsed.mask
     gone = np.zeros_like(exists)
-    for way, bad in ((policy.nan, is_nan), (policy.negative, is_negative)):
-        if way == MASK:
-            gone |= bad.any(axis=0)
+    if policy.nan == MASK:
+        gone |= is_nan.all(axis=0)
+    if policy.negative == MASK:
+        gone |= is_negative.any(axis=0)
+    forces[is_nan] = np.nan
     forces[:, gone] = 0
-    if policy.nan in (ZERO, HOLD):
-        held = np.zeros(exists.shape, forces.dtype)
-        for frame, bad in zip(forces, is_nan, strict=True):
-            frame[bad] = held[bad]
-            if policy.nan == HOLD:
-                held = frame
     offset = 0.0
     if policy.negative == ZERO:
         forces[is_negative] = 0

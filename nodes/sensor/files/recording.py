@@ -31,8 +31,15 @@ NO_UNIT = ": a .csv of numbers does not state its unit; set unit, e.g. N"
 """Refusal of a plain .csv, after its name."""
 REFUSE, ZERO, HOLD, OFFSET, MASK = "refuse", "zero", "hold", "offset", "mask"
 NAN_WAYS = (REFUSE, ZERO, HOLD, MASK)
-"""Readings that are NaN or infinite: the file is refused; they become 0, or the last finite reading
-of their taxel (0 before the first); or their taxels are masked."""
+"""Readings that are NaN or infinite: refused; or, as `MissingReadings`, they become 0, the last
+reading of their taxel (0 before the first), or the mean of its neighbours, where the taxels without
+any reading are masked."""
+FILLED = {
+    ZERO: "set to 0",
+    HOLD: "replaced by the last ones",
+    MASK: "replaced by the mean of their neighbours",
+}
+"""What is done with missing readings, for the log."""
 NEGATIVE_WAYS = (REFUSE, ZERO, OFFSET, MASK)
 """Readings below 0: the file is refused; they become 0; the lowest reading is subtracted from all;
 or their taxels are masked."""
@@ -305,8 +312,11 @@ def check_stated_shape(
             raise SourceError(f"{where}: {what} = {stated} is stated, but the frames have {actual}")
 
 
-def check_readings(forces: npt.NDArray[Any], where: str, low: float = 0.0) -> None:
-    """Raise SourceError unless all readings are finite and in [low, 1e30]; 0 in masked cells.
+def check_readings(
+    forces: npt.NDArray[Any], where: str, low: float = 0.0, nan: bool = False
+) -> None:
+    """Raise SourceError unless all readings are finite and in [low, 1e30], or NaN where `nan`
+    allows it; 0 in masked cells.
 
     `forces` has the shape (n_frames, n_rows, n_cols). The error names frame and cell, from 0.
     """
@@ -319,7 +329,7 @@ def check_readings(forces: npt.NDArray[Any], where: str, low: float = 0.0) -> No
         if values.min() >= low and values.max() <= MAX_READING:  # False for a NaN
             continue
         for what, bad in (
-            (f"is not finite{NAN_HINT}", ~np.isfinite(values)),
+            (f"is not finite{NAN_HINT}", ~np.isfinite(values) & (not nan)),
             (below, values < low),
             (f"is above {MAX_READING:g}", values > MAX_READING),
         ):

@@ -84,6 +84,15 @@ def test_psnr_is_the_range_over_the_root_mean_square_error(error: float, db: flo
     assert psnr_db(np.full(SHAPE, error, np.float32), 2.5) == pytest.approx(db, abs=1e-4)
 
 
+def test_a_taxel_whose_reading_is_missing_is_not_compared() -> None:
+    messages = frame(0, 1.0, 1.0, 1.0)
+    forces = np.ones(SHAPE, np.float32)
+    forces[1, 2] = 2.0
+    missing = np.packbits(np.ravel(forces == 2))
+    messages[-1] = dataclasses.replace(messages[-1], forces=forces, missing=missing)
+    assert metrics_of(skin(), *messages).reconstruction.every.low == 100.0
+
+
 @pytest.mark.parametrize("unknown", ["/skin/taxels", "/skin/reconstruction"])
 def test_while_a_clock_is_unknown_latency_alone_is_unknown(unknown: str) -> None:
     metrics = PatchMetrics(clock_of=lambda topic: None if topic == unknown else SAME_CLOCK)

@@ -20,6 +20,7 @@ from conftest import StartProgram, free_port, wait_until
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.sensor.files.recording import DEFAULT_POLICY, Policy
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.sources import open_source
 from sparseskin.plugins.boards import source as source_module
@@ -42,8 +43,8 @@ def opened() -> Iterator[Any]:
     """Open a board; it is closed at the end."""
     made: list[BoardSource] = []
 
-    def make(source: str) -> BoardSource:
-        found = open_source(source, seed=0)
+    def make(source: str, policy: Policy = DEFAULT_POLICY) -> BoardSource:
+        found = open_source(source, seed=0, policy=policy)
         assert isinstance(found, BoardSource)
         made.append(found)
         return found
@@ -172,6 +173,17 @@ class TestUdp:
         send_packets(port, framing.encode(bytes([4] * 6), 1))
         assert taken(source, 1)[0][1].max() == 4
         assert source.take_lines()[0].endswith(" is the sender now")
+
+    def test_a_reading_that_is_no_number_is_missing_where_that_is_allowed(
+        self, opened: Any
+    ) -> None:
+        port = free_port(socket.SOCK_DGRAM)
+        source = opened(f"udp:{port}?{self.QUERY}", Policy("mask"))
+        readings = np.array([0, np.nan, 9, np.inf, -np.inf, 1], "<f4")
+        send_packets(port, self.NUMBERED.encode(readings.tobytes(), 1))
+        ((_, forces),) = taken(source, 1)
+        np.testing.assert_array_equal(forces.ravel(), [0, np.nan, 4, np.nan, np.nan, 1])
+        assert (source.clipped.n, source.clipped.highest) == (1, 9.0)
 
     def test_what_the_kernel_drops_is_counted(self, opened: Any) -> None:
         port = free_port(socket.SOCK_DGRAM)

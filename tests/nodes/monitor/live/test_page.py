@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bags import N_COLS, N_ROWS
 from browser import browser, lack
 from conftest import Program, StartProgram, wait_until
 from exported import contacts
@@ -273,6 +274,23 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any
         wait_until(
             lambda: "not trusted" not in "".join(page.execute_script(marks)), "the marks to go"
         )
+
+
+def test_a_taxel_whose_reading_is_missing_looks_like_no_force(page: Any) -> None:
+    graph = Graph()
+    graph.skin(mask=None)
+    missing = np.packbits(np.arange(N_ROWS * N_COLS) == N_COLS + 2)
+    colour = (
+        "return [...document.querySelector('canvas[data-map=reconstruction]')"
+        ".getContext('2d').getImageData(2, 1, 1, 1).data];"
+    )
+    figures = '[data-panel="reconstruction"] figcaption'
+    with served(graph, page):
+        graph.frame(missing=missing)
+        wait_until(lambda: "1 readings missing" in text(page, figures), "the count")
+        red, green, blue, alpha = page.execute_script(colour)
+        assert red == green == blue
+        assert alpha == 255
 
 
 def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:

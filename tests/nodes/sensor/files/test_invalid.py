@@ -13,6 +13,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.recording import Policy
+from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 
 BAD = np.array([[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32)
@@ -29,15 +30,17 @@ def treated(policy: Policy, folder: Path) -> Any:
         ("zero", "zero", [[1, 2, 3, 4], [0, 0, 5, 0], [2, 2, 0, 1]], None),
         ("hold", "zero", [[1, 2, 3, 4], [1, 0, 5, 4], [2, 2, 0, 1]], None),
         ("hold", "offset", [[4, 5, 6, 7], [4, 2, 8, 7], [5, 5, 0, 4]], None),
-        ("mask", "zero", [[0, 2, 3, 0], [0, 0, 5, 0], [0, 2, 0, 0]], [False, True, True, False]),
-        ("zero", "mask", [[1, 0, 0, 4], [0, 0, 0, 0], [2, 0, 0, 1]], [True, False, False, True]),
+        ("mask", "zero", [[1, 2, 3, 4], [2.5, 0, 5, 2.5], [2, 2, 0, 1]], None),
+        ("zero", "mask", [[1, 0, 0, 4], None, [2, 0, 0, 1]], [True, False, False, True]),
     ],
 )
 def test_invalid_readings_become_what_the_settings_say(
     tmp_path: Path, nan: str, negative: str, expected: Any, mask: Any
 ) -> None:
     source = treated(Policy(nan, negative), tmp_path)
-    assert source.frames.reshape(3, 4).tolist() == expected
+    readings = MissingReadings(nan, source.skin, learns=False)
+    filled = [readings.fill(frame, 0) for frame in source.frames]
+    assert [found and found[0].ravel().tolist() for found in filled] == expected
     assert (source.treated.not_finite, source.treated.negative) == (2, 2)
     held = None if source.skin.mask is None else source.skin.mask.ravel().tolist()
     assert held == mask
@@ -48,7 +51,6 @@ def test_invalid_readings_become_what_the_settings_say(
     [
         (Policy(), "frame 1, row 0, column 0: nan is not finite; or set nan to zero, hold or mask"),
         (Policy("zero"), "frame 1, row 0, column 1: -1 is below 0; a range starts at 0; or set"),
-        (Policy("mask", "mask"), "no cell of the skin is a taxel, all are masked"),
     ],
 )
 def test_invalid_readings_are_refused_unless_a_setting_treats_them(
@@ -63,7 +65,8 @@ def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path: Path) -> 
     (tmp_path / "a.csv").write_text("1,,NaN,4\n-2,5,6,7\n")
     options: dict[str, Any] = {"n_rows": 2, "n_cols": 2, "unit": "N"}
     source = open_file(tmp_path / "a.csv", **options, policy=Policy("zero", "offset"))
-    assert source.frames.reshape(2, 4).tolist() == [[3, 2, 2, 6], [0, 7, 8, 9]]
+    found = np.nan_to_num(source.frames, nan=-1).reshape(2, 4)
+    assert found.tolist() == [[3, -1, -1, 6], [0, 7, 8, 9]]
     assert source.treated.counts() == {
         "not_finite": 2,
         "negative": 1,
@@ -81,7 +84,7 @@ def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path: Path) 
     sensor = Sensor(chosen, Context("sensor", ManualClock(0), lines.append))
     list(sensor.start())
     assert lines == [
-        "2 readings of the file are not finite: replaced by the last finite one",
+        "2 readings of the file are not finite: replaced by the last ones",
         "2 readings of the file are below 0: -3 N subtracted from all readings",
     ]
     counts = {"not_finite": 2, "negative": 2, "masked_taxels": 0, "offset": -3.0}

@@ -1,0 +1,127 @@
+"""Readings that are missing: cells of a frame that hold no number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.neighbours import of_nine
+
+from .files.recording import FILLED, HOLD, MASK
+
+RENEWAL_NS = 1_000_000_000
+"""Least time between two skins, nanoseconds; chosen: each sets Phi and solver up anew."""
+
+
+class MissingReadings:
+    """Fills the readings of a frame that are missing (NaN, infinite), marks and counts them.
+
+    A linear measurement of a frame needs a number for each taxel, so each gets one: the mean of the
+    neighbours that have a reading (0 where none has), the last reading, or 0. That number travels
+    marked, and is no measurement. Frames without any reading are left out, and counted.
+
+    Parameters
+    ----------
+    way : str
+        How they are filled: "mask", "hold" or "zero".
+    skin : Skin
+        The skin of the frames.
+    learns : bool
+        True to mask cells that no frame has held a number of, first by the first frame. One that
+        then holds one is a taxel from the next renewal of the skin on.
+
+    Attributes
+    ----------
+    skin : Skin
+        The skin without the masked cells.
+    is_news : bool
+        True once the skin has changed; whoever publishes it sets it to False.
+    n_cells, n_now, n_empty : int
+        Readings that were missing so far, in the newest frame, and frames without any reading.
+    """
+
+    def __init__(self, way: str, skin: Skin, learns: bool) -> None:
+        self.skin = skin
+        self.is_news = False
+        self.n_cells = self.n_now = self.n_empty = 0
+        self.learns = learns
+        self._way, self._whole = way, skin
+        self._silent: Mask = skin.exists
+        self._renewed_ns: int | None = None
+        self._held: Floats = np.zeros(skin.shape, np.float32)
+        self._lines: list[str] = []
+
+    def fill(
+        self, forces: Floats, stamp_ns: int
+    ) -> tuple[Floats, npt.NDArray[np.uint8] | None] | None:
+        """Fill a frame of `stamp_ns`, as of its source: float32 (n_rows, n_cols), not modified.
+
+        Returns its forces, 0 in masked cells, and the bits of those that are missing, as in
+        `Sensed`; None of a frame without any reading.
+        """
+        known = np.isfinite(forces) & self._whole.exists
+        if not known.any():
+            self.n_empty += 1
+            return None
+        if self.learns:
+            self._learn(known, stamp_ns)
+        exists = self.skin.exists
+        missing = exists & ~known
+        known &= exists
+        filled: Floats = np.where(known, forces, np.float32(0))
+        self.n_now = int(np.count_nonzero(missing))
+        if self.n_now:
+            if not self.n_cells:
+                line = f"missing readings are {FILLED[self._way]}"
+                self._lines.append(f"{line}: {self.n_now} at first")
+            self.n_cells += self.n_now
+            if self._way == MASK:
+                beside = np.maximum(of_nine(known.astype(np.float32), np.add), 1)
+                filled[missing] = (of_nine(filled, np.add) / beside)[missing]
+            elif self._way == HOLD:
+                filled[missing] = self._held[missing]
+        self._held = filled
+        return filled, np.packbits(missing) if self.n_now else None
+
+    def take_lines(self) -> Iterable[str]:
+        """Lines for the log since the last call."""
+        lines, self._lines = self._lines, []
+        return lines
+
+    def state(self) -> dict[str, int]:
+        """Counts for the state of the sensor."""
+        counts = {"missing": self.n_cells, "missing_now": self.n_now}
+        return {**counts, "silent_taxels": self._n_masked}
+
+    def report(self) -> dict[str, int]:
+        """Counts for a summary; empty where no reading was missing."""
+        counts = {"missing": self.n_cells, "empty_frames": self.n_empty}
+        return {name: n for name, n in counts.items() if n}
+
+    @property
+    def is_known(self) -> bool:
+        """False while the first frame is still to show which cells hold a number."""
+        return not self.learns or self._renewed_ns is not None
+
+    @property
+    def _n_masked(self) -> int:
+        return self._whole.n_taxels - self.skin.n_taxels
+
+    def _learn(self, known: Mask, stamp_ns: int) -> None:
+        """Renew the skin by the first frame, and where cells hold a number that have held none."""
+        self._silent = self._silent & ~known
+        n_left, n_masked = int(np.count_nonzero(self._silent)), self._n_masked
+        if self._renewed_ns is None:
+            if n_left:
+                line = f"{n_left} of {self._whole.n_taxels} taxels give no number: masked"
+                self._lines.append(f"{line} until they do")
+        elif n_left < n_masked and stamp_ns - self._renewed_ns >= RENEWAL_NS:
+            self._lines.append(f"{n_masked - n_left} masked taxels give numbers now: used")
+        else:
+            return
+        self._renewed_ns, self.is_news = stamp_ns, True
+        self.skin = self._whole.without(self._silent) if n_left else self._whole

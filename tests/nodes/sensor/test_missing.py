@@ -1,0 +1,144 @@
+"""Readings that are missing: filled, marked, counted, and nowhere taken for measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import sparseskin
+from sparseskin.messages import SkinState, Taxels
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.sensor.missing import RENEWAL_NS, MissingReadings
+from sparseskin.nodes.sensor.node import Sensor
+
+NAN = float("nan")
+
+
+@given(
+    frames=arrays(
+        np.float32,
+        (4, 5, 6),
+        elements=st.sampled_from([0.0, 0.5, 2.0, NAN, np.inf, -np.inf]),
+    ),
+    exists=arrays(np.bool_, (5, 6)).filter(np.any),
+    way=st.sampled_from(["mask", "hold", "zero"]),
+)
+def test_readings_stay_and_no_other_number_is_unmarked(frames: Any, exists: Any, way: str) -> None:
+    readings = MissingReadings(way, Skin(5, 6, 2.0, mask=exists), learns=way == "mask")
+    for k, frame in enumerate(frames):
+        known = np.isfinite(frame) & exists
+        found = readings.fill(frame, k * RENEWAL_NS)
+        assert (found is None) == (not known.any())
+        if found is None:
+            continue
+        message = Taxels(stamp_ns=0, patch="skin", forces=found[0], missing=found[1])
+        marked = message.missing_cells((5, 6))
+        marked = np.zeros((5, 6), np.bool_) if marked is None else marked
+        taxels = readings.skin.exists
+        assert (taxels & ~marked == known).all()
+        assert (message.forces[0][known] == frame[known]).all()
+        assert (message.forces[0][~taxels] == 0).all()
+
+
+@pytest.fixture
+def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], str]:
+    """A function that returns the address of a driver of frames, 1 s apart."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(frames: Any) -> str:
+        np.save("frames.npy", frames)
+        Path("silent_skin.py").write_text(
+            "import numpy as np\n\n\ndef made():\n"
+            "    yield from ((k * 10**9, one) for k, one in enumerate(np.load('frames.npy')))\n"
+        )
+        return "silent_skin:made"
+
+    return write
+
+
+def test_a_driver_s_silent_cells_are_masked_until_they_give_a_number(
+    driver: Callable[[Any], str],
+) -> None:
+    frames = np.full((4, 3, 4), 0.5, np.float32)
+    frames[:, 0, 0] = NAN
+    frames[:2, 1, 2] = NAN
+    frames[3, 2, 3] = NAN
+    source = driver(frames)
+    bus = Bus({"sensor": (Sensor, Sensor.Settings(source=source, nan="mask"))})
+    made = [message for messages in bus.frames(None) for message in messages]
+    masks = [one.skin.n_taxels for one in made if isinstance(one, SkinState)]
+    assert masks == [10, 11]
+    taxels = [one for one in made if isinstance(one, Taxels)]
+    assert [one.missing is not None for one in taxels] == [False, False, False, True]
+    assert taxels[3].forces[0, 2, 3] == 0.5  # as its neighbours
+    assert taxels[3].forces[0, 0, 0] == 0
+    bus.close()
+    options = [f"sensor.source={source}", "sensor.nan=mask"]
+    assert len(list(sparseskin.run_launch("replay", None, options))) == 4  # none is refused
+
+
+def test_a_taxel_that_was_silent_during_the_tare_has_no_force_before_the_next_one(
+    driver: Callable[[Any], str],
+) -> None:
+    frames = np.full((4, 3, 4), 100.0, np.float32)
+    frames[:2, 1, 2] = NAN
+    frames[:1, 2, 2] = NAN
+    chosen = ["sensor.nan=hold", "sensor.tare=2", "sensor.f_max=500"]
+    chosen = [f"sensor.source={driver(frames)}", *chosen]
+    found = list(sparseskin.run_launch("replay", None, chosen))
+    assert len(found) == 2
+    for frame in found:
+        assert np.argwhere(frame.missing).tolist() == [[1, 2]]
+        assert not frame.taxels.any()
+
+
+def replayed(readings: Any, folder: Path, way: str) -> Iterator[sparseskin.arrays.Frame]:
+    np.save(folder / "a.npy", readings)
+    source = f"sensor.source=file:{folder / 'a.npy'}"
+    options = (source, "sensor.f_max=2.5", f"sensor.nan={way}")
+    return sparseskin.run_launch("replay", None, options)
+
+
+def rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any, float]:
+    """Truth and readings while a body presses, (20, 40, 40), and the largest error of a frame."""
+    truth, taxels = (part[300:] for part in sparseskin.simulate("path_40", 320))
+    frames = replayed(taxels, tmp_path_factory.mktemp("whole"), "refuse")
+    return truth, taxels, max(rms(f.forces - t) for f, t in zip(frames, truth, strict=True))
+
+
+@settings(max_examples=8)
+@given(
+    way=st.sampled_from(["mask", "hold"]),
+    parts=st.lists(st.tuples(*[st.integers(0, 39)] * 4, st.integers(0, 19)), max_size=6),
+    flicker=st.floats(0, 0.2),
+)
+def test_missing_readings_make_no_force_of_others_wrong_that_is_trusted(
+    pressed: tuple[Any, Any, float],
+    tmp_path_factory: pytest.TempPathFactory,
+    way: str,
+    parts: Any,
+    flicker: float,
+) -> None:
+    truth, taxels, usual = pressed
+    readings = taxels.copy()
+    for row, col, n_rows, n_cols, first in parts:
+        readings[first:, row : row + 1 + n_rows // 4, col : col + 1 + n_cols // 4] = NAN
+    rng = np.random.default_rng(len(parts))
+    readings[rng.random(readings.shape) < flicker] = NAN
+    frames = replayed(readings, tmp_path_factory.mktemp("missing"), way)
+    for frame, true, read in zip(frames, truth, readings, strict=True):
+        error = (frame.forces - true)[np.isfinite(read)]
+        assert not frame.trusted or rms(error) < 2 * usual
