@@ -7,7 +7,9 @@ import contextlib
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,12 @@ SCHEMES = (
 )
 """Protocols of fsspec that name a file somewhere else. Chained addresses (zip::, reference::) are
 refused: they open files that the address does not show."""
+MAX_BYTES = 1 << 36
+"""Largest file that is read; chosen: more than a day at 1 kHz."""
+START_S, BYTES_PER_S = 60.0, 1e5
+"""Time that an address has, in s: to answer, and by the bytes that have come or are to go. Chosen:
+a radio link."""
+_PART = 1 << 20
 _ADDRESS = re.compile(r"([a-zA-Z0-9+.-]*)(::|://)")
 
 
@@ -34,9 +42,32 @@ def is_remote(name: str) -> bool:
     return _ADDRESS.match(name) is not None
 
 
+def shown(text: str) -> str:
+    """A text without the users, passwords and queries of its addresses, which may hold keys."""
+    return re.sub(r"://\S*@", "://***@", re.sub(r"(://[^\s?]*)\?\S+", r"\1?***", text))
+
+
 def check_address(address: str) -> None:
-    """Raise SettingsError if the protocol of an address is not allowed, or a package is missing."""
-    _filesystem(address)
+    """Raise SettingsError if the protocol of an address is not allowed, or a package is missing;
+    nothing is connected.
+    """
+    found = _ADDRESS.match(address)
+    scheme, place = (found[1].lower() if found else ""), shown(address[:200])
+    if "::" in address:
+        raise SettingsError(f"{place}: a chained address is not allowed")
+    if scheme not in SCHEMES:
+        hint = nearest_of(scheme, SCHEMES)
+        raise SettingsError(f"{place}: protocol {scheme[:40]!r} is not allowed{hint}")
+    try:
+        import fsspec
+    except ImportError as error:
+        raise SettingsError(
+            f"{place}: needs the package fsspec; pip install 'sparseskin[scale]'"
+        ) from error
+    try:
+        fsspec.get_filesystem_class(scheme)
+    except ImportError as error:
+        raise SettingsError(f"{place}: {one_line(error)}") from error
 
 
 def file_name(name: str) -> str:
@@ -56,74 +87,100 @@ def local_path(name: str) -> Path:
     SettingsError
         As `check_address`.
     RemoteError
-        If it cannot be read.
+        If it cannot be read, has more than `MAX_BYTES`, or takes longer than `START_S` and
+        `BYTES_PER_S` allow.
     """
     return _copied(name) if is_remote(name) else Path(name)
 
 
 @cache
 def _copied(address: str) -> Path:
-    filesystem = _filesystem(address)
+    check_address(address)
     folder = Path(tempfile.mkdtemp(prefix="sparseskin-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     path = folder / (file_name(address) or "recording")
-    with _named(address):
-        filesystem.get_file(address, str(path))
+    n_bytes = 0
+
+    def copy(late: threading.Event) -> None:
+        nonlocal n_bytes
+        filesystem, place = _opened(address)
+        with filesystem.open(place, "rb") as source, path.open("xb") as out:
+            while not late.is_set() and (part := source.read(_PART)):
+                n_bytes += len(part)
+                if n_bytes > MAX_BYTES:
+                    raise RemoteError(f"{shown(address)}: more than {MAX_BYTES} bytes")
+                out.write(part)
+
+    _in_time(address, copy, lambda: n_bytes)
     return path
 
 
 def check_free(address: str) -> None:
     """Check that there is no file at an address to write to; RemoteError if there is one."""
-    with _named(address):
-        taken = bool(_filesystem(address).exists(address))
-    if taken:
-        raise RemoteError(f"{address}: {TAKEN}")
+    check_address(address)
+
+    def check(late: threading.Event) -> None:
+        filesystem, place = _opened(address)
+        if filesystem.exists(place):
+            raise RemoteError(f"{shown(address)}: {TAKEN}")
+
+    _in_time(address, check, lambda: 0)
 
 
 def store(path: Path, address: str) -> None:
     """Write a file to an address; raises as `local_path`, and RemoteError if one is there."""
     check_free(address)
-    filesystem = _filesystem(address)
-    with _named(address):
+
+    def put(late: threading.Event) -> None:
+        filesystem, place = _opened(address)
         try:
-            filesystem.put_file(str(path), address)
+            filesystem.put_file(str(path), place)
         except BaseException:
             # An object appears when it is complete; what other stores keep of a file is removed.
             with contextlib.suppress(Exception):
-                filesystem.rm(address)
+                filesystem.rm(place)
             raise
 
-
-def _filesystem(address: str) -> Any:
-    found = _ADDRESS.match(address)
-    scheme = found[1].lower() if found else ""
-    if "::" in address:
-        raise SettingsError(f"{address[:200]}: a chained address is not allowed")
-    if scheme not in SCHEMES:
-        hint = nearest_of(scheme, SCHEMES)
-        raise SettingsError(f"{address[:200]}: protocol {scheme[:40]!r} is not allowed{hint}")
-    try:
-        import fsspec
-    except ImportError as error:
-        raise SettingsError(
-            f"{address}: needs the package fsspec; pip install 'sparseskin[scale]'"
-        ) from error
-    try:
-        return fsspec.filesystem(scheme)
-    except ImportError as error:
-        raise SettingsError(f"{address}: {one_line(error)}") from error
-    except Exception as error:
-        raise RemoteError(f"{address}: {one_line(error)}") from error
+    n_bytes = path.stat().st_size
+    _in_time(address, put, lambda: n_bytes)
 
 
-@contextlib.contextmanager
-def _named(address: str) -> Iterator[None]:
-    """Turn an error of a file system of any kind into one line that names the address."""
-    try:
-        yield
-    except SparseskinError:
-        raise
-    except FileNotFoundError as error:
-        raise RemoteError(f"{address}: no such file") from error
-    except Exception as error:
-        raise RemoteError(f"{address}: {one_line(error)}") from error
+def _opened(address: str) -> tuple[Any, str]:
+    """File system at an address, and the path in it."""
+    from fsspec.core import url_to_fs
+
+    filesystem, place = url_to_fs(address)
+    return filesystem, str(place)
+
+
+def _in_time(
+    address: str, action: Callable[[threading.Event], None], n_bytes: Callable[[], int]
+) -> None:
+    """Run an action on a file system in a thread, and give it up where it takes too long for its
+    number of bytes: then its event is set. An error of any kind becomes one line that names the
+    address.
+    """
+    late, failures = threading.Event(), list[BaseException]()
+
+    def run() -> None:
+        try:
+            action(late)
+        except BaseException as error:
+            failures.append(error)
+
+    thread, begin_s = threading.Thread(target=run, daemon=True), time.monotonic()
+    thread.start()
+    while thread.is_alive() and not late.is_set():
+        left_s = begin_s + START_S + n_bytes() / BYTES_PER_S - time.monotonic()
+        thread.join(min(max(left_s, 0.0), 1.0))
+        if left_s <= 0:
+            late.set()
+    if thread.is_alive():
+        taken = f"not done within {time.monotonic() - begin_s:.0f} s"
+        raise RemoteError(f"{shown(address)}: {taken}, after {n_bytes()} bytes")
+    for error in failures:
+        if isinstance(error, SparseskinError):
+            raise error
+        missing = isinstance(error, FileNotFoundError)
+        text = "no such file" if missing else shown(one_line(error))
+        raise RemoteError(f"{shown(address)}: {text}") from error

@@ -25,7 +25,7 @@ from sparseskin.nodes.files import (
     overwrite,
 )
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.remote import check_address, is_remote
+from sparseskin.nodes.remote import check_address, is_remote, shown
 
 Run = Callable[[argparse.Namespace], int]
 
@@ -84,10 +84,10 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
     folder = None if is_remote(out) else Path(out)
     if len(names) == 1 and not (folder and folder.is_dir()):
         if not out.endswith(FILE_SUFFIX):
-            raise SettingsError(f"--out {out}: expected a name that ends in {FILE_SUFFIX}")
+            raise SettingsError(f"--out {shown(out)}: expected a name that ends in {FILE_SUFFIX}")
         return [out]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise SettingsError(f"--out {out}: two of the files would become {twice[0]}")
+        raise SettingsError(f"--out {shown(out)}: two of the files would become {twice[0]}")
     if folder is None:
         check_address(out)
         return [f"{out.rstrip('/')}/{name}" for name in names]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from sparseskin.launch.attach.text import size_text
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean, one_line
-from sparseskin.nodes.remote import check_address, file_name, is_remote
+from sparseskin.nodes.remote import check_address, file_name, is_remote, shown
 from sparseskin.nodes.tasks.executors import forms
 
 from .options import add_set, add_summary, bag_names, check_summary, write_summary
@@ -55,14 +55,14 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     for outcome in outcomes:
         job = outcome.job
         if outcome.error:
-            places = (job.source, job.out)
+            places = (shown(job.source), shown(job.out))
             named = outcome.error.startswith("--") or any(p in outcome.error for p in places)
-            print(outcome.error if named else f"{job.source}: {outcome.error}", file=sys.stderr)
+            print(outcome.error if named else f"{places[0]}: {outcome.error}", file=sys.stderr)
         else:
-            print(f"{job.out}:")
+            print(f"{shown(job.out)}:")
             print(summary_table(outcome.patches))
             print(_rate(outcome))
-    found = {o.job.out: {"patches": o.patches} for o in outcomes if not o.error}
+    found = {shown(o.job.out): {"patches": o.patches} for o in outcomes if not o.error}
     write_summary(arguments.summary, "reprocess-summary", {"recordings": found})
     return 2 if any(outcome.error for outcome in outcomes) else 0
 
@@ -83,7 +83,7 @@ def _jobs(arguments: argparse.Namespace) -> list[Job]:
 
     for file in arguments.files:
         if not file_name(file).removesuffix(PART_SUFFIX).endswith(FILE_SUFFIX):
-            raise SettingsError(f"{file}: no recording ({FILE_SUFFIX})")
+            raise SettingsError(f"{shown(file)}: no recording ({FILE_SUFFIX})")
         if is_remote(file):
             check_address(file)
         elif not Path(file).is_file():

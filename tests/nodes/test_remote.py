@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from conftest import free_port
 
 from sparseskin.nodes import remote
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.remote import RemoteError, check_address, file_name, is_remote, local_path
 
 fsspec = pytest.importorskip("fsspec")
@@ -66,6 +68,36 @@ def test_an_address_that_is_not_allowed_is_one_line(address: str, text: str) -> 
         check_address(address)
     assert text in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_an_address_is_reached_with_its_password_and_no_error_shows_it() -> None:
+    password, port = "hunter2@:tiger", free_port()
+    for address in (
+        f"ftp://alice:{password}@127.0.0.1:{port}/a.mcap",
+        f"ftp://127.0.0.1:{port}/a.mcap?token={password}",
+        f"s4://alice:{password}@bucket/a.mcap",
+    ):
+        with pytest.raises(SparseskinError) as raised:
+            local_path(address)
+        assert "***" in str(raised.value)
+        assert not any(word in str(raised.value) for word in ("alice", "hunter2", "tiger"))
+        assert "\n" not in str(raised.value)
+        if address.startswith("ftp"):
+            assert "ConnectionRefusedError" in str(raised.value)
+
+
+def test_a_file_that_is_too_large_or_comes_too_slowly_is_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    put("memory://bucket/large.mcap", bytes(100))
+    monkeypatch.setattr(remote, "MAX_BYTES", 99)
+    with pytest.raises(RemoteError, match="more than 99 bytes"):
+        local_path("memory://bucket/large.mcap")
+    monkeypatch.setattr(remote, "START_S", 0.05)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"ftp://127.0.0.1:{silent.getsockname()[1]}/a.mcap"
+        with pytest.raises(RemoteError, match=r"not done within 0 s, after 0 bytes"):
+            local_path(address)
 
 
 def test_a_missing_package_and_a_missing_file_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,10 +42,10 @@ class PatchFeed:
 
     While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
     the newest of each kind; NaN where a reading is missing. Their names are those of the schemas.
-    `idle` is true while the newest frame was published as unchanged. `newest_trusted` is that of the
-    newest reconstruction shown, `stamp_ns` too, `untrusted_s` the time of the last one not to be
-    trusted, `reason` that of the last one. `contacts` are those of the newest frame, where they are
-    published, `events` their events, a row for each frame with some: time, number of each kind.
+    `idle` is true while the newest frame was published as unchanged. `newest_trusted` is that of
+    the newest reconstruction shown, `stamp_ns` too, `untrusted_s` the time of the last one not to
+    be trusted, `reason` that of the last one. `contacts` are those of the newest frame, where they
+    are published, `events` their events, a row for each frame with some: time, number of each kind.
     """
 
     skin: SkinState | None = None
