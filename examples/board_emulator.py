@@ -1,6 +1,8 @@
 """An emulated FlexiTac on a pseudo terminal: a ball that rolls over the skin. It prints the device.
 
 With --still the ball stands; with --untouched 20 it is put on after 20 s, as for a calibration.
+With --clock, frames have a time stamp after AA 55, of a clock that is 100 ppm fast, and are late by
+up to 5 ms.
 
     python examples/board_emulator.py
     sparseskin scope "serial:DEVICE?profile=flexitac_16x32"
@@ -20,6 +22,7 @@ MARK, SHAPE = b"\xaa\x55", (16, 32)
 UNTOUCHED, PRESSED = 4.0, 180.0  # counts
 NOISE = 1.0  # counts, standard deviation
 RADIUS = 3.0  # taxels
+FAST, LATE_S = 100e-6, 0.005
 
 
 def reading(t_s, rng, options):
@@ -38,6 +41,7 @@ def main():
     parser = argparse.ArgumentParser(description="An emulated FlexiTac on a pseudo terminal.")
     parser.add_argument("--rate", type=float, default=100.0, help="frames a second")
     parser.add_argument("--frames", type=int, default=10**9, help="frames to send")
+    parser.add_argument("--clock", action="store_true", help="time stamps, us (u32), and jitter")
     parser.add_argument("--still", action="store_true", help="the ball does not move")
     about = "seconds before the ball is put on"
     parser.add_argument("--untouched", type=float, metavar="S", default=0.0, help=about)
@@ -51,7 +55,12 @@ def main():
     left = b""  # of the frame that the line has taken in part
     for k in range(options.frames):
         time.sleep(max(0.0, begin + k / options.rate - time.monotonic()))
-        frame = left or MARK + reading(k / options.rate, rng, options).tobytes()
+        head = MARK
+        if options.clock:
+            ticks = int((time.monotonic() - begin) * 1e6 * (1 + FAST)) % 2**32
+            head += ticks.to_bytes(4, "little")
+            time.sleep(rng.uniform(0, LATE_S))
+        frame = left or head + reading(k / options.rate, rng, options).tobytes()
         try:  # as a real line, it does not wait for a reader
             left = frame[os.write(board, frame) :]
             sent += not left

@@ -152,6 +152,7 @@ def _node_text(node: dict[str, Any]) -> list[str]:
         ("OUTPUT", "SENT", "READ BY"): [
             [e["topic"], e["sent"], ", ".join(e["subscribers"])] for e in node["outputs"]
         ],
+        ("STATE", "VALUE"): [[key, shown_value(value)] for key, value in node["state"].items()],
         ("COMMAND", "ACTION"): [[*command] for command in node["commands"].items()],
         ("SETTING", "", "VALUE"): [
             [e["key"], "live" * e["live"], shown_value(e["value"]) + in_force_text(e, preset)]

@@ -24,7 +24,12 @@ from sparseskin.nodes.sensor.files.recording import (
     shown,
 )
 
+from .device_clock import DeviceClock
 from .source import LiveSource
+
+RESTART_NS = 1_000_000_000
+"""A stamp that is earlier than the one before by so much is of a clock that was set or started
+again; by less, of a frame in the wrong place."""
 
 
 class DriverSource(LiveSource):
@@ -83,6 +88,7 @@ class DriverSource(LiveSource):
             n_rows, n_cols = self._first[1].shape
             self.skin = Skin(n_rows, n_cols, self._f_max, "N" if unit is None else unit)
         self._skin = self.skin
+        self.clock = DeviceClock(self.name, self._lines.append)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): nanoseconds since the first frame, and float32 forces of
@@ -132,7 +138,7 @@ class DriverSource(LiveSource):
             iterator = iter(self._driver)
         self._is_one_shot = iterator is self._driver
         end = object()
-        first_ns = last_ns = None
+        passed_ns, last_ns = 0, None
         try:
             for n in itertools.count():
                 with _running(target):
@@ -150,15 +156,15 @@ class DriverSource(LiveSource):
                     raise SourceError(
                         f"{where}: stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
                     )
-                if last_ns is not None and stamp <= last_ns:
+                if last_ns is not None and last_ns - RESTART_NS < stamp <= last_ns:
                     raise SourceError(
                         f"{where}: stamp_ns {stamp} is not after the one before it, {last_ns}"
                     )
-                last_ns = int(stamp)
-                first_ns = last_ns if first_ns is None else first_ns
-                if last_ns - first_ns > INT64_MAX:
+                passed_ns += 0 if last_ns is None else max(1, int(stamp) - last_ns)
+                self.stamp = last_ns = int(stamp)
+                if passed_ns > INT64_MAX:
                     raise SourceError(f"{where}: stamp_ns is more than 2**63 ns after the first")
-                yield last_ns - first_ns, self._checked_forces(forces, where)
+                yield passed_ns, self._checked_forces(forces, where)
         finally:
             with _running(target):
                 getattr(iterator, "close", lambda: None)()

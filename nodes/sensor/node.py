@@ -67,7 +67,8 @@ class Sensor(SourceNode[SensorSettings]):
         self._readings = MissingReadings(settings.nan, skin, learns)
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
-        self._arrived_ns = -1
+        self._clock = self._source.clock if settings.clock == "source" else None
+        self._stamp_ns = -1
         self._set_pace()
         self._next: _Frame | None = None
         self._n_frames = self._n_logged = self._logged_ns = 0
@@ -172,10 +173,7 @@ class Sensor(SourceNode[SensorSettings]):
         source, stamp_ns = self._source, tick.stamp_ns
         if source.is_live:
             self._prepare()
-            # A driver waits for its hardware: its frame is younger than the tick.
-            stamp_ns = max(stamp_ns, self.context.clock.now_ns())
-        if source.arrives:
-            stamp_ns = self._arrived_ns
+            stamp_ns = self._stamp_ns
         if self._stage is not None and self._stage.is_news:
             yield from self._calibration()
         if self._next is None:
@@ -196,6 +194,8 @@ class Sensor(SourceNode[SensorSettings]):
         # Without a stated rate, the pace of a driver is its own and not known.
         paced = self._source.is_live and self.settings.rate_hz is None
         state = {**super().state(), **({} if paced else {"rate_hz": self.rate_hz})}
+        if self._source.is_live:
+            state |= {"clock": "arrival"} if self._clock is None else self._clock.state()
         state |= self._stage.state() if self._stage is not None else {}
         return state | ({} if self.settings.nan == REFUSE else self._readings.state())
 
@@ -212,7 +212,8 @@ class Sensor(SourceNode[SensorSettings]):
         self._source.close()
 
     def report(self) -> dict[str, Any]:
-        return {**self._clipped(), **self._source.report(), **self._readings.report()}
+        clock = self._clock.state() if self._clock is not None else {}
+        return {**self._clipped(), **clock, **self._source.report(), **self._readings.report()}
 
     @property
     def _f_min(self) -> float:
@@ -270,9 +271,11 @@ class Sensor(SourceNode[SensorSettings]):
     def _read(self, stamp_ns: int, forces: Floats) -> _Frame | None:
         """Convert a frame of the source; None during a tare."""
         source = self._source
-        if source.arrives:
-            now_ns = self.context.clock.now_ns()
-            self._arrived_ns = max(now_ns - source.age_ns(stamp_ns), self._arrived_ns + 1)
+        if source.is_live:
+            arrived_ns = self.context.clock.now_ns() - source.age_ns(stamp_ns)
+            if self._clock is not None:
+                arrived_ns = self._clock.map(source.stamp, arrived_ns)
+            self._stamp_ns = max(arrived_ns, self._stamp_ns + 1)
         if self._placement is not None and not source.on_points:
             forces = self._placement.on_grid(forces)
         if self._stage is not None:

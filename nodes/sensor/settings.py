@@ -42,6 +42,12 @@ class SensorSettings(PatchesSettings):
         high=100.0,
         live=True,
     )
+    clock: str = setting(
+        "source",
+        "time of a frame of a board or driver: its own stamp mapped to the graph's clock, or its "
+        "arrival",
+        choices=("source", "arrival"),
+    )
     n_rows: int | None = setting(
         None,
         "rows of a plain CSV's frame, or those that a file or driver must have",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats
 
+from .device_clock import DeviceClock
 from .files.recording import DEFAULT_POLICY, Policy
 from .saturation import Clipped
 
@@ -56,6 +57,10 @@ class Source:
         adds to a truth; None: that of the paper's skin.
     period_s : float
         Time between the frames that the sensor reads, seconds, which it sets.
+    clock : DeviceClock or None
+        Clock of the stamps of its frames; None if they have none.
+    stamp : int
+        Stamp of the last frame on that clock.
     """
 
     name: str
@@ -70,6 +75,8 @@ class Source:
     clipped: Clipped = Clipped()
     sigmas: tuple[float, float] | None = None
     period_s: float = 1 / DEFAULT_RATE_HZ
+    clock: DeviceClock | None = None
+    stamp: int = 0
     _frames: Iterator[tuple[int, Floats]] | None = None
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:

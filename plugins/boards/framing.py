@@ -2,9 +2,10 @@
 
 A frame is
 
-    start bytes | sequence number | skipped bytes | payload | checksum | end bytes
+    start bytes | sequence number | skipped bytes | payload | bytes after it | checksum | end bytes
 
-of which all but the payload may be absent; its length is fixed. `FrameParser` finds frames in a
+of which all but the payload may be absent. Its length is fixed, or stated in it. Numbers may stand
+among the skipped bytes, and those after the payload. `FrameParser` finds frames in a
 stream of bytes, of which some may be lost, extra or wrong:
 
 - with a CRC of 16 bits or more, a frame is accepted when its CRC is right;
@@ -16,7 +17,8 @@ stream of bytes, of which some may be lost, extra or wrong:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Literal, TypeAlias
 
 from .checksums import CHECKSUMS, Checksum
 
@@ -29,6 +31,10 @@ counted as missing. Chosen: 17 minutes at 1 kHz."""
 MAX_CHECKS = 64
 """Places that are tried after an error for each call, and eight more for each frame's length of
 bytes; chosen, so that no bytes take much longer to parse than frames do."""
+MAX_MORE = 4096
+"""Most bytes after the payload beyond the fixed ones, of frames that state their length; chosen."""
+
+Raw: TypeAlias = "bytes | bytearray | memoryview"
 
 
 @dataclass
@@ -58,13 +64,23 @@ class Counts:
 
 @dataclass(frozen=True)
 class Frame:
-    """An accepted frame: its payload, its sequence number if it has one, and the number of bytes of
-    the stream up to its end.
+    """An accepted frame: its payload, its sequence number if it has one, the number of bytes of the
+    stream up to its end, its stamp on the board's clock, and the number of its first reading.
     """
 
     payload: bytes
     sequence: int | None
     end: int
+    stamp: int = 0
+    first: int = 0
+
+
+@dataclass(frozen=True)
+class Field:
+    """A number in a frame: its first byte, counted from the begin of the frame, and its length."""
+
+    at: int
+    n_bytes: int
 
 
 @dataclass(frozen=True)
@@ -77,10 +93,15 @@ class Framing:
         Length of the payload, 1 or more.
     start, end : bytes
         Fixed bytes at both ends, b"" for none.
-    sequence_bytes : int
-        Length of the sequence number: 0 (none), 1, 2 or 4.
-    skip : int
-        Bytes between it and the payload that are not used.
+    wild : frozenset of int
+        Places in `start` of bytes that are not fixed; not the first.
+    sequence_bytes, sequence_at : int, int or None
+        Length of the sequence number: 0 (none), 1, 2 or 4; its place, if not after `start`.
+    skip, after : int
+        Bytes before and after the payload that are not used.
+    stamp, first, length : Field or None
+        Stamp on the board's clock; number of the first reading, of frames that hold a piece of the
+        skin; number of bytes from the payload to the checksum, where it varies.
     checksum : str
         A name of `CHECKSUMS`.
     checksum_from : "start", "sequence" or "payload"
@@ -101,11 +122,39 @@ class Framing:
     checksum_from: Literal["start", "sequence", "payload"] = "sequence"
     byte_order: Literal["little", "big"] = "little"
     confirm: bool = True
+    wild: frozenset[int] = frozenset()
+    sequence_at: int | None = None
+    after: int = 0
+    stamp: Field | None = None
+    first: Field | None = None
+    length: Field | None = None
 
-    @property
+    @cached_property
     def n_bytes(self) -> int:
-        """Length of a frame."""
-        return self._payload_at + self.payload_bytes + self._check.n_bytes + len(self.end)
+        """Length of a frame; the least, where it varies."""
+        n = self.payload_at + self.payload_bytes + self.after
+        return n + self._check.n_bytes + len(self.end)
+
+    def size(self, raw: Raw) -> int:
+        """Length of the frame that these bytes begin: the least, where they do not state another
+        that is allowed.
+        """
+        n, least = self.n_bytes, self.payload_bytes + self.after
+        if self.length is None or len(raw) < n:
+            return n
+        more = _value(raw, self.length, self.byte_order) - least
+        return n + more if 0 < more <= MAX_MORE else n
+
+    @cached_property
+    def sequence(self) -> Field | None:
+        """The sequence number."""
+        at = len(self.start) if self.sequence_at is None else self.sequence_at
+        return Field(at, self.sequence_bytes) if self.sequence_bytes else None
+
+    @cached_property
+    def prefix(self) -> bytes:
+        """The start bytes to the first that is not fixed."""
+        return self.start[: min(self.wild, default=None)]
 
     @property
     def is_strong(self) -> bool:
@@ -116,41 +165,55 @@ class Framing:
     def _check(self) -> Checksum:
         return CHECKSUMS[self.checksum]
 
-    @property
-    def _payload_at(self) -> int:
-        return len(self.start) + self.sequence_bytes + self.skip
+    @cached_property
+    def payload_at(self) -> int:
+        """Place of the payload."""
+        n_sequence = self.sequence_bytes if self.sequence_at is None else 0
+        return len(self.start) + n_sequence + self.skip
 
-    def encode(self, payload: bytes, sequence: int = 0) -> bytes:
-        """A frame as a board sends it; its skipped bytes are 0. For emulators and tests."""
-        number = sequence % (1 << 8 * self.sequence_bytes) if self.sequence_bytes else 0
-        head = self.start + number.to_bytes(self.sequence_bytes, self.byte_order)
-        body = head + bytes(self.skip) + payload
-        check = self._check.compute(body[self._covered_from :])
-        return body + check.to_bytes(self._check.n_bytes, self.byte_order) + self.end
+    def encode(self, payload: bytes, sequence: int = 0, stamp: int = 0, first: int = 0) -> bytes:
+        """A frame as a board sends it; bytes that are not used are 0. For emulators and tests."""
+        n_head = self.payload_at - len(self.start)
+        body = bytearray(self.start + bytes(n_head) + payload + bytes(self.after))
+        length = len(payload) + self.after
+        fields = (self.stamp, self.first, self.length, self.sequence)
+        for field, value in zip(fields, (stamp, first, length, sequence), strict=True):
+            if field is not None:
+                raw = (value % (1 << 8 * field.n_bytes)).to_bytes(field.n_bytes, self.byte_order)
+                body[field.at : field.at + field.n_bytes] = raw
+        check = self._check.compute(bytes(body[self._covered_from :]))
+        return bytes(body) + check.to_bytes(self._check.n_bytes, self.byte_order) + self.end
 
-    @property
+    @cached_property
     def _covered_from(self) -> int:
-        starts = {"start": 0, "sequence": len(self.start), "payload": self._payload_at}
+        starts = {"start": 0, "sequence": len(self.start), "payload": self.payload_at}
         return starts[self.checksum_from]
 
     def is_whole(self, raw: bytes) -> bool:
-        """True if `n_bytes` bytes are a frame: start, checksum and end are right."""
-        return raw.startswith(self.start) and raw.endswith(self.end) and self._is_right(raw)
-
-    def _is_right(self, raw: bytes) -> bool:
-        n_check = self._check.n_bytes
-        if not n_check:
-            return True
-        at = self._payload_at + self.payload_bytes
-        stated = int.from_bytes(raw[at : at + n_check], self.byte_order)
+        """True if `size` bytes are a frame: start, length, checksum and end are right."""
+        n_check, start = self._check.n_bytes, self.start
+        at = len(raw) - len(self.end) - n_check
+        if not (raw.startswith(self.prefix) and raw.endswith(self.end)):
+            return False
+        if self.wild and any(raw[k] != start[k] for k in {*range(len(start))} - self.wild):
+            return False
+        if self.length and _value(raw, self.length, self.byte_order) != at - self.payload_at:
+            return False
+        stated = _value(raw, Field(at, n_check), self.byte_order)
         return self._check.compute(raw[self._covered_from : at]) == stated
 
-    def split(self, raw: bytes) -> tuple[bytes, int | None]:
-        """Payload and sequence number of a whole frame."""
-        at, n = self._payload_at, self.sequence_bytes
-        first = len(self.start)
-        number = int.from_bytes(raw[first : first + n], self.byte_order) if n else None
-        return raw[at : at + self.payload_bytes], number
+    def frame(self, raw: bytes, end: int) -> Frame:
+        """The whole frame of these bytes; `end` as of `Frame`."""
+        stated = [
+            None if field is None else _value(raw, field, self.byte_order)
+            for field in (self.sequence, self.stamp, self.first)
+        ]
+        payload = raw[self.payload_at : self.payload_at + self.payload_bytes]
+        return Frame(payload, stated[0], end, stated[1] or 0, stated[2] or 0)
+
+
+def _value(raw: Raw, field: Field, byte_order: Literal["little", "big"]) -> int:
+    return int.from_bytes(raw[field.at : field.at + field.n_bytes], byte_order)
 
 
 class Sequence:
@@ -236,12 +299,12 @@ class FrameParser:
     def _take(self, frames: list[Frame]) -> bool:
         """Accept or refuse the frame at the begin; False if more bytes must come first."""
         framing, buffer = self.framing, self._buffer
-        n, n_start = framing.n_bytes, len(framing.start)
+        n, n_start = framing.size(buffer), len(framing.prefix)
         confirmed = framing.is_strong or not framing.confirm
         if len(buffer) < (n if confirmed else n + n_start):
             return False
         raw = bytes(buffer[:n])
-        confirmed = confirmed or buffer[n : n + n_start] == framing.start
+        confirmed = confirmed or buffer[n : n + n_start] == framing.prefix
         if not (confirmed and framing.is_whole(raw)):
             self.counts.bad_frames += 1
             self._in_step = False
@@ -250,10 +313,10 @@ class FrameParser:
             return True
         del buffer[:n]
         self._offset += n
-        payload, number = framing.split(raw)
-        if self._sequence.admit(number):
+        frame = framing.frame(raw, self._offset)
+        if self._sequence.admit(frame.sequence):
             self.counts.frames += 1
-            frames.append(Frame(payload, number, self._offset))
+            frames.append(frame)
         else:
             self.counts.dropped_bytes += n
         return True
@@ -261,9 +324,9 @@ class FrameParser:
     def _search_one(self) -> bool:
         """Drop what is before the next frame with a right checksum."""
         framing = self.framing
-        if not self._find_start() or len(self._buffer) < framing.n_bytes:
+        if not self._find_start() or len(self._buffer) < (n := framing.size(self._buffer)):
             return False
-        if framing.is_whole(bytes(self._buffer[: framing.n_bytes])):
+        if framing.is_whole(bytes(self._buffer[:n])):
             self._in_step = True
         else:
             self._drop(1)
@@ -272,7 +335,7 @@ class FrameParser:
     def _search_two(self) -> bool:
         """Drop what is before the next two frames in a row, where no other two fit as well."""
         framing, buffer = self.framing, self._buffer
-        n, start = framing.n_bytes, framing.start
+        n, start = framing.n_bytes, framing.prefix
         if not self._find_start() or len(buffer) < 2 * n + len(start):
             return False
         fitting: list[int] = []
@@ -292,9 +355,9 @@ class FrameParser:
 
     def _find_start(self) -> bool:
         """Drop what is before the next start bytes, or what may be their begin."""
-        found = self._buffer.find(self.framing.start)
+        found = self._buffer.find(self.framing.prefix)
         if found < 0:
-            self._drop(max(0, len(self._buffer) - len(self.framing.start) + 1))
+            self._drop(max(0, len(self._buffer) - len(self.framing.prefix) + 1))
         else:
             self._drop(found)
         return found >= 0
@@ -320,20 +383,25 @@ class PacketParser:
 
     def feed(self, packet: bytes) -> list[Frame]:
         """Return the frames of a packet that are accepted, in order."""
-        framing, counts, n = self._framing, self.counts, self._framing.n_bytes
+        framing, counts = self._framing, self.counts
         self._n_bytes += len(packet)
-        if not packet or len(packet) % n:
+        raws, rest, n = [], memoryview(packet), 0
+        while rest:
+            n = framing.size(rest)
+            raws.append(bytes(rest[:n]))
+            rest = rest[n:]
+        if not packet or len(raws[-1]) < n:
             counts.bad_frames += 1
             counts.dropped_bytes += len(packet)
             return []
         frames = []
-        for raw in (packet[k : k + n] for k in range(0, len(packet), n)):
-            payload, number = framing.split(raw)
+        for raw in raws:
             is_whole = framing.is_whole(raw)
-            if is_whole and self._sequence.admit(number):
+            frame = framing.frame(raw, self._n_bytes)
+            if is_whole and self._sequence.admit(frame.sequence):
                 counts.frames += 1
-                frames.append(Frame(payload, number, self._n_bytes))
+                frames.append(frame)
             else:
                 counts.bad_frames += not is_whole
-                counts.dropped_bytes += n
+                counts.dropped_bytes += len(raw)
         return frames

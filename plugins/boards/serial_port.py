@@ -110,8 +110,8 @@ class SerialPort(Port):
 
     def hint(self) -> str:
         framing, recent = self.parser.framing, b"".join(self._recent)
-        start = framing.start.hex(" ").upper()
-        places = [found.start() for found in re.finditer(re.escape(framing.start), recent)]
+        start = framing.prefix.hex(" ").upper()
+        places = [found.start() for found in re.finditer(re.escape(framing.prefix), recent)]
         if len(places) < 2:
             few = f"; the start bytes {start} hardly occur"
             return "" if len(recent) < framing.n_bytes else few

@@ -26,9 +26,11 @@ from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 
 from .checksums import CHECKSUMS
-from .framing import Framing
+from .framing import Field, Framing
 from .readings import DTYPES, ORDERS, Decoder, order_of
 
+MAX_AT = 4096
+"""Largest place of a number in a frame."""
 PROFILES = Path(__file__).parent / "profiles"
 MAX_FIXED_BYTES = 64
 """Most start or end bytes."""
@@ -38,11 +40,29 @@ MAX_FIXED_BYTES = 64
 class BoardSettings(Settings):
     """Settings of every board."""
 
-    start: str = setting("", "bytes with which each frame begins, in hexadecimal digits: AA55")
+    start: str = setting(
+        "", "bytes with which each frame begins, in hexadecimal digits: AA55; ??: any byte"
+    )
     sequence: str = setting(
         "none", "number of the frame, after the start bytes", choices=("none", "u8", "u16", "u32")
     )
+    sequence_at: int | None = setting(
+        None, "place of the number: bytes from the begin of the frame", low=0, high=MAX_AT
+    )
     skip: int = setting(0, "bytes before the readings that are not used", low=0, high=1024)
+    after: int = setting(0, "bytes after the readings that are not used", low=0, high=1024)
+    stamp: str = setting(
+        "none",
+        "time of the frame on the board's clock; sequence: its number, of a board that has a timer",
+        choices=("none", "sequence", "u8", "u16", "u24", "u32", "u48", "u64"),
+    )
+    stamp_at: int | None = setting(
+        None, "place of the stamp: bytes from the begin of the frame", low=0, high=MAX_AT
+    )
+    stamp_hz: float = setting(1e6, "ticks of the board's clock a second", low=1e-3, high=1e10)
+    stamp_wrap: int | None = setting(
+        None, "ticks after which it begins at 0 again; 2 to the bits by default", low=2
+    )
     checksum: str = setting("none", "checksum after the readings", choices=tuple(CHECKSUMS))
     checksum_from: str = setting(
         "sequence",
@@ -65,7 +85,10 @@ class BoardSettings(Settings):
     )
     col_order: str = setting("forward", "the same of the columns")
     zero: float = setting(0.0, "count of an untouched taxel", low=-1e30, high=1e30)
-    scale: float = setting(1.0, "reading of one count above zero", low=1e-30, high=1e30)
+    scale: float = setting(
+        1.0, "reading of one count above zero; below 0 where a press lowers counts", low=-1e30,
+        high=1e30,
+    )  # fmt: skip
     unit: str = setting("raw", "unit of the readings")
     f_max: float | None = setting(
         None, "upper end of the range, in unit; that of the type by default", low=1e-9, high=1e30
@@ -102,7 +125,8 @@ class BoardSettings(Settings):
         if f_max is None and dtype.kind == "f":
             raise SourceError(f"f_max is not stated, and {self.dtype} has no largest value")
         if f_max is None:
-            f_max = float((np.iinfo(dtype).max - self.zero) * self.scale)
+            ends = np.iinfo(dtype).min, np.iinfo(dtype).max
+            f_max = max(float((end - self.zero) * self.scale) for end in ends)
         if not f_max > 0:
             raise SourceError(
                 f"zero = {self.zero:g} leaves no range: the largest reading is {f_max:g}"
@@ -112,27 +136,100 @@ class BoardSettings(Settings):
 
     def framing(self, n_bytes: int) -> Framing:
         """Framing of a payload of so many bytes; SourceError if a key is wrong."""
-        start = _bytes_of("start", self.start)
+        digits = "".join(self.start.split())
+        pairs = [digits[k : k + 2] for k in range(0, len(digits), 2)]
+        start = _bytes_of("start", "".join("00" if pair == "??" else pair for pair in pairs))
+        wild = frozenset(k for k, pair in enumerate(pairs) if pair == "??")
         if self.needs_start and not start:
             raise SourceError("start is not stated; add start=HEX, the bytes that begin a frame")
-        return Framing(
+        if 0 in wild:
+            raise SourceError("start: the first byte has to be stated")
+        framing = Framing(
             n_bytes,
             start=start,
+            wild=wild,
             end=_bytes_of("end", self.end),
-            sequence_bytes={"none": 0, "u8": 1, "u16": 2, "u32": 4}[self.sequence],
+            sequence_bytes=n_bytes_of(self.sequence),
+            sequence_at=self.sequence_at,
             skip=self.skip,
+            after=self.after,
             checksum=self.checksum,
             checksum_from=typing.cast(Any, self.checksum_from),
             byte_order="big" if self.byte_order == "big" else "little",
             confirm=self.confirm,
         )
+        fields = self.fields()
+        found: dict[str, Any] = {
+            key: self._field(framing, key, *stated) for key, stated in fields.items()
+        }
+        del found["sequence"]
+        return dataclasses.replace(framing, **found)
+
+    def fields(self) -> dict[str, tuple[str, int | None]]:
+        """Types and places of the numbers in a frame, by their keys."""
+        own = "none" if self.sequence_at is None else self.sequence
+        return {"sequence": (own, self.sequence_at), "stamp": (self.stamp, self.stamp_at)}
+
+    def _field(self, framing: Framing, key: str, kind: str, at: int | None) -> Field | None:
+        """Place of a number; SourceError if it is missing, or not outside the readings."""
+        if kind == "sequence" and framing.sequence is None:
+            raise SourceError(f"{key}: frames have no number; add sequence=u16")
+        if kind in ("none", "sequence"):
+            return framing.sequence if kind == "sequence" else None
+        n, begin = n_bytes_of(kind), framing.payload_at
+        end = begin + framing.payload_bytes
+        if at is None or not (at + n <= begin or end <= at <= end + framing.after - n):
+            raise SourceError(
+                f"{key}_at: {'is not stated' if at is None else at}; allowed are the {n} bytes of "
+                f"{key} before the readings, 0..{begin - n}, or after them: skip, after"
+            )
+        return Field(at, n)
 
     def check_port(self) -> None:
         """Raise SourceError if a key of the port is wrong."""
 
 
 @dataclass(frozen=True)
-class SerialSettings(BoardSettings):
+class StreamSettings(BoardSettings):
+    """Settings of a board that sends frames of any length: a serial port, UDP."""
+
+    piece: int | None = setting(
+        None, "readings in a frame, where a frame holds a piece of the skin", low=1, high=1 << 20
+    )
+    first: str = setting(
+        "none", "number of the first reading of a piece", choices=("none", "u8", "u16", "u32")
+    )
+    first_at: int | None = setting(
+        None, "place of that number: bytes from the begin of the frame", low=0, high=MAX_AT
+    )
+    length: str = setting(
+        "none",
+        "bytes from the first reading to the checksum, where they vary",
+        choices=("none", "u8", "u16", "u32"),
+    )
+    length_at: int | None = setting(
+        None, "place of the length: bytes from the begin of the frame", low=0, high=MAX_AT
+    )
+
+    def fields(self) -> dict[str, tuple[str, int | None]]:
+        own = {"first": (self.first, self.first_at), "length": (self.length, self.length_at)}
+        return super().fields() | own
+
+    def framing(self, n_bytes: int) -> Framing:
+        n_all = n_bytes // np.dtype(self.dtype).itemsize
+        n = n_all if self.piece is None else self.piece
+        if (self.piece is None) != (self.first == "none") or n > n_all:
+            raise SourceError(
+                f"piece: goes with first=u16, and is at most {n_all}, the readings of the skin"
+            )
+        found = super().framing(n * np.dtype(self.dtype).itemsize)
+        if found.length and self.needs_start and not found.is_strong:
+            raise SourceError("length: needs a CRC of 16 bits or more; add checksum=crc16")
+        return found
+
+
+@dataclass(frozen=True)
+class SerialSettings(StreamSettings):
     """Settings of a board on a serial port."""
 
     baud: int = setting(115200, "bits a second", low=50, high=50_000_000)
@@ -140,7 +237,7 @@ class SerialSettings(BoardSettings):
 
 
 @dataclass(frozen=True)
-class UdpSettings(BoardSettings):
+class UdpSettings(StreamSettings):
     """Settings of a board that sends UDP packets, each of one frame or several."""
 
     bind: str = setting("127.0.0.1", "address of this host to receive at; 0.0.0.0 for all")
@@ -186,6 +283,11 @@ KINDS: dict[str, type[BoardSettings]] = {
     "can": CanSettings,
 }
 """Settings by the begin of the source's name."""
+
+
+def n_bytes_of(kind: str) -> int:
+    """Bytes of a type of numbers, as u16; 0 of none."""
+    return 0 if kind == "none" else int(kind[1:]) // 8
 
 
 def _bytes_of(key: str, text: str) -> bytes:

@@ -12,13 +12,15 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.device_clock import DeviceClock
 from sparseskin.nodes.sensor.files.recording import NAN_HINT, REFUSE
 from sparseskin.nodes.sensor.source import LiveSource
 
 from .board import PORTS, Board, check_board, naming_board
 from .framing import Counts
+from .pieces import Pieces
 from .ports import Arrived
-from .settings import SerialSettings, UdpSettings
+from .settings import SerialSettings, StreamSettings, UdpSettings
 
 RETRY_S = 0.25
 """Time between two attempts to open a device that is gone, seconds; chosen: soon for a person."""
@@ -58,6 +60,11 @@ class BoardSource(LiveSource):
         self.n_unused = self.n_not_finite = self.n_gone = 0
         self._board = board
         self._port = PORTS[board.kind](board.address, board.settings, board.framing, self.counts)
+        self._pieces = self._pieces_of(board)
+        if (stamp := board.framing.stamp) is not None:
+            s = board.settings
+            wrap = s.stamp_wrap or 1 << 8 * stamp.n_bytes
+            self.clock = DeviceClock(self.name, self._lines.append, 1e9 / s.stamp_hz, wrap)
         self._waiting: deque[Arrived] = deque()
         self._last_ns = -1
         self._is_open = False
@@ -96,6 +103,7 @@ class BoardSource(LiveSource):
             self.n_unused += 1
         while self._waiting:
             arrived_ns, frame = self._waiting.popleft()
+            self.stamp = frame.stamp
             forces = self._checked(self._board.decode(frame.payload))
             if forces is not None:
                 self._last_ns = max(arrived_ns, self._last_ns + 1)
@@ -114,7 +122,7 @@ class BoardSource(LiveSource):
         if not self._is_open and not self._reopen(wait_s):
             return
         try:
-            arrived = self._port.receive(wait_s)
+            arrived = self._whole(self._port.receive(wait_s))
         except OSError:
             self._port.close()
             self._is_open = False
@@ -148,11 +156,27 @@ class BoardSource(LiveSource):
             self._port.open()
         except SourceError:
             return False
+        if self._pieces is not None:
+            self._pieces.reset()
         self._is_open = True
         self._heard_at = time.monotonic()
         self._said_silent = False
         self._lines.append(f"{self.name}: is back after {self._heard_at - self._gone_at:.1f} s")
         return True
+
+    def _pieces_of(self, board: Board) -> Pieces | None:
+        if not (isinstance(board.settings, StreamSettings) and board.settings.piece):
+            return None
+        n, sequence = board.skin.n_rows * board.skin.n_cols, board.framing.sequence
+        size = board.framing.payload_bytes // board.settings.piece
+        return Pieces(n, size, 1 << 8 * sequence.n_bytes if sequence else 0, self.counts)
+
+    def _whole(self, arrived: list[Arrived]) -> list[Arrived]:
+        """The frames of the skin of those that arrived."""
+        if self._pieces is None:
+            return arrived
+        found = ((arrived_ns, self._pieces.add(piece)) for arrived_ns, piece in arrived)
+        return [(arrived_ns, frame) for arrived_ns, frame in found if frame is not None]
 
     def _why_silent(self) -> str:
         n_bytes = self._port.n_bytes - self._bytes_before

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.driver import DriverSource
+from sparseskin.nodes.sensor.driver import RESTART_NS, DriverSource
 from sparseskin.nodes.sensor.source import Address
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.plugins.boards.settings import split_source, typed
@@ -68,11 +68,12 @@ class Ros2Address(Address):
 
 
 def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
-    """Yield (stamp_ns, forces) of each message; a stamp is that of arrival.
+    """Yield (stamp_ns, forces) of each message: the stamp of its header, or of its arrival where it
+    has none, or 0.
 
-    Messages that are older than the last one, or malformed, are dropped and counted in the log, as
-    are those that DDS has lost. Raises SourceError if nothing is published there, or nothing
-    comes for `timeout_s`.
+    Messages that are malformed, or less than 1 s older than the last one, are dropped and counted
+    in the log, as are those that DDS has lost. Raises SourceError if nothing is published there, or
+    nothing comes for `timeout_s`.
     """
     from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
     from cyclonedds.sub import DataReader
@@ -110,12 +111,12 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
             except SourceError as error:
                 counted.bad(str(error))
                 continue
-            if received.stamp_ns is not None:
-                if received.stamp_ns <= last_ns:
-                    counted.bad("a stamp that is not after the one before it")
-                    continue
-                last_ns = received.stamp_ns
-            yield time.monotonic_ns(), received.values
+            stamp_ns = received.stamp_ns or time.monotonic_ns()
+            if last_ns - RESTART_NS < stamp_ns <= last_ns:
+                counted.bad("a stamp that is not after the one before it")
+                continue
+            last_ns = stamp_ns
+            yield stamp_ns, received.values
 
 
 def _publication(member: Any, topic: str, timeout_s: float, where: str) -> tuple[str, bool]:

@@ -90,6 +90,12 @@ class TestFrames:
         assert source.name in str(caught.value)
         assert "\n" not in str(caught.value)
 
+    def test_a_stamp_that_goes_back_by_a_second_is_of_a_clock_that_was_started_again(
+        self, module: Writer
+    ) -> None:
+        source = yielding(module, *(f"({k} * 10**9, [[1.0]])" for k in (5, 4, 7)))
+        assert [stamp for stamp, _ in source] == [0, 1, 3 * 10**9 + 1]
+
     def test_a_bad_first_frame_is_refused_as_the_driver_is_opened(self, module: Writer) -> None:
         with pytest.raises(SourceError, match="0 rows x 3 columns"):
             yielding(module, "(0, np.zeros((0, 3)))")

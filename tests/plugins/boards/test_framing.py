@@ -88,7 +88,8 @@ class TestWithoutErrors:
         raw = framing.encode(payload, 3)
         assert len(raw) == framing.n_bytes
         assert framing.is_whole(raw)
-        assert framing.split(raw) == (payload, 3 if framing.sequence_bytes else None)
+        number = 3 if framing.sequence_bytes else None
+        assert framing.frame(raw, 7) == Frame(payload, number, 7)
 
     @few
     @given(payloads=payloads, cuts=cuts)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sparseskin.plugins.boards.board import describe_board
+from sparseskin.plugins.boards.framing import Frame
 
 PAGE = Path(__file__).parents[3] / "docs" / "boards.md"
 
@@ -42,5 +43,5 @@ def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state
     subprocess.run([compiler, "-o", "board", "board.c"], cwd=tmp_path, check=True)
     sent = subprocess.run([tmp_path / "board"], capture_output=True, check=True).stdout
     readings = (np.arange(64) * 1000).astype("<u2").tobytes()
-    assert numbered.framing.split(sent) == (readings, 513)
+    assert numbered.framing.frame(sent, 0) == Frame(readings, 513, 0)
     assert numbered.framing.is_whole(sent)

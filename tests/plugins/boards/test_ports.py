@@ -5,11 +5,16 @@ graph of real processes whose sensor reads one.
 from __future__ import annotations
 
 import json
+import random
 import socket
+import struct
+import time
 import uuid
+from binascii import crc_hqx
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,14 +22,15 @@ import pytest
 from board_lines import Line, a_line, flexitac, send_packets
 from conftest import StartProgram, free_port, wait_until
 
+from sparseskin.messages import Message
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.node import Context
+from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor.files.recording import DEFAULT_POLICY, Policy
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.sources import open_source
+from sparseskin.plugins.boards import serial_port, udp_port
 from sparseskin.plugins.boards import source as source_module
-from sparseskin.plugins.boards import udp_port
 from sparseskin.plugins.boards.framing import Framing
 from sparseskin.plugins.boards.source import BoardSource, dropped_text
 
@@ -245,6 +251,67 @@ def test_frames_before_the_start_and_while_paused_are_counted_as_unused(line: Li
     # A board does not stop sending: what nobody reads would be lost uncounted.
     assert not sensor.follows_readers
     sensor.close({})
+
+
+@pytest.mark.parametrize("clock", ["source", "arrival"])
+def test_frames_of_a_board_with_a_clock_have_its_time(
+    line: Line, monkeypatch: pytest.MonkeyPatch, clock: str
+) -> None:
+    """A board whose clock is 100 ppm fast and wraps, behind 5 ms of jitter, and started again; the
+    host's clock is set by the test.
+    """
+    query = "rows=2&cols=3&start=A55A&sequence=u16&skip=4&stamp=u32&stamp_at=4&checksum=crc16"
+    now = ManualClock(10**18)
+    here = SimpleNamespace(monotonic_ns=now.now_ns, monotonic=time.monotonic)
+    monkeypatch.setattr(serial_port, "time", here)
+    monkeypatch.setattr(source_module, "time", here)
+    logged: list[str] = []
+    source = f"serial:{line.device}?{query}"
+    sensor = Sensor(Sensor.Settings(source=source, clock=clock), Context("s", now, logged.append))
+    list(sensor.start())
+    sensor.begin(now.now_ns())
+    rng, begin_ns = random.Random(0), now.now_ns()
+    stamps: list[int] = []
+    late_ms = []
+    for k in range(1700):
+        true_ns = begin_ns + k * 10**7
+        now.advance(max(0, true_ns + rng.randint(0, 5 * 10**6) - now.now_ns()))
+        up_ns = (true_ns - begin_ns) * 1.0001 + (2**32 - 5 * 10**6 if k < 1000 else -(10**10)) * 1e3
+        line.send(frame_with_stamp(k, int(up_ns / 1000) % 2**32))
+        stamps.append(next_stamp(sensor, now.now_ns()))
+        late_ms.append((stamps[-1] - true_ns) / 1e6)
+        assert stamps[-1] <= now.now_ns()
+    assert all(b > a for a, b in pairwise(stamps))
+    state, within = sensor.state(), max(map(abs, late_ms[500:1000] + late_ms[1500:]))
+    sensor.close({})
+    assert state["clock"] == clock
+    if clock == "arrival":
+        assert within > 4.5
+        return
+    assert within < 0.5
+    assert logged == [
+        f"serial:{line.device}: its clock was set or started again; it is mapped anew"
+    ]
+    assert state["clock_drift_ppm"] == pytest.approx(100, abs=3 * state["clock_drift_sd_ppm"])
+    assert sensor.report()["clock_jitter_after_ms"] < 0.1 < 1 < state["clock_jitter_before_ms"]
+
+
+def frame_with_stamp(number: int, stamp: int) -> bytes:
+    """A frame with a stamp: A5 5A, u16 number, u32 stamp, 6 readings, CRC-16."""
+    body = struct.pack("<HI6B", number, stamp, *range(6))
+    return b"\xa5\x5a" + body + struct.pack("<H", crc_hqx(body, 0xFFFF))
+
+
+def next_stamp(sensor: Sensor, now_ns: int) -> int:
+    """Stamp of the next frame, waited for."""
+    found: list[Message] = []
+
+    def came() -> bool:
+        found.extend(sensor.acquire(Tick(now_ns, 0)))
+        return bool(found)
+
+    wait_until(came, "a frame")
+    return found[0].stamp_ns
 
 
 GRAPH = """

@@ -27,8 +27,8 @@ def serial(query: str, **stated: object) -> Board:
 class TestProfiles:
     def test_every_profile_is_complete_with_rows_and_columns_which_go_before_its_own(self) -> None:
         for name in profile_names():
-            board = serial(f"profile={name}&rows=4&cols=5")
-            assert board.skin.shape == (4, 5)
+            board = serial(f"profile={name}&rows=40&cols=5")
+            assert board.skin.shape == (40, 5)
             assert board.framing.is_whole(board.framing.encode(bytes(board.framing.payload_bytes)))
 
     def test_a_file_of_ones_own_is_read(self, tmp_path: Path) -> None:
@@ -87,6 +87,15 @@ FAULTS = [
     ("can:can9?rows=4&cols=4&ids=0x10,0x10", "an id occurs twice"),
     ("can:can9?rows=4&cols=4&ids=0x20000000", "the largest extended id"),
     ("serail:/dev/ttyUSB0", "did you mean 'serial'?"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u32", "stamp_at: is not stated"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u32&stamp_at=2&skip=3", "stamp_at: 2; allowed are the 4"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u16&stamp_at=9&after=2", "stamp_at: 9; allowed are the 2"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=sequence", "frames have no number; add sequence=u16"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&piece=3", "goes with first=u16"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&piece=7&first=u8&first_at=0", "at most 6"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&length=u8&length_at=2&skip=1", "needs a CRC"),
+    ("serial:/dev/ttyUSB0?rows=2&cols=3&start=??AA", "the first byte has to be stated"),
+    ("can:can9?rows=4&cols=4&ids=0x10&piece=3", "piece: unknown key"),
 ]
 
 

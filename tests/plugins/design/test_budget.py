@@ -46,6 +46,18 @@ def test_a_full_raster_of_a_palm_is_limited_by_its_line() -> None:
     assert not found.is_met
 
 
+def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found() -> None:
+    """Its 60 Hz, 80 % of the bus, 1.05 MB/s and 11.2 ms of scan within 10 %: requests, headers and
+    dark sweeps are not modelled. Source: `rigs.toml`.
+    """
+    keys = {"taxels": 8192, "converters": 8, "adc": "16bit@140.25kS/s", "settling": "3us"}
+    found = row_of(STRATEGIES["full"], make_design({**keys, "bus": "serial:12.5M", "rate": "60"}))
+    assert found.is_met
+    assert 60 * found.stage_s["bus"] == pytest.approx(0.80, rel=0.1)
+    assert 60 * found.n_bytes == pytest.approx(1.05e6, rel=0.1)
+    assert found.stage_s["ADC"] == pytest.approx(11.2e-3, rel=0.1)
+
+
 def test_digital_sums_need_every_conversion_and_analog_ones_m() -> None:
     digital, analog = (
         row("sbhe_4_rotating"),

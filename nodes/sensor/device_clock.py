@@ -1,0 +1,252 @@
+"""The clock of a source: its stamps, mapped to the graph's clock.
+
+A frame with the stamp x on the clock of its source arrives at y, later by a delay that varies, by
+milliseconds over USB, but is never less than some least one. So the points (x, y - x) lie on and
+above a line: its slope is the drift of the two clocks, its height their offset and the least delay,
+which nothing in the stamps tells apart from it. Of all lines below the points, that of the least
+sum of distances to them is the edge of their lower convex hull at their mean x. The points are the
+least delayed frame of each period, so that memory and time are bounded.
+
+Sources: the line, S. B. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from
+network delay measurements", INFOCOM 1999; by the hull, L. Zhang, Z. Liu, C. H. Xia, "Clock
+synchronization algorithms for network measurements", INFOCOM 2002.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+Point = tuple[float, float]
+"""Nanoseconds since the first frame on the clock of the source; of the arrival, less those."""
+
+
+@dataclass(frozen=True)
+class ClockTuning:
+    """Constants of the mapping; all chosen, but the last, which is fitted.
+
+    Attributes
+    ----------
+    first_ns, period_ns : float
+        Time of which the least delayed frame is kept, at first and later: it is doubled whenever
+        `kept` are.
+    kept : int
+        Most periods that are kept: 32 s, in which the drift of a quartz hardly changes.
+    settle_ns, settle_frames : float, int
+        Length of a line before it is used, and its number of frames.
+    doubt_ns : float
+        Length of a line whose drift is not believed before that is logged.
+    most_drift : float
+        Largest drift that is believed: the RC oscillator of an ATmega328P is within 10 % (data
+        sheet, calibrated internal oscillator).
+    step_ns, patience_ns : float
+        A frame that is earlier than the line by so much is of a clock that was set; so are all
+        frames of this time, if they are later by as much.
+    spread : float
+        Standard deviation of the slope in mean heights of the points over the line, per number of
+        points and length: 8 to 12 for uniform and exponential delays at 10 to 1000 frames a second,
+        22 for delays of a gamma distribution, shape 2, of which the least are rare (simulated).
+    """
+
+    first_ns: float = 62.5e6
+    period_ns: float = 5e8
+    kept: int = 64
+    settle_ns: float = 2e9
+    settle_frames: int = 20
+    doubt_ns: float = 1e10
+    most_drift: float = 0.1
+    step_ns: float = 1e7
+    patience_ns: float = 5e9
+    spread: float = 25.0
+
+
+TUNING = ClockTuning()
+
+
+def line_below(points: Iterable[Point]) -> tuple[Point, float] | None:
+    """The line below all points with the least sum of distances to them: a point of it, and its
+    slope; None if they have the same x.
+    """
+    hull: list[Point] = []
+    total = n = 0.0
+    for x, y in sorted(points):
+        total, n = total + x, n + 1
+        if hull and hull[-1][0] == x:
+            continue
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (x1 - x0) * (y - y0) > (x - x0) * (y1 - y0):
+                break
+            hull.pop()
+        hull.append((x, y))
+    for (x0, y0), (x1, y1) in pairwise(hull):
+        if x1 * n >= total:
+            return (x0, y0), (y1 - y0) / (x1 - x0)
+    return None
+
+
+class DeviceClock:
+    """Maps stamps of a source to the graph's clock. Until it has settled, and where its stamps do
+    not run as they should, a frame has the time of its arrival.
+
+    Parameters
+    ----------
+    name : str
+        Name of the source, for the log.
+    log : callable
+        Receives one line of text if the clock was set, or its stamps cannot be used.
+    tick_ns : float
+        Unit of a stamp, nanoseconds.
+    wrap : int or None
+        Number of ticks after which stamps begin at 0 again; None: they do not.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        log: Callable[[str], object],
+        tick_ns: float = 1.0,
+        wrap: int | None = None,
+    ) -> None:
+        self._name, self._log, self._tick_ns, self._wrap = name, log, tick_ns, wrap
+        self._n_restarts, self._is_doubted = 0, False
+        self._last_ns: int | None = None
+        self._begin(0, 0, 0)
+
+    def map(self, stamp: int, arrived_ns: int) -> int:
+        """Time of the next frame on the graph's clock, nanoseconds: after that of the one before,
+        and never later than its arrival, but for a nanosecond between frames that arrive at once.
+
+        Parameters
+        ----------
+        stamp : int
+            Its stamp, in ticks.
+        arrived_ns : int
+            Its arrival on the graph's clock, nanoseconds; it does not decrease.
+        """
+        time_ns, was_settled = arrived_ns, False
+        if self._advance(stamp, arrived_ns):
+            late_ns = self._y - self._x - self._line(self._x)
+            was_settled = self._is_settled
+            if was_settled and late_ns < -TUNING.step_ns:
+                self._restart(stamp, arrived_ns)
+            else:
+                time_ns -= max(0, round(late_ns)) if was_settled else 0
+                self._add(late_ns)
+        if self._last_ns is not None:
+            time_ns = max(time_ns, self._last_ns + 1)
+        self._last_ns = time_ns
+        if was_settled and self._begun == self._y:
+            self._sampled.append((self._x, self._y, time_ns - self._origin_ns))
+        return time_ns
+
+    def state(self) -> dict[str, Any]:
+        """Figures for the operator.
+
+        `clock`: "source", or "arrival" while frames have the time of their arrival;
+        `clock_restarts`: times that it was set or started again. Of a source also
+        `clock_drift_ppm`, by how much its clock is fast, with its standard deviation
+        `clock_drift_sd_ppm`; and the standard deviations from the line, over the last `kept`
+        periods, of arrivals (`clock_jitter_before_ms`) and of the times of frames
+        (`clock_jitter_after_ms`).
+        """
+        restarts = {"clock_restarts": self._n_restarts}
+        if not self._is_settled:
+            return {"clock": "arrival", **restarts}
+        heights = [height - self._line(x) for x, height in self._points]
+        length = len(heights) * (self._points[-1][0] - self._points[0][0])
+
+        def jitter_ms(k: int) -> float:
+            late = [one[k] - one[0] - self._line(one[0]) for one in self._sampled]
+            return round(statistics.pstdev(late) / 1e6, 4) if late else 0.0
+
+        return {
+            "clock": "source",
+            "clock_drift_ppm": round((1 / (1 + self._slope) - 1) * 1e6, 2),
+            "clock_drift_sd_ppm": round(
+                TUNING.spread * statistics.fmean(heights) / length * 1e6, 2
+            ),
+            "clock_jitter_before_ms": jitter_ms(1),
+            "clock_jitter_after_ms": jitter_ms(2),
+            **restarts,
+        }
+
+    def _begin(self, stamp: int, arrived_ns: int, n: int = 1) -> None:
+        """Forget all before a frame; it is the first of the line."""
+        self._stamp, self._origin_ns, self._n = stamp, arrived_ns, n
+        self._ticks = 0
+        self._x = self._y = self._begun = self._in_time = self._slope = 0.0
+        self._period_ns = TUNING.first_ns
+        self._is_settled = False
+        self._at = self._least = (0.0, 0.0)
+        self._points: list[Point] = []
+        self._sampled: deque[tuple[float, float, float]] = deque(maxlen=TUNING.kept)
+
+    def _restart(self, stamp: int, arrived_ns: int) -> None:
+        if self._is_settled:
+            self._n_restarts += 1
+            self._log(f"{self._name}: its clock was set or started again; it is mapped anew")
+        self._begin(stamp, arrived_ns)
+
+    def _advance(self, stamp: int, arrived_ns: int) -> bool:
+        """Set both times to those of a frame; False if a line begins with it."""
+        y = float(arrived_ns - self._origin_ns)
+        if not self._n or y - self._y > TUNING.kept * TUNING.period_ns:
+            self._begin(stamp, arrived_ns)  # a drift does not last for a silence as long
+            return False
+        ahead = stamp - self._stamp
+        if self._wrap is not None:
+            passed = (y - self._y) / self._tick_ns
+            passed /= 1 + self._slope if self._is_settled else 1.0
+            ahead %= self._wrap
+            ahead += self._wrap * round((passed - ahead) / self._wrap)
+        if ahead * self._tick_ns < -TUNING.step_ns:
+            self._restart(stamp, arrived_ns)
+            return False
+        self._stamp, self._ticks, self._n = stamp, self._ticks + ahead, self._n + 1
+        self._x, self._y = self._ticks * self._tick_ns, y
+        return True
+
+    def _line(self, x: float) -> float:
+        return self._at[1] + self._slope * (x - self._at[0])
+
+    def _lower(self, a: Point, b: Point) -> Point:
+        return b if b[1] - a[1] < self._slope * (b[0] - a[0]) else a
+
+    def _add(self, late_ns: float) -> None:
+        """Add a frame that is later than the line by `late_ns`."""
+        point = self._x, self._y - self._x
+        if late_ns < 0:
+            self._at = self._at[0], self._at[1] + late_ns
+        if late_ns < TUNING.step_ns or not self._is_settled:
+            self._in_time = self._y
+        if self._y - self._begun < self._period_ns:
+            self._least = self._lower(self._least, point)
+            return
+        if self._y - self._in_time > TUNING.patience_ns:
+            self._restart(self._stamp, self._origin_ns + round(self._y))
+            return
+        points = self._points
+        points.append(self._least)
+        self._least, self._begun = point, self._y
+        if len(points) == TUNING.kept and self._period_ns < TUNING.period_ns:
+            points[:] = map(self._lower, points[::2], points[1::2])
+            self._period_ns *= 2
+        elif len(points) > TUNING.kept:
+            del points[0]
+        found = line_below(self._points)
+        if found is not None:
+            self._at, self._slope = found
+        is_good = found is not None and abs(self._slope) <= TUNING.most_drift
+        is_long = self._y >= TUNING.settle_ns and self._n >= TUNING.settle_frames
+        self._is_settled = is_good and is_long
+        if not is_good and self._y >= TUNING.doubt_ns and not self._is_doubted:
+            self._is_doubted = True
+            self._log(
+                f"{self._name}: its stamps do not run as time does, within "
+                f"{TUNING.most_drift:.0%}; frames have the time of their arrival"
+            )

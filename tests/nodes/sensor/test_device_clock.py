@@ -1,0 +1,135 @@
+"""Stamps of a source on the graph's clock, against delays and drifts that are known."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from sparseskin.nodes.sensor.device_clock import DeviceClock, Point, line_below
+
+S, MS = 1_000_000_000, 1_000_000
+JITTER = 5 * MS
+SETTLED_S = 5
+WITHIN = MS // 2
+Reading = tuple[int, int, int]
+"""True time, arrival, and time of a frame, nanoseconds."""
+
+
+@given(heights=st.lists(st.integers(0, 10**6), min_size=2, max_size=64), slope=st.floats(-1, 1))
+def test_the_line_is_that_of_the_linear_program(heights: list[int], slope: float) -> None:
+    points: list[Point] = [(1e6 * k, slope * 1e6 * k + h) for k, h in enumerate(heights)]
+    found = line_below(points)
+    assert found is not None
+    (x0, y0), b = found
+    x, y = np.array(points).T / 1e6
+    left = y - (y0 / 1e6 + b * (x - x0 / 1e6))
+    assert left.min() >= -1e-9
+    best = linprog([-len(x), -x.sum()], np.c_[np.ones(len(x)), x], y, bounds=(None, None))
+    assert left.sum() == pytest.approx(y.sum() + best.fun, abs=1e-6)
+
+
+def run(
+    clock: DeviceClock,
+    stamp: Callable[[int], int],
+    seconds: float,
+    rate_hz: int = 100,
+    begin_s: float = 0,
+    seed: int = 0,
+) -> list[Reading]:
+    """Frames whose delay is uniform in 0 to 5 ms; `stamp` of a true time."""
+    rng, arrived, found = random.Random(seed), 0, []
+    for k in range(int(seconds * rate_hz)):
+        true_ns = round(begin_s * S) + k * S // rate_hz
+        arrived = max(arrived, true_ns + rng.randint(0, JITTER))
+        found.append((true_ns, arrived, clock.map(stamp(true_ns), arrived)))
+    return found
+
+
+def check_order(readings: list[Reading]) -> None:
+    times = [time for _, _, time in readings]
+    assert all(b > a for a, b in pairwise(times))
+    # Frames that arrive at once are a nanosecond apart.
+    assert all(time <= arrived + len(times) for _, arrived, time in readings)
+
+
+def worst(readings: list[Reading], from_s: float) -> int:
+    return max(abs(time - true) for true, _, time in readings if true >= from_s * S)
+
+
+@settings(max_examples=25)
+@given(
+    ppm=st.floats(-50_000, 50_000),
+    bits=st.sampled_from([None, 16, 24, 32]),
+    tick_ns=st.sampled_from([1000, 250_000 / 3, 100_000]),
+    first=st.integers(0, 2**32),
+    rate_hz=st.sampled_from([100, 333, 1000]),
+    seed=st.integers(0, 2**16),
+)
+def test_after_5_s_a_frame_has_its_true_time_within_half_a_millisecond(
+    ppm: float, bits: int | None, tick_ns: float, first: int, rate_hz: int, seed: int
+) -> None:
+    wrap = None if bits is None else 1 << bits
+    clock = DeviceClock("board", pytest.fail, tick_ns, wrap)
+
+    def stamp(true_ns: int) -> int:
+        ticks = first + int(true_ns * (1 + ppm * 1e-6) / tick_ns)
+        return ticks if wrap is None else ticks % wrap
+
+    readings = run(clock, stamp, 12, rate_hz, seed=seed)
+    check_order(readings)
+    assert worst(readings, SETTLED_S) < WITHIN
+    state = clock.state()
+    assert (state["clock"], state["clock_restarts"]) == ("source", 0)
+    tick_ppm = tick_ns / (10 * S) * 1e6
+    assert abs(state["clock_drift_ppm"] - ppm) < 3 * state["clock_drift_sd_ppm"] + tick_ppm
+    # 1.44 ms is the standard deviation of a uniform delay; frames that overtake none have less.
+    assert 4 * state["clock_jitter_after_ms"] < state["clock_jitter_before_ms"] < 2
+
+
+@pytest.mark.parametrize(
+    ("set_ns", "known_s"),
+    [
+        (lambda true: true - 20 * S, 0.0),  # started again
+        (lambda true: true + S // 10, 0.0),  # set forward
+        (lambda true: true - S // 50, 6.0),  # a little back: delays alone show it, in 5 s
+    ],
+)
+def test_a_clock_that_was_set_is_noticed_and_mapped_anew(
+    set_ns: Callable[[int], int], known_s: float
+) -> None:
+    lines: list[str] = []
+    clock = DeviceClock("board", lines.append)
+    readings = run(clock, lambda true: true, 20)
+    readings += run(clock, set_ns, 20, begin_s=20)
+    check_order(readings)
+    assert lines == ["board: its clock was set or started again; it is mapped anew"]
+    assert clock.state()["clock_restarts"] == 1
+    assert worst([one for one in readings if one[0] < 20 * S], SETTLED_S) < WITHIN
+    assert worst(readings, 20 + known_s + SETTLED_S) < WITHIN
+
+
+@pytest.mark.parametrize("stamp", [lambda true: 2 * true, lambda true: 7, lambda true: true // MS])
+def test_stamps_that_do_not_run_as_time_are_not_used(stamp: Callable[[int], int]) -> None:
+    lines: list[str] = []
+    clock = DeviceClock("driver", lines.append)
+    readings = run(clock, stamp, 15)
+    check_order(readings)
+    assert all(0 <= time - arrived <= len(readings) for _, arrived, time in readings)
+    assert clock.state() == {"clock": "arrival", "clock_restarts": 0}
+    assert ["do not run as time does, within 10%" in line for line in lines] == [True]
+
+
+def test_after_a_silence_that_is_longer_than_a_line_frames_have_their_arrival_at_first() -> None:
+    clock = DeviceClock("board", pytest.fail)
+    run(clock, lambda true: true, 10)
+    assert clock.state()["clock"] == "source"
+    first, *others = run(clock, lambda true: true, 10, begin_s=60)
+    assert first[1] == first[2]
+    assert worst(others, 60 + SETTLED_S) < WITHIN

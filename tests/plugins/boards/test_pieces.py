@@ -1,0 +1,118 @@
+"""Frames of a skin from pieces, and the profiles of boards that people build, from bytes packed as
+their programs do.
+"""
+
+from __future__ import annotations
+
+import random
+import struct
+from binascii import crc_hqx
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.plugins.boards.board import Board, describe_board
+from sparseskin.plugins.boards.framing import Counts, Frame, FrameParser
+from sparseskin.plugins.boards.pieces import Pieces
+
+N = 10
+MODULUS = 1 << 8
+
+
+def cut(frames: list[bytes], size: int, numbered: bool) -> list[Frame]:
+    """Pieces of `size` readings of a byte each of frames that follow one another."""
+    stream = b"".join(frames)
+    starts = range(0, len(stream) - size + 1, size)
+    return [
+        Frame(stream[at : at + size], k % MODULUS if numbered else None, 0, first=at % N)
+        for k, at in enumerate(starts)
+    ]
+
+
+@given(
+    n=st.integers(1, 40),
+    size=st.integers(1, N),
+    numbered=st.booleans(),
+    data=st.data(),
+)
+def test_frames_are_whole_or_counted_whatever_pieces_are_lost(
+    n: int, size: int, numbered: bool, data: st.DataObject
+) -> None:
+    frames = [bytes([k]) * N for k in range(n)]
+    sent = cut(frames, size, numbered)
+    # Without numbers a loss of whole turns cannot be noticed.
+    most = len(sent) if numbered else 1
+    lost = data.draw(st.sets(st.integers(0, len(sent)), max_size=most))
+    came = [piece for k, piece in enumerate(sent) if k not in lost]
+    counts = Counts(frames=len(came))
+    pieces = Pieces(N, 1, MODULUS if numbered else 0, counts)
+    found = [frame.payload for piece in came if (frame := pieces.add(piece)) is not None]
+    whole = [
+        frame
+        for k, frame in enumerate(frames)
+        if (k + 1) * N <= len(sent) * size
+        and not lost & {*range(k * N // size, -(-(k + 1) * N // size))}
+    ]
+    assert found == whole
+    pieces.reset()
+    assert counts.frames == len(found)
+    assert counts.dropped_bytes == len(came) * size - len(found) * N
+
+
+def board(query: str) -> Board:
+    return describe_board(f"serial:/dev/ttyUSB0?{query}")
+
+
+def read(found: Board, stream: bytes) -> tuple[list[Frame], Counts]:
+    parser = FrameParser(found.framing)
+    pieces = [stream[k : k + 997] for k in range(0, len(stream), 997)]
+    return [frame for piece in pieces for frame in parser.feed(piece)], parser.counts
+
+
+def test_packets_of_a_wiresens_board_become_frames_whose_readings_rise_with_the_press() -> None:
+    found = board("profile=wiresens")
+    rng = np.random.default_rng(0)
+    readings = rng.integers(0, 4096, (4, 32, 32)).astype("<u2")
+    values, stream = readings.ravel(), b"Initializing Toolkit\r\n"
+    for k in range(len(values) // 120):
+        packet = struct.pack("<bH", 1, 120 * k % 1024) + values[120 * k : 120 * (k + 1)].tobytes()
+        stream += packet + struct.pack("<I", k) + b"wr"
+    frames, counts = read(found, stream)
+    # The first packet has no end before it.
+    assert (counts.frames, counts.bad_frames) == (len(values) // 120 - 1, 0)
+    pieces = Pieces(1024, 2, 1 << 32, counts)
+    whole = [frame for one in frames if (frame := pieces.add(one)) is not None]
+    assert counts.frames == len(whole) == 2
+    for frame, expected in zip(whole, readings[1:3], strict=True):
+        np.testing.assert_array_equal(found.decode(frame.payload), 4095.0 - expected)
+    assert (found.skin.f_max, found.skin.shape) == (4095, (32, 32))
+
+
+def taxelscan(readings: bytes, number: int, n_contacts: int, rows: int = 16) -> bytes:
+    """A frame of version 2, as emitBinV2 packs it."""
+    payload = readings + random.Random(number).randbytes(20 * n_contacts + 28)
+    head = struct.pack("<2sBBHBBH", b"FT", 2, 7, number, rows, 32, len(payload))
+    head += struct.pack("<IHHBB", 12500, 876, 0, n_contacts, 0)
+    return head + struct.pack(f"<H{len(payload)}sH", crc_hqx(head, 0xFFFF), payload,
+                              crc_hqx(payload, 0xFFFF))  # fmt: skip
+
+
+def test_frames_of_a_taxelscan_board_have_any_number_of_contacts() -> None:
+    found = board("profile=taxelscan")
+    readings = np.random.default_rng(0).integers(-50, 4096, (6, 16, 32)).astype("<i2")
+    contacts = [0, 3, 32, 1, 0, 7]
+    sent = [
+        taxelscan(one.tobytes(), k, n)
+        for k, (one, n) in enumerate(zip(readings, contacts, strict=True))
+    ]
+    # A frame of 16 x 16 with as many contacts is as long, and another skin.
+    other = taxelscan(bytes(512), 9, 26, rows=8)
+    wrong = sent[2][:700] + b"\x00" + sent[2][701:]
+    long = sent[3][:8] + b"\xff\xff" + sent[3][10:]
+    stream = b"# TaxelScan ready\r\n" + sent[0] + sent[1] + wrong + other + long + sent[4] + sent[5]
+    frames, counts = read(found, stream)
+    assert [frame.sequence for frame in frames] == [0, 1, 4, 5]
+    assert counts.missing_frames == 2
+    for frame in frames:
+        np.testing.assert_array_equal(found.decode(frame.payload), readings[frame.sequence or 0])
