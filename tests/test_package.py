@@ -52,6 +52,7 @@ def test_a_wheel_holds_sparseskin_and_nothing_else(tmp_path: Path) -> None:
     [
         ("sparseskin.nodes.compressor.node", ["scipy", "pywt", "sparseskin.nodes.reconstructor"]),
         ("sparseskin.nodes.sensor.node", ["scipy", "sparseskin.nodes.compressor"]),
+        ("sparseskin.nodes.reconstructor.node", ["scipy", "pywt", "numba"]),
         ("sparseskin.nodes.process.runner", ["sparseskin.launch", "sparseskin.nodes.monitor"]),
         ("sparseskin.messages", ["zmq", "scipy", "sparseskin.nodes"]),
         ("sparseskin.nodes.registry", ["zmq", "scipy", "numba", *STATIONS]),

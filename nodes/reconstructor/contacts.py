@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
@@ -83,6 +82,9 @@ class ContactFinder:
     """
 
     def __init__(self, skin: Skin) -> None:
+        from scipy import ndimage  # half the time of the start of a process: only where it is used
+
+        self._label = ndimage.label
         self._n_taxels, self._n_cols = skin.n_taxels, skin.n_cols
         cells = np.divmod(np.arange(skin.n_rows * skin.n_cols), skin.n_cols)
         self._cells = np.array(cells, dtype=np.float64)
@@ -118,7 +120,7 @@ class ContactFinder:
         pressed = forces > low
         rows, cols = (np.flatnonzero(pressed.any(axis=axis)) for axis in (1, 0))
         box = pressed[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-        grid, n = ndimage.label(box, NEIGHBOURS)
+        grid, n = self._label(box, NEIGHBOURS)
         in_box = np.flatnonzero(box)
         labels = grid.reshape(-1)[in_box].astype(np.intp) - 1
         row, col = np.divmod(in_box, box.shape[1])

@@ -38,7 +38,6 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 
-from .contact_tracks import NOTHING, joined
 from .limits import OWN_BASIS
 from .patch import Patch
 from .patch_log import PatchLog
@@ -72,8 +71,12 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._patches = [Patch(settings, self._log.of(name)) for name in self._names]
         self._idle: IdleWatch | None = None
         self._touched = ""
-        head: dict[str, Any] = {"patch": settings.patch, "names": settings.patches}
-        self._untouched = Contacts(**head, stamp_ns=0, done_ns=0, **NOTHING)
+        if settings.contacts:
+            from .contact_tracks import NOTHING, joined
+
+            self._head: dict[str, Any] = {"patch": settings.patch, "names": settings.patches}
+            self._untouched = Contacts(**self._head, stamp_ns=0, done_ns=0, **NOTHING)
+            self._joined = joined
 
     @classmethod
     def inputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
@@ -323,10 +326,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._touched = ""
         if not any(followed):  # so are most frames of most skins
             return self._untouched.at(stamp_ns, done_ns, trusted)
-        head: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
-        found = Contacts(
-            **head, stamp_ns=stamp_ns, done_ns=done_ns, trusted=trusted, **joined(followed)
-        )
+        times: dict[str, Any] = {"stamp_ns": stamp_ns, "done_ns": done_ns}
+        found = Contacts(**self._head, **times, trusted=trusted, **self._joined(followed))
         if found.id.size and self._skin is not None:
             self._touched = found.summary(self._skin.unit)
         return found

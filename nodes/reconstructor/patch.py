@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from sparseskin.nodes.reconstructor.solvers.base import (
 )
 
 from .budget import SHARE, steps_within
-from .contact_tracks import ContactTracker, Followed
 from .limits import (
     MIN_ITERATIONS,
     OTHER_ROWS,
@@ -38,6 +37,9 @@ from .limits import (
     reconstruction_warnings,
 )
 from .settings import PRESETS, ReconstructorSettings
+
+if TYPE_CHECKING:
+    from .contact_tracks import ContactTracker, Followed
 
 
 class Solved(NamedTuple):
@@ -129,6 +131,8 @@ class Patch:
         if settings.resultant:
             self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
+            from .contact_tracks import ContactTracker
+
             self._tracker = ContactTracker(state)
         self.set_limits(settings)
         # Another Phi or solver in the middle of a stream starts from the last estimate.
