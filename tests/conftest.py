@@ -38,8 +38,16 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run slow tests first, so that none is left for the end of a parallel run."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    """Run slow tests first, so that none is left for the end of a parallel run; and before these
+    the one that compiles all loops, which other processes would compile, too, until it has ended.
+    """
+    compiles = "tests/nodes/numerics/test_compiled"
+    items.sort(
+        key=lambda item: (
+            not item.nodeid.startswith(compiles),
+            item.get_closest_marker("slow") is None,
+        )
+    )
 
 
 ONE_BY_ONE = (

@@ -69,6 +69,12 @@ def processes_with(mark: str) -> dict[int, str]:
     return found
 
 
+LOOP = """\
+from functools import partial
+from sparseskin.studies.looped import Looped
+path_40 = partial(Looped, "path_40", 330, 50, "truth")
+"""
+"""A module of a source without an end: frames of a scene, touched from frame 320 on."""
 COMMAND = ["-m", "sparseskin.launch.commands.entry"]
 PATIENT_COMMAND = [str(Path(__file__).with_name("patient.py"))]
 

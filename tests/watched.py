@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 from collections.abc import Iterable
 
@@ -21,6 +22,7 @@ from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 DESK_SHAPE, N = (40, 40), 1600
+FAST = "on" if importlib.util.find_spec("numba") else "off"
 SKIN_SHAPE = (28, 28)
 NOISE = NoiseModel()
 
@@ -33,7 +35,7 @@ class Desk:
     ) -> None:
         self.lines: list[str] = []
         context = Context("reconstructor", ManualClock(0), self.lines.append)
-        self.node = Reconstructor(ReconstructorSettings(**settings), context)
+        self.node = Reconstructor(ReconstructorSettings(**{"fast": FAST, **settings}), context)
         self.subsets = row_subsets(phi, rows)
         self._stamps = itertools.count(1)
         sigmas = (0.0628, 0.0141) if states_noise else (0.0, 0.0)
@@ -81,7 +83,7 @@ class Skin:
         self.watch = TaxelWatch(
             mask, NOISE.f_max, NOISE.sigma_mid, NOISE.sigma_end, self.lines.append
         )
-        self.solver = make_solver("skin", phi, make_basis("haar", *SKIN_SHAPE), mask)
+        self.solver = make_solver("skin", phi, make_basis("haar", *SKIN_SHAPE), mask, fast=FAST)
         self.rng = np.random.default_rng(0)
 
     def read(self, truth: Floats, reads: dict[tuple[int, int], float] | None = None) -> Floats:

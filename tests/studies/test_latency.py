@@ -33,6 +33,7 @@ def test_quantiles_and_the_stages_around_them() -> None:
         assert abs(sum(found[f"{name} {stage}"] for stage in STAGES) - found[f"{name}_ms"]) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES.values())
 def test_the_skin_is_touched_in_the_frames_that_are_timed(scene: str) -> None:
     name, first, n, _ = getattr(looped, scene).args

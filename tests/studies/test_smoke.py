@@ -62,7 +62,7 @@ TEXTS = {
 }
 """A text on each page."""
 
-LONG = ("accuracy", "paper-tables", "speed-accuracy", "stability", "train")
+LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "train")
 """Studies that take more than some seconds even so."""
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from conftest import PATIENCE_S, PATIENT_COMMAND, Program, StartProgram, wait_until
 from documented import check
-from processes import note_of_graph
+from processes import LOOP, note_of_graph
 from shells import words
 
 from sparseskin.launch.attach.client import Answer, ask_node
@@ -38,12 +38,14 @@ RunJson = Callable[..., Any]
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
     """A graph of 40 x 40 taxels without an end that records all messages into run.mcap."""
-    words = ("--set", "sensor.rate_hz=50", "--set", "reconstructor.iterations=3")
+    words = ("--set", "sensor.rate_hz=25", "--set", "reconstructor.iterations=3")
+    folder = tmp_path_factory.mktemp("graph")
+    (folder / "loop.py").write_text(LOOP)
     with Program(
         *("launch", "path_40", "--record", "run.mcap", "--set", "monitor.port=0"),
         *("--summary", "summary.json", *words),
-        *("--set", "sensor.source=sparseskin.studies.looped:truth_40"),
-        cwd=tmp_path_factory.mktemp("graph"),
+        *("--set", "sensor.source=loop:path_40"),
+        cwd=folder,
     ) as program:
         program.wait_for("[launch] ready")
         note_of_graph(program.notes)
@@ -148,7 +150,7 @@ def test_param_list_reports_value_range_meaning_and_what_is_in_force(
     nodes = run_json("param", "list")["nodes"]
     assert list(nodes) == NODES
     rate = {entry["key"]: entry for entry in nodes["sensor"]}["rate_hz"]
-    assert (rate["live"], rate["value"]) == (True, 50.0)
+    assert (rate["live"], rate["value"]) == (True, 25.0)
     told = {entry["key"]: (entry["value"], entry["in_force"]) for entry in nodes["reconstructor"]}
     assert told["preset"] == ("skin", "skin")
     assert told["solver"] == (None, "skin")
@@ -182,8 +184,8 @@ def test_settings_of_one_command_are_changed_all_or_none(run: Run, refused: Run)
     line = refused("param", "set", "sensor", "noise", "0.25", "rate_hz", "-1")
     assert line.startswith("sensor: rate_hz: -1.0 is outside 0")
     assert run("param", "get", "sensor", "noise") == before
-    answer = run("param", "set", "sensor", "noise", "0.25", "rate_hz", "51")
-    assert answer == "sensor: noise = 0.25, rate_hz = 51\n"
+    answer = run("param", "set", "sensor", "noise", "0.25", "rate_hz", "26")
+    assert answer == "sensor: noise = 0.25, rate_hz = 26\n"
     assert run("param", "get", "sensor", "noise") == "0.25\n"
     assert run("param", "set", "reconstructor", "iterations", "4").endswith("iterations = 4\n")
     answer = run("param", "set", "reconstructor", "iterations", "none")

@@ -8,6 +8,7 @@ import signal
 from pathlib import Path
 
 from conftest import Program, free_port, note_of_graph, wait_until
+from processes import LOOP
 
 from sparseskin.nodes.network.keys import make_key_files
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -22,7 +23,7 @@ address = "127.0.0.1"
 keys = "keys"
 [nodes.sensor]
 type = "sensor"
-source = "sparseskin.studies.looped:truth_40"
+source = "loop:path_40"
 rate_hz = 50
 host = "edge"
 [nodes.compressor]
@@ -44,6 +45,7 @@ def test_every_tool_beside_a_secured_graph_is_served(tmp_path: Path) -> None:
     for name in ("edge", "desk"):
         make_key_files(name, tmp_path / "keys")
         (tmp_path / name).mkdir()
+    (tmp_path / "loop.py").write_text(LOOP)
     (tmp_path / "graph.toml").write_text(GRAPH.format(edge_port=min(free_port(), 65000)))
     with contextlib.ExitStack() as stack:
 

@@ -14,6 +14,7 @@ from sparseskin.messages import decode
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
+SLOWLY = ("--set", "sensor.rate_hz=20", "--set", "reconstructor.iterations=3")
 N_FRAMES = 400
 """Of path_40, which is touched from frame 320 on."""
 
@@ -69,7 +70,7 @@ def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(
 def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
     start: StartProgram, tmp_path: Path, killed: bool
 ) -> None:
-    graph = start("launch", "path_40", "--summary", "out.json")
+    graph = start("launch", "path_40", "--summary", "out.json", *SLOWLY)
     graph.wait_for("[launch] ready")
     recorder = start("record", "/skin/skin", "/skin/rec*", "--out", "some.mcap")
     recorder.wait_for("[launch] ready")
@@ -94,7 +95,7 @@ def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
 def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(
     start: StartProgram, tmp_path: Path
 ) -> None:
-    graph = start("launch", "path_40")
+    graph = start("launch", "path_40", *SLOWLY)
     graph.wait_for("[launch] ready")
     code, _, stderr = start("record", "/skin/taxel").finish()
     assert code == 2

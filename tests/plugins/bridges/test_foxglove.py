@@ -103,7 +103,7 @@ def test_hostile_requests_end_neither_server_nor_bridge(bridge: FoxgloveBridge) 
 
 
 def test_a_client_reads_frames_of_a_running_graph(start: StartProgram) -> None:
-    graph = start("launch", "path_40", "--set", "monitor.page=false")
+    graph = start("launch", "path_40", "--set", "monitor.page=false", "--set", "sensor.rate_hz=20")
     graph.wait_for("ready")
     beside = start("bridge", "foxglove", "--port", "0")
     with FoxgloveClient(beside.wait_for("foxglove: ")) as client:

@@ -59,6 +59,7 @@ rate_hz = 0
 type = "compressor"
 [nodes.reconstructor]
 type = "reconstructor"
+iterations = 1
 [nodes.monitor]
 type = "monitor"
 page = false
