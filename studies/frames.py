@@ -70,7 +70,8 @@ class Take:
     `mask`: True where a taxel exists; `f_max`: upper end of the range, in the unit of the frames;
     `parts` returns the parts, each an iterable of (truth, taxels): float32, shape (n_rows, n_cols),
     between which estimators are reset; `sigma_end`, `norm`, `total`: as for `make_method` and
-    `Scores`; `unscored`: frames at the beginning of each part that are not scored.
+    `Scores`; `unscored`: frames at the beginning of each part that are not scored; `pitch_mm`:
+    distance of the taxels, where known.
     """
 
     mask: Mask
@@ -80,6 +81,7 @@ class Take:
     norm: float = 0.0
     total: float = 0.0
     unscored: int = 0
+    pitch_mm: float | None = 5.0
 
     @property
     def n(self) -> int:
@@ -141,7 +143,8 @@ class PressFrames:
     """Frames of an analytic body that presses a skin of any size, with the noise of the paper.
 
     Fields are those of `press_frames`; `n_scattered`: number of taxels, at random places of the
-    grid (None: one in each cell); `skip`: frames at the beginning that are left out.
+    grid (None: one in each cell); `skip`: frames at the beginning that are left out; `strength`:
+    factor of the forces.
     """
 
     body: str
@@ -152,6 +155,7 @@ class PressFrames:
     active: float = 0.1
     n_scattered: int | None = None
     skip: int = 0
+    strength: float = 1.0
 
     def open(self, seed: int) -> Take:
         """See `Frames`."""
@@ -159,6 +163,7 @@ class PressFrames:
         if self.n_scattered is not None:
             mask = scattered_mask(self.shape, self.n_scattered, seed)
         how: dict[str, Any] = {"course": self.course, "speed": self.speed, "active": self.active}
+        how["f_max"] = self.strength * PAPER_F_MAX_N
 
         def parts() -> Iterable[Pairs]:
             frames = press_frames(
@@ -166,6 +171,36 @@ class PressFrames:
             )
             return [list(frames)[self.skip :]]
 
+        return Take(mask, PAPER_F_MAX_N, parts)
+
+
+@dataclass(frozen=True)
+class MeetingFrames:
+    """Two fingertips that meet and part every 80 frames, with the noise of the paper."""
+
+    side: int
+    n_frames: int
+    radius: float = 4.0
+
+    def open(self, seed: int) -> Take:
+        """See `Frames`."""
+        angle = 0.5 + seed
+        along = np.array([np.sin(angle), np.cos(angle)])[:, None, None]
+        places = np.indices((self.side, self.side)) - (self.side - 1) / 2
+
+        def frame(k: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+            apart = self.radius * (0.6 + 1.4 * abs(np.cos(np.pi * k / 80)))
+            truth = np.zeros(places.shape[1:], dtype=np.float32)
+            for force, sign in ((0.8, 1), (0.5, -1)):
+                u = np.linalg.norm(places - sign * apart * along, axis=0) / self.radius
+                np.maximum(truth, force * np.sqrt(np.maximum(0, 1 - u * u)), out=truth)
+            return truth, NOISE.apply(truth, rng)
+
+        def parts() -> Iterable[Pairs]:
+            rng = np.random.default_rng(seed)
+            return [[frame(k, rng) for k in range(self.n_frames)]]
+
+        mask = np.ones((self.side, self.side), dtype=np.bool_)
         return Take(mask, PAPER_F_MAX_N, parts)
 
 
@@ -209,10 +244,14 @@ class RecordedFrames:
         part = part_of(self.path, self.n_most)
         pairs = list(zip(part.truth, part.frames, strict=True))
         unscored = min(self.unscored, len(pairs) - 1)
-        return Take(part.mask, part.f_max, lambda: [pairs], 0.0, part.norm, part.total, unscored)
+        known = part.norm, part.total, unscored, part.pitch_mm
+        return Take(part.mask, part.f_max, lambda: [pairs], 0.0, *known)
 
 
-KINDS = {one.__name__: one for one in (SceneFrames, PressFrames, UntouchedFrames, RecordedFrames)}
+KINDS = {
+    one.__name__: one
+    for one in (SceneFrames, PressFrames, MeetingFrames, UntouchedFrames, RecordedFrames)
+}
 """Sources by the names with which points state them."""
 
 
@@ -224,8 +263,8 @@ def opened(point: Mapping[str, Any]) -> Take:
 
 class Part(NamedTuple):
     """A part of a recording: frames and truth, float32, shape (n_frames, n_rows, n_cols); mask,
-    True where a taxel exists; time between frames, if known; number of its first frame, and of
-    all; 95th percentiles of norms and totals of all frames in which anything touches the skin.
+    True where a taxel exists; time between frames and pitch, if known; number of its first frame,
+    and of all; 95th percentiles of norms and totals of all frames in which anything touches it.
     """
 
     frames: Floats
@@ -234,6 +273,7 @@ class Part(NamedTuple):
     f_max: float
     unit: str
     spacing_ms: float | None
+    pitch_mm: float | None
     first: int
     n_recorded: int
     norm: float
@@ -268,6 +308,7 @@ def part_of(path: str, n_most: int) -> Part:
     spacing_ms = 1e3 / float(read["rate_hz"]) if "rate_hz" in read else None
     return Part(
         *(frames[part], truth[part], mask, float(read["f_max"]), read["unit"], spacing_ms),
+        1e3 * float(read["pitch_m"]) if "pitch_m" in read else None,
         *(first, len(frames), norm, total),
     )
 

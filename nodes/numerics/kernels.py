@@ -26,10 +26,10 @@ MOST_ROWS = 16
 _ROOT_2 = np.float32(np.sqrt(2.0))
 
 # Types of signatures: vector, matrix, places in 32 and in 16 bits and tables of them, groups, grid,
-# numbers.
+# numbers and tables of them.
 V, M, P, S = "float32[::1]", "float32[:,::1]", "uint32[::1]", "uint16[::1]"
 P2 = "uint32[:,::1]"
-G, L, D = "int64[:,::1]", "int64[::1]", "float64[::1]"
+G, L, D, DM = "int64[:,::1]", "int64[::1]", "float64[::1]", "float64[:,::1]"
 
 
 @compiled()
@@ -527,6 +527,79 @@ def skin_settle(
             forces[p] = one + bias
     numbers[4], numbers[5] = power / x.size, residual2 / read.size
     numbers[6], numbers[7] = along, unpressed
+
+
+@compiled()
+def root_of(parents: A, k: int) -> int:
+    """Least label of the labels that are one component."""
+    while parents[k] != k:
+        k = parents[k]
+    return k
+
+
+@compiled(f"Tuple(({L}, {L}, {DM}))({M}, float32, {V}, {DM})")
+def components(forces: A, low: float, variances: A, places: A) -> tuple[A, A, A]:
+    """The same as `components` of the module `contacts`, but for rounding, in one scan."""
+    (n_rows, n_cols), k = forces.shape, places.shape[0]
+    flat = forces.reshape(-1)
+    index, grid = np.empty(flat.size, np.int64), np.empty(flat.size, np.int64)
+    parents = np.empty(((n_rows + 1) // 2) * ((n_cols + 1) // 2), np.int64)
+    n_pressed, n_labels = 0, 0
+    for i in range(n_rows):
+        for j in range(n_cols):
+            p = i * n_cols + j
+            grid[p] = -1
+            if not flat[p] > low:
+                continue
+            index[n_pressed] = p
+            n_pressed += 1
+            label = -1
+            if j and grid[p - 1] >= 0:
+                label = root_of(parents, grid[p - 1])
+            if i:
+                for q in range(p - n_cols - (j > 0), p - n_cols + 1 + (j + 1 < n_cols)):
+                    if grid[q] >= 0:
+                        other = root_of(parents, grid[q])
+                        if label >= 0:
+                            parents[max(label, other)] = min(label, other)
+                            other = min(label, other)
+                        label = other
+            if label < 0:
+                label = n_labels
+                parents[label] = label
+                n_labels += 1
+            grid[p] = label
+    n = 0
+    for label in range(n_labels):  # a parent has a lower label
+        if parents[label] == label:
+            parents[label] = n
+            n += 1
+        else:
+            parents[label] = parents[parents[label]]
+    index, labels = index[:n_pressed], np.empty(n_pressed, np.int64)
+    sums = np.zeros((4 + 2 * k, n))
+    for t in range(n_pressed):
+        p = index[t]
+        c = labels[t] = parents[grid[p]]
+        value = np.float64(flat[p])
+        sums[0, c] += value
+        sums[1, c] += 1
+        sums[2, c] = max(sums[2, c], value)
+        sums[3 + k, c] += variances[p]
+        for d in range(k):
+            sums[3 + d, c] += value * places[d, p]
+    for c in range(n):
+        for d in range(k):
+            sums[3 + d, c] /= sums[0, c]
+    for t in range(n_pressed):
+        p, c = index[t], labels[t]
+        for d in range(k):
+            off = places[d, p] - sums[3 + d, c]
+            sums[4 + k + d, c] += variances[p] * off * off
+    for c in range(n):
+        for d in range(k):
+            sums[4 + k + d, c] /= sums[0, c] ** 2
+    return index, labels, sums
 
 
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {

@@ -16,18 +16,21 @@ from .compiled import (
 )
 
 
-def compile_loops(solver: str, fast: str, log: Callable[[str], None]) -> None:
-    """Compile the loops of a solver now, or read them from disk, so that no frame waits for it.
+def compile_loops(
+    solver: str, fast: str, log: Callable[[str], None], contacts: bool = False
+) -> None:
+    """Compile the loops of a solver now, or read them from disk, so that no frame waits for it;
+    with `contacts` that of contacts, too.
 
-    Nothing is done for a solver without any, or where `use_compiled` is False, with Raises as
+    Nothing is done where there are none, or where `use_compiled` is False, with Raises as
     there. `log` receives a line of text before anything is compiled, and one after it; where numba
     is missing or cannot be imported, one that says so.
     """
-    if solver not in SOLVERS:
+    if solver not in SOLVERS and not contacts:
         return
     if use_compiled(fast):
-        from .kernels import LOOPS  # needs numba
+        from .kernels import LOOPS, components  # needs numba
 
-        ready(*LOOPS[solver], log=log)
+        ready(*LOOPS.get(solver, ()), *[components] * contacts, log=log)
     elif "off" not in (fast, os.environ.get(ENVIRONMENT)):
         log(NOT_INSTALLED if check_fast(fast) == "off" else NOT_IMPORTED)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,32 +14,50 @@ from scipy.optimize import linear_sum_assignment
 from sparseskin.messages import SkinState
 from sparseskin.messages.contacts import BEGIN, END, OVER, SLIDE
 from sparseskin.messages.skin import CONTACT_FRACTION
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 
 from .contacts import HELD, ContactFinder, Features, Limits, overlaps
 
 GATE = 4.0
 """Largest distance, in taxels, of a contact from the place of an earlier one that it does not
 overlap with, beyond the root of its area. Chosen."""
+EARLY = 3
+"""First frames of each row subset in which no contact begins: the noise is known from the second
+one on. Chosen: on 40 x 40 untouched taxels whose noise is not stated, N/3 to N/16, forces are up to
+700 units in the first 2 P frames, and up to 3.8 later, where P is the number of subsets."""
 SMOOTHING_S = 0.05
 """Time constant of the velocity, seconds. Chosen: at 1 kHz, the noise of centres, 0.02 taxels,
 makes a speed of 0.4 taxels/s."""
 
 
-@dataclass
-class Track:
-    """A contact that is followed; places are rows and columns, then x, y, z in mm if known.
-
-    `apart`: contacts that merged into this one, and where they and it were before, by id.
+class Tracks(NamedTuple):
+    """The contacts of a frame, an entry or row each; places and velocities are in rows and columns,
+    then x, y, z in mm if known.
     """
 
-    id: int
-    begin_ns: int
-    place: Doubles
-    velocity: Doubles
-    over: bool = False
-    sliding: bool = False
-    apart: dict[int, Doubles] = field(default_factory=dict)
+    ids: list[int]
+    begins_ns: Indices
+    places: Doubles
+    velocities: Doubles
+    over: Mask
+    sliding: Mask
+
+    def of(self, ids: list[int], places: Doubles, now_ns: int) -> Tracks:
+        """These contacts in the order of some ids; those that are not among them begin now."""
+        if ids == self.ids:
+            return self
+        made = Tracks(
+            ids,
+            np.full(len(ids), now_ns, dtype=np.intp),
+            places.copy(),
+            np.zeros_like(places),
+            *np.zeros((2, len(ids)), dtype=np.bool_),
+        )
+        old = [k for k, one in enumerate(ids) if one in self.ids]
+        rows = [self.ids.index(ids[k]) for k in old]
+        for one, other in zip(made[1:], self[1:], strict=True) if old else ():
+            one[old] = other[rows]
+        return made
 
 
 @dataclass(frozen=True)
@@ -65,6 +83,8 @@ class ContactTracker:
     skin : SkinState
         Its stated noise is the least unit of the thresholds; where it states none, 0.4 % of the
         range is.
+    fast : str
+        Use of the compiled loop, as in `use_compiled`.
 
     Attributes
     ----------
@@ -77,16 +97,19 @@ class ContactTracker:
     `scipy.optimize.linear_sum_assignment`.
     """
 
-    def __init__(self, skin: SkinState) -> None:
+    def __init__(self, skin: SkinState, fast: str = "auto") -> None:
         self.limits = Limits()
         self._skin = skin.skin
-        self._finder = ContactFinder(self._skin)
+        self._finder = ContactFinder(self._skin, fast)
         self.set_noise(skin)
         self._pitch_mm = 1e3 * (skin.pitch_m or 0.0)
-        self._tracks: list[Track] = []
+        self._tracks = _NO_TRACKS
+        #: Of contacts that met: where they were before, by id, by the id of the one that goes on.
+        self._apart: dict[int, dict[int, Doubles]] = {}
         self._map = np.zeros(skin.n_rows * skin.n_cols, dtype=np.int32)
+        self._waiting = np.zeros(self._map.size, dtype=np.bool_)
         self._index: Indices = np.zeros(0, dtype=np.intp)
-        self._last_id, self._last_ns = 0, 0
+        self._last_id, self._last_ns, self._n_early = 0, 0, 0
 
     @property
     def regions(self) -> npt.NDArray[np.int32]:
@@ -102,6 +125,12 @@ class ContactTracker:
         """Take the stated noise of a skin as the least unit of the thresholds."""
         self._floor = skin.sigma_end or CONTACT_FRACTION * skin.f_max
 
+    def settle(self, n_subsets: int) -> None:
+        """Let no contact begin in the next frames, in which a solver of so many row subsets learns
+        the noise.
+        """
+        self._n_early = EARLY * n_subsets
+
     def update(
         self, forces: Floats, error: float | None, stamp_ns: int, sd: Floats | None = None
     ) -> Followed | None:
@@ -110,52 +139,49 @@ class ContactTracker:
         `forces`: float32 (n_rows, n_cols), 0 in masked cells; `error`: RMS error over all taxels as
         the solver estimates it; `sd`: standard deviation of each force, where known.
         """
+        before, limits = self._tracks, self.limits
+        if self._n_early:
+            self._n_early, limits = self._n_early - 1, replace(limits, high=math.inf)
         found = self._finder.find(
             forces,
             self._floor if error is None else error,
-            self.limits,
+            limits,
             unit=max(self._floor, error or 0.0),
             is_mean=error is not None,
             sd=sd,
-            known=self._map if self._tracks else None,
+            known=self._map if before.ids else None,
+            waiting=self._waiting,
         )
         elapsed_s, self._last_ns = 1e-9 * (stamp_ns - self._last_ns), stamp_ns
         if found is None:
-            if not self._tracks:
+            if not before.ids:
                 return None
-            ended = [(track.id, END) for track in self._tracks]
-            self._tracks = []
+            self._tracks, self._apart = _NO_TRACKS, {}
             self._remember(self._index[:0], self._index[:0])
-            return Followed(NOTHING, ended)
+            return Followed(NOTHING, [(number, END) for number in before.ids])
         places = found.centre
         if found.place is not None:
             places = np.concatenate([places, found.place], axis=1)
-        elif self._pitch_mm:
-            flat = self._pitch_mm * found.centre[:, ::-1]
-            places = np.concatenate([places, flat, np.zeros((len(flat), 1))], axis=1)
-        before = {track.id: track for track in self._tracks}
-        ids = self._ids(found, places) if before else [0] * len(places)
-        events: list[tuple[int, int]] = []
-        tracks = []
-        for number, place in zip(ids, places, strict=True):
-            track = before.get(number)
-            if track is None:
-                if not number:
-                    self._last_id += 1
-                    number = self._last_id
-                track = Track(number, stamp_ns, place, np.zeros(len(place)))
-                events.append((number, BEGIN))
-            elif elapsed_s > 0:
-                gain = 1 - math.exp(-elapsed_s / SMOOTHING_S)
-                track.velocity += gain * ((place - track.place) / elapsed_s - track.velocity)
-            track.place = place
-            tracks.append(track)
-        now = {track.id for track in tracks}
-        events += [(number, END) for number in before if number not in now]
-        self._tracks = tracks
+        ids = self._ids(found, places) if before.ids else [0] * len(places)
+        for k in [k for k, one in enumerate(ids) if not one]:
+            self._last_id += 1
+            ids[k] = self._last_id
+        events = [(one, BEGIN) for one in ids if one not in before.ids]
+        events += [(one, END) for one in before.ids if one not in ids]
+        _, begins_ns, was, velocities, over, sliding = before.of(ids, places, stamp_ns)
+        if elapsed_s > 0:
+            gain = 1 - math.exp(-elapsed_s / SMOOTHING_S)
+            velocities = velocities + gain * ((places - was) / elapsed_s - velocities)
+        if not math.isinf(limits.over):
+            over = _switched(over, found.total, limits.over, ids, OVER, events)
+        if not math.isinf(limits.slide):
+            speeds = np.linalg.norm(velocities[:, 2 * (places.shape[1] > 2) :], axis=1)
+            sliding = _switched(sliding, speeds, limits.slide, ids, SLIDE, events)
+        self._tracks = Tracks(ids, begins_ns, places, velocities, over, sliding)
+        if self._apart:
+            self._apart = {one: apart for one, apart in self._apart.items() if one in ids}
         self._remember(found.index, found.labels)
-        self._note(tracks, found.total.tolist(), events)
-        return Followed(self._fields(found, places, stamp_ns), events)
+        return Followed(self._fields(found, stamp_ns), events)
 
     def _remember(self, index: Indices, labels: Indices) -> None:
         self._map[self._index] = 0
@@ -164,72 +190,60 @@ class ContactTracker:
 
     def _ids(self, found: Features, places: Doubles) -> list[int]:
         """Ids of the contacts of a frame; 0: a new one."""
-        tracks, n, p = self._tracks, len(found.total), len(self._tracks)
-        overlap = overlaps(found.labels, self._map[found.index], n, p)
+        before, n, p = self._tracks, len(found.total), len(self._tracks.ids)
+        known = self._map[found.index]
+        if n == p == 1 and known.any():
+            return before.ids[:]
+        overlap = overlaps(found.labels, known, n, p)
+        rows = overlap.tolist()
+        pairs = [q for row in rows for q in range(p) if row[q]]
+        if n == p == len(pairs) == len(set(pairs)) and all(map(any, rows)):
+            return [before.ids[q] for q in pairs]
         ids = [0] * n
-        if n == p == 1 and overlap[0, 0]:
-            return [tracks[0].id]
         for k, q in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
-            ids[k] = tracks[q].id if overlap[k, q] else 0
-        by_id = {track.id: track for track in tracks}
-        for q, track in enumerate(tracks):
-            parts = [k for k in range(n) if ids[k] == track.id or (not ids[k] and overlap[k, q])]
-            if track.apart and len(parts) > 1:
-                self._part(track, parts, ids, places)
-        missing = [q for q, track in enumerate(tracks) if track.id not in ids]
+            ids[k] = before.ids[q] if overlap[k, q] else 0
+        for q, one in enumerate(before.ids):
+            if one in self._apart:
+                parts = [k for k in range(n) if ids[k] == one or (not ids[k] and overlap[k, q])]
+                if len(parts) > 1:
+                    self._part(one, parts, ids, places)
+        missing = [q for q, one in enumerate(before.ids) if one not in ids]
         for q in missing:
             into = int(overlap[:, q].argmax())
-            if overlap[into, q] and ids[into] in by_id:
-                kept = by_id[ids[into]]
-                kept.apart.setdefault(kept.id, kept.place)
-                kept.apart |= {tracks[q].id: tracks[q].place, **tracks[q].apart}
+            if overlap[into, q] and ids[into] in before.ids:
+                one, other = ids[into], before.ids[q]
+                apart = self._apart.setdefault(one, {})
+                apart.setdefault(one, before.places[before.ids.index(one)])
+                apart |= {other: before.places[q], **self._apart.get(other, {})}
         left = [q for q in missing if not overlap[:, q].any()]
         new = [k for k in range(n) if not ids[k] and not overlap[k].any()]
         if left and new:
-            centres = np.array([tracks[q].place[:2] for q in left])
-            apart = np.linalg.norm(places[new, None, :2] - centres, axis=2)
-            for k, q in zip(*linear_sum_assignment(apart), strict=True):
-                if apart[k, q] <= GATE + math.sqrt(found.area[new[k]]):
-                    ids[new[k]] = tracks[left[q]].id
+            distances = np.linalg.norm(places[new, None, :2] - before.places[left, :2], axis=2)
+            for k, q in zip(*linear_sum_assignment(distances), strict=True):
+                if distances[k, q] <= GATE + math.sqrt(found.area[new[k]]):
+                    ids[new[k]] = before.ids[left[q]]
         return ids
 
-    @staticmethod
-    def _part(track: Track, parts: Sequence[int], ids: list[int], places: Doubles) -> None:
+    def _part(self, one: int, parts: Sequence[int], ids: list[int], places: Doubles) -> None:
         """Give the parts of merged contacts the ids that were nearest to them before."""
-        known = list(track.apart)
-        before = np.array([track.apart[number][:2] for number in known])
-        apart = np.linalg.norm(places[parts, None, :2] - before, axis=2)
+        apart = self._apart[one]
+        known = list(apart)
+        before = np.array([apart[number][:2] for number in known])
+        distances = np.linalg.norm(places[parts, None, :2] - before, axis=2)
         for k in parts:
             ids[k] = 0
-        for k, j in zip(*linear_sum_assignment(apart), strict=True):
+        for k, j in zip(*linear_sum_assignment(distances), strict=True):
             ids[parts[k]] = known[j]
-            del track.apart[known[j]]
-        if track.id in track.apart or len(track.apart) < 2:
-            track.apart.clear()
+            del apart[known[j]]
+        if one in apart or len(apart) < 2:
+            del self._apart[one]
 
-    def _note(
-        self, tracks: Sequence[Track], totals: Sequence[float], events: list[tuple[int, int]]
-    ) -> None:
-        """Note which contacts exceed the stated force and speed."""
-        limits = self.limits
-        for track, total in zip(tracks, totals, strict=True):
-            track.over, begins = _switched(track.over, total, limits.over)
-            if begins:
-                events.append((track.id, OVER))
-            if not math.isinf(limits.slide):
-                velocity = track.velocity[2:] if len(track.velocity) > 2 else track.velocity
-                speed = math.sqrt(float(velocity @ velocity))
-                track.sliding, begins = _switched(track.sliding, speed, limits.slide)
-                if begins:
-                    events.append((track.id, SLIDE))
-
-    def _fields(self, found: Features, places: Doubles, stamp_ns: int) -> dict[str, Any]:
+    def _fields(self, found: Features, stamp_ns: int) -> dict[str, Any]:
         """Fields of the message."""
         tracks = self._tracks
-        velocities = np.array([track.velocity for track in tracks], dtype=np.float32)
-        ages = [1e-9 * max(0, stamp_ns - track.begin_ns) for track in tracks]
+        velocities = tracks.velocities.astype(np.float32)
         fields: dict[str, Any] = {
-            "id": np.array([track.id for track in tracks], dtype=np.int32),
+            "id": np.array(tracks.ids, dtype=np.int32),
             "total": found.total.astype(np.float32),
             "total_sd": found.total_sd.astype(np.float32),
             "peak": found.peak.astype(np.float32),
@@ -237,18 +251,14 @@ class ContactTracker:
             "centre_sd": found.centre_sd.astype(np.float32),
             "area": found.area.astype(np.int32),
             "velocity": np.ascontiguousarray(velocities[:, :2]),
-            "age_s": np.array(ages, dtype=np.float32),
-            "over": np.array([track.over for track in tracks], dtype=np.bool_),
-            "sliding": np.array([track.sliding for track in tracks], dtype=np.bool_),
+            "age_s": (1e-9 * np.maximum(0, stamp_ns - tracks.begins_ns)).astype(np.float32),
+            "over": tracks.over,
+            "sliding": tracks.sliding,
         }
-        if places.shape[1] > 2:
-            fields["place_mm"] = places[:, 2:].astype(np.float32)
+        if found.place is not None and found.place_sd is not None:
+            fields["place_mm"] = found.place.astype(np.float32)
             fields["velocity_mm_s"] = np.ascontiguousarray(velocities[:, 2:])
-            place_sd = found.place_sd
-            if place_sd is None:
-                place_sd = np.zeros((len(places), 3))
-                place_sd[:, :2] = self._pitch_mm * found.centre_sd[:, ::-1]
-            fields["place_sd_mm"] = place_sd.astype(np.float32)
+            fields["place_sd_mm"] = found.place_sd.astype(np.float32)
         if self._pitch_mm:
             fields["area_mm2"] = (self._pitch_mm**2 * found.area).astype(np.float32)
         if found.normal is not None:
@@ -256,12 +266,23 @@ class ContactTracker:
         return fields
 
 
-def _switched(was: bool, value: float, limit: float) -> tuple[bool, bool]:
-    """State of an event with hysteresis, and True if it begins."""
-    now = value > (HELD * limit if was else limit)
-    return now, now and not was
+def _switched(
+    was: Mask,
+    values: Doubles,
+    limit: float,
+    ids: Sequence[int],
+    event: int,
+    events: list[tuple[int, int]],
+) -> Mask:
+    """State of an event with hysteresis; adds it for the contacts where it begins."""
+    now: Mask = values > np.where(was, HELD * limit, limit)
+    events += [(ids[k], event) for k in np.flatnonzero(now & ~was).tolist()]
+    return now
 
 
+_NO_TRACKS = Tracks(
+    [], *np.zeros((1, 0), np.intp), *np.zeros((2, 0, 2)), *np.zeros((2, 0), np.bool_)
+)
 _EMPTY, _EMPTY_2 = np.zeros(0, dtype=np.float32), np.zeros((0, 2), dtype=np.float32)
 NOTHING: dict[str, Any] = {
     "id": np.zeros(0, dtype=np.int32),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +12,16 @@ import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
+from sparseskin.nodes.numerics.compiled import ready, use_compiled
 
 NEIGHBOURS = np.ones((3, 3), dtype=np.bool_)
 """A taxel and its eight neighbours on the grid; of a skin of points, on its virtual grid."""
 HELD = 0.5
 """Part of the least force, and of the force and speed of an event, at which a contact ends, or the
 event may come again. Chosen."""
+AT_ONCE = 2.0
+"""Factor of the high threshold above which a contact begins in its first frame; below it, in the
+second one in a row that exceeds the threshold at a place. Chosen."""
 SD_SCALE = 2.0
 """Factor on the standard deviations of independent errors, which neighbours do not have. Fitted: on
 two scenes and three presses, 40 x 40 taxels, all taxels read, N/3 and N/8, the true deviations of a
@@ -29,20 +34,21 @@ class Limits:
     """What counts as a contact and as an event.
 
     `low`, `high`: thresholds of a taxel in units of its error; a contact is made of neighbours
-    above the low one, of which one at least exceeds the high one. `force`, `area`: least total, in
+    above the low one, of which one exceeds the high one in two frames in a row, or `AT_ONCE` times
+    as much in one. `force`, `area`: least total, in
     the skin's unit, and least number of taxels. `over`: total above which an event is reported.
     `slide`: speed above which one is, mm/s, or taxels/s where no pitch is known.
     """
 
     low: float = 2.0
-    high: float = 6.0
+    high: float = 3.0
     force: float = 0.0
     area: int = 1
     over: float = math.inf
     slide: float = math.inf
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Features:
     """Contacts of one frame, in the order of `labels`: arrays with an entry or row each.
 
@@ -54,9 +60,10 @@ class Features:
         Row and column of the centre of pressure, from the middle of taxel (0, 0), and deviations.
     area : ndarray of int64, shape (n,)
         Number of taxels.
-    place, place_sd, normal : ndarray of float64, shape (n, 3), or None
-        Centre in mm, its deviations, and the mean of the unit normals weighted by force, of a skin
-        of points.
+    place, place_sd : ndarray of float64, shape (n, 3), or None
+        Centre in mm and its deviations, where the pitch or the points of the skin are known.
+    normal : ndarray of float64, shape (n, 3), or None
+        Mean of the unit normals weighted by force, of a skin of points.
     index, labels : ndarray of int64, shape (n_pressed,)
         Taxels of the contacts in the flat grid, and the number of the contact of each.
     """
@@ -78,21 +85,28 @@ class ContactFinder:
     """Finds the contacts of frames of one skin.
 
     Neighbours of a skin of points are those on its virtual grid, on which neighbours are
-    neighbours on the surface.
+    neighbours on the surface. `fast`: use of the compiled loop, as in `use_compiled`.
     """
 
-    def __init__(self, skin: Skin) -> None:
-        from scipy import ndimage  # half the time of the start of a process: only where it is used
-
-        self._label = ndimage.label
-        self._n_taxels, self._n_cols = skin.n_taxels, skin.n_cols
+    def __init__(self, skin: Skin, fast: str = "off") -> None:
+        self._n_taxels = skin.n_taxels
         cells = np.divmod(np.arange(skin.n_rows * skin.n_cols), skin.n_cols)
-        self._cells = np.array(cells, dtype=np.float64)
-        self._points: Doubles | None = None
+        self._places = np.array(cells, dtype=np.float64)
+        self._alike = np.ones(self._places.shape[1], dtype=np.float32)
         if skin.points is not None:
-            self._points = np.zeros((6, self._cells.shape[1]))
-            self._points[:, skin.exists.reshape(-1)] = skin.points.T
-            self._points[:3] *= 1e3
+            points = np.zeros((6, self._alike.size))
+            points[:, skin.exists.reshape(-1)] = skin.points.T
+            points[:3] *= 1e3
+            self._places = np.concatenate([self._places, points])
+        elif skin.pitch_m is not None:
+            flat = 1e3 * skin.pitch_m * self._places[::-1]
+            self._places = np.concatenate([self._places, flat, np.zeros_like(flat[:1])])
+        self._components: Callable[..., tuple[Indices, Indices, Doubles]] = components
+        if use_compiled(fast):
+            from sparseskin.nodes.numerics import kernels  # needs numba
+
+            ready(kernels.components)
+            self._components = kernels.components
 
     def find(
         self,
@@ -104,6 +118,7 @@ class ContactFinder:
         is_mean: bool = False,
         sd: Floats | None = None,
         known: npt.NDArray[np.int32] | None = None,
+        waiting: Mask | None = None,
     ) -> Features | None:
         """Contacts of a frame, float32 (n_rows, n_cols), 0 in masked cells; None: there are none.
 
@@ -112,71 +127,82 @@ class ContactFinder:
         default the error. `sd`: standard deviation of each force, in place of the error. `known`:
         numbers of earlier contacts at their taxels, from 1 on, else 0, flat: what overlaps most
         with one of them stays a contact above the low threshold, with half of the least force.
+        `waiting`: flat, the cells of what exceeded the high threshold in the frame before, but not
+        `AT_ONCE` times; becomes those of this frame. None: whatever exceeds it begins at once.
         """
         unit = error if unit is None else unit
         low, high = np.float32(limits.low * unit), limits.high * unit
-        if float(forces.max()) <= (high if known is None else low):
+        if known is None and float(forces.max()) <= high:
+            if waiting is not None:
+                waiting[:] = False
             return None
-        pressed = forces > low
-        rows, cols = (np.flatnonzero(pressed.any(axis=axis)) for axis in (1, 0))
-        box = pressed[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-        grid, n = self._label(box, NEIGHBOURS)
-        in_box = np.flatnonzero(box)
-        labels = grid.reshape(-1)[in_box].astype(np.intp) - 1
-        row, col = np.divmod(in_box, box.shape[1])
-        index = (row + rows[0]) * self._n_cols + (col + cols[0])
-        values = forces.reshape(-1)[index].astype(np.float64)
-        n_pressed = index.size
-        total = np.bincount(labels, values, n).astype(np.float64)
-        area = np.bincount(labels, minlength=n)
-        peak = np.zeros(n)
-        np.maximum.at(peak, labels, values)
-        kept = (peak > high) & (total >= limits.force) & (area >= limits.area)
+        forces = np.ascontiguousarray(forces, dtype=np.float32)
+        weights = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
+        index, labels, sums = self._components(forces, low, weights, self._places)
+        n, n_pressed = sums.shape[1], index.size
+        total, area, peak = sums[:3]
+        fits = (total >= limits.force) & (area >= limits.area)
+        kept = fits & (peak > (high if waiting is None else AT_ONCE * high))
         if known is not None and not kept.all():
             overlap = overlaps(labels, known[index], n, int(known.max()))
             held = np.zeros(n, dtype=np.bool_)
             held[overlap.argmax(axis=0)[overlap.any(axis=0)]] = True
             kept |= held & (total >= HELD * limits.force)
+        if waiting is not None:
+            again = None if kept.all() else np.bincount(labels, waiting[index], n) > 0
+            waiting[:] = False
+            if again is not None:
+                weak = fits & (peak > high) & ~kept
+                kept |= weak & again
+                waiting[index[(weak & ~kept)[labels]]] = True
+        if not kept.any():
+            return None
         if not kept.all():
-            if not kept.any():
-                return None
             inside, numbers = kept[labels], np.cumsum(kept) - 1
-            index, values, labels = index[inside], values[inside], numbers[labels[inside]]
-            total, area, peak, n = total[kept], area[kept], peak[kept], int(numbers[-1]) + 1
-        if sd is not None:
-            error2 = np.square(sd.reshape(-1)[index], dtype=np.float64)
-        else:
-            share = self._n_taxels / n_pressed if is_mean else 1.0
-            error2 = np.full(index.size, SD_SCALE**2 * share * error**2)
-
-        def mean_of(places: Doubles) -> tuple[Doubles, Doubles]:
-            """Centres, and by the delta method their deviations, rows of (n, number of places)."""
-            here = places[:, index]
-            means = np.stack([np.bincount(labels, values * one, n) for one in here]) / total
-            apart = error2 * np.square(here - means[:, labels])
-            variances = np.stack([np.bincount(labels, one, n) for one in apart])
-            return means.T, (np.sqrt(variances) / total).T
-
-        centre, centre_sd = mean_of(self._cells)
+            index, labels, sums = index[inside], numbers[labels[inside]], sums[:, kept]
+            total, area, peak = sums[:3]
+        share = self._n_taxels / n_pressed if is_mean else 1.0
+        of_error = SD_SCALE**2 * share * error**2 if sd is None else 1.0
+        k = 3 + len(self._places)
+        means, deviations = sums[3:k].T, np.sqrt(of_error * sums[k:]).T
         place = place_sd = normal = None
-        if self._points is not None:
-            place, place_sd = mean_of(self._points[:3])
-            normal = mean_of(self._points[3:])[0]
-            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        total_sd = np.sqrt(np.bincount(labels, error2, n))
-        return Features(
-            total=total,
-            total_sd=total_sd,
-            peak=peak,
-            centre=centre,
-            centre_sd=centre_sd,
-            area=area,
-            place=place,
-            place_sd=place_sd,
-            normal=normal,
-            index=index,
-            labels=labels,
-        )
+        if k > 5:
+            place, place_sd = means[:, 2:5], deviations[:, 3:6]
+        if k > 8:
+            lengths = np.linalg.norm(means[:, 5:], axis=1, keepdims=True)
+            normal = means[:, 5:] / np.maximum(lengths, 1e-12)
+        centre, centre_sd, total_sd = means[:, :2], deviations[:, 1:3], deviations[:, 0]
+        one = total, total_sd, peak, centre, centre_sd, area.astype(np.intp)
+        return Features(*one, place, place_sd, normal, index, labels)
+
+
+def components(
+    forces: Floats, low: np.float32, variances: Floats, places: Doubles
+) -> tuple[Indices, Indices, Doubles]:
+    """Connected components of the taxels above a threshold, and their sums.
+
+    `forces`: (n_rows, n_cols); `variances`, (n_cells,), of the forces; `places`: (k, n_cells).
+    Returns the flat indices of the taxels, the number of the component of each, and rows with an
+    entry for each component: total, area, peak, k centres, variance of the total, and by the delta
+    method those of the centres.
+    """
+    from scipy import ndimage  # half the time of the start of a process: only where it is used
+
+    grid, n = ndimage.label(forces > low, NEIGHBOURS)
+    index = np.flatnonzero(grid)
+    labels = grid.reshape(-1)[index].astype(np.intp) - 1
+    values = forces.reshape(-1)[index].astype(np.float64)
+    here, of_each = places[:, index], variances[index].astype(np.float64)
+
+    def summed(numbers: Doubles) -> Doubles:
+        return np.array([np.bincount(labels, row, n) for row in numbers])
+
+    total, area, variance = summed(np.stack([values, np.ones(index.size), of_each]))
+    peak = np.zeros(n)
+    np.maximum.at(peak, labels, values)
+    means = summed(values * here) / total
+    apart = summed(of_each * np.square(here - means[:, labels])) / total**2
+    return index, labels, np.stack([total, area, peak, *means, variance, *apart])
 
 
 def overlaps(labels: Indices, known: npt.NDArray[np.int32], n: int, n_known: int) -> Indices:
@@ -197,7 +223,7 @@ def find_contacts(
     sd: Floats | None = None,
     is_mean: bool = False,
     low: float = Limits.low,
-    high: float = Limits.high,
+    high: float = AT_ONCE * Limits.high,
     force: float = 0.0,
     area: int = 1,
 ) -> Features:

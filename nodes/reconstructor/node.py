@@ -60,7 +60,8 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        compile_loops(settings.chosen()["solver"], settings.fast, context.log)
+        solver, fast = settings.chosen()["solver"], settings.fast
+        compile_loops(solver, fast, context.log, settings.contacts)
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None

@@ -133,7 +133,9 @@ class Patch:
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
 
-            self._tracker = ContactTracker(state)
+            self._tracker = ContactTracker(state, settings.fast)
+        if self._tracker is not None:
+            self._tracker.settle(len(subsets))
         self.set_limits(settings)
         # Another Phi or solver in the middle of a stream starts from the last estimate.
         if self._last is not None and self._last.shape != skin.shape:

@@ -134,7 +134,8 @@ class ReconstructorSettings(PatchesSettings):
     )
     contact_high: float = setting(
         Limits.high,
-        "threshold, in the same units, that one taxel of a contact exceeds when it begins",
+        "threshold, in the same units, that one taxel of a contact exceeds in two frames in a row, "
+        "or twice as much in one, when it begins",
         low=0.0,
         high=1e6,
         live=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,15 +13,15 @@ import pandas as pd
 from scipy import ndimage
 
 from sparseskin.messages import SkinState
-from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.reconstructor.contact_tracks import ContactTracker
-from sparseskin.nodes.reconstructor.contacts import NEIGHBOURS
+from sparseskin.nodes.reconstructor.contact_tracks import EARLY, ContactTracker
+from sparseskin.nodes.reconstructor.contacts import NEIGHBOURS, Limits
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.studies.evaluate import Estimator, Method
+from sparseskin.studies.evaluate import VALUE_BYTES, Estimator, Method
 from sparseskin.studies.frames import (
     Frames,
+    MeetingFrames,
     PressFrames,
     SceneFrames,
     Take,
@@ -32,32 +33,42 @@ from sparseskin.studies.points import compute
 
 from .experiments import DEFAULT, RATIOS, RAW
 
-LEAST_N = 0.5
-"""Least total of a true contact that counts, newtons. Chosen: six times the high threshold of one
-taxel."""
-FRAMES, QUICK_FRAMES = 600, 60
+CONTACT_RATIOS = (*RATIOS, 16)
+LEAST = 0.2
+"""Least total of a true contact whose begin counts, in ranges of a taxel: 0.5 N. Chosen."""
+FORCES = (0.2, 1.0, 5.0)
+"""Bounds of the classes of total force, in ranges of a taxel. Chosen."""
+CLASSES = ("below 0.2", "0.2 to 1", "1 to 5", "above 5")
+FRAMES, QUICK_FRAMES = 400, 60
 UNTOUCHED, QUICK_UNTOUCHED = 1000, 50
 FRAME_NS = 1_000_000
+TRUE = Limits(low=1.0, high=0.5)
+"""Limits of true contacts: all taxels above 0.4 % of the range."""
 
 
 def sources(quick: bool) -> list[Frames]:
-    """Scenes, presses of 40 x 40 taxels, and an untouched skin."""
+    """Scenes; presses of 40 x 40 taxels, strong and weak ones; two that meet; an untouched skin."""
     n = QUICK_FRAMES if quick else FRAMES
-    scenes = [SceneFrames(name, stop=n - 20) for name in ("drag_wrench_40", "path_40")]
+    scenes = [SceneFrames(name, -60, n) for name in ("drag_wrench_40", "path_40")]
     presses = [
-        PressFrames(body, (40, 40), n // 4, course, 0.25)
-        for body in ("wrench", "peg")
-        for course in ("moving", "sudden")
+        PressFrames(body, (40, 40), n, course, 0.25, part, strength=strength)
+        for body, course, part, strength in (
+            ("wrench", "moving", 0.1, 1.0),
+            ("fingertips", "ramped", 0.1, 0.1),
+            ("peg", "ramped", 0.03, 0.03),
+            ("peg", "sudden", 0.1, 1.0),
+        )
     ]
-    return [*scenes, *presses, UntouchedFrames(40, QUICK_UNTOUCHED if quick else UNTOUCHED)]
+    n_untouched = QUICK_UNTOUCHED if quick else UNTOUCHED
+    return [*scenes, *presses, MeetingFrames(40, n), UntouchedFrames(40, n_untouched)]
 
 
-def rows(out: Path, executor: str, quick: bool, seeds: Sequence[int]) -> pd.DataFrame:
+def rows(out: Path, executor: str, frames: Sequence[Frames], seeds: Sequence[int]) -> pd.DataFrame:
     """A row a source, ratio and seed: figures of `ContactScores`."""
     points: list[dict[str, Any]] = [
         {"frames": {"kind": type(one).__name__, **asdict(one)}, "ratio": ratio, "seed": seed}  # type: ignore[call-overload]
-        for one in sources(quick)
-        for ratio in (1, *RATIOS)
+        for one in frames
+        for ratio in (1, *CONTACT_RATIOS)
         for seed in seeds
     ]
     found = compute(followed, points, out, executor, "contacts")
@@ -73,9 +84,7 @@ def followed(point: Mapping[str, Any]) -> dict[str, Any]:
     estimator = made.make(Measurement(ratio, ROTATING), take, point["seed"])
     scores = ContactScores(take)
     for part in take.parts():
-        if isinstance(estimator, Method):
-            estimator.reset()
-        scores.follow(estimator, list(part)[take.unscored :])
+        scores.follow(estimator, list(part))
     return {"methods": {name: scores.figures()}}
 
 
@@ -84,91 +93,151 @@ class ContactScores:
 
     def __init__(self, take: Take) -> None:
         self._take = take
-        self.n_frames = self.n_true = self.n_found = self.n_ghosts = self.n_changes = 0
+        self.n_frames = self.n_ghosts = self.n_followed = self.n_lost = self.n_swapped = 0
+        self.n_never = 0
+        self.n_true, self.n_missed = np.zeros((2, len(CLASSES)), dtype=np.intp)
+        self.delays: list[int] = []
         self.off: list[float] = []
         self.relative: list[float] = []
+        self.n_bytes = 0.0
 
-    def _tracker(self, shape: tuple[int, int]) -> ContactTracker:
+    def _state(self, shape: tuple[int, int], sigma_end: float) -> SkinState:
         take = self._take
         stated: dict[str, Any] = {"stamp_ns": 0, "patch": "skin", "unit": "N", "pitch_m": None}
         stated |= {"n_rows": shape[0], "n_cols": shape[1], "f_max": take.f_max, "source": ""}
-        stated |= {"sigma_mid": take.sigma_end, "sigma_end": take.sigma_end}
+        stated |= {"sigma_mid": sigma_end, "sigma_end": sigma_end}
         stated |= {"seed": 0, "rate_hz": 0.0, "has_truth": False, "mask": take.mask}
-        return ContactTracker(SkinState(**stated))
+        return SkinState(**stated)
 
     def follow(self, estimator: Estimator, frames: Sequence[tuple[Floats, Floats]]) -> None:
-        """Follow the contacts of one part, in the estimate and in the truth."""
-        tracker, true_ids = self._tracker(self._take.mask.shape), TrueIds(self._take.f_max)
-        last: dict[int, int] = {}
+        """Follow the contacts of one part, in the estimate and in the truth.
+
+        The solver knows the noise that the skin states, as in a graph; frames in which no contact
+        begins are not scored.
+        """
+        shape = self._take.mask.shape
+        state = self._state(shape, self._take.sigma_end)
+        tracker, true = ContactTracker(state), ContactTracker(self._state(shape, 0.0))
+        true.limits = TRUE
+        if isinstance(estimator, Method):
+            estimator.reset()
+            estimator.solver.noise_sd = state.least_sd
+            tracker.settle(len(estimator.phis))
+        n_early = EARLY * max(CONTACT_RATIOS)
+        part = _Part()
         for k, (truth, taxels) in enumerate(frames):
             solved = estimator.reconstruct(taxels)
-            stamp_ns = (k + 1) * FRAME_NS
-            contacts = tracker.update(solved.forces, solved.error, stamp_ns)
-            true = true_ids.update(truth)
-            regions = tracker.regions.reshape(truth.shape)
-            self._compare(truth, true, contacts.fields if contacts else None, regions, last)
+            self.n_bytes = solved.n_bytes or VALUE_BYTES * self._take.n
+            found = tracker.update(solved.forces, solved.error, (k + 1) * FRAME_NS)
+            known = true.update(truth, None, (k + 1) * FRAME_NS)
+            if k < n_early:
+                part.seen |= set(known.fields["id"].tolist() if known else ())
+                continue
+            self.n_frames += 1
+            regions, of_truth = (one.regions.reshape(shape) for one in (tracker, true))
+            near = ndimage.binary_dilation(truth > 0, NEIGHBOURS)
+            fields = found.fields if found else {"id": np.zeros(0, np.int32)}
+            touching = np.unique(regions[near])
+            self.n_ghosts += fields["id"].size - np.count_nonzero(touching)
+            self._compare(
+                truth, known.fields if known else None, of_truth, fields, regions, part, k
+            )
 
     def _compare(
         self,
         truth: Floats,
-        true: dict[int, Mask],
-        found: dict[str, Any] | None,
+        known: dict[str, Any] | None,
+        of_truth: np.ndarray[Any, Any],
+        found: dict[str, Any],
         regions: np.ndarray[Any, Any],
-        last: dict[int, int],
+        part: _Part,
+        k: int,
     ) -> None:
-        self.n_frames += 1
-        near = ndimage.binary_dilation(truth > 0, NEIGHBOURS)
-        numbers = [] if found is None else found["id"].tolist()
-        self.n_ghosts += sum(not near[regions == k + 1].any() for k in range(len(numbers)))
-        for true_id, region in true.items():
-            forces = np.where(region, truth, np.float32(0)).astype(np.float64)
-            if (total := float(forces.sum())) < LEAST_N:
-                continue
-            self.n_true += 1
-            counts = np.bincount(regions[region], minlength=len(numbers) + 1)[1:]
-            if found is None or not counts.any():
-                continue
-            k = int(counts.argmax())
-            self.n_found += 1
-            self.n_changes += last.get(true_id, numbers[k]) != numbers[k]
-            last[true_id] = numbers[k]
-            centre = np.array([(axis * forces).sum() for axis in np.indices(truth.shape)]) / total
-            self.off.append(float(np.linalg.norm(found["centre"][k] - centre)))
-            self.relative.append(abs(float(found["total"][k]) - total) / total)
+        """Compare the contacts of a frame with the true ones."""
+        at: dict[int, int] = {}
+        ids = [] if known is None else known["id"].tolist()
+        for row, one in enumerate(ids):
+            region = of_truth == row + 1
+            total = float(known["total"][row]) / self._take.f_max if known else 0.0
+            if one not in part.seen:
+                part.seen.add(one)
+                part.begins[one] = k
+            part.largest[one] = max(total, part.largest.get(one, 0.0))
+            counts = np.bincount(regions[region], minlength=found["id"].size + 1)[1:]
+            hit = counts.any()
+            force = int(np.digitize(total, FORCES))
+            self.n_true[force] += 1
+            self.n_missed[force] += not hit
+            if hit:
+                at[one] = int(counts.argmax())
+                self._found(truth, region, found, at[one], total)
+                if one in part.begins:
+                    self.delays.append(k - part.begins.pop(one))
+        for one in [one for one in part.begins if one not in ids]:
+            self.n_never += part.largest[one] >= LEAST
+            del part.begins[one]
+        numbers = found["id"].tolist()
+        shared = Counter(at.values())
+        for one, row in at.items():
+            if shared[row] == 1:
+                self._follow_id(one, numbers[row], part, ids)
+
+    def _found(
+        self, truth: Floats, region: Mask, found: dict[str, Any], row: int, total: float
+    ) -> None:
+        if total < LEAST:
+            return
+        forces = np.where(region, truth, np.float32(0)).astype(np.float64)
+        places = np.indices(truth.shape)
+        centre = np.array([(axis * forces).sum() for axis in places]) / forces.sum()
+        self.off.append(float(np.linalg.norm(found["centre"][row] - centre)))
+        self.relative.append(abs(float(found["total"][row]) / forces.sum() - 1))
+
+    def _follow_id(self, one: int, number: int, part: _Part, ids: Sequence[int]) -> None:
+        """Compare the id found at a true contact with the one before."""
+        self.n_followed += 1
+        owner = next((i for i, last in part.last.items() if last == number), one)
+        if part.last.get(one, number) != number:
+            if owner != one and owner not in ids:
+                return  # that one met this one, and they are one
+            self.n_swapped += owner != one
+            self.n_lost += owner == one
+        if owner == one or one in part.last:
+            part.last[one] = number
 
     def figures(self) -> dict[str, Any]:
-        """Counts; ghosts a 1000 frames; medians of the errors, taxels and %; changes of ids."""
-        missed = 1 - self.n_found / self.n_true if self.n_true else None
+        """Counts by force; delays in frames; ghosts in 1000 frames; medians of the errors in
+        taxels, mm and %; ids lost and swapped in 1000 frames of a contact; bytes a frame.
+        """
+        off = float(np.median(self.off)) if self.off else None
+        pitch_mm = self._take.pitch_mm
+        n_begins, n_true = len(self.delays) + self.n_never, int(self.n_true.sum())
+        part = 1000 / max(1, self.n_followed)
         return {
             "refused": "",
-            "n_true": self.n_true,
-            "missed": None if missed is None else 100 * missed,
+            "n_true": self.n_true.tolist(),
+            "n_missed": self.n_missed.tolist(),
+            "found": 100 * (1 - self.n_missed.sum() / n_true) if n_true else None,
+            "delay": float(np.median(self.delays)) if self.delays else None,
+            "delay_95": float(np.percentile(self.delays, 95)) if self.delays else None,
+            "begun": 100 * len(self.delays) / n_begins if n_begins else None,
             "ghosts": 1000 * self.n_ghosts / max(1, self.n_frames),
-            "off": float(np.median(self.off)) if self.off else None,
+            "off": off,
+            "off_mm": off * pitch_mm if off is not None and pitch_mm else None,
             "force": 100 * float(np.median(self.relative)) if self.relative else None,
-            "changes": 1000 * self.n_changes / self.n_true if self.n_true else None,
+            "lost": part * self.n_lost if n_true else None,
+            "swapped": part * self.n_swapped if n_true else None,
+            "n_bytes": self.n_bytes,
         }
 
 
-class TrueIds:
-    """Ids of the true contacts: each is the one of the frame before that it overlaps most with."""
+class _Part:
+    """True contacts of a part by id: all; begin and largest total of those that are not found yet;
+    the id that was found at each last.
+    """
 
-    def __init__(self, f_max: float) -> None:
-        self._least = CONTACT_FRACTION * f_max
-        self._before: dict[int, Mask] = {}
-        self._n = 0
-
-    def update(self, truth: Floats) -> dict[int, Mask]:
-        """Taxels of each true contact of a frame, by its id."""
-        labels, n = ndimage.label(truth > self._least, NEIGHBOURS)
-        found: dict[int, Mask] = {}
-        for k in range(1, n + 1):
-            region = labels == k
-            shared = {i: int((region & one).sum()) for i, one in self._before.items()}
-            best = max(shared, key=lambda i: shared[i], default=0)
-            if not shared.get(best) or best in found:
-                self._n += 1
-                best = self._n
-            found[best] = region
-        self._before = found
-        return found
+    def __init__(self) -> None:
+        self.seen: set[int] = set()
+        self.begins: dict[int, int] = {}
+        self.largest: dict[int, float] = {}
+        self.last: dict[int, int] = {}

@@ -213,6 +213,10 @@ class Runs:
         # The first frames are not scored: until "hold" has read all taxels once.
         return [RecordedFrames(str(p), digest_of(p), n_most, max(RATIOS)) for p in self._files]
 
+    def recorded_frames(self) -> list[RecordedFrames]:
+        """The recordings as sources of frames."""
+        return self._recorded(self._n_recorded)
+
     def recordings(self) -> pd.DataFrame:
         """Recordings of real skins; the recording itself is the truth."""
         files, frames = self._files, self._recorded(self._n_recorded)

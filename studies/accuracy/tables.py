@@ -82,7 +82,9 @@ def run(
     lines = recorded(page, runs, quick) if recordings else []
     lines += [scenes(page, runs), rates(page, runs), moving(page, runs)]
     sizes(page, runs)
-    touched(page, contacts.rows(out, executor, quick, range(seed, seed + seeds)))
+    of_contacts = [*contacts.sources(quick), *runs.recorded_frames()]
+    seeds_of = range(seed, seed + seeds)
+    lines.append(touched(page, contacts.rows(out, executor, of_contacts, seeds_of)))
     if constants:
         varied(page, runs)
     if alone:
@@ -230,28 +232,55 @@ def single(page: Page, runs: Runs) -> str:
     return line
 
 
-def touched(page: Page, rows: pd.DataFrame) -> None:
+def touched(page: Page, rows: pd.DataFrame) -> str:
     """Contacts that are found, beside the true ones."""
-    parts = rows[["kind", "scene", "body", "course"]].astype(object)
+    frames = rows.reindex(columns=["path", "scene", "kind", "body", "course", "strength"])
     rows["frames"] = [
-        " ".join(str(one) for one in (row.scene, row.body, row.course) if isinstance(one, str))
-        or row.kind
-        for row in parts.itertuples()
+        Path(one.path).stem
+        if isinstance(one.path, str)
+        else one.scene
+        if isinstance(one.scene, str)
+        else f"{one.body} {one.course}{f' x {one.strength:g}' if one.strength < 1 else ''}"
+        if isinstance(one.body, str)
+        else one.kind.removesuffix("Frames").lower()
+        for one in frames.itertuples()
     ]
-    page.csv("contacts", rows)
+    page.csv("contacts", rows.drop(columns=["path"], errors="ignore"))
+    classes = rows.explode(["n_true", "n_missed"])
+    classes["force"] = list(contacts.CLASSES) * len(rows)
+    sums = classes.groupby(["force", "method", "ratio"], sort=False)[["n_true", "n_missed"]].sum()
+    sums = sums[sums["n_true"] > 0].reset_index()
+    sums["missed"] = 100 * sums["n_missed"] / sums["n_true"]
+    sums = sums.set_index("force").loc[[c for c in contacts.CLASSES if c in set(sums["force"])]]
     keys = ["frames"]
     page.section(
         "Contacts",
-        "True contacts that are missed, in % of all in all frames:",
-        by_ratio(rows, keys, "{missed:.1f}"),
+        _draw_contacts(page.out, rows),
+        "Frames from the begin of a contact to its event, median (95th percentile), and contacts "
+        "that were found at all, in %:",
+        by_ratio(rows, keys, "{delay:.0f} ({delay_95:.0f}), {begun:.0f}"),
+        "True contacts that are missed, in % of all in all frames, by their total force in ranges "
+        "of a taxel:",
+        by_ratio(sums.reset_index(), ["force"], "{missed:.1f}"),
+        "The same by source:",
+        by_ratio(rows.assign(missed=100 - rows["found"].astype(float)), keys, "{missed:.1f}"),
         "Contacts where nothing touches, in 1000 frames:",
         by_ratio(rows, keys, "{ghosts:.0f}"),
-        "Median error of the centre, taxels, and of the total force, %:",
-        by_ratio(rows, keys, "{off:.2f}, {force:.1f}"),
-        "Changes of id in 1000 frames of a contact:",
-        by_ratio(rows, keys, "{changes:.1f}"),
-        least=contacts.LEAST_N,
+        "Median error of the centre in mm:",
+        by_ratio(rows, keys, "{off_mm:.2f}"),
+        "Median error of the total force in %:",
+        by_ratio(rows, keys, "{force:.1f}"),
+        "Ids lost and swapped, in 1000 frames of a contact:",
+        by_ratio(rows, keys, "{lost:.1f}, {swapped:.1f}"),
+        least=contacts.LEAST,
+        ratios=" / ".join(f"N/{ratio}" for ratio in contacts.CONTACT_RATIOS),
     )
+    means = (
+        rows[rows["method"] == DEFAULT].astype({"found": float}).groupby("ratio")["found"].mean()
+    )
+    found = ", ".join(f"{mean:.1f} % at N/{ratio:g}" for ratio, mean in means.items())
+    reading = rows[rows["method"] == RAW]["found"].astype(float).mean()
+    return f"Contacts found, mean over the sources: {found}, {reading:.1f} % in the full reading."
 
 
 def varied(page: Page, runs: Runs) -> None:
@@ -400,6 +429,30 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(lines)
+
+
+def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
+    caption = "Contacts found, of all true ones in all frames, by bytes a taxel in each frame"
+    known = rows[rows["found"].notna()].astype({"found": float})
+    known["bytes"] = VALUE_BYTES / known["ratio"]
+    known["recorded"] = known["kind"] == "RecordedFrames"
+    means = known.groupby(["recorded", "frames", "bytes", "ratio"])["found"].mean().reset_index()
+    panels = [(of, some) for of, some in means.groupby("recorded")]
+    ratios = sorted(means["ratio"].unique())
+    labels = [
+        f"{f'N/{ratio}' if ratio > 1 else 'all'}\n{VALUE_BYTES / ratio:.2g}" for ratio in ratios
+    ]
+    n = len(panels)
+    with Chart(out, "contacts", caption, n, n, size_in=(9.5, 5.0), sharey=True) as chart:
+        for axes, (recorded, some) in zip(chart.panels, panels, strict=True):
+            draw_lines(axes, some, "bytes", "found", "frames", list(means["frames"].unique()))
+            axes.set_xscale("log")
+            axes.set_xticks([VALUE_BYTES / ratio for ratio in ratios], labels)
+            axes.set_xticks([], minor=True)
+            axes.set_ylim(0, 103)
+            axes.set_title("recordings" if recorded else "simulated")
+        chart.label("measurements\nbytes a taxel", "contacts found, %")
+    return chart.markdown
 
 
 def _draw_rates(out: Path, rows: pd.DataFrame) -> str:

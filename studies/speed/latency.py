@@ -31,21 +31,24 @@ STAGES = (
 WARM_UP = 500
 """First frames of the sensor, left out: new processes start with cold caches and memory."""
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+GRAPHS = (("skin", 0, False), ("skin", 0, True), ("skin", 1, False), ("paper", 0, False))
+"""Preset, depth, and whether contacts are published."""
 _NODES = "sparseskin.studies.speed.stopwatch:Timed"
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
-    """Both sizes, with and without a monitor: the default solver, where it reconstructs the newest
-    frames alone too, and the paper's.
+    """Both sizes, with and without a monitor: the default solver, with contacts and where it
+    reconstructs the newest frames alone too, and the paper's.
     """
     n_frames = 3000 if quick else 12_000
     return [
         {
-            **{"scene": scene, "preset": preset, "depth": depth, "monitor": monitor},
-            **{"rate_hz": RATE_HZ, "n_frames": n_frames, "warm_up": WARM_UP, "seed": seed},
+            **{"scene": scene, "preset": preset, "depth": depth, "contacts": contacts},
+            **{"monitor": monitor, "rate_hz": RATE_HZ, "n_frames": n_frames},
+            **{"warm_up": WARM_UP, "seed": seed},
         }
         for monitor in (False, True)
-        for preset, depth in (("skin", 0), ("skin", 1), ("paper", 0))
+        for preset, depth, contacts in GRAPHS
         for scene in SCENES.values()
     ]
 
@@ -53,14 +56,14 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Age of the frames of one graph when they were reconstructed, and its stages.
 
-    `point`: scene, preset, depth, rate_hz, n_frames, warm_up (frames that are left out), monitor
-    (True: one subscribes). Returns of each quantile NAME_ms, and "NAME STAGE": the mean of the time
-    in each of `STAGES` over the frames around that quantile, ms; frames, skipped, lost, and others:
-    cores that other work of the host used meanwhile. Raises StudyError if the graph fails, or
-    reconstructs too few frames.
+    `point`: scene, preset, depth, contacts, rate_hz, n_frames, warm_up (frames that are left out),
+    monitor (True: one subscribes). Returns of each quantile NAME_ms, and "NAME STAGE": the mean of
+    the time in each of `STAGES` over the frames around that quantile, ms; frames, skipped, lost,
+    and others: cores that other work of the host used meanwhile. Raises StudyError if the graph
+    fails, or reconstructs too few frames.
     """
     source = f"sparseskin.studies.looped:{point['scene']}"
-    solver = {"preset": point["preset"], "depth": point["depth"]}
+    solver = {key: point[key] for key in ("preset", "depth", "contacts")}
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"type": f"{_NODES}Sensor", "source": source, "rate_hz": point["rate_hz"]},
         "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},

@@ -126,12 +126,13 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
     sizes = {scene: size for size, scene in latency.SCENES.items()}
     rows["skin"] = rows["scene"].map(sizes)
     rows["reconstructed"] = np.where(rows["depth"] > 0, "newest", "all")
-    rows["monitor"] = np.where(rows["monitor"], "yes", "no")
+    for name in ("monitor", "contacts"):
+        rows[name] = np.where(rows[name], "yes", "no")
     page.csv("latency", rows)
     headings = {"frames": "frames", "skipped": "skipped", "lost": "lost"}
     headings |= {f"{name}_ms": f"{name} ms" for name in latency.QUANTILES}
     headings |= {f"p50 {stage}": stage for stage in latency.STAGES}
-    names = ["skin", "preset", "reconstructed", "monitor"]
+    names = ["skin", "preset", "reconstructed", "contacts", "monitor"]
     formats = {f"{name} ms": ".2f" for name in latency.QUANTILES}
     busiest = rows["others"].max()
     busy = (
@@ -148,5 +149,8 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
         warm_up=latency.WARM_UP,
     )
     alone = rows[(rows["preset"] == "skin") & (rows["depth"] == 0) & (rows["monitor"] == "no")]
-    text = "All frames of {skin} taxels at 1 kHz: half of them are reconstructed {p50_ms:.2f} ms "
-    return cells(alone, text + "after their acquisition, 99 % within {p99_ms:.2f} ms.")
+    alone = alone.assign(with_=np.where(alone["contacts"] == "yes", ", with contacts", ""))
+    text = (
+        "All frames of {skin} taxels at 1 kHz{with_}: half of them are reconstructed {p50_ms:.2f} "
+    )
+    return cells(alone, text + "ms after their acquisition, 99 % within {p99_ms:.2f} ms.")

@@ -5,16 +5,25 @@ The table of the documents is computed at full size.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from bags import skin_state
 
+from sparseskin.messages import Contacts
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import RATIO, ROTATING, row_subsets, rows_and_m
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.idle import REFERENCE, REFRESH, IdleWatch
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.tiled import TiledScene
 
@@ -85,3 +94,37 @@ def test_strong_contacts_are_noticed_and_alarms_are_rare(full: bool, note: Any) 
         share = float(np.mean(solved)) - 1 / REFRESH  # without those solved anyway
         note(touched=f"false alarms, {name}", sigmas=f"{share:.2%}")
         assert share < 0.02
+
+
+def noise() -> Iterator[tuple[int, Floats]]:
+    """Driver of an untouched skin with the noise of the paper."""
+    rng, zero = np.random.default_rng(0), np.zeros((40, 40), np.float32)
+    for k in itertools.count(1):
+        yield k, NOISE.apply(zero, rng)
+
+
+@pytest.mark.parametrize("stated", [NOISE.sigma_end, NOISE.sigma_end / 2, None])
+@pytest.mark.parametrize("ratio", [3, 4, 8, 16])
+def test_an_untouched_skin_has_no_contact(
+    ratio: float, stated: float | None, full: bool, note: Any, tmp_path: Path
+) -> None:
+    skin = tmp_path / "skin.toml"
+    of_noise = "" if stated is None else f"noise = {stated}\nnoise_mid = {stated}\n"
+    skin.write_text(f"name = 'noisy'\nrows = 40\ncols = 40\nunit = 'N'\nf_max = 2.5\n{of_noise}")
+    source = Sensor.Settings(source=f"{__name__}:noise", skin=str(skin))
+    n_frames, n_starts = (8_400, 28) if full else (60, 1)
+    begins = 0
+    for seed in range(n_starts):
+        bus = Bus(
+            {
+                "sensor": (Sensor, source),
+                "compressor": (Compressor, Compressor.Settings(ratio=ratio, seed=seed)),
+                "reconstructor": (Reconstructor, Reconstructor.Settings(contacts=True)),
+            }
+        )
+        for messages in bus.frames(n_frames // n_starts):
+            found = [one for one in messages if isinstance(one, Contacts)]
+            begins += sum(name == "begin" for one in found for _, name in one.named_events)
+        bus.check()
+    note(untouched=f"N/{ratio}", sigmas=f"stated {stated}", begins=f"{begins} in {n_frames}")
+    assert not begins

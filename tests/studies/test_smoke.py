@@ -18,7 +18,7 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
 from sparseskin.studies import command, frames, harness, needs
-from sparseskin.studies.accuracy import constants
+from sparseskin.studies.accuracy import constants, contacts
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
 from sparseskin.studies.speed import latency
@@ -35,6 +35,7 @@ SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (accuracy, {"BODIES": ("peg",), "QUICK_BODIES": ("peg",)}),
     (accuracy, {"SCENES": SHORT_SCENES, "RATED_SCENES": SHORT_SCENES, "SIDES": (12,)}),
     (constants, {"VALUES": {"damping": 0.5}}),
+    (contacts, {"CONTACT_RATIOS": (2,)}),
     (contact, {"N_SIDE_QUICK": 2, "SCENES": {"lift_box_40": SCENES["lift_box_40"]}}),
     (excerpts, {"EXCERPTS": excerpts.EXCERPTS[:1]}),
     (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),

@@ -16,7 +16,7 @@ from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.contact_tracks import ContactTracker, joined
-from sparseskin.nodes.reconstructor.contacts import SD_SCALE, Limits, find_contacts
+from sparseskin.nodes.reconstructor.contacts import SD_SCALE, Limits, components, find_contacts
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 from sparseskin.nodes.sensor.node import Sensor
@@ -136,11 +136,38 @@ def test_events_come_at_their_frames_once_and_again_after_half_the_force() -> No
     assert [one.over.tolist() for one in seen[2:6]] == [[True], [True], [True], [False]]
 
 
-def test_an_untouched_skin_with_noise_has_no_contact_in_1000_frames() -> None:
-    stream, rng = Stream(), np.random.default_rng(1)
-    for _ in range(1000):
-        readings = rng.normal(0, NOISE_N, SHAPE).clip(0).astype(np.float32)
-        assert not stream(readings).id.size
+def test_a_weak_contact_begins_in_its_second_frame_in_a_row_and_a_strong_one_at_once() -> None:
+    stream = Stream()
+    weak, gone, strong = (boxes((8, 8), force=times * NOISE_N) for times in (5, 0, 7))
+    seen = [stream(one) for one in (weak, gone, weak, weak, weak, gone, strong)]
+    assert [one.named_events for one in seen] == [
+        *([], [], [], [(1, "begin")], [], [(1, "end")], [(2, "begin")]),
+    ]
+    elsewhere = boxes((20, 20), force=5 * NOISE_N)
+    assert [stream(one).id.size for one in (gone, weak, elsewhere, weak)] == [0, 0, 0, 0]
+
+
+def test_no_contact_begins_while_the_solver_learns_the_noise() -> None:
+    stream = Stream()
+    assert stream(boxes((8, 8))).id.tolist() == [1]
+    stream.tracker.settle(2)
+    both = [stream(boxes((8, 8), (20, 20))).id.tolist() for _ in range(7)]
+    assert both == [[1]] * 6 + [[1, 2]]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 1), (13, 17)])
+@pytest.mark.parametrize("part", [0.0, 0.2, 0.5, 0.8])
+def test_the_compiled_loop_finds_the_same_components(shape: tuple[int, int], part: float) -> None:
+    pytest.importorskip("numba")
+    from sparseskin.nodes.numerics import kernels
+
+    rng = np.random.default_rng(1)
+    forces, variances = rng.random((2, *shape), dtype=np.float32)
+    forces[rng.random(shape) >= part] = 0
+    places = rng.random((3, forces.size))
+    given = forces, np.float32(0.1), variances.reshape(-1), places
+    for one, other in zip(components(*given), kernels.components(*given), strict=True):
+        assert one == pytest.approx(other, rel=1e-9)
 
 
 def test_the_contacts_of_a_skin_of_points_have_a_place_and_a_normal() -> None:
