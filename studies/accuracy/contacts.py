@@ -138,7 +138,7 @@ class ContactScores:
             near = ndimage.binary_dilation(truth > 0, NEIGHBOURS)
             fields = found.fields if found else {"id": np.zeros(0, np.int32)}
             touching = np.unique(regions[near])
-            self.n_ghosts += fields["id"].size - np.count_nonzero(touching)
+            self.n_ghosts += fields["id"].size - int(np.count_nonzero(touching))
             self._compare(
                 truth, known.fields if known else None, of_truth, fields, regions, part, k
             )
