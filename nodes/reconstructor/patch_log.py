@@ -6,8 +6,11 @@ import re
 from collections import Counter
 from collections.abc import Callable
 
-LOGGED = 3
-"""Lines of one kind that are logged for single patches; then the 10th, 100th ... of them."""
+from sparseskin.nodes.node_host import is_due
+
+LOGGED, LOGGED_ALONE = 3, 10
+"""Lines of one kind that are logged for single patches, and where there is one patch; then the
+10th, 100th ... of them."""
 
 
 class PatchLog:
@@ -23,14 +26,16 @@ class PatchLog:
         return lambda line: self._add(name, line)
 
     def _add(self, name: str, line: str) -> None:
-        if self.setting_up or len(self._names) == 1:
+        if self.setting_up:
             if name == self._names[0]:
                 self._log(line)
             return
+        alone = len(self._names) == 1
+        place = "" if alone else f"{name}: "
         kind = re.sub(r"[0-9.]+", "#", line)
         self._logged[kind] += 1
         n = self._logged[kind]
-        if n <= LOGGED:
-            self._log(f"{name}: {line}")
-        elif n >= 10 and str(n).strip("0") == "1":
-            self._log(f"{name}: {line} ({n} such lines)")
+        if n <= (LOGGED_ALONE if alone else LOGGED):
+            self._log(f"{place}{line}")
+        elif is_due(n):
+            self._log(f"{place}{line} ({n} such lines)")

@@ -23,6 +23,9 @@ MUJOCO = "mujoco:"
 FORM = "mujoco:MODEL.xml#SITE"
 INSTALL = 'MuJoCo models need mujoco; pip install "sparseskin[mujoco]"'
 SUFFIXES = (".xml", ".mjb")
+LEAST_STEP_S, LONGEST_STEP_S = 1e-6, 0.1
+"""Allowed time step of a model, seconds; chosen: a shorter one takes hours for a second, a longer
+one passes through a skin."""
 MAX_DEPTH_M = 0.02
 """Deepest penetration that is read by default, metres; deeper bodies read it. Chosen: four pitches
 of 5 mm; a force of 2.5 N, the range, is one of 20.5 mm."""
@@ -98,13 +101,17 @@ def load_model(path: str) -> Any:
     except ImportError as error:
         raise SourceError(f"{path}: {INSTALL}") from error
     mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT here
+    is_binary = path.lower().endswith(".mjb")
+    load = mujoco.MjModel.from_binary_path if is_binary else mujoco.MjModel.from_xml_path
     try:
-        if path.lower().endswith(".mjb"):
-            return mujoco.MjModel.from_binary_path(path)
-        return mujoco.MjModel.from_xml_path(path)
+        model = load(path)
     except Exception as error:  # its own errors, and ValueError
         text = " ".join(str(error).split())
         raise SourceError(f"{path}: MuJoCo refuses it: {text[:300]}") from error
+    if not LEAST_STEP_S <= (step_s := float(model.opt.timestep)) <= LONGEST_STEP_S:
+        allowed = f"{LEAST_STEP_S:g}..{LONGEST_STEP_S:g} s"
+        raise SourceError(f"{path}: a time step of {step_s:g} s; allowed: {allowed}")
+    return model
 
 
 def find_pad(model: Any, site: str, path: str) -> Pad:

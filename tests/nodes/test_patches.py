@@ -165,3 +165,12 @@ def test_a_kind_of_line_is_logged_for_few_patches() -> None:
     for name in names:
         log.of(name)("numba is missing")
     assert lines[4:] == ["numba is missing"]
+
+
+def test_a_kind_of_line_of_one_patch_thins_out() -> None:
+    lines: list[str] = []
+    log = PatchLog(("skin",), lines.append).of("skin")
+    for k in range(1000):
+        log(f"taxel {k} works again")
+    assert len(lines) == 12
+    assert lines[-1] == "taxel 999 works again (1000 such lines)"

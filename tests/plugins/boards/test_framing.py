@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sparseskin.plugins.boards.checksums import CHECKSUMS
+from sparseskin.plugins.boards.checksums import BLOCK, CHECKSUMS
 from sparseskin.plugins.boards.framing import (
     MAX_CHECKS,
     Counts,
@@ -65,6 +65,13 @@ def test_a_checksum_of_the_digits_is_that_of_the_catalogue() -> None:
         "xor8": 0x31,
         "none": 0,
     }
+
+
+@pytest.mark.parametrize("n", [64, BLOCK - 1, BLOCK, BLOCK + 1, BLOCK + 2, 2 * BLOCK + 1])
+def test_a_frame_before_its_crc_leaves_no_remainder(n: int) -> None:
+    compute = CHECKSUMS["crc16_modbus"].compute
+    data = bytes(k * k % 251 for k in range(n))
+    assert compute(data + compute(data).to_bytes(2, "little")) == 0
 
 
 framings = st.builds(

@@ -71,6 +71,7 @@ def test_an_icubs_file_has_readings_without_a_taxel(tmp_path: Path) -> None:
         (CSV.replace("_mm", ""), "line 2: header 'x,y,z,nx,ny,nz'; expected x_mm,y_mm,z_mm .or in"),
         (CSV.replace("5,0,1,0", "nan,0,1,0"), "line 4: 'nan' is not a finite number"),
         (CSV.replace("5,0,1,0", "0,0,1,0"), "taxel 1 .from 0. stands where another does"),
+        (CSV.replace("5,0,1,0", "1e160,0,1,0"), "taxel 1 is not within 1000 m"),
         (CSV.replace("0.99", "0.2"), "the normal of taxel 1 .from 0. has length 0.2; expected 1"),
         (CSV.replace("5,0", "5e6,0"), "taxel 1 is not within 1000 m; is its unit right"),
         ("", "the file is empty"),

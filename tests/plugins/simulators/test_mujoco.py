@@ -250,6 +250,14 @@ def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
     assert [path.name for path in tmp_path.iterdir()] == ["model.xml"]  # no log of MuJoCo
 
 
+@pytest.mark.parametrize("step_s", ["1e-12", "1000"])
+def test_a_time_step_that_never_ends_or_skips_all_is_refused(tmp_path: Path, step_s: str) -> None:
+    path = Path(model_of(BALL.format(z=1), tmp_path).partition("#")[0])
+    path.write_text(path.read_text().replace('timestep="0.001"', f'timestep="{step_s}"'))
+    with pytest.raises(SourceError, match=rf"a time step of {step_s} s; allowed: 1e-06\.\.0\.1 s"):
+        load_model(str(path))
+
+
 @pytest.mark.parametrize(
     ("source", "stated", "text"),
     [
