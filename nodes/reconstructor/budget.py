@@ -11,7 +11,7 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 
 LEAST_STEPS = 3
-"""Steps that are done in any case by a solver without paces. Measured: on moving presses at N/3, 3 of 8 steps lose 0.1 dB."""
+"""Steps that are done in any case by a solver without paces. Chosen."""
 SHARE = 0.5
 """Part of the time between frames that a frame may take. Derived: as much is left for the other
 nodes of the patch, and for a first frame after a pause."""

@@ -274,7 +274,9 @@ def test_topic_info_reports_fields_and_what_each_subscriber_received(
     run: Run, run_json: RunJson
 ) -> None:
     topic = run_json("topic", "info", "skin/taxels")
-    assert list(topic["fields"]) == ["stamp_ns", "patch", "run_id", "seq", "names", "forces"]
+    assert list(topic["fields"]) == [
+        *("stamp_ns", "patch", "run_id", "seq", "names", "missing", "forces")
+    ]
     lost = {one["node"]: one["lost"] for one in topic["subscribers"]}
     assert lost == {"compressor": 0, "monitor": 0, "recorder": 0}
     assert max(map(len, run("topic", "info", "/skin/taxels").splitlines())) <= 80
