@@ -1,5 +1,5 @@
-"""One topic of a running graph, read by an observer: no node waits for it, and what it does not
-read in time is dropped for it alone.
+"""Topics of a running graph, read by an observer: no node waits for it, and what it does not read
+in time is dropped for it alone.
 """
 
 from __future__ import annotations
@@ -83,14 +83,14 @@ class Losses:
 
 
 class TopicStream:
-    """The messages of one topic, as they come.
+    """The messages of some topics, as they come.
 
     Parameters
     ----------
     graph : RunningGraph
         The graph.
-    topic : str
-        One of its topics.
+    *topics : str
+        Some of its topics.
     patience_s : float
         How long messages may wait to be read together, seconds. Longer than it takes to send
         `QUEUE_FRAMES` of them, and those beyond are lost.
@@ -108,7 +108,7 @@ class TopicStream:
         True once SIGINT or SIGTERM came.
     """
 
-    def __init__(self, graph: RunningGraph, topic: str, patience_s: float = 0.0) -> None:
+    def __init__(self, graph: RunningGraph, *topics: str, patience_s: float = 0.0) -> None:
         self._graph = graph
         self._patience_s = patience_s
         self._clock = SystemClock(graph.offset_ns)
@@ -116,13 +116,15 @@ class TopicStream:
         keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
         ahead = READ_AHEAD if patience_s else QUEUE_FRAMES
         self._reader = Reader(
-            *(self._context, f"observer_{os.getpid()}", (), [topic]),
+            *(self._context, f"observer_{os.getpid()}", (), topics),
             present=False,
             keys=keys,
             read_ahead=ahead,
         )
-        node = graph.nodes[graph.writers()[topic]]
-        self._reader.connect(node.endpoint, node.key)
+        writers = graph.writers()
+        for name in {writers[topic] for topic in topics}:
+            node = graph.nodes[name]
+            self._reader.connect(node.endpoint, node.key)
         self._least_age_ns: float = math.inf
         self.unreadable = 0
         self.interrupted = False
@@ -137,6 +139,10 @@ class TopicStream:
     def __exit__(self, *_: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection; without `with`, signals are not caught, and this ends it."""
         self._context.destroy(linger=0)
 
     def batches(self, duration_s: float | None) -> Iterator[list[Arrival]]:
@@ -216,7 +222,8 @@ def observe(
     """
     n_counted, ended = 0, False
     # Of a stated number of messages, the last ones are not to wait for more.
-    with TopicStream(graph, topic, display.patience_s if n is None else 0.0) as stream:
+    patience_s = display.patience_s if n is None else 0.0
+    with TopicStream(graph, topic, patience_s=patience_s) as stream:
         for arrivals in stream.batches(duration_s):
             for arrival in arrivals:
                 n_counted += display.take(arrival)

@@ -127,6 +127,7 @@ class Bridge(Node[S]):
     def __init__(self, settings: S, context: Context) -> None:
         super().__init__(settings, context)
         self.skins: dict[str, SkinState] = {}
+        self._held: dict[str, Floats] = {}
         self.n_sent = 0
         self.n_dropped = 0
 
@@ -149,21 +150,25 @@ class Bridge(Node[S]):
         elif isinstance(message, Taxels | Truth | Reconstruction | Contacts):
             if message.names:
                 raise RefusedError(f"{message.topic}: a bridge shows no patches of a batch")
-            skin = self.skins.get(message.patch)
-            if skin is None or not (
-                isinstance(message, Contacts) or skin.skin.shape == message.forces.shape[1:]
-            ):
-                # The skin may arrive on another connection than its frames.
-                self.n_dropped += 1
-                return ()
-            if isinstance(message, Contacts):
-                self.send_contacts(message, skin)
-            else:
-                self.send(message, skin)
-            self.n_sent += 1
+            for part in message.split(self._held):  # one, or none before the first that is solved
+                self._send(part)
         elif isinstance(message, Resultant):
             self.send_resultant(message)
         return ()
+
+    def _send(self, message: Map | Contacts) -> None:
+        skin = self.skins.get(message.patch)
+        if skin is None or not (
+            isinstance(message, Contacts) or skin.skin.shape == message.forces.shape[1:]
+        ):
+            # The skin may arrive on another connection than its frames.
+            self.n_dropped += 1
+            return
+        if isinstance(message, Contacts):
+            self.send_contacts(message, skin)
+        else:
+            self.send(message, skin)
+        self.n_sent += 1
 
     def send(self, message: Map, skin: SkinState) -> None:
         """Send one map."""

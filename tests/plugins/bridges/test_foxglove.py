@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from bags import skin_state
+from bags import frame, skin_state
 from conftest import StartProgram, wait_until
 from exported import contacts
 from foxglove_client import FoxgloveClient, pixels
 
-from sparseskin.messages import Taxels
+from sparseskin.messages import Reconstruction, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context
@@ -60,6 +61,21 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge: FoxgloveBridge) ->
             assert np.array_equal(pixels(got.content), message.forces[0])
             stamp = got.content.timestamp
             assert stamp.seconds * 10**9 + stamp.nanos == message.stamp_ns
+
+
+def test_a_frame_that_was_not_solved_has_the_forces_of_the_one_before(
+    bridge: FoxgloveBridge,
+) -> None:
+    solved = frame(0)[3]
+    assert isinstance(solved, Reconstruction)
+    idle = replace(solved, stamp_ns=1, forces=solved.forces[:0], unchanged=(True,))
+    with subscribed(bridge, solved.topic) as client:
+        for message in (skin_state(), idle, solved, idle):
+            list(bridge.step(message))
+        for stamp_ns in (0, 1):
+            got = client.data()
+            assert got.log_time_ns == stamp_ns
+            assert np.array_equal(pixels(got.content), solved.forces[0])
 
 
 def test_contacts_arrive_as_numbers_and_as_a_scene(bridge: FoxgloveBridge) -> None:

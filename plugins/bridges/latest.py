@@ -1,0 +1,132 @@
+"""The newest frame of a running graph, for a program with a loop of its own."""
+
+from __future__ import annotations
+
+import time
+from threading import Condition, Thread
+from typing import NamedTuple
+
+from sparseskin.launch.attach.client import find_topic
+from sparseskin.launch.attach.stream import TopicStream
+from sparseskin.launch.run.running import GraphError, choose_graph
+from sparseskin.messages import (
+    Contacts,
+    Message,
+    MessageError,
+    Reconstruction,
+    SkinState,
+    decode,
+    topic_of,
+)
+from sparseskin.nodes.numerics.arrays import Floats
+
+
+class Latest(NamedTuple):
+    """A frame: its number, from 1 on, the time of its arrival by `time.monotonic`, its skin, and
+    its contacts where they are read.
+    """
+
+    number: int
+    at_s: float
+    skin: SkinState
+    frame: Reconstruction
+    contacts: Contacts | None
+
+
+class LatestFrames:
+    """Reads the reconstructions of a patch in a thread, and keeps the newest; no node waits for it.
+
+    Parameters
+    ----------
+    graph : str or None
+        Name or label of the graph; None: the only one that runs.
+    patch : str
+        Name of the patch.
+    with_contacts : bool
+        True if each frame is to have its contacts.
+
+    Raises
+    ------
+    GraphError
+        If there is no such graph, or it does not publish that.
+    """
+
+    def __init__(self, graph: str | None, patch: str, with_contacts: bool) -> None:
+        found = choose_graph(graph)
+        self._label, self._with_contacts = found.label, with_contacts
+        topics = [find_topic(found, topic_of(patch, c.schema)) for c in (SkinState, Reconstruction)]
+        if with_contacts:
+            topics.append(topic_of(patch, Contacts.schema))
+            if topics[-1] not in found.writers():
+                raise GraphError(f"{self._label}: start it with reconstructor.contacts=true")
+        self._stream = TopicStream(found, *topics)
+        self._news = Condition()
+        self._latest: Latest | None = None
+        self._why_ended = ""
+        self._skin: SkinState | None = None
+        self._frame: Reconstruction | None = None
+        self._held: dict[str, Floats] = {}
+        self._seq = -1
+        self._thread = Thread(target=self._read, name=f"frames of {self._label}", daemon=True)
+        self._thread.start()
+
+    def newest(self, after: int = 0, timeout_s: float = 0.0) -> Latest | None:
+        """The newest frame, if its number exceeds `after`; else the next one, None if it does not
+        come in time. Raises GraphError once the graph has ended.
+        """
+        with self._news:
+            self._news.wait_for(
+                lambda: self._why_ended or (self._latest and self._latest.number > after), timeout_s
+            )
+            if self._why_ended:
+                raise GraphError(self._why_ended)
+            latest = self._latest
+        return latest if latest is not None and latest.number > after else None
+
+    def close(self) -> None:
+        """Stop reading."""
+        self._stream.interrupted = True
+        self._thread.join()
+
+    def _read(self) -> None:
+        why = f"{self._label}: has ended"
+        try:
+            for arrivals in self._stream.batches(None):
+                for arrival in arrivals:
+                    try:
+                        self._take(decode(arrival.topic, arrival.payload))
+                    except MessageError:  # a later one may be well-formed
+                        continue
+        except GraphError as error:
+            why = str(error)
+        finally:
+            self._stream.close()
+            with self._news:
+                self._why_ended = why
+                self._news.notify_all()
+
+    def _take(self, message: Message) -> None:
+        if isinstance(message, SkinState):
+            self._skin = message
+        elif isinstance(message, Reconstruction):
+            if message.names:
+                raise GraphError(f"{message.topic}: holds several patches, and none alone")
+            if message.seq != self._seq + 1:
+                self._held.clear()  # a frame that a later one refers to may be lost
+            self._seq = message.seq
+            self._frame = next(iter(message.split(self._held)), None)
+            if not self._with_contacts:
+                self._publish(None)
+        elif isinstance(message, Contacts):
+            self._publish(message)
+
+    def _publish(self, contacts: Contacts | None) -> None:
+        frame = self._frame
+        if frame is None or self._skin is None:
+            return
+        if contacts is not None and contacts.stamp_ns != frame.stamp_ns:
+            return
+        with self._news:
+            number = self._latest.number + 1 if self._latest else 1
+            self._latest = Latest(number, time.monotonic(), self._skin, frame, contacts)
+            self._news.notify_all()

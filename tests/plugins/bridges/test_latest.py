@@ -1,0 +1,122 @@
+"""The newest frame of a running graph, read beside it."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bags import frame, skin_state
+from conftest import wait_until
+from exported import contacts
+from processes import announced
+
+from sparseskin.launch.run.running import GraphError, RunningGraph, RunningNode
+from sparseskin.messages import Message, Reconstruction
+from sparseskin.nodes.network.sockets import Writer, make_context
+from sparseskin.plugins.bridges.latest import Latest, LatestFrames
+
+TOPICS = ["/skin/skin", "/skin/reconstruction", "/skin/contacts"]
+
+
+def solved(k: int) -> Reconstruction:
+    found = frame(k)[3]
+    assert isinstance(found, Reconstruction)
+    return found
+
+
+@pytest.fixture
+def publisher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Writer]:
+    """The writer of a graph, "touched"."""
+    monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
+    context = make_context()
+    writer = Writer(context, f"ipc://@sparseskin-{uuid.uuid4().hex}", "host")
+    nodes = {"host": RunningNode("reconstructor", writer.endpoint, TOPICS)}
+    with announced(RunningGraph("touched", 1, time.time_ns() - time.monotonic_ns(), "", nodes)):
+        yield writer
+    context.destroy(linger=0)
+
+
+@pytest.fixture
+def reader(publisher: Writer) -> Iterator[LatestFrames]:
+    made = LatestFrames(None, "skin", with_contacts=True)
+    assert made.newest() is None
+
+    def subscribed() -> bool:
+        publisher.serve_subscriptions()
+        send(publisher, 0, skin_state(), solved(0), contacts(0))
+        return made.newest() is not None
+
+    wait_until(subscribed, "the subscriptions")
+    yield made
+    made.close()
+
+
+def send(writer: Writer, seq: int, *messages: Message) -> None:
+    for message in messages:
+        writer.send(message.published("0" * 16, seq))
+
+
+def frame_of(reader: LatestFrames, k: int) -> Latest:
+    """Frame k, and none between it and those that came before."""
+    after = 0
+    while True:
+        found = reader.newest(after, timeout_s=60)
+        assert found is not None
+        if found.frame.stamp_ns == solved(k).stamp_ns:
+            return found
+        assert found.frame.stamp_ns == 0
+        after = found.number
+
+
+def test_a_frame_comes_with_its_contacts_and_each_once(
+    publisher: Writer, reader: LatestFrames
+) -> None:
+    send(publisher, 1, solved(1), contacts(2), contacts(1))  # contacts of another frame, too
+    found = frame_of(reader, 1)
+    assert found.contacts is not None
+    assert found.contacts.stamp_ns == found.frame.stamp_ns
+    assert np.array_equal(found.frame.forces, solved(1).forces)
+    assert reader.newest(after=found.number) is None
+
+
+def test_forces_that_a_frame_refers_to_are_those_of_the_frame_before_or_none(
+    publisher: Writer, reader: LatestFrames
+) -> None:
+    def idle(k: int) -> Reconstruction:
+        return replace(solved(k), forces=solved(k).forces[:0], unchanged=(True,))
+
+    send(publisher, 1, solved(1), contacts(1))
+    first = frame_of(reader, 1).number
+    send(publisher, 2, idle(2), contacts(2))
+    found = reader.newest(first, timeout_s=60)
+    assert found is not None
+    assert np.array_equal(found.frame.forces, solved(1).forces)
+    send(publisher, 4, idle(4), contacts(4))  # one is lost
+    send(publisher, 5, solved(5), contacts(5))
+    found = reader.newest(first + 1, timeout_s=60)
+    assert found is not None
+    assert (found.number, found.frame.stamp_ns) == (first + 2, solved(5).stamp_ns)
+
+
+def test_a_batch_of_patches_is_refused_in_one_line(publisher: Writer, reader: LatestFrames) -> None:
+    one = solved(1)
+    of_both = dict.fromkeys(("error", "trusted", "unchanged", "reason"), ())
+    of_both |= {name: 2 * getattr(one, name) for name in ("iterations", "residual", "solve_ns")}
+    forces = np.repeat(one.forces, 2, axis=0)
+    send(publisher, 1, replace(one, names=("a", "b"), forces=forces, **of_both))
+    with pytest.raises(GraphError, match="holds several patches"):
+        reader.newest(after=10**9, timeout_s=60)
+
+
+def test_a_graph_without_contacts_is_one_line(publisher: Writer) -> None:
+    nodes = {"host": RunningNode("reconstructor", publisher.endpoint, TOPICS[:2])}
+    with (
+        announced(RunningGraph("silent", 2, 0, "", nodes)),
+        pytest.raises(GraphError, match=r"silent-2: start it with reconstructor\.contacts=true"),
+    ):
+        LatestFrames("silent", "skin", with_contacts=True)
