@@ -6,7 +6,6 @@ import time
 from threading import Condition, Thread
 from typing import NamedTuple
 
-from sparseskin.launch.attach.client import find_topic
 from sparseskin.launch.attach.stream import TopicStream
 from sparseskin.launch.run.running import GraphError, choose_graph
 from sparseskin.messages import (
@@ -18,6 +17,7 @@ from sparseskin.messages import (
     decode,
     topic_of,
 )
+from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Floats
 
 
@@ -54,11 +54,14 @@ class LatestFrames:
     def __init__(self, graph: str | None, patch: str, with_contacts: bool) -> None:
         found = choose_graph(graph)
         self._label, self._with_contacts = found.label, with_contacts
-        topics = [find_topic(found, topic_of(patch, c.schema)) for c in (SkinState, Reconstruction)]
-        if with_contacts:
-            topics.append(topic_of(patch, Contacts.schema))
-            if topics[-1] not in found.writers():
-                raise GraphError(f"{self._label}: start it with reconstructor.contacts=true")
+        schemas = [SkinState.schema, Reconstruction.schema, *[Contacts.schema] * with_contacts]
+        topics, writers = [topic_of(patch, schema) for schema in schemas], found.writers()
+        for topic in topics:
+            if topic not in writers:
+                asked = topic.endswith(Contacts.schema)
+                hint = "; start it with reconstructor.contacts=true" if asked else ""
+                hint = hint or did_you_mean(topic, writers)
+                raise GraphError(f"{self._label}: publishes no {topic}{hint}")
         self._stream = TopicStream(found, *topics)
         self._news = Condition()
         self._latest: Latest | None = None

@@ -117,6 +117,8 @@ def test_a_graph_without_contacts_is_one_line(publisher: Writer) -> None:
     nodes = {"host": RunningNode("reconstructor", publisher.endpoint, TOPICS[:2])}
     with (
         announced(RunningGraph("silent", 2, 0, "", nodes)),
-        pytest.raises(GraphError, match=r"silent-2: start it with reconstructor\.contacts=true"),
+        pytest.raises(
+            GraphError, match=r"no /skin/contacts; start it with reconstructor\.contacts=true"
+        ),
     ):
         LatestFrames("silent", "skin", with_contacts=True)
