@@ -20,7 +20,7 @@ import msgpack
 
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, MalformedError, OversizedError, TruncatedError, VersionError
-from .fields import Array, Each, FieldKind, Names, Number, Text
+from .fields import Array, Each, FieldKind, Names, Number, Text, Words
 from .schemas import class_of
 from .topics import MAX_PATCHES, topic_of
 
@@ -65,9 +65,8 @@ def _form(cls: type[Message]) -> _Form:
     def of(*kinds: type[FieldKind]) -> Any:
         return tuple((name, kind) for name, kind in fields.items() if isinstance(kind, kinds))
 
-    each = of(Each)
-    words = tuple((name, kind) for name, kind in each if isinstance(kind.kind, Text))
-    numbers = tuple(one for one in each if one not in words)
+    words = of(Words)
+    numbers = tuple(one for one in of(Each) if one not in words)
     return _Form(cls, tuple(fields), of(Text, Names) + words, of(Array), of(Number), numbers)
 
 
@@ -266,7 +265,7 @@ def _learn(description: bytes) -> _Stream:
     if body.keys() != _DESCRIPTION or not is_frame(cls):
         raise MalformedError(f"{cls.schema}: not the description of a stream")
     texts, described = body["texts"], body["arrays"]
-    n_words = sum(isinstance(kind, Each) for _, kind in form.texts)
+    n_words = sum(isinstance(kind, Words) for _, kind in form.texts)
     if not isinstance(texts, list) or not 0 <= len(form.texts) - len(texts) <= n_words:
         raise MalformedError(f"{cls.schema}: expected {len(form.texts)} texts")
     if not isinstance(described, dict) or not described.keys() <= {name for name, _ in form.arrays}:
@@ -276,12 +275,12 @@ def _learn(description: bytes) -> _Stream:
         values[name] = text.unpack(name, value)
     n_patches = len(values.get("names") or ()) or 1
     for name, words in form.texts:
-        if isinstance(words, Each):  # recordings of version 0.2.0.dev0 may not have them
+        if isinstance(words, Words):  # recordings of version 0.2.0.dev0 may not have them
             values[name] = values[name] or words.unstated * n_patches
             if len(values[name]) != n_patches:
                 raise MalformedError(f"{cls.schema}: {name}: expected {n_patches} words")
     sent, codes = [], [kind.code for _, kind in form.numbers]
-    codes += [each.kind.code * n_patches for _, each in form.each if isinstance(each.kind, Number)]
+    codes += [each.kind.code * n_patches for _, each in form.each]
     for name, kind in form.arrays:
         if name in described:
             dtype, shape, n_bytes = kind.checked_form(name, described[name])
@@ -303,7 +302,7 @@ def _learn(description: bytes) -> _Stream:
     checks = tuple((name, kind.of_number) for name, kind in form.numbers)
     if n_patches == 1:
         checks += tuple((name, each.of_number) for name, each in form.each)
-    several = [(n, e.kind) for n, e in form.each if n_patches > 1 and isinstance(e.kind, Number)]
+    several = [(name, each.kind) for name, each in form.each if n_patches > 1]
     stream = _Stream(
         form=form,
         topic=topic,

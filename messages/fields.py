@@ -121,12 +121,12 @@ class Flag(Number):
 
 @dataclass(frozen=True)
 class Each(FieldKind):
-    """A tuple of numbers or words, one for each patch of a message; that of one patch may be made
-    of the number alone. `unstated` holds that of a patch where a message states none; it is empty
-    where all have to be stated. Words travel as one text, in which spaces separate them.
+    """A tuple of numbers, one for each patch of a message; that of one patch may be made of the
+    number alone. `unstated` holds that of a patch where a message states none; it is empty where
+    all have to be stated.
     """
 
-    kind: Number | Text
+    kind: Any
     unstated: tuple[Any, ...] = ()
 
     def check(self, name: str, value: Any) -> tuple[Any, ...]:
@@ -140,19 +140,24 @@ class Each(FieldKind):
     @property
     def of_number(self) -> Callable[[str, Any], Any]:
         """As `Number.of_number`, of the number of the only patch of a message."""
-        assert isinstance(self.kind, Number)
         check = self.kind.of_number
         return lambda name, number: (check(name, number),)
 
-    def pack(self, value: Any) -> Any:
-        return " ".join(value) if isinstance(self.kind, Text) else value
-
     def unpack(self, name: str, raw: Any) -> tuple[Any, ...]:
-        if isinstance(self.kind, Text) and isinstance(raw, str):
-            raw = raw.split(" ")
         if not isinstance(raw, list | tuple):
             raise FieldError(f"{name}: expected a list, got {type(raw).__name__}")
         return self.check(name, tuple(raw))
+
+
+@dataclass(frozen=True)
+class Words(Each):
+    """As `Each`, of words: they travel as one text, in which spaces separate them."""
+
+    def pack(self, value: Any) -> str:
+        return " ".join(value)
+
+    def unpack(self, name: str, raw: Any) -> tuple[Any, ...]:
+        return super().unpack(name, raw.split(" ") if isinstance(raw, str) else raw)
 
 
 @dataclass(frozen=True)

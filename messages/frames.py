@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, ShapeError
-from .fields import Array, Each, FieldKind, Flag, Integer, Names, Real, Samples, Text, wire
+from .fields import Array, Each, FieldKind, Flag, Integer, Names, Real, Samples, Text, Words, wire
 
 Floats = npt.NDArray[np.float32]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
@@ -237,7 +237,8 @@ class Reconstruction(Sensed):
         "constant" (all measurements are equal: the frame was left out), "frozen" (frames repeat
         exactly), "missing" (readings are missing next to each other, see `Sensed`), "range" (a
         force beyond f_max), "uniform" (all taxels rose together), "rows" (measurements contradict
-        each other); "" of one that is, and where it was not stated.
+        each other), "stuck" (a row, column or square of taxels may be stuck); "" of one that is,
+        and where it was not stated.
     unchanged : tuple of bool
         True of a patch whose measurements changed by no more than their noise: the frame was not
         solved, and its forces are those of the frame before.
@@ -261,7 +262,7 @@ class Reconstruction(Sensed):
     )
     trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
     unchanged: tuple[bool, ...] = wire(Each(Flag(), (False,)), default=(), omitted=True)
-    reason: tuple[str, ...] = wire(Each(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
+    reason: tuple[str, ...] = wire(Words(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
 
     def validate(self) -> None:
         super().validate()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from .base import Message, omitted_fields, wire_fields
-from .fields import Each, FieldKind, Flag, Integer, Names, Real, Text
+from .fields import Each, FieldKind, Flag, Integer, Names, Real, Text, Words
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _TYPES: dict[type[FieldKind], str] = {
@@ -15,6 +15,7 @@ _TYPES: dict[type[FieldKind], str] = {
     Text: "string",
     Names: "string",
     Each: "array",
+    Words: "string",
 }
 """JSON types of fields; an array is a map of dtype, shape, order, data and step, an object."""
 

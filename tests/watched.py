@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -56,21 +56,24 @@ class Desk:
             list(self.node.step(message))
 
     def messages(self, y: Iterable[Floats | Quantised]) -> list[Message]:
-        """The reconstructions that are published for the measurements y, the first of them of the
-        first row subset.
-        """
-        found: list[Message] = []
+        """What is published for the measurements y, the first of them of the first row subset."""
+        return list(self._published(y))
+
+    def reconstructions(self, y: Iterable[Floats | Quantised]) -> Iterator[Reconstruction]:
+        """Reconstructions of the measurements y, frame by frame."""
+        return (m for m in self._published(y) if isinstance(m, Reconstruction))
+
+    def _published(self, y: Iterable[Floats | Quantised]) -> Iterator[Message]:
         for k, one in enumerate(y):
             phi = self.subsets[k % len(self.subsets)]
             measurements = Measurements(
                 stamp_ns=next(self._stamps), patch="skin", y=one, phi=phi.fingerprint
             )
-            found += self.node.step(measurements)
-        return found
+            yield from self.node.step(measurements)
 
     def restore(self, y: Iterable[Floats | Quantised]) -> Floats:
         """Forces of the frames of measurements y."""
-        return np.array([m.forces[0] for m in self.messages(y) if isinstance(m, Reconstruction)])
+        return np.array([m.forces[0] for m in self.reconstructions(y)])
 
 
 class Skin:

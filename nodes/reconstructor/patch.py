@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sparseskin.messages import PhiState, SkinState
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
@@ -67,6 +68,7 @@ class Patch:
         self.solved: Solved | None = None
         #: Steps of a frame that the budget allows.
         self.most_steps = 0
+        self._error: float | None = None
         self._trusted = True
         self._f_max = 0.0
         self._missing: Mask | None = None
@@ -196,11 +198,13 @@ class Patch:
         assert self.solver is not None
         if len(self._subsets) > 1:
             self.solver.use(phi)
-        self.faults.watch_repeats(phi.fingerprint, y)
+        self.faults.watch_repeats(phi, y)
         self._phi, self._watched, self._given, self._y = phi, watched, y, y
-        self._dropped = self.faults.is_constant(y) and self.solved is not None
-        if watched and not self._dropped:
+        self._constant = self.faults.is_constant(y)
+        if watched and not self._constant:
             self._given, self._y = self.faults.cleaned(phi, y, self._last)
+        elif isinstance(phi, AdaptivePhi) and not self._constant:
+            self._y = self.faults.cleaned_of_choice(phi, y, self._last)
 
     @property
     def resultant(self) -> Estimate | None:
@@ -210,7 +214,9 @@ class Patch:
     def solve(self) -> None:
         """Reconstruct the frame. Raises SolverError if the solver cannot."""
         assert self.solver is not None
-        if self._dropped and self._last is not None:
+        if self._constant:  # it measures nothing: the last forces, or none
+            if self._last is None:
+                self._last = np.zeros(self.solver.mask.shape, dtype=np.float32)
             self._n_steps = self._solve_ns = 0
             return
         begin_ns = time.perf_counter_ns()
@@ -238,19 +244,20 @@ class Patch:
     def _reason(self, of_forces: str) -> str:
         """Why the frame is not to be trusted; "" if it is. `of_forces` is that of its forces."""
         reasons = (
-            ("constant", self._dropped),
+            ("constant", self._constant),
             ("frozen", self.faults.frozen),
             ("missing", self._blind),
             ("error", not self._trusted),
             ("rows", self.faults.swamped),
+            ("stuck", self.faults.doubts_taxels),
         )
         return next((reason for reason, applies in reasons if applies), of_forces)
 
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""
         assert self.solved is not None
-        self.faults.watch_repeats(phi.fingerprint, y)
-        self._dropped = self.faults.is_constant(y)
+        self.faults.watch_repeats(phi, y)
+        self._constant = self.faults.is_constant(y)
         reason = self._reason("")
         self.solved = self.solved._replace(iterations=0, solve_ns=0, reason=reason)
 
@@ -266,7 +273,7 @@ class Patch:
         assert self.solved is not None
         solver, forces, phi = self.solver, self._last, self._phi
         assert forces is not None
-        if self._dropped:
+        if self._constant:
             return
         following = self._subsets[(self._subsets.index(phi) + 1) % len(self._subsets)]
         self._trust_log.update(
@@ -285,6 +292,8 @@ class Patch:
             self._warm, self._last = np.zeros_like(forces), None
         elif self._watched:
             self.faults.expect(following, forces)
+        elif isinstance(phi, AdaptivePhi):
+            self.faults.search(forces)
         if self._resultant is not None:
             x, bias = forces.reshape(-1)[solver.taxels], getattr(solver, "bias", 0.0)
             self._resultant.learn(phi, self._y, x, self._fitted, bias)

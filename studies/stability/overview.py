@@ -6,7 +6,7 @@ from pathlib import Path
 
 from sparseskin.studies.report import Page
 
-from . import contact, phase, sweeps
+from . import contact, faults, phase, sweeps
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
@@ -15,7 +15,9 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     integrators = contact.section(page, quick, seed, executor)
     phase.section(page, quick, seed, executor)
     sweeps.section(page, quick, seed, executor)
+    noticed = faults.section(page, quick, seed, executor)
     parts = map(" ".join, zip(integrators["integrator"], integrators["unstable"], strict=True))
     lines = [f"Contact: share of the places where an integrator is unstable: {', '.join(parts)}."]
+    lines.append(noticed)
     page.write(lines)
     return lines

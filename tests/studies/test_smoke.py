@@ -25,7 +25,7 @@ from sparseskin.studies.speed import latency
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
-from sparseskin.studies.stability import contact, excerpts, phase, sweeps
+from sparseskin.studies.stability import contact, excerpts, faults, phase, sweeps
 
 N_FRAMES = 9
 SOLVERS = ("fista", "skin")
@@ -41,6 +41,7 @@ SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
     (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
     (experiments, {"SUM_SOLVERS": SOLVERS, "QUICK_SCENES": SHORT_SCENES}),
     (experiments, {"find_spec": lambda name: None}),  # no compiled loops
+    (faults, {"BEFORE": 3, "DURING": 6}),
     (frames, {"_kept": lru_cache(frames._kept.__wrapped__)}),  # simulated once
     (harness, {"TIMED_ON": "serial"}),
     (latency, {"WARM_UP": 50, "SCENES": {"40 x 40": "path_40"}}),

@@ -7,12 +7,14 @@ a few bits a node of the quad tree; `AdaptiveChoice` chooses at the edge, from w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages.quantised import step_of
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.errors import PhiError
@@ -32,6 +34,10 @@ UNTOUCHED_FRACTION = 1e-5
 """The same in parts of f_max where no noise is stated. Chosen: above the rounding of float32."""
 MOST_SCALED = 1.5
 """Largest factor by which details grow with the sum of their node. Chosen."""
+
+MOST_OVER, MOST_NOISE = 1.1, 8.0
+"""Largest measurement, in that of f_max on all taxels; noise beyond that, in standard deviations.
+Chosen."""
 
 N_ROUNDS = 6
 """Rounds of reading a frame, each decided from those before it. Fitted on five recordings of real
@@ -114,6 +120,7 @@ class AdaptivePhi(Phi):
         self.bias = CLIP_MEAN * sigma_end if clipped else 0.0
         sd = CLIP_SD * sigma_end if clipped else sigma_end
         self.variance = sd**2
+        self._f_max = f_max
         noise = UNTOUCHED_SIGMAS * sd
         self.untouched = max(noise, UNTOUCHED_FRACTION * f_max)
 
@@ -138,6 +145,19 @@ class AdaptivePhi(Phi):
             )
         measured[np.flatnonzero(~measured)[:left]] = True
         self.chosen, self.rows = chosen, np.flatnonzero(measured)
+
+    def largest(self, y: Floats) -> Doubles:
+        """Return the magnitude, (m,), that measurements y, float32 (m,), of the rows chosen cannot
+        exceed, in the unit of the forces: taxels are in the range, and each force of a node, whose
+        details have rows of length 1, is part of its tile's sum.
+        """
+        tree, rows = self.tree, self.rows
+        node, tile = tree.node_of_row[rows], tree.tile_of_row[rows]
+        in_range = MOST_OVER * self._f_max * np.sqrt(tree.n_taxels[node])
+        sums = (np.abs(y[: tree.n_tiles]) + step_of(y)) * np.sqrt(tree.n_taxels[: tree.n_tiles])
+        of_tile = sums[tile] + MOST_NOISE * math.sqrt(self.variance)
+        most: Doubles = np.where(rows < tree.n_tiles, in_range, np.minimum(in_range, of_tile))
+        return most
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n), a row at a time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -74,6 +75,8 @@ class Quadtree:
     node_of_row, place_of_row : ndarray of intp, shape (n,)
         Node of each row, and its place in a flat array of three details a node; those of a tile's
         sum are the tile and -1.
+    tile_of_row : ndarray of intp, shape (n,)
+        The tile that the node of each row is in.
 
     Notes
     -----
@@ -117,6 +120,14 @@ class Quadtree:
         tiles = np.arange(self.n_tiles)
         self.node_of_row = np.concatenate([tiles, places // N_DETAILS])
         self.place_of_row = np.concatenate([np.full_like(tiles, -1), places])
+        tile_of_node = np.arange(max(self.n_nodes, 1))
+        for upper, lower in itertools.pairwise(self.levels):
+            inside = upper.parts < lower.size
+            own = tile_of_node[upper.first : upper.first + upper.size, None]
+            tile_of_node[lower.first + upper.parts[inside]] = np.broadcast_to(own, inside.shape)[
+                inside
+            ]
+        self.tile_of_row = tile_of_node[self.node_of_row]
 
     def analysis(self, x: npt.NDArray[np.floating]) -> Doubles:
         """Return W x, float64 (n,), of forces (n,)."""

@@ -24,6 +24,7 @@ ADVICE, FIXED_ADVICE = _ADVICE.format(""), _ADVICE.format(" or rotating rows")
 LOGGED = {
     "error": "",
     "missing": "readings are missing over an area",
+    "stuck": "a row, column or square of taxels stands alone, pressed alike: is it stuck?",
     "range": "forces exceed the range of the skin",
     "uniform": "all taxels rose together: drift, hum, or a pressure on the whole skin",
 }

@@ -2,57 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 
 from sparseskin.messages import SkinState
 from sparseskin.messages.quantised import step_of
-from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
+from sparseskin.nodes.compressor.phi.quadtree import N_DETAILS
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 
 from .frozen import LEAST_NOISE
-from .rows import HEAVY, LEAST_MIXED, blocks_of, mixed_taxels
+from .rows import OUTLYING, Subset
 
 LEAST_EQUAL = 40
 """Least number of measurements that are not equal by chance: noise of half a step of the quantiser
 gives two equal ones in half of the cases."""
-OUTLYING = 64.0
-"""Squared innovation of a measurement, in the mean of its block, that only a fault reaches.
-Derived: the signs of rows are random, so that 8 deviations occur in one of 10^15 measurements."""
 LEAST_PEERS = 16
-"""Least number of other measurements of a block that one is compared with."""
+"""Least number of other measurements of a block that one is compared with. Chosen: with 13, as
+blocks of 256 have at N/16, 42 measurements of 240 frames of lift_box_40 were replaced.
+"""
 MOST_OUTLYING = 0.1
 """Largest part of the measurements that are replaced: if more are odd, something else is wrong."""
-COMMON = 0.5
-"""Part of the energy of the innovation that a change common to all measurements has at least."""
-SIGNIFICANT = 6.0
-"""Deviations of the noise that a common change has at least."""
+SIGNIFICANT, UNLIKE = 6.0, 4.0
+"""Deviations of its mean that a common change has at least, and by which the mean of a block may
+differ from it; of innovations whose own mean is subtracted in each block."""
+OF_MEDIAN, NORMAL_MEDIAN = 1.25, 0.67
+"""Deviation of the median of many normal numbers, in that of their mean; median of their
+magnitude, in their deviation."""
 MOST_LIKE = 0.3
 """Part of the energy of any taxel's press that a common change may explain: on skins of less than
 four blocks, the press of one taxel looks like an offset of all measurements."""
 LEVEL = 2.0
-"""Force that nine of ten taxels reach if they have risen together, in deviations of the noise."""
+"""Force that nine of ten taxels reach if they have risen together, in deviations of the noise.
+Chosen: with 1, the impact of lift_box_40 at N/16 of fixed rows has risen."""
 ALIKE = 2.0
 """Largest difference of the lowest tenth of the taxels and of their median then, in the same."""
+SWINGS = 20
+"""Frames for which readings are not right after all taxels have risen together: hum lowers them in
+the other half of its period, which has 20 frames of 1 ms at 50 Hz."""
 LEAST_UNIFORM = 256
 """Least number of taxels of a skin that no flat body covers evenly."""
 BEYOND = 0.1
 """Part of f_max by which the error of a reconstruction may exceed it: such forces are f_max."""
-
-
-@dataclass
-class _Rows:
-    """What does not change of a row subset: the block of each measurement, and where blocks start;
-    the bound of each squared innovation, in the mean of its block; the part of a single taxel's
-    energy that a common change explains at most.
-    """
-
-    block: Indices
-    starts: Indices
-    bound: Floats
-    like: float
 
 
 class FrameWatch:
@@ -72,6 +64,9 @@ class FrameWatch:
         What is subtracted from all measurements, in the unit of the forces.
     n_outlying : int
         Number of measurements of the last frame that were replaced by their expectation.
+    contradicted : bool
+        True if so many measurements of the last frame were beyond what forces can have that none
+        was replaced; of rows chosen at the edge alone.
     """
 
     def __init__(self, state: SkinState, mask: Mask) -> None:
@@ -81,9 +76,10 @@ class FrameWatch:
         self._f_max = np.float32(state.f_max)
         self._mask = mask
         self._n_taxels = int(np.count_nonzero(mask))
-        self._rows: dict[str, _Rows | None] = {}
+        self._since_uniform = SWINGS
         self.offset = 0.0
         self.n_outlying = 0
+        self.contradicted = False
 
     def is_constant(self, y: Floats) -> bool:
         """True if all measurements, float32 (m,), are equal, on a skin with noise: those of a link
@@ -93,25 +89,23 @@ class FrameWatch:
             return False
         return bool(y[0] == y[-1] and np.all(y == y[0]))
 
-    def cleaned(self, phi: Phi, y: Floats, expected: Floats) -> tuple[Floats, Floats]:
+    def cleaned(self, rows: Subset, y: Floats, expected: Floats) -> tuple[Floats, Floats]:
         """Return y without the offset, and the same with outliers replaced by their expectation.
 
         All are float32 (m,); `expected` is Phi times the last estimate. y is not modified.
         """
         self.n_outlying = 0
-        rows = self._rows_of(phi)
-        if rows is None or not self._sd:
+        if not rows.comparable or not self._sd:
             return y, y
-        innovation = np.asarray(y - expected)
-        energy, total = float(innovation @ innovation), float(innovation.sum())
-        self._follow_offset(rows, innovation.size, energy, total)
-        given = y
+        innovation, given = np.asarray(y - expected), y
+        step = step_of(y)
+        self._follow_offset(rows, innovation, step)
         if self.offset:
             given = np.asarray(y - np.float32(self.offset))
             innovation = given - expected
-            energy = float(innovation @ innovation)
+        energy = float(innovation @ innovation)
         largest2 = max(float(innovation.max()), -float(innovation.min())) ** 2
-        noise2 = self._noise2 + step_of(y) ** 2 / 12
+        noise2 = self._noise2 + step**2 / 12
         if largest2 <= OUTLYING * max(noise2, energy / innovation.size / 4):
             return given, given
         outlying = _outlying(rows, np.square(innovation), noise2)
@@ -121,58 +115,88 @@ class FrameWatch:
         self.n_outlying = count
         return given, np.where(outlying, expected, given).astype(np.float32)
 
-    def _follow_offset(self, rows: _Rows, m: int, energy: float, total: float) -> None:
-        """Update the offset by the sum and the sum of squares of an innovation of m values."""
+    def cleaned_of_choice(self, phi: AdaptivePhi, y: Floats, expected: Floats) -> Floats:
+        """As `cleaned`, for rows that the edge chose: return y without the offset, and with
+        measurements that no forces have replaced.
+
+        The offset is the least of the medians by which the sums of tiles and each of three kinds of
+        details differ from the expectation: motion changes these in several directions.
+        """
+        self.offset = self._common(phi, y - expected) if self._sd else 0.0
+        given = np.asarray(y - np.float32(self.offset)) if self.offset else y
+        outlying = np.abs(given) > phi.largest(given)
+        self.n_outlying = int(np.count_nonzero(outlying))
+        self.contradicted = self.n_outlying > max(1, MOST_OUTLYING * y.size)
+        if not self.n_outlying or self.contradicted:
+            self.n_outlying = 0
+            return given
+        return np.where(outlying, expected, given).astype(np.float32)
+
+    def _common(self, phi: AdaptivePhi, innovation: Floats) -> float:
+        """Return the change common to all kinds of rows, 0 if it is not significant."""
+        tree, rows = phi.tree, phi.rows
+        kinds = np.where(rows < tree.n_tiles, N_DETAILS, tree.place_of_row[rows] % N_DETAILS)
+        least = math.inf
+        for kind in range(N_DETAILS + 1):
+            some = innovation[kinds == kind]
+            if some.size < LEAST_PEERS:
+                return 0.0
+            change = float(np.median(some))
+            deviation = max(float(np.median(np.abs(some - change))) / NORMAL_MEDIAN, self._sd)
+            if abs(change) < SIGNIFICANT * OF_MEDIAN * deviation / math.sqrt(some.size):
+                return 0.0
+            if not math.isinf(least) and least * change < 0:
+                return 0.0
+            least = min(least, change, key=abs)
+        return least
+
+    def _follow_offset(self, rows: Subset, innovation: Floats, step: float) -> None:
+        """Update the offset: a change that is significant, and the same in all blocks."""
+        m, offset = innovation.size, np.float32(self.offset)
         if rows.like > MOST_LIKE:
             return
-        change = total / m - self.offset
-        # The energy without the offset so far.
-        without = energy - 2 * self.offset * total + m * self.offset**2
-        least = SIGNIFICANT**2 * self._noise2
-        if m * change**2 > max(least, COMMON * without):
-            self.offset += change
-            if m * self.offset**2 < least:
+        change = float(innovation.mean()) - self.offset
+        if m * change**2 <= (SIGNIFICANT * self._sd) ** 2 / 2:
+            return
+        # The sums of blocks show any contact more than an offset.
+        left = np.where(rows.light, innovation - offset, 0)
+        means = np.add.reduceat(left, rows.starts) / rows.n_light
+        found = float(left.sum() / rows.n_light.sum())
+        within = rows.light * (left - means[rows.block])
+        variance = max(float(within @ within) / m, self._sd**2 + step**2 / 12)
+        total = m / variance
+        apart = rows.n_light * np.square(means - found) / variance
+        if total * found**2 > SIGNIFICANT**2 and apart.max() < UNLIKE**2:
+            self.offset += found
+            if total * self.offset**2 < SIGNIFICANT**2:
                 self.offset = 0.0
-
-    def _rows_of(self, phi: Phi) -> _Rows | None:
-        """What is known of a row subset; None if its measurements cannot be compared."""
-        key = phi.fingerprint
-        if key not in self._rows:
-            if mixed_taxels(phi) < LEAST_MIXED:
-                self._rows[key] = None
-                return None
-            kept, starts, block = np.unique(blocks_of(phi), return_index=True, return_inverse=True)
-            most = np.full(phi.m, 2 * phi.n, dtype=np.float32)
-            if is_sbhe(phi):  # all rows but the sums of blocks have random signs
-                most = 2 * np.array(phi.sizes, dtype=np.float32)[kept][block]
-                ones = np.abs(phi.forward(np.ones(phi.n, dtype=np.float32)))
-                most[ones <= HEAVY * ones.max()] = OUTLYING
-            sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
-            like = phi.n / phi.m**2 * float(np.square(sums).max())
-            self._rows[key] = _Rows(block, starts, most, like)
-        return self._rows[key]
 
     def checked(self, forces: Floats) -> tuple[Floats, str]:
         """Return the forces within the range, and why they cannot be right; "" if they can.
 
         `forces` and the result are float32 (n_rows, n_cols), in the unit of the skin. "range": a
-        force exceeds f_max by more than a tenth. "uniform": all taxels have risen together.
+        force exceeds f_max by more than a tenth. "uniform": all taxels have risen together, now or
+        in one of the last frames.
         """
         largest = forces.max()
         if largest > self._f_max:
             if largest > (1 + BEYOND) * self._f_max:
                 return forces, "range"
             forces = np.minimum(forces, self._f_max)
-        if not self._sd or self._n_taxels < LEAST_UNIFORM:
-            return forces, ""
+        self._since_uniform = 0 if self._is_uniform(forces) else self._since_uniform + 1
+        return forces, "uniform" if self._since_uniform < SWINGS else ""
+
+    def _is_uniform(self, forces: Floats) -> bool:
+        """True if all taxels have risen together."""
         level = LEVEL * self._sd
-        if float(forces.sum()) < 0.9 * level * self._n_taxels:
-            return forces, ""
+        least = 0.9 * level * self._n_taxels
+        if not self._sd or self._n_taxels < LEAST_UNIFORM or float(forces.sum()) < least:
+            return False
         low, middle = np.quantile(forces[self._mask], (0.1, 0.5))
-        return forces, "uniform" if low > level and middle - low < ALIKE * self._sd else ""
+        return bool(low > level and middle - low < ALIKE * self._sd)
 
 
-def _outlying(rows: _Rows, squared: Floats, noise2: float) -> Mask:
+def _outlying(rows: Subset, squared: Floats, noise2: float) -> Mask:
     """Return the measurements whose squared innovation no force explains beside those of others."""
     block, starts = rows.block, rows.starts
     largest = np.maximum.reduceat(squared, starts)[block]

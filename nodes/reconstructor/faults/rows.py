@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.messages.quantised import step_of
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 
 #: Least participation ratio of rows that can be compared, and rows that are probed for it.
@@ -41,6 +41,50 @@ ENOUGH_PEERS = 6
 HEAVY = 0.25
 #: Median of the square of a standard normal number.
 MEDIAN_SQUARE = 0.455
+#: Squared innovation of a measurement, in the mean of its block, that only a fault reaches.
+#: Derived: the signs of rows are random, so that 8 deviations occur in one of 10^15 measurements.
+OUTLYING = 64.0
+
+
+class Subset:
+    """What does not change of the rows of a Phi.
+
+    Attributes
+    ----------
+    comparable : bool
+        True if rows can be compared: not if each reads a single taxel.
+    ones : ndarray of float32, shape (m,)
+        Phi 1.
+    heavy, light : ndarray of intp, of bool, shape (m,)
+        Rows that a bias shows in; all others.
+    block, starts : ndarray of intp, shape (m,), (n_blocks,)
+        Block of each row, and the first row of each block.
+    n_light : ndarray of float32, shape (n_blocks,)
+        Number of the light rows of each block, 1 if there is none.
+    bound : ndarray of float32, shape (m,)
+        Largest squared innovation of a row, in the mean of its block, without a fault.
+    like : float
+        Part of the energy of any taxel's press that a change common to all rows may explain.
+    """
+
+    def __init__(self, phi: Phi) -> None:
+        self.comparable = mixed_taxels(phi) >= LEAST_MIXED
+        self.ones = phi.forward(np.ones(phi.n, dtype=np.float32))
+        size = np.abs(self.ones)
+        heavy = size > HEAVY * size.max()
+        self.heavy: Indices = np.flatnonzero(heavy)
+        self.light: Mask = ~heavy
+        kept, self.starts, self.block = np.unique(
+            blocks_of(phi), return_index=True, return_inverse=True
+        )
+        n_light = np.add.reduceat(self.light.astype(np.float32), self.starts)
+        self.n_light: Floats = np.maximum(n_light, 1)
+        self.bound = np.full(phi.m, 2 * phi.n, dtype=np.float32)
+        if is_sbhe(phi):  # all rows but the sums of blocks have random signs
+            sizes = np.array(phi.sizes, dtype=np.float32)[kept][self.block]
+            self.bound = np.where(heavy, 2 * sizes, np.float32(OUTLYING))
+        sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
+        self.like = phi.n / phi.m**2 * float(np.square(sums).max())
 
 
 class RowWatch:
@@ -71,8 +115,8 @@ class RowWatch:
 
     Attributes
     ----------
-    watches : bool
-        True if rows can be compared: not if each reads a single taxel.
+    rows : Subset
+        What does not change of them.
     left_out : ndarray of bool, shape (m,)
         Rows that are faulty now.
     swamped : bool
@@ -84,18 +128,11 @@ class RowWatch:
     """
 
     def __init__(self, phi: Phi) -> None:
-        m = phi.m
-        self._phi = phi
-        self.watches = mixed_taxels(phi) >= LEAST_MIXED
-        ones = phi.forward(np.ones(phi.n, dtype=np.float32))
-        self._ones = ones
-        # The rows that a bias shows in.
-        self._heavy: Indices = np.flatnonzero(np.abs(ones) > HEAVY * np.abs(ones).max())
-        self._heavy_ones = ones[self._heavy]
+        m, self.rows = phi.m, Subset(phi)
+        self._ones, self._heavy = self.rows.ones, self.rows.heavy
+        self._starts, self._block = self.rows.starts, self.rows.block
+        self._heavy_ones = self._ones[self._heavy]
         self._heavy_ones2 = np.square(self._heavy_ones)
-        _, self._starts, self._block = np.unique(
-            blocks_of(phi), return_index=True, return_inverse=True
-        )
         self._last, self._before, self._evidence, self._oddity = np.zeros((4, m), dtype=np.float32)
         self._residual, self._left = np.zeros((2, m), dtype=np.float32)
         self._squared, self._bound = np.zeros((2, m), dtype=np.float32)
@@ -119,7 +156,7 @@ class RowWatch:
         has changed.
         """
         self._unfitted = unfitted
-        if not self.watches:
+        if not self.rows.comparable:
             return False
         self._n_frames += 1
         self._residual, self._before = self._before, self._residual

@@ -13,13 +13,16 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 from sparseskin.nodes.numerics.neighbours import of_nine
 
-#: Frames between two searches for taxels that stand alone: with at least this part of the range,
-#: next to neighbours of at most this part of their own force.
-EVERY, LEAST_FORCE, ALONE = 10, 0.08, 0.25
+#: Frames between two searches for dead or saturated taxels, and for taxels that stand alone: with
+#: at least this part of the range, next to neighbours of at most this part of their own force.
+EVERY, LOOK_EVERY, LEAST_FORCE, ALONE = 10, 5, 0.08, 0.25
 #: Side of a square of taxels that share a part, as a multiplexer, and least number of taxels of a
 #: group: a peg may cover fewer. Least part of the taxels beside a group that are low, and least
 #: force of one of its taxels, in their median. Chosen.
 SQUARE, LEAST_GROUP, MOSTLY, EVEN = 8, 8, 0.75, 0.5
+#: Least number of taxels of a group that is not trusted until its noise is known: no body covers
+#: a whole row, column or square of the grid alone, but by chance. Chosen.
+LEAST_DOUBTED = 16
 #: Samples, and least frames, in which the noise of suspects is measured; stuck ones have less than
 #: this part of the stated variance; the force may change by this part meanwhile.
 MEASURED, MEASURED_FRAMES, QUIET, CHANGE = 200, 40, 0.2, 0.1
@@ -176,10 +179,13 @@ def _shift(here: Reach, there: Reach) -> int:
 
 @dataclass
 class _Suspect:
-    """Taxels that stand alone: their forces, and the squared noise of each in each frame so far."""
+    """Taxels that stand alone: their forces, the squared noise of each in each frame so far, and
+    True if that was found as stated.
+    """
 
     forces: Floats
     noise: list[Floats] = field(default_factory=list)
+    works: bool = False
 
     @property
     def is_measured(self) -> bool:
@@ -253,6 +259,12 @@ class TaxelWatch:
         """Flat cells of the taxels excluded now, in order; of many the first `MAX_CELLS`."""
         return [int(cell) for cell in sorted(self.stuck)[:MAX_CELLS]]
 
+    @property
+    def doubts(self) -> bool:
+        """True while a large group stands alone, and may be stuck."""
+        groups = self._suspects.values()
+        return any(one.forces.size >= LEAST_DOUBTED and not one.works for one in groups)
+
     def cleaned(self, phi: Phi, y: Floats) -> Floats:
         """Return y, float32 (m,), without the readings of stuck taxels; y is not modified."""
         if not self.stuck:
@@ -284,9 +296,16 @@ class TaxelWatch:
         self._last[phi.fingerprint] = residual
         if last is not None:
             self._measure(phi, forces, residual, residual - last)
-        if self._n_frames % EVERY == 0:
-            self._look(forces)
+        self.search(forces)
+        if self._n_frames % EVERY == 1:
             self._look_at_ends(forces, phi.m >= LEAST_SEEN * phi.n)
+
+    def search(self, forces: Floats) -> None:
+        """Suspect taxels that stand alone in a frame, float32 (n_rows, n_cols), whatever they
+        measure: that alone is done for frames whose rows are chosen at the edge.
+        """
+        if self._n_frames % LOOK_EVERY == 0:
+            self._look(forces)
         self._n_frames += 1
 
     def _measure(self, phi: Phi, forces: Floats, residual: Floats, change: Floats) -> None:
@@ -301,7 +320,8 @@ class TaxelWatch:
             variance = float(np.median(suspect.noise)) / MEDIAN_SQUARE
             expected2 = seen**2 * float(np.square(self._sigma(suspect.forces)).mean())
             suspect.noise.clear()
-            if variance < QUIET * expected2 and self._as_noisy_as_stated(forces, change):
+            suspect.works = variance >= QUIET * expected2
+            if not suspect.works and self._as_noisy_as_stated(forces, change, places):
                 self._exclude(places, suspect.forces)
         for place, value in list(self.stuck.items()):
             if not value:
@@ -311,9 +331,12 @@ class TaxelWatch:
             if abs(self._off[place]) > MOVED * value:
                 self._use_again(place)
 
-    def _as_noisy_as_stated(self, forces: Floats, change: Floats) -> bool:
-        """Return True if the measurements have the noise that the skin states."""
+    def _as_noisy_as_stated(self, forces: Floats, change: Floats, quiet: Sequence[int]) -> bool:
+        """Return True if the measurements have the noise that the skin states of all taxels but
+        the quiet ones.
+        """
         variances = np.square(self._sigma(forces))
+        variances.flat[list(quiet)] = 0
         # Half of the noise of an untouched taxel is clipped at 0.
         variances[forces < self._sigma_end] *= CUT_OFF
         stated = float(variances[self._mask].mean())

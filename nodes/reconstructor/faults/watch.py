@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sparseskin.messages import SkinState
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
@@ -63,7 +64,13 @@ class FaultWatch:
     @property
     def swamped(self) -> bool:
         """True if so many measurements disagree that excluding them would be no remedy."""
-        return any(watch.swamped for watch in self._rows.values())
+        contradicted = self._frame is not None and self._frame.contradicted
+        return contradicted or any(watch.swamped for watch in self._rows.values())
+
+    @property
+    def doubts_taxels(self) -> bool:
+        """True while a row, column or square of taxels may be stuck; as in `TaxelWatch`."""
+        return self._taxels is not None and self._taxels.doubts
 
     def set_up(self, subsets: dict[str, Phi], state: SkinState, mask: Mask) -> None:
         """Watch these row subsets, by fingerprint, and the skin with existing taxels `mask`."""
@@ -83,9 +90,11 @@ class FaultWatch:
             sigmas = state.sigma_mid, state.sigma_end
             self._taxels = TaxelWatch(mask, state.f_max, *sigmas, self._log)
 
-    def watch_repeats(self, subset: str, y: Floats) -> None:
-        """Process measurements as they were received, float32 (m,), of the Phi of a fingerprint."""
-        if self._frozen.update(subset, y):
+    def watch_repeats(self, phi: Phi, y: Floats) -> None:
+        """Process measurements as they were received, float32 (m,)."""
+        if isinstance(phi, AdaptivePhi):
+            y = y[: phi.tree.n_tiles]  # the rows that all frames have
+        if self._frozen.update(phi.fingerprint, y):
             if self.frozen:
                 self._log(
                     "all measurements repeat exactly, on a skin with noise: not trusted until they "
@@ -128,12 +137,22 @@ class FaultWatch:
         assert self._frame is not None
         expected, self._expected = self._expected[1], None
         was_off = bool(self._frame.offset)
-        given, believed = self._frame.cleaned(phi, given, expected)
+        watch = self._rows[phi.fingerprint]
+        given, believed = self._frame.cleaned(watch.rows, given, expected)
         self._log_frame(was_off)
-        left_out = self._rows[phi.fingerprint].left_out
-        if left_out.any():
-            believed = np.where(left_out, expected, believed).astype(np.float32)
+        if watch.left_out.any():
+            believed = np.where(watch.left_out, expected, believed).astype(np.float32)
         return given, believed
+
+    def cleaned_of_choice(self, phi: AdaptivePhi, y: Floats, last: Floats | None) -> Floats:
+        """As `cleaned`, for measurements that the edge chose; return those to be solved."""
+        if self._frame is None or not self._watch_rows:
+            return y
+        expected = np.zeros_like(y) if last is None else phi.forward(last[self._mask])
+        was_off = bool(self._frame.offset)
+        y = self._frame.cleaned_of_choice(phi, y, expected)
+        self._log_frame(was_off)
+        return y
 
     def _log_frame(self, was_off: bool) -> None:
         """Log the first outliers, and an offset that begins or ends."""
@@ -178,6 +197,11 @@ class FaultWatch:
         if not self._looks_at_rows:
             return False
         return self._update_rows(self._rows[phi.fingerprint], given, fitted, unfitted)
+
+    def search(self, forces: Floats) -> None:
+        """Process a frame of rows that the edge chose; as in `TaxelWatch`."""
+        if self._taxels is not None:
+            self._taxels.search(forces)
 
     @property
     def _looks_at_rows(self) -> bool:

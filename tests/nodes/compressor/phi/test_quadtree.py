@@ -26,6 +26,9 @@ def test_rows_are_orthonormal_and_synthesis_the_transpose_on_any_grid(
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(tree.n), atol=1e-12)
     rows = np.random.default_rng(0).standard_normal(tree.n)
     np.testing.assert_allclose(tree.synthesis(rows), matrix.T @ rows, atol=1e-10)
+    if tree.levels:
+        outside = matrix[tree.tile_of_row] == 0
+        assert np.abs(matrix[outside]).max(initial=0) < 1e-12
 
 
 @pytest.mark.parametrize("shape", [(1, 16), (5, 7), (31, 11)])

@@ -12,12 +12,15 @@ from pressed import noisy, sliding_disc
 from watched import DESK_SHAPE, NOISE, Desk, N
 
 from sparseskin.messages import Reconstruction, SkinState
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.frame import FrameWatch
+from sparseskin.nodes.reconstructor.faults.rows import Subset
 
 PHI = make_phi("sbhe", N, N // 3, seed=0)
+ROWS = Subset(PHI)
 MASK = np.ones(DESK_SHAPE, np.bool_)
 STATE = SkinState(
     stamp_ns=0, patch="skin", n_rows=DESK_SHAPE[0], n_cols=DESK_SHAPE[1], f_max=2.5, unit="N",
@@ -25,6 +28,13 @@ STATE = SkinState(
     sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end,
 )  # fmt: skip
 DISC = sliding_disc(DESK_SHAPE, 60, touch_at=0)
+
+
+ADAPTIVE = AdaptivePhi(N, N // 3, seed=0)
+layout(ADAPTIVE, MASK, NOISE.sigma_end, NOISE.f_max)
+CHOICE = AdaptiveChoice(ADAPTIVE)
+CHOSEN = [CHOICE.measure(ADAPTIVE.tree.analysis(f.reshape(-1)).take) for f in noisy(DISC[:21])][-1]
+"""Measurements of the disc in frame 20, with noise, of rows that were chosen."""
 
 
 def measured(k: int) -> Floats:
@@ -41,10 +51,10 @@ def test_an_outlier_is_replaced_by_its_expectation_and_nothing_else_is(
     row: int, value: float
 ) -> None:
     watch, y = FrameWatch(STATE, MASK), measured(20)
-    given_, believed = watch.cleaned(PHI, y, expected(19))
+    given_, believed = watch.cleaned(ROWS, y, expected(19))
     np.testing.assert_array_equal(believed, y)
     y[row] += value
-    given_, believed = watch.cleaned(PHI, y, expected(19))
+    given_, believed = watch.cleaned(ROWS, y, expected(19))
     heavy = abs(PHI.forward(np.ones(N, np.float32))[row]) > 1
     if not heavy or abs(value) > 40:  # the sum of a block may be large itself
         assert watch.n_outlying == 1
@@ -64,7 +74,7 @@ def test_no_press_is_an_outlier_or_an_offset(row: int, col: int, side: int, forc
     frame = np.zeros((1, *DESK_SHAPE), np.float32)
     frame[0, row : row + side, col : col + side] = force
     y = PHI.forward(noisy(frame)[0].reshape(-1))
-    _, believed = watch.cleaned(PHI, y, np.zeros(PHI.m, np.float32))
+    _, believed = watch.cleaned(ROWS, y, np.zeros(PHI.m, np.float32))
     assert (watch.n_outlying, watch.offset) == (0, 0.0)
     np.testing.assert_array_equal(believed, y)
 
@@ -74,12 +84,30 @@ def test_an_offset_is_subtracted_while_it_lasts(offset: float, sign: int) -> Non
     watch, offset = FrameWatch(STATE, MASK), sign * offset
     for k in range(20, 25):
         y = measured(k) + np.float32(offset)
-        _, believed = watch.cleaned(PHI, y, expected(k - 1))
+        _, believed = watch.cleaned(ROWS, y, expected(k - 1))
         # Its deviation is that of the mean of the measurements, and what moved meanwhile.
         assert watch.offset == pytest.approx(offset, abs=0.03)
         assert np.abs(believed - measured(k)).max() < 0.03 + 1e-5 * abs(offset)
-    _, believed = watch.cleaned(PHI, measured(25), expected(24))
+    _, believed = watch.cleaned(ROWS, measured(25), expected(24))
     assert watch.offset == 0.0
+
+
+@given(row=st.integers(0, N // 3 - 1), value=st.sampled_from([-300.0, -50.0, 50.0, 3e6]))
+def test_of_rows_chosen_at_the_edge_garbage_and_an_offset_are_taken_out(
+    row: int, value: float
+) -> None:
+    watch = FrameWatch(STATE, MASK)
+    y, before = CHOSEN.copy(), ADAPTIVE.forward(DISC[19].reshape(-1))
+    np.testing.assert_array_equal(watch.cleaned_of_choice(ADAPTIVE, y, before), y)
+    y[row] = value
+    found = watch.cleaned_of_choice(ADAPTIVE, y, before)
+    assert (watch.n_outlying, found[row]) == (1, before[row])
+    np.testing.assert_array_equal(np.delete(found, row), np.delete(CHOSEN, row))
+    found = watch.cleaned_of_choice(ADAPTIVE, CHOSEN + np.float32(0.7), before)
+    assert watch.offset == pytest.approx(0.7, abs=0.01)
+    assert not watch.contradicted
+    watch.cleaned_of_choice(ADAPTIVE, CHOSEN * np.float32(1e3), before)
+    assert watch.contradicted
 
 
 def test_equal_measurements_are_no_reading_unless_they_may_be_equal() -> None:
@@ -103,7 +131,7 @@ def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading() -> Non
     assert watch.checked(DISC[9] * np.float32(3.0 / 0.6))[1] == "range"
     assert watch.checked(DISC[9] + np.float32(0.05))[1] == "uniform"
     sloped = np.linspace(0.05, 0.5, N, dtype=np.float32).reshape(DESK_SHAPE)
-    assert watch.checked(sloped)[1] == ""  # a body on the whole skin
+    assert FrameWatch(STATE, MASK).checked(sloped)[1] == ""  # a body on the whole skin
 
 
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])

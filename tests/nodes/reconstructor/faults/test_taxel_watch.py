@@ -69,3 +69,18 @@ def test_what_is_left_out_is_the_mean_of_the_neighbours_that_work(phi: Phi) -> N
     without = forces.copy()
     without.reshape(-1)[[0, 29, 30]] -= [1.0, 1.0, 1.5]
     np.testing.assert_allclose(watch.cleaned(phi, y), phi.forward(without.reshape(-1)), atol=1e-3)
+
+
+@pytest.mark.parametrize("works", [True, False])
+def test_a_column_that_stands_alone_is_suspected_at_once_until_its_noise_is_known(
+    phi: Phi, works: bool
+) -> None:
+    skin, column = Skin(phi), pad((slice(None), slice(9, 10)), force=2.0)
+    readings = {} if works else {(row, 9): 2.0 for row in range(SHAPE[0])}
+    suspected = []
+    for _ in range(80):
+        skin.read(column if works else pad(), readings)
+        suspected.append(skin.watch.doubts)
+    assert all(suspected[10:40])
+    assert not suspected[-1]
+    assert bool(skin.watch.stuck) != works
