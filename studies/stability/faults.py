@@ -17,7 +17,7 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import TINY, Floats
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.studies.evaluate import WRONG
 from sparseskin.studies.frames import NOISE, SceneFrames
@@ -122,7 +122,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     told = ~np.array(trusted)
     first = np.flatnonzero(wrong)[:1]
     return {
-        "error": float(np.median(np.array(off) / norm)),
+        "error": float(np.median(np.array(off) / np.maximum(norm, TINY))),
         "n_wrong": int(wrong.sum()),
         "told": float(told[wrong].mean()) if wrong.any() else None,
         "after": int(np.argmax(told[first[0] :])) if told[wrong].any() else None,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from stress.graphs import GraphRun, launch_text
 
-from sparseskin.messages import Contacts
+from sparseskin.messages import Contacts, decode
 from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.process import proc
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -86,7 +86,7 @@ def _contacts(path: Path, part_s: float) -> list[tuple[float, float]]:
     with BagReader(path) as bag:
         found = [
             (message.stamp_ns, message.id.size, float(message.total.sum()))
-            for message in (read.message for read in bag.messages())
+            for message in (decode(read.topic.encode(), read.payload) for read in bag.messages())
             if isinstance(message, Contacts)
         ]
     stamps_ns, counts, totals = np.array(found).T
