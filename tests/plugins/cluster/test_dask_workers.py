@@ -102,5 +102,6 @@ def test_a_scheduler_that_does_not_answer_is_one_line(
     where = f"dask:tcp://127.0.0.1:{free_port()}"
     arguments = ["reprocess", recordings[0], "--out", str(tmp_path / "o.mcap")]
     assert main([*arguments, "--executor", where]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    warning, line = capsys.readouterr().err.splitlines()
+    assert "runs code here" in warning
     assert line.startswith(f"--executor {where}: no Dask scheduler answers")

@@ -32,7 +32,9 @@ def reconstructions(desk: Desk, n_frames: int) -> list[Reconstruction]:
 
 
 def test_the_message_carries_what_the_solver_estimates() -> None:
-    desk = Desk(PHI, solver=DOUBTING, options={"n_doubted": 2, "period": 3})
+    options = {"n_doubted": 2, "period": 3}
+    # Every other row without noise looks stuck.
+    desk = Desk(PHI, solver=DOUBTING, options=options, watch_taxels=False)
     found = reconstructions(desk, 6)
     assert [message.trusted for message in found] == [(False,), (False,), (True,)] * 2
     assert {message.error for message in found} == {(ERROR,)}
