@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import re
+
 from sparseskin.messages.text import printable
+
+_USER = re.compile(r"(:/+)[^\s/@:]+:[^\s@]+@")
 
 
 class SparseskinError(Exception):
     """An error that a user can correct: the text names the place, the fault and what is allowed.
 
     What files and devices put into it is made printable; each line of an argument stays a line.
+    User and password of an address are left out.
     """
 
     def __str__(self) -> str:
-        return "\n".join(map(printable, super().__str__().split("\n")))
+        text = _USER.sub(r"\1***@", super().__str__())
+        return "\n".join(map(printable, text.split("\n")))
 
 
 class SettingsError(SparseskinError):

@@ -14,6 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from sparseskin.messages.text import printable
+
 from .errors import SettingsError, SparseskinError
 from .files import TAKEN
 from .lookup import nearest_of, one_line
@@ -44,7 +46,7 @@ def is_remote(name: str) -> bool:
 
 def shown(text: str) -> str:
     """A text without the users, passwords and queries of its addresses, which may hold keys."""
-    return re.sub(r"://\S*@", "://***@", re.sub(r"(://[^\s?]*)\?\S+", r"\1?***", text))
+    return printable(re.sub(r"://\S*@", "://***@", re.sub(r"(://[^\s?]*)\?\S+", r"\1?***", text)))
 
 
 def check_address(address: str) -> None:

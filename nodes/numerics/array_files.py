@@ -107,8 +107,12 @@ def _header(head: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
             warnings.simplefilter("ignore")
             version = np.lib.format.read_magic(head)
             if version == (1, 0):
-                return np.lib.format.read_array_header_1_0(head)
-            return np.lib.format.read_array_header_2_0(head)
+                found = np.lib.format.read_array_header_1_0(head)
+            else:
+                found = np.lib.format.read_array_header_2_0(head)
+        if any(isinstance(side, bool) for side in found[0]):
+            raise ValueError("True is no length")
+        return found
     # NumPy and its parser of Python's literals raise ten kinds of error at malformed bytes.
     except Exception as error:
         raise ArrayFileError("not a readable NumPy file") from error

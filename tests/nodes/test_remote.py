@@ -110,3 +110,8 @@ def test_a_missing_package_and_a_missing_file_are_named(monkeypatch: pytest.Monk
     monkeypatch.setitem(sys.modules, "s3fs", None)
     with pytest.raises(SettingsError, match=r"s3://bucket/a.mcap: ImportError: .*s3fs"):
         check_address("s3://bucket/a.mcap")
+
+
+def test_no_error_shows_a_password() -> None:
+    error = SparseskinError("--set source=http://me:key@h/x.npy: http:/me:key@h/x.npy: none")
+    assert str(error) == "--set source=http://***@h/x.npy: http:/***@h/x.npy: none"

@@ -75,6 +75,13 @@ def test_a_header_in_an_archive_is_not_believed(tmp_path: Path) -> None:
         open_file(path)
 
 
+def test_a_shape_of_truth_values_is_no_shape(tmp_path: Path) -> None:
+    path = tmp_path / "true.npy"
+    path.write_bytes(npy(np.ones((1, 8, 8))).replace(b"(1, 8, 8), }   ", b"(True, 8, 8), }"))
+    with pytest.raises(SourceError, match=r"true\.npy: not a readable NumPy file"):
+        open_file(path)
+
+
 def test_a_recording_of_bytes_takes_the_memory_of_its_frames_and_no_more(tmp_path: Path) -> None:
     path = tmp_path / "bytes.npy"
     np.save(path, np.ones((4000, 32, 32), np.uint8))
