@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -121,15 +122,21 @@ class Skin:
             raise FieldError(f"skin: point_rows, {int(rows.min())} is below 0")
 
 
+def first_far(places: npt.NDArray[Any]) -> int | None:
+    """Number of the first place, (n, 3) in metres, that is not within `MAX_COORDINATE_M` or not
+    finite; None: there is none.
+    """
+    near = (np.abs(places) <= MAX_COORDINATE_M).all(axis=1)
+    return None if near.all() else int(np.argmin(near))
+
+
 def _check_points(points: npt.NDArray[np.float32], n: int) -> None:
     """Raise MessageError unless points are n rows of x, y, z and a unit normal."""
     if points.shape != (n, 6) or points.dtype != np.float32:
         raise ShapeError(
             f"skin: the points are {points.dtype} {list(points.shape)}, expected float32 {[n, 6]}"
         )
-    places = np.abs(points[:, :3])
-    if not (places <= MAX_COORDINATE_M).all():
-        k = int(np.argmin((places <= MAX_COORDINATE_M).all(axis=1)))
+    if (k := first_far(points[:, :3])) is not None:
         raise FieldError(f"skin: point {k} is not within {MAX_COORDINATE_M:g} m")
     lengths = np.linalg.norm(points[:, 3:].astype(np.float64), axis=1)
     wrong = ~(np.abs(lengths - 1) <= NORM_TOLERANCE)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
+_USER = re.compile(r"(://)\S*@|(:/)[^\s/@:]+:[^\s@]+@")
+
 
 def printable(text: str) -> str:
     """The text as one line that moves no cursor, sets no colour and hides no order of characters.
@@ -15,3 +19,8 @@ def printable(text: str) -> str:
         char if char.isprintable() else " " if char.isspace() else ascii(char)[1:-1]
         for char in text
     )
+
+
+def without_users(text: str) -> str:
+    """The text without the users and passwords of its addresses, and of paths made of such."""
+    return _USER.sub(lambda found: f"{found[1] or found[2]}***@", text)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import re
-
-from sparseskin.messages.text import printable
-
-_USER = re.compile(r"(:/+)[^\s/@:]+:[^\s@]+@")
+from sparseskin.messages.text import printable, without_users
 
 
 class SparseskinError(Exception):
     """An error that a user can correct: the text names the place, the fault and what is allowed.
 
     What files and devices put into it is made printable; each line of an argument stays a line.
-    User and password of an address are left out.
+    Users and passwords of addresses are left out.
     """
 
     def __str__(self) -> str:
-        text = _USER.sub(r"\1***@", super().__str__())
-        return "\n".join(map(printable, text.split("\n")))
+        return "\n".join(map(printable, without_users(super().__str__()).split("\n")))
 
 
 class SettingsError(SparseskinError):

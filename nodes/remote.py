@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sparseskin.messages.text import printable
+from sparseskin.messages.text import printable, without_users
 
 from .errors import SettingsError, SparseskinError
 from .files import TAKEN
@@ -46,7 +46,7 @@ def is_remote(name: str) -> bool:
 
 def shown(text: str) -> str:
     """A text without the users, passwords and queries of its addresses, which may hold keys."""
-    return printable(re.sub(r"://\S*@", "://***@", re.sub(r"(://[^\s?]*)\?\S+", r"\1?***", text)))
+    return printable(without_users(re.sub(r"(://[^\s?]*)\?\S+", r"\1?***", text)))
 
 
 def check_address(address: str) -> None:

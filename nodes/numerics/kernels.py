@@ -298,14 +298,14 @@ def skin_predict(
         predicted[p] = min(max(one, np.float32(0)), most)
     moved[:] = predicted
     orthonormal(moved, groups, scale)
-    power, of_last, product = 0.0, 0.0, 0.0
+    power, of_last, of_both = 0.0, 0.0, 0.0
     for i in range(read.size):
         innovation[i] = values[i] - moved[read[i]]
         now, last = np.float64(innovation[i]), np.float64(correction[read[i]])
         power += now * now
         of_last += last * last
-        product += now * last
-    numbers[3], numbers[4], numbers[5] = power, of_last, product
+        of_both += now * last
+    numbers[3], numbers[4], numbers[5] = power, of_last, of_both
 
 
 @compiled()

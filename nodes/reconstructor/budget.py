@@ -42,14 +42,13 @@ def steps_within(solver: Solver, phi: Phi, f_max: float, budget_s: float) -> tup
     A solver that has paces uses the largest one that fits: of few, hosts that differ a little
     choose the same one.
     """
-    paces = [pace for pace in getattr(solver, "paces", ()) if pace < solver.n_steps]
+    paces = getattr(solver, "paces", ())
     costs = measured_costs(solver, phi, f_max)
-    while paces and costs.of(solver.n_steps) > budget_s:
-        solver.use_pace(paces.pop())
+    fewer = [pace for pace in paces if pace < solver.n_steps]
+    while fewer and costs.of(solver.n_steps) > budget_s:
+        solver.use_pace(fewer.pop())
         costs = measured_costs(solver, phi, f_max)
-    steps = costs.steps_in(budget_s, solver.n_steps)
-    if getattr(solver, "paces", ()):
-        steps = solver.n_steps
+    steps = solver.n_steps if paces else costs.steps_in(budget_s, solver.n_steps)
     return steps, costs.of(steps)
 
 

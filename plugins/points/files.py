@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sparseskin.messages.skin import MAX_COORDINATE_M
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
@@ -31,7 +30,7 @@ from sparseskin.nodes.sensor.files.recording import (
 )
 
 from .examples import EXAMPLES
-from .points import MAX_POINTS, Points, doubled, estimated_normals
+from .points import MAX_POINTS, Points, check_places, doubled, estimated_normals
 
 EXAMPLE = "example:"
 SUFFIXES = (".csv", ".txt")
@@ -171,9 +170,7 @@ def _points(
 ) -> Points:
     """The layout, with normals of length 1; those that are not stated, or 0, are estimated."""
     n = len(places)
-    if (far := (np.abs(places) > MAX_COORDINATE_M).any(axis=1)).any():
-        what = f"taxel {int(np.argmax(far))} is not within {MAX_COORDINATE_M:g} m"
-        raise SourceError(f"{name}: {what}; is its unit right?")
+    check_places(name, places)  # before normals are estimated of them
     lengths = np.linalg.norm(normals, axis=1) if normals.size else np.zeros(n)
     unknown = lengths < _LEAST_NORMAL
     if normals.size and (unknown & (lengths > 0)).any():

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sparseskin.messages.fields import MAX_ELEMENTS
-from sparseskin.messages.skin import MAX_COORDINATE_M
+from sparseskin.messages.skin import MAX_COORDINATE_M, first_far
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
 
@@ -17,6 +17,15 @@ MAX_POINTS = MAX_ELEMENTS // 6
 _AROUND = 10
 """Nearest taxels, itself included, to whose plane an estimated normal is perpendicular; chosen:
 all neighbours on a square grid."""
+
+
+def check_places(name: str, places: Doubles) -> None:
+    """Raise SourceError if a place, float64 (n, 3) in metres, is far away; `name` is that of the
+    file.
+    """
+    if (k := first_far(places)) is not None:
+        text = f"taxel {k} is not within {MAX_COORDINATE_M:g} m; is its unit right?"
+        raise SourceError(f"{name}: {text}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +62,7 @@ class Points:
         n = len(self.places)
         if not 1 <= n <= MAX_POINTS:
             raise SourceError(f"{self.name}: {n} taxels; allowed are 1..{MAX_POINTS}")
-        if not (np.abs(self.places) <= MAX_COORDINATE_M).all():
-            k = int(np.argmin((np.abs(self.places) <= MAX_COORDINATE_M).all(axis=1)))
-            raise SourceError(
-                f"{self.name}: taxel {k} is not within {MAX_COORDINATE_M:g} m; is its unit right?"
-            )
+        check_places(self.name, self.places)
 
     @property
     def n(self) -> int:
