@@ -69,8 +69,10 @@ def on_files(files: Files, config: Any, **_: Any) -> Files:
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Replace each formula of a page by its MathML, and links out of docs/ by links to pages."""
     for source, page in TOP_PAGES.items():
-        markdown = markdown.replace(f"](../{source}", f"]({page}")
-    markdown = re.sub(r"\]\(\.\./examples/(\w+)\.py\)", r"](examples/\1.md)", markdown)
+        markdown = markdown.replace(f"](../../{source}", f"](../{page}")
+    markdown = re.sub(
+        r"\]\((?:\.\./(\.\./))?examples/(\w+)\.py\)", r"](\1examples/\2.md)", markdown
+    )
     markdown = _BLOCK.sub(lambda m: f"\n{_mathml(m[1], 'block')}\n", markdown)
     return _INLINE.sub(lambda m: m["code"] or _mathml(m["tex"], "inline"), markdown)
 
@@ -85,7 +87,7 @@ def _mathml(tex: str, display: str) -> str:
 
 def _moved(text: str) -> str:
     """A page of the top folder, its links as seen from docs/."""
-    text = text.replace("](docs/", "](").replace("](examples/", "](../examples/")
+    text = text.replace("](docs/", "](")
     for source, page in TOP_PAGES.items():
         text = text.replace(f"]({source}", f"]({page}")
     return re.sub(r"\[([^\]]+)\]\((LICENSE|CITATION\.cff)\)", r"\1 (`\2`)", text)

@@ -1,4 +1,4 @@
-"""docs/json.md as data: what it documents of the JSON that commands print and write."""
+"""docs/reference/json.md as data: what it documents of the JSON that commands print and write."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-PAGE = Path(__file__).parents[1] / "docs" / "json.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "json.md"
 TYPES: dict[str, Callable[[Any], bool]] = {
     "string": lambda value: isinstance(value, str),
     "integer": lambda value: type(value) is int,

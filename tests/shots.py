@@ -1,7 +1,7 @@
 """Pictures of the live page in several states, for a person to look at: `make shots`.
 
-They are of real graphs, in a real browser; written to docs/. `make shots SHOTS="hero contact"`
-takes some of them.
+They are of real graphs, in a real browser, and are written to docs/pictures/.
+`make shots SHOTS="hero contact"` takes some of them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 from browser import browser, dark, lack
 from conftest import Program, wait_until
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parent.parent / "docs" / "pictures"
 DRAGGED_FROM = 1200
 """The wrench of drag_wrench_40 lies on the skin and is dragged from about this frame on."""
 CONTACT_HZ, CONTACT_FROM, CONTACT_S = 55, 300, 15.0
@@ -67,7 +67,7 @@ def shoot(page: Any, name: str) -> None:
     path = DOCS / f"page_{name}.png"
     with Image.open(io.BytesIO(page.get_screenshot_as_png())) as image:
         image.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
-    print(f"{path.relative_to(DOCS.parent)}", flush=True)
+    print(f"{path.relative_to(DOCS.parent.parent)}", flush=True)
 
 
 def n_drawn(page: Any) -> int:
@@ -127,7 +127,7 @@ def contact(page: Any, folder: Path) -> None:
         path, save_all=True, append_images=small[1:], duration=durations, loop=0, optimize=True
     )
     size = path.stat().st_size
-    print(f"docs/contact.gif: {len(frames)} pictures, {size / 1e6:.2f} MB", flush=True)
+    print(f"docs/pictures/contact.gif: {len(frames)} pictures, {size / 1e6:.2f} MB", flush=True)
     assert size < MAX_BYTES, f"{path}: larger than {MAX_BYTES} bytes"
 
 

@@ -48,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         if "port" in {entry["key"] for entry in cls.Settings.described()}:
             stated = "port of 127.0.0.1; 0: a free one"
             one.add_argument("--port", type=whole(0), help=stated)
-        add_set(one, "another setting of the bridge, see docs/bridges.md")
+        add_set(one, "another setting of the bridge, see docs/howto/bridges.md")
         add_graph(one)
 
 

@@ -1,4 +1,4 @@
-"""The table of the default solver's constants in docs/method.md has the values of the dataclass."""
+"""The table of constants in docs/explanation/skin.md has the values of the dataclass."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 
-PAGE = Path(__file__).parents[2] / "docs" / "method.md"
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "skin.md"
 ROW = re.compile(r"\| [^|]+ \| ([^|]+) \| ([^|]+) \| ([^|]+) \| (`[a-z_]+`(?:; `[a-z_]+`)*) \|")
 
 

@@ -74,9 +74,9 @@ def test_an_example_runs_and_prints_its_result(
 
 
 def test_examples_of_the_documentation_are_those_there_are() -> None:
-    page = (EXAMPLES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
+    page = (EXAMPLES.parent / "docs" / "reference" / "examples.md").read_text(encoding="utf-8")
     for path in EXAMPLES.glob("*.py"):
-        assert f"[{path.name}](../examples/{path.name})" in page
+        assert f"[{path.name}](../../examples/{path.name})" in page
 
 
 @pytest.mark.slow

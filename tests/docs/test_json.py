@@ -1,5 +1,5 @@
-"""docs/json.md documents each field of the JSON that commands print and write, and no other: tests
-of these commands check their documents by it.
+"""docs/reference/json.md documents each field of the JSON that commands print and write, and no
+other: tests of these commands check their documents by it.
 """
 
 from __future__ import annotations

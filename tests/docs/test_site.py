@@ -27,11 +27,11 @@ def test_the_site_builds_without_a_warning_and_needs_no_other_host(tmp_path: Pat
     )
     assert done.returncode == 0, done.stderr
     pages = list(tmp_path.rglob("*.html"))
-    assert {"index.html", "method.html", "api.html", "contributing.html"} <= {p.name for p in pages}
+    assert {"index.html", "paper.html", "api.html", "contributing.html"} <= {p.name for p in pages}
     for page in pages:
         text = page.read_text(encoding="utf-8")
         loaded = re.findall(r"<(?:script|img|link|iframe)[^>]*?(?:src|href)=\"?([^\s\">]+)", text)
         assert not [url for url in loaded if re.match(r"(https?:)?//", url)], page.name
-    method = (tmp_path / "method.html").read_text(encoding="utf-8")
+    method = (tmp_path / "explanation" / "paper.html").read_text(encoding="utf-8")
     assert "<math" in method
     assert "$" not in re.sub(r"<(pre|code|script|style).*?</\1>", "", method, flags=re.S)

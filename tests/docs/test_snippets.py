@@ -18,7 +18,7 @@ import sparseskin
 from sparseskin.launch.commands import cli
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^    (\S.*)$", re.MULTILINE)
 INLINE = re.compile(r"`(?:\.venv/bin/)?((?:sparseskin|make|python|pytest|pip) [^`\n]+)`")
@@ -60,7 +60,7 @@ def stated(program: str, *forms: re.Pattern[str]) -> list[list[str]]:
 
 
 def page_ids(page: Path) -> str:
-    return page.name
+    return str(page.relative_to(ROOT))
 
 
 @pytest.fixture
@@ -108,7 +108,9 @@ def test_python_blocks_of_a_page_run_one_after_the_other(page: Path, workplace: 
 
 
 def test_the_driver_of_the_pages_delivers_frames(workplace: Path) -> None:
-    (block,) = (b for b in fenced(ROOT / "docs" / "drivers.md", "python") if "my_skin.py" in b)
+    (block,) = (
+        b for b in fenced(ROOT / "docs" / "howto" / "drivers.md", "python") if "my_skin.py" in b
+    )
     (workplace / "my_skin.py").write_text(block, encoding="utf-8")
     frames = sparseskin.run_launch("replay", 3, ["sensor.source=my_skin:frames"])
     assert [frame.taxels.shape for frame in frames] == [(12, 32)] * 3

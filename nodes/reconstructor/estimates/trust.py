@@ -17,7 +17,7 @@ RUN, WITHIN = 3, 10
 """Frames not to be trusted that make a run, and the number of the last frames that they are among.
 Chosen: the first frame or two of a stream or contact, of which the past says nothing, make none."""
 
-_ADVICE = "; if that lasts, more measurements{} may help, see docs/method.md#estimated-error"
+_ADVICE = "; if that lasts, more measurements{} may help, see docs/explanation/skin.md"
 ADVICE, FIXED_ADVICE = _ADVICE.format(""), _ADVICE.format(" or rotating rows")
 """What may help; where rows are fixed, that they rotate, too."""
 

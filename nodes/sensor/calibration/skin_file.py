@@ -245,7 +245,7 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
         values["mask"] = ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()]
     stated = values | {ARRAYS: beside.name if large else None, **dict.fromkeys(large)}
     curve["reading"] = stated.pop("response_reading")
-    lines = ["# A skin of sparseskin: docs/calibration.md has the meaning of each key."]
+    lines = ["# A skin of sparseskin: docs/howto/calibration.md has the meaning of each key."]
     lines += [f"{key} = {_toml(one)}" for key, one in stated.items() if one is not None]
     if skin.response is not None:
         lines += ["", "[response]"]

@@ -13,7 +13,7 @@ import pytest
 from sparseskin.plugins.boards.board import describe_board
 from sparseskin.plugins.boards.framing import Frame
 
-PAGE = Path(__file__).parents[3] / "docs" / "boards.md"
+PAGE = Path(__file__).parents[3] / "docs/howto/boards.md"
 
 
 def fenced(language: str) -> str:

@@ -1,7 +1,7 @@
 """Simulated bodies and scenes against exact solutions of the same equations, written anew here.
 
-The accuracy that the docstrings of `contact`, `scenes` and `bodies` and docs/method.md state is
-asserted here to its digits.
+The accuracy that docs/explanation/paper.md and the docstrings of `contact`, `scenes` and `bodies`
+state is asserted here to its digits.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Draw the picture of the README from a real frame: python docs/picture.py [OUT.png]."""
+"""Draw the picture of the README from a real frame: python docs/pictures/picture.py [OUT.png]."""
 
 from __future__ import annotations
 
