@@ -41,6 +41,9 @@ ALIKE = 2.0
 SWINGS = 20
 """Frames for which readings are not right after all taxels have risen together: hum lowers them in
 the other half of its period, which has 20 frames of 1 ms at 50 Hz."""
+LEAST_SUMS, MOST_SUMS = 3, 0.5
+"""Least number of sums of blocks, and least part of them, that contradict their blocks if all
+taxels rise together. Chosen: a body is in some blocks, and changes the other measurements there."""
 LEAST_UNIFORM = 256
 """Least number of taxels of a skin that no flat body covers evenly."""
 BEYOND = 0.1
@@ -113,6 +116,9 @@ class FrameWatch:
         if not 0 < count <= max(1, MOST_OUTLYING * y.size):
             return given, given
         self.n_outlying = count
+        n_sums = int(np.count_nonzero(outlying[rows.heavy]))
+        if n_sums >= max(LEAST_SUMS, MOST_SUMS * rows.heavy.size):
+            self._since_uniform = -1
         return given, np.where(outlying, expected, given).astype(np.float32)
 
     def cleaned_of_choice(self, phi: AdaptivePhi, y: Floats, expected: Floats) -> Floats:

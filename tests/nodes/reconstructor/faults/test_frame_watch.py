@@ -16,7 +16,7 @@ from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.faults.frame import FrameWatch
+from sparseskin.nodes.reconstructor.faults.frame import SWINGS, FrameWatch
 from sparseskin.nodes.reconstructor.faults.rows import Subset
 
 PHI = make_phi("sbhe", N, N // 3, seed=0)
@@ -132,6 +132,18 @@ def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading() -> Non
     assert watch.checked(DISC[9] + np.float32(0.05))[1] == "uniform"
     sloped = np.linspace(0.05, 0.5, N, dtype=np.float32).reshape(DESK_SHAPE)
     assert FrameWatch(STATE, MASK).checked(sloped)[1] == ""  # a body on the whole skin
+
+
+def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while() -> None:
+    phi = make_phi("sbhe", 4 * N, 4 * N // 3, seed=0)
+    rows, noise = Subset(phi), noisy(np.zeros((1, 2 * DESK_SHAPE[0], 2 * DESK_SHAPE[1])))[0]
+    watch = FrameWatch(STATE, np.ones(noise.shape, np.bool_))
+    y = phi.forward((noise + np.float32(10 * NOISE.sigma_end)).reshape(-1))
+    _, believed = watch.cleaned(rows, y, np.zeros(phi.m, np.float32))
+    assert watch.n_outlying == rows.heavy.size
+    assert not believed[rows.heavy].any()
+    reasons = [watch.checked(noise)[1] for _ in range(30)]
+    assert reasons == ["uniform"] * SWINGS + [""] * (30 - SWINGS)
 
 
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
