@@ -27,12 +27,25 @@ def documented() -> dict[str, dict[Parts, set[str]]]:
     for section in PAGE.read_text().split("\n## ")[1:]:
         title = re.match(r"`(.*)`", section)
         assert title is not None
-        rows = re.findall(r"^\| `([^`]+)` \| ([^|]+) \|", section, re.MULTILINE)
-        paths = [tuple(path.replace("[]", ".[]").split(".")) for path, _ in rows]
-        assert len(set(paths)) == len(paths)
-        types = [set(text.strip().split(" / ")) for _, text in rows]
-        found[title[1]] = dict(zip(paths, types, strict=True))
+        fields: dict[Parts, set[str]] = {("format",): {"string"}}
+        for cell, types in re.findall(r"^\| (`.+?`) \| ([^|]+) \|", section, re.MULTILINE):
+            for path in (path for text in re.findall(r"`([^`]+)`", cell) for path in spread(text)):
+                parts = tuple(path.replace("[]", ".[]").split("."))
+                assert parts not in fields, (title[1], path)
+                fields[parts] = set(types.strip().split(" / "))
+        for parts, types in list(fields.items()):  # lists and objects that only their parts show
+            for k in range(1, len(parts)):
+                kind = "list" if parts[k] == "[]" else "object"
+                fields.setdefault(parts[:k], {kind} | types & {"absent"})
+        found[title[1]] = fields
     return found
+
+
+def spread(path: str) -> list[str]:
+    """The paths that one with {a,b} stands for."""
+    head, brace, tail = path.partition("{")
+    names, _, rest = tail.partition("}")
+    return [p for name in names.split(",") for p in spread(head + name + rest)] if brace else [path]
 
 
 def values_of(document: Any, path: Parts = ()) -> Iterator[tuple[Parts, Any]]:

@@ -1,6 +1,6 @@
 """Simulated bodies and scenes against exact solutions of the same equations, written anew here.
 
-The accuracy that docs/explanation/paper.md and the docstrings of `contact`, `scenes` and `bodies`
+The accuracy that docs/explanation/scenes.md and the docstrings of `contact`, `scenes` and `bodies`
 state is asserted here to its digits.
 """
 
