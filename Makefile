@@ -11,8 +11,8 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(PIP) $(1)
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 
-.PHONY: demo shots charts charts-quick stress stress-quick
-.PHONY: test test-all test-core coverage test-kernels check mutants docs hooks clean
+.PHONY: dist demo shots charts charts-quick stress stress-quick
+.PHONY: test test-all test-dist test-core coverage test-kernels check mutants docs hooks clean
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
@@ -36,6 +36,18 @@ test: .venv/installed-dev
 # All tests, those that are slow by nature too (kills, soak, browser, network namespaces).
 test-all: .venv/installed-dev
 	SPARSESKIN_EXAMPLES=100 $(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20
+
+# The distribution in dist/; and all tests as its sdist holds them, with its wheel installed.
+dist: .venv/installed-dev
+	rm -rf dist
+	$(BIN)/python -m build > /dev/null
+
+test-dist: dist
+	$(call install,--no-deps dist/*.whl)
+	rm .venv/installed*  # of the repository itself, which the wheel has replaced
+	tar --extract --gzip --file dist/*.tar.gz --directory dist
+	cd dist/sparseskin-*/ && SPARSESKIN_EXAMPLES=100 PYTHONSAFEPATH=1 $(ONE_THREAD) \
+	    $(CURDIR)/$(BIN)/python -m pytest -q $(PARALLEL) --durations=20 $(TESTS)
 
 # All tests of the core, in a copy of the repository without the plug-ins.
 test-core: .venv/installed-dev

@@ -34,17 +34,29 @@ def test_every_folder_with_modules_or_launch_files_is_a_package_and_no_other() -
 def test_a_wheel_holds_sparseskin_and_nothing_else(tmp_path: Path) -> None:
     source = tmp_path / "source"
     source.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE", *CONFIG["package-dir"].values()):
+    files = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
+    for name in (*files, *CONFIG["package-dir"].values()):
         (source / name).symlink_to(ROOT / name)
     options = ["--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
     wheel = [sys.executable, "-m", "pip", "wheel", *options, "--wheel-dir", str(tmp_path)]
     subprocess.run([*wheel, str(source)], check=True)
     (built,) = tmp_path.glob("*.whl")
-    names = zipfile.ZipFile(built).namelist()
+    wheel_file = zipfile.ZipFile(built)
+    names = wheel_file.namelist()
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"sparseskin"}
     for needed in ("launch/drag_wrench_64.toml", "launch/commands/cli.py", "messages/py.typed"):
         assert f"sparseskin/{needed}" in names
+    (metadata,) = [name for name in names if name.endswith(".dist-info/METADATA")]
+    links = re.findall(r"\]\((.*?)\)", wheel_file.read(metadata).decode())
+    assert len(links) > 5
+    assert [link for link in links if not re.match(r"https://|#", link)] == []
+
+
+def test_a_citation_states_the_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"version: {project['version']}\n" in citation
 
 
 @pytest.mark.parametrize(
