@@ -34,7 +34,7 @@ class Counted(Recording):
         self.numbers = np.loadtxt(list(file.lines)[1:], ndmin=2)
 
     def head(self):
-        return Head(1, 3, 3, "N")
+        return Head((1, 3), 3, "N")
 
     def read(self):
         return Parsed(self.numbers[:, None, :], "N")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Mapping
 from functools import partial
@@ -22,14 +21,14 @@ from sparseskin.nodes.recorder.bag.format import (
 )
 from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
 from sparseskin.nodes.sensor.files.format import suffixes
-from sparseskin.nodes.sensor.files.recording import NAN_WAYS, NEGATIVE_WAYS, REFUSE
+from sparseskin.nodes.sensor.files.recording import NAN_WAYS, NEGATIVE_WAYS, REFUSE, spelled
 
 from .options import add_commands, add_shape, bag_names, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
-READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "nan", "negative")
+READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "columns", "topic", "nan", "negative")
 """Options of `import` on how a file is read."""
 _MAX_SHOWN = 2000
 """Characters of one value that the table shows at most."""
@@ -81,6 +80,8 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", help="unit of the readings, where the file does not state it")
     parser.add_argument("--f-max", metavar="X", type=float, help="upper end of the range")
     parser.add_argument("--rate-hz", metavar="X", type=float, help="frames a second")
+    parser.add_argument("--columns", metavar="A,B", help="columns of a table, as sensor.columns")
+    parser.add_argument("--topic", help="topic of a recording, or name of an array in the file")
     about = "readings that are not finite (default: refuse)"
     parser.add_argument("--nan", choices=NAN_WAYS, default=REFUSE, help=about)
     about = "readings below 0 (default: refuse)"
@@ -123,22 +124,14 @@ def _import(arguments: argparse.Namespace) -> int:
         try:
             n_frames = import_file(file, bag, log=partial(_log, file), **options)
         except SourceError as error:
-            raise SourceError(_with_options(str(error), str(file))) from error
+            text = spelled(str(error), lambda key: f"--{key.replace('_', '-')} ")
+            raise SourceError(text) from error
         print(f"{bag}: {_count(n_frames, 'frame')}")
     return 0
 
 
 def _log(file: Path, line: str) -> None:
     print(f"{file}: {line}", file=sys.stderr)
-
-
-def _with_options(message: str, file: str) -> str:
-    """Return a message about a file that names the options in place of the settings."""
-    place = file if message.startswith(file) else ""
-    names = "|".join(name for name in READ_AS if "_" in name)
-    settings = re.compile(rf"\b({names})\b|(?<=set )(unit|nan|negative)\b")
-    text = settings.sub(lambda found: f"--{found[0].replace('_', '-')}", message[len(place) :])
-    return place + text
 
 
 def _export(arguments: argparse.Namespace) -> int:

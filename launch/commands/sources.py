@@ -21,8 +21,10 @@ from sparseskin.launch.attach.heat_map import heat_map
 from sparseskin.launch.attach.text import table
 from sparseskin.launch.run.terminal import Terminal
 from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.files.recording import spelled
 from sparseskin.nodes.sensor.settings import SensorSettings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
 from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
@@ -40,7 +42,7 @@ LEAST_TOP = 0.02
 """Least share of the range that the brightest colour stands for; chosen: noise alone stays dark."""
 PEAK_S = 5.0
 """Time in which the scale of the colours follows a falling peak, seconds; chosen."""
-KEYS = ("n_rows", "n_cols", "unit", "f_max")
+KEYS = ("n_rows", "n_cols", "unit", "f_max", "columns", "topic")
 
 
 def configure_sources(parser: argparse.ArgumentParser) -> None:
@@ -97,7 +99,10 @@ def configure_scope(parser: argparse.ArgumentParser) -> None:
 
 
 def _scope(arguments: argparse.Namespace) -> int:
-    source = open_source(arguments.source, seed=0, **_stated(arguments.set))
+    try:
+        source = open_source(arguments.source, seed=0, **_stated(arguments.set))
+    except SourceError as error:
+        raise SourceError(spelled(str(error), lambda key: f"--set {key}=")) from error
     view = View(source)
     terminal = Terminal()
     lively = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"

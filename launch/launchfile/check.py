@@ -17,6 +17,7 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.registry import node_class
+from sparseskin.nodes.sensor.files.recording import spelled
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
@@ -268,6 +269,7 @@ class Checker:
         if part and part not in values[key]:
             part = ""
         place = tuple(filter(None, ("nodes", name, key, part)))
+        what = spelled(what, lambda key: f"--set {name}.{key}=")
         self.fault(place, what + (_to_name(name, values) if TO_NAME in what else ""))
         return key, part
 

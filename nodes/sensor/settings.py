@@ -50,19 +50,28 @@ class SensorSettings(PatchesSettings):
     )
     n_rows: int | None = setting(
         None,
-        "rows of a plain CSV's frame, or those that a file or driver must have",
+        "rows of a frame where the file does not state them, or those that a file or driver must "
+        "have",
         low=1,
         high=4096,
     )
     n_cols: int | None = setting(
         None,
-        "columns of a plain CSV's frame, or those that a file or driver must have",
+        "columns of a frame, as n_rows",
         low=1,
         high=4096,
     )
     unit: str | None = setting(None, "unit of a file's or driver's readings")
     f_max: float | None = setting(
         None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
+    )
+    columns: str = setting(
+        "",
+        "of a table: taxels and time, by names as s*, numbers as 2-65, and time=NAME or "
+        "time_ms=NAME, separated by commas; of a point cloud: the field of the readings",
+    )
+    topic: str = setting(
+        "", "topic of a recording (ROS, sparseskin), or name or path of the array in a file"
     )
     nan: str = setting(
         "refuse",
@@ -133,6 +142,9 @@ class SensorSettings(PatchesSettings):
             n_cols=self.n_cols,
             unit=self.unit,
             f_max=self.f_max,
+            rate_hz=self.rate_hz or None,
+            columns=self.columns,
+            topic=self.topic,
             seed=self.seed,
             policy=Policy(self.nan, self.negative),
             raw=self.is_calibrated,

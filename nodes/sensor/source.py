@@ -189,7 +189,7 @@ class Address(ABC):
     ----------
     source : str
         The address itself, e.g. "file:press.npy".
-    n_rows, n_cols, unit, f_max
+    n_rows, n_cols, unit, f_max, rate_hz, columns, topic
         Properties that the source does not state itself, or that it must have; None: any.
     seed : int
         Seed of a scene.
@@ -214,6 +214,9 @@ class Address(ABC):
     n_cols: int | None = None
     unit: str | None = None
     f_max: float | None = None
+    rate_hz: float | None = None
+    columns: str = ""
+    topic: str = ""
     seed: int = 0
     policy: Policy = DEFAULT_POLICY
     raw: bool = False

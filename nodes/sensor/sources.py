@@ -24,6 +24,7 @@ FILE = "file:"
 KINDS = {
     "scene": "sparseskin.nodes.sensor.scenes.address:SceneAddress",
     "file": "sparseskin.nodes.sensor.files.address:FileAddress",
+    "example": "sparseskin.nodes.sensor.files.address:ExampleAddress",
 }
 """Class of the addresses of each kind of the core, imported where one is used."""
 

@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Contacts, SkinState
-from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 
 from .base import ROW
@@ -21,31 +20,21 @@ from .contacts import COLOURS, numbers, shapes, wrench
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
 ARRAY = "std_msgs/msg/Float32MultiArray"
 WRENCH, MARKERS = "geometry_msgs/msg/WrenchStamped", "visualization_msgs/msg/MarkerArray"
-MAX_SIDE = 4096
 UINT32, FLOAT32 = 6, 7
 """Numbers of the types of a field in sensor_msgs/PointField."""
 ARROW, SPHERE, TEXT, ADD, DELETE_ALL = 0, 2, 9, 0, 3
 """Numbers of the types and actions of a visualization_msgs/Marker."""
 ORIGIN = np.zeros(3)
-FORMATS = {
-    "32FC1": "f4",
-    "64FC1": "f8",
-    "16UC1": "u2",
-    "mono16": "u2",
-    "16SC1": "i2",
-    "8UC1": "u1",
-    "mono8": "u1",
-    "32SC1": "i4",
-}
-"""Encodings of sensor_msgs/Image that hold one number a pixel, and the dtype of each."""
 
 
 @functools.cache
-def types() -> Any:
-    """Messages of ROS 2 Humble, a `Typestore` of rosbags. Raises ImportError without rosbags."""
+def types(ros: int = 2) -> Any:
+    """Messages of ROS 2 Humble, or of ROS 1 Noetic, a `Typestore` of rosbags.
+    Raises ImportError without rosbags.
+    """
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS2_HUMBLE)
+    return get_typestore(Stores.ROS2_HUMBLE if ros == 2 else Stores.ROS1_NOETIC)
 
 
 def encoded(kind: str, **fields: object) -> bytes:
@@ -166,61 +155,3 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
             marker("text", TEXT, (0.0, 0.0, d), one.id, one.tail, text=one.text),
         ]
     return encoded(MARKERS, markers=markers)
-
-
-class Received(NamedTuple):
-    """A message that was read: its stamp in nanoseconds, None where it has none, and its values of
-    shape (n_rows, n_cols).
-    """
-
-    stamp_ns: int | None
-    values: npt.NDArray[np.generic]
-
-
-def _decoded(data: bytes, kind: str) -> Any:
-    from rosbags.serde import SerdeError
-
-    try:
-        return types().deserialize_cdr(data, kind)
-    except (SerdeError, ValueError) as error:  # of texts that are no UTF-8, too
-        raise SourceError(f"no {kind}: {' '.join(str(error).split())[:200]}") from error
-
-
-def _check_grid(n_rows: int, n_cols: int) -> None:
-    if not (1 <= n_rows <= MAX_SIDE and 1 <= n_cols <= MAX_SIDE):
-        raise SourceError(f"{n_rows} x {n_cols} taxels; allowed are 1..{MAX_SIDE} each")
-
-
-def read_image(data: bytes) -> Received:
-    """Read a sensor_msgs/Image of one number a pixel.
-    Raises SourceError if it is none, or states sizes that do not fit together.
-    """
-    found = _decoded(data, IMAGE)
-    n_rows, n_cols, encoding = found.height, found.width, found.encoding
-    _check_grid(n_rows, n_cols)
-    if encoding not in FORMATS:
-        raise SourceError(f"encoding {encoding[:32]!r}; allowed are {', '.join(FORMATS)}")
-    dtype = np.dtype((">" if found.is_bigendian else "<") + FORMATS[encoding])
-    used, size = n_cols * dtype.itemsize, len(found.data)
-    if found.step < used or size != found.step * n_rows:
-        raise SourceError(f"step {found.step}, {size} bytes for {n_rows} x {n_cols} of {encoding}")
-    values = np.ascontiguousarray(found.data.reshape(n_rows, -1)[:, :used]).view(dtype)
-    stamp_ns = found.header.stamp.sec * 1_000_000_000 + found.header.stamp.nanosec
-    return Received(stamp_ns or None, values)
-
-
-def read_array(data: bytes) -> Received:
-    """Read a std_msgs/Float32MultiArray of two dimensions.
-    Raises SourceError if it is none, or states sizes that do not fit together.
-    """
-    found = _decoded(data, ARRAY)
-    shape = [dimension.size for dimension in found.layout.dim]
-    if len(shape) != 2:
-        raise SourceError(f"{len(shape)} dimensions; expected 2: rows, columns")
-    _check_grid(*shape)
-    offset, n = found.layout.data_offset, shape[0] * shape[1]
-    if offset + n > len(found.data):
-        raise SourceError(
-            f"{len(found.data)} numbers, from {offset} on, for {shape[0]} x {shape[1]}"
-        )
-    return Received(None, found.data[offset : offset + n].reshape(shape))

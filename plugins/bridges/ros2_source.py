@@ -20,13 +20,14 @@ from sparseskin.plugins.boards.settings import split_source, typed
 
 from . import cdr
 from .base import check_installed
+from .frames import read_frame
 
 WAIT_S = 0.1
 HISTORY = 1000
 """Samples that wait for a sensor that is behind: one second at 1 kHz."""
 BATCH = 256
-READERS = {cdr.IMAGE: cdr.read_image, cdr.ARRAY: cdr.read_array}
-"""Types of messages that are frames, and what reads them."""
+KINDS = (cdr.IMAGE, cdr.ARRAY)
+"""Types of messages that are frames."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,6 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
     member, where = dds.participant(query.domain, query.interface)
     print(f"{source}: {where}", file=sys.stderr, flush=True)
     kind, reliable = _publication(member, name, query.timeout_s, where)
-    read = READERS[kind]
     topic = Topic(member, dds.dds_name(name), dds.message_type(kind))
     reader = DataReader(member, topic, qos=dds.quality(HISTORY, reliable))
     waiting = WaitSet(member)
@@ -107,7 +107,9 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
                 continue
             heard_s = time.monotonic()
             try:
-                received = read(data)
+                received = read_frame(kind, data)
+                if received.values.ndim != 2:
+                    raise SourceError("a shape that is not (rows, columns)")
             except SourceError as error:
                 counted.bad(str(error))
                 continue
@@ -126,7 +128,7 @@ def _publication(member: Any, topic: str, timeout_s: float, where: str) -> tuple
 
     from . import dds
 
-    types = {dds.message_type(kind).__idl_typename__: kind for kind in READERS}
+    types = {dds.message_type(kind).__idl_typename__: kind for kind in KINDS}
     wanted = dds.dds_name(topic)
     seen: set[str] = set()
     reader = BuiltinDataReader(member, BuiltinTopicDcpsPublication)
@@ -142,7 +144,7 @@ def _publication(member: Any, topic: str, timeout_s: float, where: str) -> tuple
                 return types[type_name], not best_effort
             if name == wanted:
                 raise SourceError(
-                    f"ros2:{topic}: is of type {type_name[:80]}; allowed are {', '.join(READERS)}"
+                    f"ros2:{topic}: is of type {type_name[:80]}; allowed are {', '.join(KINDS)}"
                 )
         time.sleep(0.01)
     topics = sorted(name.removeprefix("rt") for name in seen if name.startswith("rt/"))[:20]

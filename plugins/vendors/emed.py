@@ -79,7 +79,7 @@ class EmedRecording(Recording):
 
     def head(self) -> Head:
         rows, cols = self._header.n_rows, self._header.n_cols
-        return Head(rows, cols, rows * cols, "N")
+        return Head((rows, cols), rows * cols, "N")
 
     def read(self) -> Parsed:
         header, first, name = self._header, self._first_number, self._lines.name

@@ -3,6 +3,7 @@
 from sparseskin.nodes.sensor.files.format import Format
 
 from .emed import EmedRecording
+from .matlab import ArraysRecording
 from .tekscan import TekscanRecording, is_tekscan
 from .xsensor import XsensorRecording, is_xsensor
 
@@ -13,3 +14,5 @@ TEKSCAN = Format(
     is_tekscan,
 )
 XSENSOR = Format({".csv": "XSENSOR export"}, lambda file: XsensorRecording(file.lines), is_xsensor)
+MATLAB = Format({".mat": "MATLAB"}, ArraysRecording)
+HDF5 = Format({".h5": "HDF5", ".hdf5": "HDF5"}, ArraysRecording)

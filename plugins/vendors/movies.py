@@ -10,7 +10,13 @@ import numpy as np
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.recording import Lines, check_grid, parse_reading, parse_whole
+from sparseskin.nodes.sensor.files.recording import (
+    Lines,
+    check_grid,
+    parse_reading,
+    parse_whole,
+    rising,
+)
 
 LARGEST_NUMBER = 999_999_999
 """Largest number of a frame."""
@@ -89,13 +95,8 @@ def stamps(
     if not all(abs(time) <= 1e9 for time in known):
         raise SourceError(f"{name}: frame times lie outside 0..1e9 s")
     found, days = [0], 0
-    for k, (before, time) in enumerate(pairwise(known), start=2):
+    for before, time in pairwise(known):
         # From the last minutes of a day to the first ones of the next.
         days += of_day and before - time > _DAY_S / 2
         found.append(round((time - known[0] + days * _DAY_S) * 1e9))
-        if found[-1] < found[-2]:
-            raise SourceError(
-                f"{name}: the time of frame {k} (counted from 1) is before that of the frame "
-                "before it"
-            )
-    return tuple(found) if len(set(found)) == len(found) else None
+    return rising(found, name)

@@ -75,7 +75,7 @@ class TekscanRecording(Recording):
         self._first = self._next_frame()
 
     def head(self) -> Head:
-        return Head(*self._shape, None if self._mask is None else int(self._mask.sum()), self._unit)
+        return Head(self._shape, None if self._mask is None else int(self._mask.sum()), self._unit)
 
     def read(self) -> Parsed:
         frames, frame = [], self._first

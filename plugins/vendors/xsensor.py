@@ -75,8 +75,7 @@ class XsensorRecording(Recording):
     def head(self) -> Head:
         exists = self._first.exists
         n_taxels = None if exists.all() and self._first.is_part else int(exists.sum())
-        n_rows, n_cols = exists.shape
-        return Head(n_rows, n_cols, n_taxels, self._unit)
+        return Head(exists.shape, n_taxels, self._unit)
 
     def read(self) -> Parsed:
         first, mask, name = self._first, self._first.exists, self._lines.name
@@ -97,14 +96,10 @@ class XsensorRecording(Recording):
         forces = stack_frames([frame.readings for frame in frames], name)
         if mask.all() and first.is_part:
             mask = forces.max(axis=0) > 0
-        stamp_ns = stamps([frame.time_s for frame in frames], name, of_day=True)
         return Parsed(
             forces=forces,
             unit=self._unit,
-            rate_hz=(
-                (len(stamp_ns) - 1) * 1e9 / stamp_ns[-1] if stamp_ns and len(stamp_ns) > 1 else None
-            ),
-            stamp_ns=stamp_ns,
+            stamp_ns=stamps([frame.time_s for frame in frames], name, of_day=True),
             pitch_m=first.pitch_m,
             mask=None if mask.all() or not mask.any() else mask,
         )

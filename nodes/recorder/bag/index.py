@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import mcap.records as mcap
@@ -51,6 +50,7 @@ _MAX_CHANNELS = 4096
 _FOOTER_BYTES = HEAD_BYTES + 20
 _DATA_END_BYTES = HEAD_BYTES + 4
 _SUMMARY_CRC_BYTES = 4
+SOURCE_HINT = "; sparseskin bag import makes a bag of a file that a sensor reads"
 _NO_INDEX = "the index at its end is missing or damaged"
 
 
@@ -215,24 +215,12 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
     if first != MAGIC:
         if MAGIC.startswith(first):
             raise BagError(f"{name}: ends after {len(first)} bytes, before anything was recorded")
-        raise BagError(f"{name}: not an MCAP file (it begins with {first!r}){_source_hint(name)}")
+        raise BagError(f"{name}: not an MCAP file (it begins with {first!r}){SOURCE_HINT}")
     try:
         index, damage = _read_summary(file, name, whole)
     except Break:
         index, damage = None, _NO_INDEX
     return (index, "") if index is not None else _scan(file, name, damage)
-
-
-def _source_hint(name: str) -> str:
-    """Hint at what reads a file that a sensor can play; "" by its suffix for others."""
-    from sparseskin.nodes.sensor.files.format import suffixes
-
-    if Path(name).suffix.lower() not in suffixes():
-        return ""
-    return (
-        "; sparseskin launch replay --set sensor.source=file:FILE reads such a file, "
-        "sparseskin bag import makes a bag of it"
-    )
 
 
 def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | None, str]:

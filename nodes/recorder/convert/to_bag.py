@@ -27,36 +27,31 @@ def import_file(
     out: Path,
     *,
     patch: str = "skin",
-    n_rows: int | None = None,
-    n_cols: int | None = None,
-    unit: str | None = None,
-    f_max: float | None = None,
-    rate_hz: float | None = None,
     nan: str = REFUSE,
     negative: str = REFUSE,
     log: Callable[[str], None] = lambda _: None,
+    **stated: Any,
 ) -> int:
     """Write a recording, in any format that the sensor reads, as a bag.
 
     The bag holds what a sensor would have published from the file: /PATCH/skin, then
-    /PATCH/taxels, with stamps from 0. The run id is a hash of the file, so the same file gives
+    /PATCH/taxels, with stamps from 0. The run id is a hash of the frames, so the same file gives
     the same bag.
 
-    `n_rows`, `n_cols`, `unit`, `f_max` and `rate_hz` are properties that the file does not state,
-    as in `open_file`. `nan` and `negative` are the ways of its `Policy`; `log` is called with a
-    line on readings that were treated so. Returns the number of frames.
+    `stated` is what the file does not state, as in `open_file`. `nan` and `negative` are the ways
+    of its `Policy`; `log` is called with lines on readings that were treated so, and on what was
+    assumed. Returns the number of frames.
 
     Raises SourceError if the recording is missing or malformed or a setting contradicts it,
     BagError if the bag exists or cannot be written.
     """
     policy = Policy(nan, negative)
-    frames = open_file(
-        source, n_rows=n_rows, n_cols=n_cols, unit=unit, f_max=f_max, rate_hz=rate_hz, policy=policy
-    )
+    frames = open_file(source, policy=policy, **stated)
     skin = frames.skin
-    for line in frames.treated.lines(policy, skin.unit):
+    for line in frames.take_lines():
         log(line)
-    run_id = hashlib.blake2b(source.read_bytes(), digest_size=_RUN_ID_BYTES).hexdigest()
+    content = hashlib.blake2b(frames.frames.tobytes(), digest_size=_RUN_ID_BYTES)
+    run_id = content.hexdigest()
     try:
         state = SkinState(
             stamp_ns=0,

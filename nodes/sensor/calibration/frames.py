@@ -5,18 +5,16 @@ from __future__ import annotations
 import re
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Calibration, Taxels
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.recording import KEEP, Policy
 from sparseskin.nodes.sensor.source import Skin, Source
-from sparseskin.nodes.sensor.sources import FILE, open_source
+from sparseskin.nodes.sensor.sources import open_source
 
 from .press import CalibrationError
 
@@ -49,7 +47,7 @@ def read_part(text: str) -> tuple[float, float] | None:
 
 
 def file_frames(path: str, n_rows: int | None = None, n_cols: int | None = None) -> Frames:
-    """All frames of a file, as `open_file` reads it, or the taxels of a bag (.mcap).
+    """All frames of a file, as `open_file` reads it.
 
     Returns
     -------
@@ -58,32 +56,9 @@ def file_frames(path: str, n_rows: int | None = None, n_cols: int | None = None)
     Raises
     ------
     SparseskinError
-        If it cannot be read, or is a bag with none or several patches.
+        If it cannot be read.
     """
-    if Path(path).suffix != ".mcap":
-        return open_file(path, n_rows=n_rows, n_cols=n_cols, policy=Policy(negative=KEEP)).frames
-    return _bag(path)[1]
-
-
-def _bag(path: str) -> tuple[list[int], Frames]:
-    """Stamps and taxels of a bag of one patch."""
-    from sparseskin.nodes.recorder.bag.frames import decoded
-    from sparseskin.nodes.recorder.bag.reader import BagReader
-
-    with BagReader(path) as bag:
-        topics = [topic for topic, info in bag.topics.items() if info.schema == Taxels.schema]
-        if len(topics) != 1:
-            raise CalibrationError(f"{path}: holds {len(topics)} topics of taxels; expected one")
-        if any(info.schema == Calibration.schema for info in bag.topics.values()):
-            raise CalibrationError(
-                f"{path}: its taxels are forces, of a calibrated skin; expected raw readings"
-            )
-        messages = [decoded(bag, one) for one in bag.messages(topics)]
-    found = [message for message in messages if isinstance(message, Taxels)]
-    if len({message.forces.shape for message in found}) != 1 or found[0].names:
-        raise CalibrationError(f"{path}: expected frames of one shape, and of one patch")
-    stamps = [message.stamp_ns - found[0].stamp_ns for message in found]
-    return stamps, np.concatenate([message.forces for message in found])
+    return open_file(path, n_rows=n_rows, n_cols=n_cols, policy=Policy(negative=KEEP)).frames
 
 
 class Recorded:
@@ -165,18 +140,13 @@ class Live:
 def open_frames(
     source: str, n_rows: int | None = None, n_cols: int | None = None
 ) -> Recorded | Live:
-    """Open the source of a skin that is to be calibrated, by its name as in `open_source`; a .mcap
-    after "file:" is a bag.
+    """Open the source of a skin that is to be calibrated, by its name as in `open_source`.
 
     Raises
     ------
     SourceError
         If it cannot be opened, or delivers forces, as a scene does.
     """
-    if source.startswith(FILE) and source.endswith(".mcap"):
-        stamps, frames = _bag(source.removeprefix(FILE))
-        skin = Skin(frames.shape[1], frames.shape[2], max(1.0, float(frames.max())), "raw")
-        return Recorded(skin, stamps, frames)
     opened = open_source(source, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
     if opened.delivers == "truth":
         opened.close()

@@ -1,18 +1,23 @@
-"""Addresses of recordings: file:PATH."""
+"""Addresses of recordings: file:PATH, and example:NAME of those of this package."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.sensor.source import Address, Listing, Source
 
 from .file_source import n_taxels, open_file
 from .format import suffixes
 from .recording import KEEP, REFUSE, Policy
 
+EXAMPLES = {"fingers": "fingers press on the edge of a hole, Tekscan I-Scan 6900, counts"}
+"""Recordings of this package and a few words on each."""
 MAX_LISTED = 20
 """Most recordings of the current folder that are listed; chosen."""
 
@@ -20,29 +25,25 @@ MAX_LISTED = 20
 class FileAddress(Address):
     """A recording.
 
-    A .csv of numbers takes its shape from the file of the skin, where one is stated. Readings below
-    0 are kept where a calibration converts them.
+    A table takes its shape from the file of the skin, where one is stated. Readings below 0 are
+    kept where a calibration converts them.
     """
 
     form = "file:PATH"
 
+    @property
+    def path(self) -> str:
+        """The file."""
+        return self.rest
+
     def check(self) -> None:
-        unit = "raw" if self.unit is None and self.described is not None else self.unit
-        n_taxels(self.rest, *self._shape, unit, self._policy)
+        self.n_taxels()
 
     def n_taxels(self) -> int | None:
-        return n_taxels(self.rest, *self._shape, self.unit, self._policy)
+        return n_taxels(self.path, **self._stated)
 
     def open(self) -> Source:
-        n_rows, n_cols = self._shape
-        return open_file(
-            self.rest,
-            n_rows=n_rows,
-            n_cols=n_cols,
-            unit=self.unit,
-            f_max=self.f_max,
-            policy=self._policy,
-        )
+        return open_file(self.path, f_max=self.f_max, **self._stated)
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
@@ -57,13 +58,40 @@ class FileAddress(Address):
         return (Listing("files", "recordings in this folder", entries),)
 
     @property
-    def _shape(self) -> tuple[int | None, int | None]:
-        found = self.described
-        if found is None or found.placement is not None or not self.rest.endswith(".csv"):
-            return self.n_rows, self.n_cols
-        return self.n_rows or found.rows, self.n_cols or found.cols
+    def _stated(self) -> dict[str, Any]:
+        found, n_rows, n_cols = self.described, self.n_rows, self.n_cols
+        if found and found.placement is None and self.path.endswith(".csv"):
+            n_rows, n_cols = n_rows or found.rows, n_cols or found.cols
+        return {
+            "n_rows": n_rows,
+            "n_cols": n_cols,
+            "unit": self.unit,
+            "rate_hz": self.rate_hz,
+            "columns": self.columns or None,
+            "topic": self.topic or None,
+            "policy": self._policy,
+        }
 
     @property
     def _policy(self) -> Policy:
         keeps = self.raw and self.policy.negative == REFUSE
         return replace(self.policy, negative=KEEP) if keeps else self.policy
+
+
+class ExampleAddress(FileAddress):
+    """A recording that comes with this package, so that there is one to begin with."""
+
+    form = "example:NAME"
+
+    @property
+    def path(self) -> str:
+        if self.rest not in EXAMPLES:
+            raise SourceError(f"{self.source}: there is no such{nearest_of(self.rest, EXAMPLES)}")
+        return str(Path(__file__).with_name("examples") / f"{self.rest}.npz")
+
+    @classmethod
+    def listings(cls) -> Sequence[Listing]:
+        entries = [
+            {"source": f"example:{name}", "about": about} for name, about in EXAMPLES.items()
+        ]
+        return (Listing("examples", "recordings of this package", entries),)

@@ -1,7 +1,8 @@
-"""Plain arrays: .npy, .npz, and .csv with one frame a line."""
+"""Plain arrays: .npy and .npz."""
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,26 +23,15 @@ from sparseskin.nodes.numerics.array_files import (
     read_npy,
     read_npz,
 )
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.arrays import Mask
 
-from .recording import (
-    Head,
-    Lines,
-    Parsed,
-    Policy,
-    Recording,
-    check_grid,
-    is_missing,
-    parse_number,
-    parse_reading,
-    shown,
-    stack_frames,
-)
+from .recording import File, Head, Parsed, Recording, choose, parse_number, shown
 
 _MOST = 64
-"""Arrays of an .npz without `forces` whose shapes are looked at."""
+"""Arrays of an .npz whose shapes are looked at."""
 FORCES = "forces"
 NUMBERS = ("rate_hz", "f_max", "pitch_m")
+TIMES = ("stamp_ns", "rate_hz")
 NPZ_NAMES = (FORCES, "stamp_ns", *NUMBERS, "mask", "unit", "points", "point_rows")
 """Names of the arrays that are read from an .npz; all others are ignored."""
 
@@ -49,8 +39,9 @@ NPZ_NAMES = (FORCES, "stamp_ns", *NUMBERS, "mask", "unit", "points", "point_rows
 class ArrayRecording(Recording):
     """One array, or an archive of arrays.
 
-    An archive holds `forces`, shape (n_frames, n_rows, n_cols), of any integer or float dtype, or
-    one 3-D array of any name, and optionally `stamp_ns`, shape (n_frames,), rising integers;
+    The frames have the shape (n_frames, n_rows, n_cols) or (n_frames, n_cells), and any integer or
+    float dtype. In an archive they are the array of the stated topic, or `forces`, or the only 3-D
+    one, or the only 2-D one; optional are `stamp_ns`, shape (n_frames,), rising integers;
     `rate_hz`, `f_max` and `pitch_m`, one number each; `unit`, a text; `mask`, shape (n_rows,
     n_cols), True or 1 where a taxel exists; `points`, float32 of shape (n_taxels, 6): place in
     metres and unit normal of each taxel of a skin that is no flat grid; `point_rows`, int32 of
@@ -63,8 +54,8 @@ class ArrayRecording(Recording):
         If the file is no such one, or one of these arrays is not as described.
     """
 
-    def __init__(self, file: IO[bytes], name: str) -> None:
-        self._file, self._name = file, name
+    def __init__(self, file: File) -> None:
+        self._of, self._file, self._name = file, file.file, file.name
 
     def head(self) -> Head:
         file, name = self._file, self._name
@@ -72,27 +63,25 @@ class ArrayRecording(Recording):
             archive = is_npz(file.read(8))
             file.seek(0)
             if not archive:
-                _, n_rows, n_cols = _checked_shape(npy_shape(file), name)
-                return Head(n_rows, n_cols, n_rows * n_cols)
-            shapes = npz_shapes(file, lambda held: [FORCES] if FORCES in held else held[:_MOST])
-            found = _forces_name({key: len(one) for key, one in shapes.items()}, name)
-            _, n_rows, n_cols = _checked_shape(shapes[found], f"{name}, array {shown(found)}")
+                shape = check_dimensions(npy_shape(file), name)[1:]
+                return Head(shape, math.prod(shape), is_timed=False)
+            shapes, found = self._shapes(file)
+            shape = check_dimensions(shapes[found], f"{name}, array {shown(found)}")[1:]
             most_bytes = 8 * MAX_ELEMENTS + MAX_HEAD_BYTES
-            held = read_npz(file, lambda held: ["mask"] if "mask" in held else [], most_bytes)
-        mask = _mask(held, (n_rows, n_cols), name)
-        return Head(n_rows, n_cols, n_rows * n_cols if mask is None else int(mask.sum()))
+            masks = read_npz(file, lambda held: ["mask"] if "mask" in held else [], most_bytes)
+        mask = _mask(masks, shape, name)
+        is_timed, unit = not shapes.keys().isdisjoint(TIMES), "" if "unit" in shapes else None
+        return Head(shape, math.prod(shape) if mask is None else int(mask.sum()), unit, is_timed)
 
     def read(self) -> Parsed:
         self._file.seek(0)
         raw, name = self._file.read(), self._name
         with _refusing(name):
             if not is_npz(raw):
-                return Parsed(forces=_as_frames(read_npy(raw), name))
-            arrays = read_npz(
-                raw, lambda held: [key for key in held if FORCES not in held or key in NPZ_NAMES]
-            )
-        found = _forces_name({key: array.ndim for key, array in arrays.items()}, name)
-        forces = _as_frames(arrays[found], f"{name}, array {shown(found)}")
+                return Parsed(forces=as_frames(read_npy(raw), name))
+            wanted = (found := self._shapes(io.BytesIO(raw))[1], *NPZ_NAMES)
+            arrays = read_npz(raw, lambda held: [key for key in held if key in wanted])
+        forces = as_frames(arrays[found], f"{name}, array {shown(found)}")
         mask = _mask(arrays, forces.shape[1:], name)
         if mask is not None:
             forces = np.where(mask, forces, forces.dtype.type(0))
@@ -110,89 +99,54 @@ class ArrayRecording(Recording):
             mask=mask,
             points=arrays.get("points"),
             point_rows=arrays.get("point_rows"),
-            **numbers,
+            rate_hz=numbers.get("rate_hz"),
+            f_max=numbers.get("f_max"),
+            pitch_m=numbers.get("pitch_m"),
         )
 
+    def _shapes(self, file: IO[bytes]) -> tuple[dict[str, tuple[int, ...]], str]:
+        """Shapes of the arrays of an archive that may be used, and the name of the frames."""
+        topic = self._of.topic
 
-class PlainCsvRecording(Recording):
-    """Numbers separated by commas, one frame a line, row after row of the skin.
+        def wanted(held: list[str]) -> list[str]:
+            known = [key for key in held if key in (topic, *NPZ_NAMES)]
+            return known if (topic or FORCES) in held else held[:_MOST]
 
-    Blank lines and lines that begin with `#` are skipped. If only one of `n_rows` and `n_cols`
-    is stated, the other follows from the length of a line. Readings that are not finite (an empty
-    cell, too) or below 0 are kept where `policy` does not refuse them.
+        shapes = npz_shapes(file, wanted)
+        return shapes, frames_name({k: len(one) for k, one in shapes.items()}, topic, self._name)
 
-    Raises
-    ------
-    SourceError
-        If no shape is stated, a line has not n_rows x n_cols numbers, or one is not a finite
-        number >= 0.
+
+def frames_name(dimensions: Mapping[str, int], stated: str | None, name: str) -> str:
+    """The array of a file that holds the frames, by the dimensions of each: the stated one,
+    `forces`, or the only one of three, or else of two. SourceError if there is none, or not one.
     """
-
-    def __init__(
-        self, lines: Lines, n_rows: int | None, n_cols: int | None, policy: Policy
-    ) -> None:
-        self._lines, self._policy = lines, policy
-        tokens = self._next()
-        if tokens is None:
-            raise SourceError(f"{lines.name}: the recording holds no frame")
-        where, n_cells = lines.where, len(tokens)
-        try:
-            float(tokens[0])
-        except ValueError:
-            if not is_missing(tokens[0], policy):
-                raise SourceError(
-                    f"{where}: {shown(tokens[0])} is not a number; allowed: an export of Tekscan "
-                    f"or XSENSOR, or numbers with one frame a line{_vendor(','.join(tokens))}"
-                ) from None
-        if not (n_rows or n_cols):
-            raise SourceError(
-                f"{where}: a .csv of numbers does not state its shape; set n_rows and n_cols "
-                f"(this line holds {n_cells} cells)"
-            )
-        n_rows = n_rows or n_cells // (n_cols or 1)
-        self._shape = n_rows, n_cols or n_cells // n_rows
-        check_grid(*self._shape, lines.name)
-        self._first = self._frame(tokens)
-
-    def head(self) -> Head:
-        return Head(*self._shape, math.prod(self._shape))
-
-    def read(self) -> Parsed:
-        frames = [self._first]
-        while (tokens := self._next()) is not None:
-            frames.append(self._frame(tokens))
-        return Parsed(forces=stack_frames(frames, self._lines.name))
-
-    def _next(self) -> list[str] | None:
-        """The cells of the next line that is neither blank nor a comment; None at the end."""
-        for line in self._lines:
-            if line.strip() and not line.lstrip().startswith("#"):
-                return [token.strip() for token in line.split(",")]
-        return None
-
-    def _frame(self, tokens: list[str]) -> Doubles:
-        (n_rows, n_cols), where = self._shape, self._lines.where
-        if len(tokens) != n_rows * n_cols:
-            raise SourceError(
-                f"{where}: holds {len(tokens)} cells, but n_rows x n_cols = "
-                f"{n_rows} x {n_cols} needs {n_rows * n_cols}"
-            )
-        readings = [
-            parse_reading(token, where, *divmod(k, n_cols), self._policy)
-            for k, token in enumerate(tokens)
-        ]
-        return np.array(readings).reshape(self._shape)
+    if stated is None and FORCES in dimensions:
+        return FORCES
+    wanted = {key: f"{n}-D" for key, n in dimensions.items() if n == 3}
+    if stated is not None or not wanted:
+        others = set() if stated is not None else {*NPZ_NAMES}
+        wanted |= {key: "2-D" for key, n in dimensions.items() if n == 2 and key not in others}
+    return choose(wanted, stated, name, "arrays of frames, (frames, rows, columns)")
 
 
-def _vendor(line: str) -> str:
-    """What is known of a header line that is not read."""
-    if line.startswith("sole_id,timestamp"):
-        return " (an export of StappOne has sensors of an insole, which form no grid)"
-    if line.startswith("stamp_ns,"):
-        return " (an exported topic of a bag is not read; export it to npz, which is)"
-    if "boditrak" in line.lower():
-        return " (an export of BodiTrak is not read; save its frames as plain numbers)"
-    return ""
+def as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
+    """The array itself; SourceError unless it holds frames of real numbers."""
+    if array.dtype.kind not in "iuf":
+        raise SourceError(
+            f"{where}: dtype {shown(array.dtype)}; allowed are integers and floating point"
+        )
+    check_dimensions(array.shape, where)
+    return array
+
+
+def check_dimensions(shape: tuple[int, ...], where: str) -> tuple[int, ...]:
+    """The shape of frames; SourceError unless it has two or three dimensions."""
+    if len(shape) not in (2, 3):
+        raise SourceError(
+            f"{where}: has {len(shape)} dimensions, shape {shape}; expected three: (frames, rows, "
+            "columns), or two: (frames, readings)"
+        )
+    return shape
 
 
 @contextmanager
@@ -201,40 +155,6 @@ def _refusing(name: str) -> Iterator[None]:
         yield
     except ArrayFileError as error:
         raise SourceError(f"{name}: {error}") from error
-
-
-def _forces_name(dimensions: Mapping[str, int], name: str) -> str:
-    """The array that holds the frames, by the number of dimensions of each; SourceError if it is
-    not `forces`, nor the only one of three dimensions.
-    """
-    if FORCES in dimensions:
-        return FORCES
-    candidates = [key for key, n in dimensions.items() if n == 3]
-    if len(candidates) == 1:
-        return candidates[0]
-    held = ", ".join(f"{shown(key)} {n}-D" for key, n in list(dimensions.items())[:8])
-    raise SourceError(
-        f"{name}: expected an array 'forces' or exactly one 3-D array; it holds {held or 'nothing'}"
-    )
-
-
-def _as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
-    if array.dtype.kind not in "iuf":
-        raise SourceError(
-            f"{where}: dtype {shown(array.dtype)}; allowed are integers and floating point"
-        )
-    _checked_shape(array.shape, where)
-    return array
-
-
-def _checked_shape(shape: tuple[int, ...], where: str) -> tuple[int, ...]:
-    """The shape of frames; SourceError unless it has three dimensions."""
-    if len(shape) != 3:
-        raise SourceError(
-            f"{where}: has {len(shape)} dimensions, shape {shape}; "
-            "expected three: (frames, rows, columns)"
-        )
-    return shape
 
 
 def _mask(arrays: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...], name: str) -> Mask | None:

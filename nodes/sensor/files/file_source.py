@@ -5,9 +5,11 @@ Before a graph starts, the begin of the file is read alone.
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +21,22 @@ from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.source import Source
+from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Source
 
-from .format import File, recording_of
+from .format import recording_of
 from .invalid import Treated, treat
 from .recording import (
+    ADD,
+    COUNTS,
     DEFAULT_POLICY,
     KEEP,
     MAX_READING,
-    NO_UNIT,
     REFUSE,
+    File,
+    Head,
     Parsed,
     Policy,
+    Recording,
     check_grid,
     check_number,
     check_readings,
@@ -45,6 +51,8 @@ MAX_FRAMES = 1 << 24
 UNTIMED_PERIOD_NS = 10_000_000
 """Time between frames where neither file nor caller states one, chosen: stamps must rise."""
 _MAX_RATE_HZ = 1e9
+_HEADS: dict[tuple[object, ...], Head] = {}
+"""The begin of the file that was read last: a launch asks for it several times."""
 
 
 @dataclass(eq=False)
@@ -52,8 +60,7 @@ class RecordedSource(Source):
     """The frames of a recording, in memory and checked; may be iterated any number of times.
 
     Its attributes are those of a `Source`; its name is that of the file without suffix. `treated`
-    counts the readings that were not valid, and were treated by
-    `policy`.
+    counts the readings that were not valid, and were treated by `policy`; `notes` are for the log.
     """
 
     name: str
@@ -63,6 +70,7 @@ class RecordedSource(Source):
     rate_hz: float | None = None
     policy: Policy = DEFAULT_POLICY
     treated: Treated = field(default_factory=Treated)
+    notes: tuple[str, ...] = ()
     n_frames: int | None = field(init=False)
     _is_new: bool = field(default=True, init=False)
 
@@ -77,7 +85,8 @@ class RecordedSource(Source):
             yield stamp, frame.copy()
 
     def take_lines(self) -> list[str]:
-        lines = list(self.treated.lines(self.policy, self.skin.unit)) if self._is_new else []
+        lines = [*self.notes, *self.treated.lines(self.policy, self.skin.unit)]
+        lines = lines if self._is_new else []
         self._is_new = False
         return lines
 
@@ -89,25 +98,21 @@ class RecordedSource(Source):
 def open_file(
     path: str | os.PathLike[str],
     *,
-    n_rows: int | None = None,
-    n_cols: int | None = None,
     unit: str | None = None,
     f_max: float | None = None,
     rate_hz: float | None = None,
     policy: Policy = DEFAULT_POLICY,
+    **stated: Any,
 ) -> RecordedSource:
     """Open a recording; its format follows from the suffix, and for .csv from the content.
 
     Parameters
     ----------
     path : str or path
-        A file with one of the suffixes in `format.suffixes()`.
-    n_rows, n_cols : int, optional
-        Shape of a frame. Required for a plain .csv (one of them is enough); any other file
-        states its shape, which must agree.
+        A file with one of the suffixes in `format.suffixes()`, or the folder of a ROS 2 bag.
     unit : str, optional
-        Unit of the readings. Required for a plain .csv; "N" where an array states none; must
-        agree with a unit that the file states.
+        Unit of the readings. Required for a table; of arrays that state none "counts", where they
+        are integers, or else "N"; must agree with a unit that the file states.
     f_max : float, optional
         Upper end of the range, in `unit`; by default that of the file, or else the largest
         reading of the recording.
@@ -116,52 +121,61 @@ def open_file(
     policy : Policy
         What to do with readings that are not finite or below 0, in arrays and plain .csv; refused
         by default.
+    **stated
+        n_rows, n_cols : int, shape of a frame, where the file does not state it (one of them is
+        enough), else it must agree; columns : str, those of a table, as in
+        `table.TableRecording`, or the field of a point cloud; topic : str, topic of a recording,
+        or name of an array in the file.
 
     Returns
     -------
     RecordedSource
         Frames float32 of shape (n_rows, n_cols) in [0, f_max]; 0 in masked cells; NaN where a
         reading is not finite and `policy` allows it: `MissingReadings` fills it in. Stamps are the
-        file's, or follow from the rate, or are 10 ms apart where there is neither.
+        file's, or follow from the rate, or are 10 ms apart where there is neither; a rate that
+        nothing states follows from the stamps.
 
     Raises
     ------
     SourceError
-        If the file is missing, empty or of no known format, anything in it is malformed, a
+        If the file is missing, empty or of no known format, anything in it is malformed, it does
+        not state its shape or unit, which are then named with the rate in one line, a
         reading is negative or not finite, a setting contradicts the file, `f_max` is below the
         largest reading, or all readings are 0 and no `f_max` is stated.
     """
     name = str(path)
-    for what, side in (("n_rows", n_rows), ("n_cols", n_cols)):
-        if side is not None and not is_whole(side, 1, MAX_SIDE):
+    for what in ("n_rows", "n_cols"):
+        if (side := stated.get(what)) is not None and not is_whole(side, 1, MAX_SIDE):
             raise SourceError(
                 f"{name}: {what} = {shown(side)}; expected a whole number in 1..{MAX_SIDE}"
             )
     check_number(name, "f_max", f_max)
     check_number(name, "rate_hz", rate_hz, high=_MAX_RATE_HZ)
     check_unit(name, unit)
-    with reading(name) as file:
-        parsed = recording_of(File(file, name, n_rows, n_cols, policy)).read()
-    stated_mask = parsed.mask
-    parsed, treated = treat(parsed, policy)
-    n_frames, rows, cols = parsed.forces.shape
+    with _opened(name, policy, stated) as (file, recording):
+        parsed = recording.read()
+    n_frames, *cells = parsed.forces.shape
     if n_frames == 0:
         raise SourceError(f"{name}: the recording holds no frame")
+    timed = (rate_hz, parsed.rate_hz, parsed.stamp_ns) != (None, None, None)
+    keeps = policy.negative == KEEP
+    needs_unit = not (unit or keeps)
+    shape = _checked_shape(Head(tuple(cells), None, parsed.unit, timed), file, needs_unit)
+    parsed = replace(parsed, forces=parsed.forces.reshape(n_frames, *shape))
+    stated_mask = parsed.mask
+    is_whole_numbers = parsed.forces.dtype.kind in "iu"
+    parsed, treated = treat(parsed, policy)
     if n_frames > MAX_FRAMES:
         raise SourceError(f"{name}: {n_frames} frames; at most {MAX_FRAMES} are allowed")
-    check_grid(rows, cols, name)
-    check_stated_shape(rows, cols, n_rows, n_cols, name)
-    keeps = policy.negative == KEEP
     check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0, policy.nan != REFUSE)
     if parsed.mask is not None and not parsed.mask.any():
         raise SourceError(f"{name}: no cell of the skin is a taxel, all are masked")
     frames = parsed.forces.astype(np.float32)
     try:
         skin = Skin(
-            n_rows=rows,
-            n_cols=cols,
+            *shape,
             f_max=_range(frames, f_max if f_max is not None else parsed.f_max, name, keeps),
-            unit=_unit(unit or ("raw" if keeps and parsed.unit is None else None), parsed, name),
+            unit=_unit(unit, parsed, COUNTS if is_whole_numbers else "raw" if keeps else "N", name),
             pitch_m=parsed.pitch_m,
             mask=None if stated_mask is None or stated_mask.all() else stated_mask,
             points=parsed.points,
@@ -171,29 +185,27 @@ def open_file(
         raise SourceError(f"{name}: {error}") from error
     if treated.masked_taxels and parsed.mask is not None:
         skin = skin.without(~parsed.mask)
+    stamps, rate_hz = _stamps(parsed, n_frames, rate_hz, name), rate_hz or parsed.rate_hz
+    if rate_hz is None and parsed.stamp_ns is not None and stamps[-1]:
+        rate_hz = float(f"{(n_frames - 1) * 1e9 / stamps[-1]:.6g}")
+    notes = [*parsed.notes, *_assumed("" if unit or parsed.unit or keeps else skin.unit, rate_hz)]
     return RecordedSource(
-        Path(name).stem,
-        skin,
-        frames,
-        _stamps(parsed, n_frames, rate_hz, name),
-        rate_hz=rate_hz if rate_hz is not None else parsed.rate_hz,
-        policy=policy,
-        treated=treated,
+        Path(name).stem, skin, frames, stamps, rate_hz, policy, treated, tuple(notes)
     )
 
 
 def n_taxels(
     path: str,
-    n_rows: int | None = None,
-    n_cols: int | None = None,
     unit: str | None = None,
+    rate_hz: float | None = None,
     policy: Policy = DEFAULT_POLICY,
+    **stated: Any,
 ) -> int | None:
     """Number of taxels of a recording, from the begin of its file: what a launch checks.
 
     Parameters
     ----------
-    path, n_rows, n_cols, unit, policy
+    path, unit, rate_hz, policy, **stated
         As in `open_file`.
 
     Returns
@@ -205,16 +217,76 @@ def n_taxels(
     ------
     SourceError
         If the file cannot be read, its begin is malformed, its shape is not allowed or not the
-        one that is stated, or it is a .csv with no unit, stated or its own.
+        one that is stated, or it does not state its shape or unit.
     """
-    with reading(path) as file:
-        head = recording_of(File(file, path, n_rows, n_cols, policy)).head()
-    check_grid(head.n_rows, head.n_cols, path)
-    check_stated_shape(head.n_rows, head.n_cols, n_rows, n_cols, path)
-    if unit is None and head.unit is None and Path(path).suffix.lower() == ".csv":
-        raise SourceError(path + NO_UNIT)
+    with _opened(path, policy, stated) as (file, recording):
+        status = os.fstat(file.file.fileno())
+        key = (file.name, status.st_mtime_ns, status.st_size, policy, *stated.items())
+        if key not in _HEADS:
+            _HEADS.clear()
+            _HEADS[key] = recording.head()
+        head = _HEADS[key]
+    head = head._replace(is_timed=head.is_timed or rate_hz is not None)
+    _checked_shape(head, file, not (unit or policy.negative == KEEP))
     # No taxel: refused as it is read.
     return None if policy.masks else head.n_taxels or None
+
+
+@contextmanager
+def _opened(
+    path: str, policy: Policy, stated: Mapping[str, Any]
+) -> Iterator[tuple[File, Recording]]:
+    """The recording of a file; of the folder of a bag of ROS 2, of its only file."""
+    folder = Path(path)
+    if (folder / "metadata.yaml").is_file():
+        found = [file for file in sorted(folder.iterdir()) if file.suffix in (".mcap", ".db3")]
+        path = str(found[0]) if len(found) == 1 else path
+    with reading(path) as opened:
+        file = File(opened, path, policy=policy, **stated)
+        yield file, recording_of(file)
+
+
+def _checked_shape(head: Head, file: File, needs_unit: bool) -> tuple[int, int]:
+    """Rows and columns of a frame; SourceError that asks for all that is missing at once."""
+    name, n_cells = file.name, math.prod(head.shape)
+    rows, cols = file.n_rows, file.n_cols
+    missing: dict[str, object] = {}
+    if len(head.shape) == 2:
+        check_stated_shape(*head.shape, rows, cols, name)
+        rows, cols = head.shape
+    elif not (rows or cols):
+        side = max(k for k in range(1, math.isqrt(n_cells) + 1) if n_cells % k == 0)
+        missing = {"n_rows": side, "n_cols": n_cells // side}
+    else:
+        rows = rows or n_cells // (cols or 1)
+        cols = cols or n_cells // rows
+        if rows * cols != n_cells:
+            needed = f"n_rows x n_cols = {rows} x {cols} needs {rows * cols}"
+            raise SourceError(
+                f"{name}: a frame holds {n_cells} readings, but {needed}; columns states which"
+            )
+    if needs_unit and head.unit is None and Path(name).suffix.lower() == ".csv":
+        missing["unit"] = "N"
+    if missing:
+        missing |= {} if head.is_timed else {"rate_hz": 100}
+        words = {"n_cols": "shape", "unit": "unit (N, kPa, counts, ...)", "rate_hz": "rate"}
+        what = ", ".join(words[key] for key in missing if key in words)
+        settings = " ".join(f"{key}={value}" for key, value in missing.items())
+        fault = f"a frame holds {n_cells} readings; the file does not state {what}"
+        raise SourceError(f"{name}: {fault}{ADD}{settings}")
+    assert rows is not None is not cols
+    check_grid(rows, cols, name)
+    return rows, cols
+
+
+def _assumed(unit: str, rate_hz: float | None) -> Iterator[str]:
+    """Lines on what the file does not state, and is assumed."""
+    if unit == COUNTS:
+        yield "whole numbers without a unit: shown as counts; a calibration makes newtons of them"
+    elif unit:
+        yield f"states no unit: taken as {unit}; set unit where it is another"
+    if rate_hz is None:
+        yield f"states no rate: {DEFAULT_RATE_HZ:g} Hz; set rate_hz where it is another"
 
 
 def _range(frames: Floats, stated: float | None, name: str, keeps: bool) -> float:
@@ -231,7 +303,7 @@ def _range(frames: Floats, stated: float | None, name: str, keeps: bool) -> floa
     return float(stated)
 
 
-def _unit(stated: str | None, parsed: Parsed, name: str) -> str:
+def _unit(stated: str | None, parsed: Parsed, default: str, name: str) -> str:
     found = parsed.unit
     if found is not None and not (found.strip() and found.isprintable() and len(found) <= 32):
         raise SourceError(f"{name}: unit {shown(found)}; expected 1 to 32 printable characters")
@@ -239,10 +311,7 @@ def _unit(stated: str | None, parsed: Parsed, name: str) -> str:
         raise SourceError(
             f"{name}: unit = {shown(stated)} is stated, but the file states {shown(found)}"
         )
-    unit = stated or found
-    if unit is None and Path(name).suffix.lower() == ".csv":
-        raise SourceError(name + NO_UNIT)
-    return unit or "N"
+    return stated or found or default
 
 
 def _stamps(

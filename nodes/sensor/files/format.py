@@ -6,32 +6,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import IO
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import FILES, failures, loaded
 
-from .arrays import ArrayRecording, PlainCsvRecording
-from .recording import Lines, Policy, Recording, shown
+from .arrays import ArrayRecording
+from .bag import BagRecording, is_bag
+from .recording import File, Recording, shown
+from .table import TableRecording
 
 HEAD_BYTES = 1 << 16
 """Bytes from the begin of a file by which its format is found, where several have its suffix."""
-
-
-@dataclass(frozen=True)
-class File:
-    """An open file of a recording, and what is stated of it, as in `open_file`."""
-
-    file: IO[bytes]
-    name: str
-    n_rows: int | None
-    n_cols: int | None
-    policy: Policy
-
-    @property
-    def lines(self) -> Lines:
-        """Its lines, for formats of text."""
-        return Lines(self.file, self.name)
 
 
 @dataclass(frozen=True)
@@ -56,17 +41,15 @@ class Format:
 
 
 OWN = (
-    Format(
-        {".csv": "numbers with one frame a line"},
-        lambda f: PlainCsvRecording(f.lines, f.n_rows, f.n_cols, f.policy),
-    ),
+    Format({".csv": "table with one frame a line"}, TableRecording),
     Format(
         {
             ".npy": "array (frames, rows, columns)",
             ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
         },
-        lambda f: ArrayRecording(f.file, f.name),
+        ArrayRecording,
     ),
+    Format({".mcap": "recording of sparseskin"}, BagRecording, is_bag),
 )
 """Formats of the core."""
 
@@ -87,15 +70,16 @@ def recording_of(file: File) -> Recording:
     """
     suffix = Path(file.name).suffix.lower()
     fitting = [one for one in OWN if suffix in one.suffixes]
-    if suffix == ".csv" or not fitting:  # plug-ins, which may have it too, are imported for these
+    if (
+        suffix in (".csv", ".mcap") or not fitting
+    ):  # plug-ins, which may have it too, are imported for these
         begin = file.file.read(HEAD_BYTES)
         file.file.seek(0)
         fitting = [one for one in (*fitting, *loaded(FILES).values()) if suffix in one.suffixes]
         sure = [one for one in fitting if one.recognises is not None and one.recognises(begin)]
         fitting = sure or [one for one in fitting if one.recognises is None] or fitting
     if not fitting:
-        hint = "; sparseskin play FILE publishes a bag" if suffix == ".mcap" else failures(FILES)
-        allowed = f"allowed are {', '.join(suffixes())}{hint}"
+        allowed = f"allowed are {', '.join(suffixes())}{failures(FILES)}"
         raise SourceError(
             f"{file.name}: suffix {shown(Path(file.name).suffix)} is not known; {allowed}"
         )

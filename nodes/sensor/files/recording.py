@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -16,19 +18,22 @@ import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.ranges import is_real
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
-MAX_READING = 1e30
+MAX_READING = float(np.float32(1e30))
 """Largest reading, chosen: float32 holds it, and the sum of a frame of such readings."""
 _MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "inf", "+inf", "-inf"})
 """Cells of a .csv that hold no finite number."""
-NAN_HINT = "; or set nan to zero, hold or mask"
-NEGATIVE_HINT = "; or set negative to zero, offset or mask"
+COUNTS = "counts"
+"""Unit of whole numbers that have none: readings of a converter, which a calibration converts."""
+ADD = "; add "
+"""What stands in an error before the settings that are missing, as KEY=VALUE, in examples."""
+NAN_HINT = f"{ADD}nan=hold, or zero or mask"
+NEGATIVE_HINT = f"{ADD}negative=zero, or offset or mask"
 MAX_LINE_BYTES = 1 << 26
 """Longest line of a text file; chosen: a line of 2**20 readings has 20 MB."""
-NO_UNIT = ": a .csv of numbers does not state its unit; set unit, e.g. N"
-"""Refusal of a plain .csv, after its name."""
 REFUSE, ZERO, HOLD, OFFSET, MASK = "refuse", "zero", "hold", "offset", "mask"
 NAN_WAYS = (REFUSE, ZERO, HOLD, MASK)
 """Readings that are NaN or infinite: refused; or, as `MissingReadings`, they become 0, the last
@@ -69,8 +74,9 @@ class Parsed:
 
     Attributes
     ----------
-    forces : ndarray of a real number, shape (n_frames, n_rows, n_cols)
-        Readings in `unit`, each >= 0 and finite wherever a taxel exists.
+    forces : ndarray of a real number, shape (n_frames, n_rows, n_cols) or (n_frames, n_cells)
+        Readings in `unit`, each >= 0 and finite wherever a taxel exists; row after row where the
+        file does not state their shape.
     unit : str or None
         Unit of the readings.
     rate_hz : float or None
@@ -87,6 +93,8 @@ class Parsed:
         Place in metres and unit normal of each taxel.
     point_rows : ndarray of int32, shape (n_taxels,), or None
         Row of each taxel in a file of points.
+    notes : tuple of str
+        For the log: what was taken of the file, where it could be read in other ways.
     """
 
     forces: npt.NDArray[Any]
@@ -98,25 +106,31 @@ class Parsed:
     f_max: float | None = None
     points: npt.NDArray[Any] | None = None
     point_rows: npt.NDArray[Any] | None = None
+    notes: tuple[str, ...] = ()
 
 
 class Head(NamedTuple):
-    """What the begin of a recording states: rows, columns, and the number of taxels; None where
-    later frames decide which cells are taxels. `unit` is None where the begin states none.
+    """What the begin of a recording states: shape of a frame, (n_rows, n_cols), or (n_cells,) where
+    it is not stated; the number of taxels, None where later frames decide which cells are taxels;
+    its unit, None where there is none; True if it has a rate or stamps.
     """
 
-    n_rows: int
-    n_cols: int
+    shape: tuple[int, ...]
     n_taxels: int | None
     unit: str | None = None
+    is_timed: bool = True
 
 
 class Recording(ABC):
     """An open file of a recording. Each method is called once, `head` first if at all."""
 
-    @abstractmethod
     def head(self) -> Head:
-        """Read the begin of the file; SourceError if it is malformed."""
+        """Read the begin of the file, or all of it; SourceError if it is malformed."""
+        found = self.read()
+        shape, mask = found.forces.shape[1:], found.mask
+        timed = found.rate_hz is not None or found.stamp_ns is not None
+        n_taxels = math.prod(shape) if mask is None else int(mask.sum())
+        return Head(shape, n_taxels, found.unit, timed)
 
     @abstractmethod
     def read(self) -> Parsed:
@@ -127,6 +141,39 @@ def shown(text: object, limit: int = 40) -> str:
     """Quote any content of a file so that it fits in one line of an error."""
     quoted = ascii(str(text))
     return quoted if len(quoted) <= limit else quoted[: limit - 4] + "...'"
+
+
+def spelled(text: str, option: Callable[[str], str]) -> str:
+    """An error whose missing settings, KEY=VALUE behind `ADD`, are spelled as options."""
+    what, add, settings = text.partition(ADD)
+    return what + add + re.sub(r"\b([a-z_]+)=", lambda found: option(found[1]), settings)
+
+
+def choose(
+    found: Mapping[str, str], stated: str | None, name: str, what: str, key: str = "topic"
+) -> str:
+    """The key of one of several things in a file, each with a few words on it: the stated one, or
+    the only one. Raises SourceError if there is none, or not one; `key` is the setting.
+    """
+    listed = ", ".join(f"{printable(key)} ({about})" for key, about in [*found.items()][:8])
+    if len(found) == 1 and stated is None:
+        return next(iter(found))
+    if stated in found:
+        return str(stated)
+    if not found:
+        raise SourceError(f"{name}: holds no {what}")
+    if stated is not None:
+        raise SourceError(f"{name}: holds no {key} {shown(stated)}; allowed: {listed}")
+    first = shlex.quote(printable(next(iter(found))))
+    raise SourceError(f"{name}: holds {len(found)} {what}: {listed}{ADD}{key}={first}")
+
+
+def rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
+    """Stamps since the first; None if some are repeated. SourceError if they fall."""
+    for k, (before, stamp) in enumerate(pairwise(stamps), start=2):
+        if stamp < before:
+            raise SourceError(f"{name}: the time of frame {k} is before that of the one before it")
+    return tuple(s - stamps[0] for s in stamps) if len(set(stamps)) == len(stamps) else None
 
 
 @contextmanager
@@ -171,6 +218,24 @@ def text_lines(raw: bytes) -> list[str]:
     """
     lines = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split("\n")
     return [line.removesuffix("\r") for line in lines]
+
+
+@dataclass(frozen=True)
+class File:
+    """An open file of a recording, and what is stated of it, as in `open_file`."""
+
+    file: IO[bytes]
+    name: str
+    n_rows: int | None = None
+    n_cols: int | None = None
+    columns: str | None = None
+    topic: str | None = None
+    policy: Policy = DEFAULT_POLICY
+
+    @property
+    def lines(self) -> Lines:
+        """Its lines, for formats of text."""
+        return Lines(self.file, self.name)
 
 
 class Lines(Iterator[str]):
@@ -227,27 +292,18 @@ def parse_number(token: str, where: str, low: float = -math.inf, high: float = m
     return value
 
 
-def is_missing(token: str, policy: Policy) -> bool:
-    """True if a cell is empty or not a finite number, and that is not refused."""
-    return policy.nan != REFUSE and token.strip().lower() in _MISSING
+def is_missing(token: str) -> bool:
+    """True if a cell is empty or a name of what is no finite number."""
+    return token.strip().lower() in _MISSING
 
 
-def parse_reading(
-    token: str, where: str, row: int, col: int, policy: Policy | None = None
-) -> float:
-    """Read the reading of a cell (row, col), from 0.
-
-    SourceError if it is not in [0, 1e30], unless `policy` allows what is below 0 or missing (NaN);
-    None: the format has no such readings.
-    """
+def parse_reading(token: str, where: str, row: int, col: int) -> float:
+    """Read the reading of a cell (row, col), from 0; SourceError if it is not in [0, 1e30]."""
     where = f"{where}, row {row}, column {col}"
-    if policy is not None and is_missing(token, policy):
-        return math.nan
     value = parse_number(token, where)
-    if value < 0 and (policy is None or policy.negative == REFUSE):
-        hint = "" if policy is None else NEGATIVE_HINT
-        raise SourceError(f"{where}: {shown(token)} is below 0; a range starts at 0{hint}")
-    if abs(value) > MAX_READING:
+    if value < 0:
+        raise SourceError(f"{where}: {shown(token)} is below 0; a range starts at 0")
+    if value > MAX_READING:
         raise SourceError(f"{where}: {shown(token)} is beyond {MAX_READING:g}")
     return value
 
@@ -335,7 +391,7 @@ def check_readings(
         ):
             for frame, row, col in np.argwhere(bad)[:1]:
                 place = f"{where}: frame {first + frame}, row {row}, column {col}"
-                raise SourceError(f"{place}: {values[frame, row, col]:g} {what}")
+                raise SourceError(f"{place}: {values[frame, row, col]:.9g} {what}")
 
 
 def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:

@@ -1,0 +1,208 @@
+"""Recordings of ROS as files of readings: .bag of ROS 1, .db3 and .mcap of ROS 2."""
+
+from __future__ import annotations
+
+import bz2
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import lz4.frame  # type: ignore[import-untyped, unused-ignore]
+import mcap.records
+import numpy as np
+from mcap.opcode import Opcode
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.recorder.bag.records import (
+    MAGIC,
+    Break,
+    chunk_records,
+    message_of,
+    open_chunk,
+    parsed,
+    records,
+)
+from sparseskin.nodes.sensor.files.format import Format
+from sparseskin.nodes.sensor.files.recording import File, Parsed, Recording, choose, rising
+
+from .base import check_installed
+from .frames import KINDS, Received, read_frame
+
+
+class Recorded(NamedTuple):
+    """A message of a recording, and the time at which it was recorded."""
+
+    topic: str
+    kind: str
+    log_ns: int
+    data: bytes
+
+
+class RosRecording(Recording):
+    """The messages of a topic that hold frames: the stated topic, or the only one. Times are those
+    of the headers, or of the recording where a header has none or they do not rise.
+
+    Raises
+    ------
+    SourceError
+        If the file is damaged, no topic or several hold frames, or their shape changes.
+    """
+
+    def __init__(self, file: File) -> None:
+        check_installed(file.name, "ros", "rosbags", error=SourceError)
+        self._file, self._ros = file, 1 if file.name.lower().endswith(".bag") else 2
+        self._messages = READERS[Path(file.name).suffix.lower()]
+
+    def read(self) -> Parsed:
+        name = self._file.name
+        try:
+            topic = self._chosen()
+            messages = [one for one in self._all() if one.topic == topic]
+            messages.sort(key=lambda one: one.log_ns)
+            found = [self._frame(one) for one in messages]
+        except SourceError:
+            raise
+        except Break as error:
+            raise SourceError(f"{name}: byte {error.offset}: {error}") from error
+        except MemoryError:
+            raise SourceError(f"{name}: does not fit in memory") from None
+        except Exception as error:  # of rosbags and SQLite, at malformed bytes of any kind
+            text = " ".join(str(error).split())[:200] or type(error).__name__
+            raise SourceError(f"{name}: cannot be read ({text})") from error
+        if len(shapes := {one.values.shape for one in found}) > 1:
+            raise SourceError(
+                f"{name}: {topic}: the shape of its frames changes: {sorted(shapes)[:4]}"
+            )
+        stamps = [one.stamp_ns or 0 for one in found]
+        if not all(stamps) or sorted(set(stamps)) != stamps:
+            stamps = [one.log_ns for one in messages]
+        return Parsed(
+            np.stack([one.values for one in found]),
+            stamp_ns=rising(stamps, name),
+            notes=(f"topic {topic}",),
+        )
+
+    def _all(self) -> Iterator[Recorded]:
+        """All messages; SourceError once they are larger than any recording of that size is."""
+        left = max(MAX_GROWN_BYTES, MAX_GROWTH * Path(self._file.name).stat().st_size)
+        for one in self._messages(self._file):
+            left -= len(one.data)
+            if left < 0:
+                raise SourceError(f"{self._file.name}: its messages are far larger than the file")
+            yield one
+
+    def _frame(self, one: Recorded) -> Received:
+        try:
+            return read_frame(one.kind, one.data, self._file.columns, self._ros)
+        except SourceError as error:
+            raise SourceError(f"{self._file.name}: {one.topic}: {error}") from error
+
+    def _chosen(self) -> str:
+        """The topic whose first message is a frame."""
+        firsts: dict[str, Recorded] = {}
+        for one in self._all():
+            firsts.setdefault(one.topic, one)
+        fitting: dict[str, str] = {}
+        for topic, one in firsts.items():
+            if one.kind not in KINDS:
+                continue
+            try:
+                shape = self._frame(one).values.shape
+            except SourceError:
+                if topic == self._file.topic or len(firsts) == 1:
+                    raise
+                continue
+            fitting[topic] = f"{one.kind.rpartition('/')[2]}, {' x '.join(map(str, shape))}"
+        if not fitting:
+            held = ", ".join(f"{topic} ({one.kind})" for topic, one in [*firsts.items()][:8])
+            raise SourceError(
+                f"{self._file.name}: no topic holds frames; it holds {held or 'no message'}"
+            )
+        return choose(fitting, self._file.topic, self._file.name, "topics of frames")
+
+
+def _mcap(file: File) -> Iterator[Recorded]:
+    """The messages of an .mcap, in or outside chunks."""
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
+
+    def one(opcode: int, content: Any, offset: int) -> Iterator[Recorded]:
+        if opcode == Opcode.SCHEMA:
+            schema = parsed(mcap.records.Schema.read, bytes(content), offset)
+            schemas[schema.id] = schema.name
+        elif opcode == Opcode.CHANNEL:
+            channel = parsed(mcap.records.Channel.read, bytes(content), offset)
+            is_cdr = channel.message_encoding == "cdr"
+            kind = schemas.get(channel.schema_id, "") if is_cdr else channel.message_encoding
+            channels[channel.id] = channel.topic, kind
+        elif opcode == Opcode.MESSAGE:
+            message = message_of(memoryview(content), offset)
+            if message.channel not in channels:
+                raise Break(offset, "a message there has no channel")
+            yield Recorded(*channels[message.channel], message.log_time_ns, bytes(message.payload))
+
+    size = file.file.seek(0, 2)
+    for record in records(file.file, len(MAGIC), size):
+        if record.opcode == Opcode.DATA_END:
+            return
+        if record.opcode == Opcode.CHUNK:
+            for opcode, content in chunk_records(open_chunk(record), record.offset):
+                yield from one(opcode, content, record.offset)
+        else:
+            yield from one(record.opcode, record.data, record.offset)
+
+
+def _db3(file: File) -> Iterator[Recorded]:
+    """The messages of an SQLite file, whose tables are no views and call nothing."""
+    where = f"{Path(file.name).resolve().as_uri()}?mode=ro&immutable=1"
+    with closing(sqlite3.connect(where, uri=True)) as base:
+        base.execute("PRAGMA trusted_schema = OFF")
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_GROWN_BYTES)
+        tables = {
+            name for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        }
+        if not tables >= {"topics", "messages"}:
+            raise SourceError(f"{file.name}: holds no tables topics and messages of a bag of ROS 2")
+        topics = {
+            id: (str(name), str(kind) if form == "cdr" else str(form))
+            for id, name, kind, form in base.execute(
+                "SELECT id, name, type, serialization_format FROM topics"
+            )
+        }
+        rows = base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp")
+        for id, log_ns, data in rows:
+            if not (id in topics and isinstance(log_ns, int) and isinstance(data, bytes)):
+                raise SourceError(f"{file.name}: a message has no topic, time or content")
+            yield Recorded(*topics[id], log_ns, data)
+
+
+def _bag(file: File) -> Iterator[Recorded]:
+    """The messages of a bag of ROS 1."""
+    from rosbags.rosbag1 import Reader
+    from rosbags.rosbag1.reader import decompressors
+
+    limit = 1 << 28
+
+    def bounded(plain: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+        make = {
+            decompressors["bz2"]: bz2.BZ2Decompressor,
+            decompressors["lz4"]: lz4.frame.LZ4FrameDecompressor,
+        }.get(plain)
+        return plain if make is None else lambda data: make().decompress(data, max_length=limit)
+
+    with Reader(Path(file.name)) as reader:
+        for at, chunk in reader.chunks.items():
+            reader.chunks[at] = chunk._replace(decompressor=bounded(chunk.decompressor))
+        for connection, log_ns, data in reader.messages():
+            yield Recorded(connection.topic, connection.msgtype, log_ns, data)
+
+
+READERS: dict[str, Callable[[File], Iterator[Recorded]]] = {
+    ".bag": _bag,
+    ".db3": _db3,
+    ".mcap": _mcap,
+}
+ROS = Format({".bag": "ROS 1", ".db3": "ROS 2", ".mcap": "ROS 2"}, RosRecording)

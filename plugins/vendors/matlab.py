@@ -1,0 +1,133 @@
+"""Arrays in files of MATLAB, .mat, and HDF5, .h5, to which a .mat of version 7.3 belongs."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from math import prod
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.sensor.files.arrays import as_frames, frames_name
+from sparseskin.nodes.sensor.files.recording import File, Parsed, Recording
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_HEAD, _COMPRESSED = 128, 15
+"""Bytes of the header of a .mat, and the type of its compressed elements."""
+_MOST = 4096
+"""Datasets of a file that are looked at."""
+
+
+class ArraysRecording(Recording):
+    """The array of the stated topic, its name or path in the file, or `forces`, or the only one of
+    three dimensions. MATLAB's have the frames last, as forces(:, :, k), unless only the first
+    dimension leaves the stated shape; those of two dimensions have a row a frame, as all of HDF5.
+
+    Raises
+    ------
+    SourceError
+        If the file is malformed, no array or several fit, or h5py is not installed for HDF5.
+    """
+
+    def __init__(self, file: File) -> None:
+        self._file = file
+
+    def read(self) -> Parsed:
+        file, name = self._file.file, self._file.name
+        is_matlab = name.lower().endswith(".mat")
+        begin = file.read(520)
+        try:
+            if begin.startswith(_HDF5) or begin[512:] == _HDF5:
+                key, array = self._hdf5()
+                array = array.T if is_matlab else array
+            else:
+                file.seek(0)
+                key, array = self._mat(file.read())
+        except SourceError:
+            raise
+        except MemoryError:
+            raise SourceError(f"{name}: does not fit in memory") from None
+        except Exception as error:  # of SciPy and HDF5, at malformed bytes of any kind
+            text = " ".join(str(error).split())[:200] or type(error).__name__
+            raise SourceError(f"{name}: cannot be read ({text})") from error
+        array = as_frames(array, f"{name}, array {key}")
+        if not is_matlab or array.ndim != 3:
+            return Parsed(array)
+        stated = self._file.n_rows, self._file.n_cols
+        is_last = None in stated or array.shape[:2] == stated or array.shape[1:] != stated
+        array = np.moveaxis(array, -1, 0) if is_last else array
+        return Parsed(
+            array,
+            notes=(f"array {key}: frames are its {'last' if is_last else 'first'} dimension",),
+        )
+
+    def _check_size(self, key: str, n_bytes: int, held: int) -> None:
+        most = max(MAX_GROWN_BYTES, MAX_GROWTH * held)
+        if n_bytes > most:
+            raise SourceError(f"{self._file.name}, array {key}: {n_bytes} bytes; at most {most}")
+
+    def _mat(self, raw: bytes) -> tuple[str, npt.NDArray[Any]]:
+        from scipy.io import loadmat, whosmat
+
+        plain = io.BytesIO(b"".join(_inflated(raw, max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw)))))
+        numbers = {
+            key: shape
+            for key, shape, kind in whosmat(plain)
+            if kind[:3] in ("dou", "sin", "int", "uin")
+        }
+        key = frames_name(
+            {key: len(shape) for key, shape in numbers.items()}, self._file.topic, self._file.name
+        )
+        self._check_size(key, 8 * prod(numbers[key]), len(raw))
+        plain.seek(0)
+        return key, loadmat(plain, variable_names=[key])[key]
+
+    def _hdf5(self) -> tuple[str, npt.NDArray[Any]]:
+        try:
+            import h5py
+        except ImportError as error:
+            raise SourceError(
+                f'{self._file.name}: HDF5 needs h5py; pip install "sparseskin[hdf5]"'
+            ) from error
+        sizes: dict[str, int] = {}
+        with h5py.File(self._file.file, "r") as file:
+
+            def look(key: str, one: Any) -> bool | None:
+                # Soft and external links are not followed.
+                if isinstance(one, h5py.Dataset) and not (one.external or one.is_virtual):
+                    sizes[key] = one.ndim
+                return len(sizes) >= _MOST or None
+
+            file.visititems(look)
+            ends = {key.rpartition("/")[2]: key for key in sizes}
+            topic = self._file.topic and self._file.topic.strip("/")
+            key = frames_name(
+                sizes if topic or "forces" not in ends else {ends["forces"]: 3},
+                topic,
+                self._file.name,
+            )
+            found = file[key]
+            self._check_size(key, found.size * found.dtype.itemsize, self._file.file.seek(0, 2))
+            return key, found[()]
+
+
+def _inflated(raw: bytes, most: int) -> Iterator[bytes]:
+    """A .mat with its compressed elements in plain; SourceError beyond `most` bytes."""
+    yield raw[:_HEAD]
+    order, at = "<" if raw[126:128] == b"IM" else ">", _HEAD
+    while at + 8 <= len(raw):
+        kind, size = struct.unpack_from(f"{order}II", raw, at)
+        element = raw[at : at + 8 + size]
+        if kind == _COMPRESSED:
+            element = zlib.decompressobj().decompress(element[8:], most + 1)
+            most -= len(element)
+            if most < 0:
+                raise SourceError("its arrays are far larger than the file")
+        yield element
+        at += 8 + size
