@@ -94,10 +94,12 @@ class TableRecording(Recording):
     def _cells(self) -> Iterator[list[str]]:
         """The cells of the lines that are neither blank nor comments."""
         lines = (line for line in self._lines if line.strip() and line.lstrip()[0] != "#")
-        first = next(lines, "")
+        if (first := next(lines, None)) is None:
+            return
         mark = next((mark for mark in ";\t," if mark in first), " ")
         try:
-            for cells in csv.reader(chain([first], lines), delimiter=mark, skipinitialspace=True):
+            for line in chain([first], lines):
+                cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True))
                 # A decimal comma stands where semicolons separate.
                 yield [c.strip().replace(",", "." if mark == ";" else ",") for c in cells]
         except csv.Error as error:

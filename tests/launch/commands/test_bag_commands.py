@@ -128,9 +128,9 @@ def test_a_plain_csv_is_imported_with_what_is_stated(bag: Bag) -> None:
     [
         ("a.npy", "no array", (), "not a readable NumPy file"),
         ("a.xyz", "1,2,3\n", (), "suffix '.xyz' is not known"),
-        ("n_rows.csv", "1,2,3\n", (), "n_rows.csv, line 1: .*set --n-rows and --n-cols "),
-        ("n_rows.csv", "1,2,3\n", ("--n-rows", 2), "line 1: holds 3 cells, but --n-rows x --n-c"),
-        ("n_rows.csv", "1,2,3\n", ("--n-rows", 1), "n_rows.csv: .*set --unit, e.g. N"),
+        ("n_rows.csv", "1,2,3\n", (), "add --n-rows 1 --n-cols 3 --unit N --rate-hz 100"),
+        ("n_rows.csv", "1,2,3\n", ("--n-rows", 2), "holds 3 readings, but n_rows x n_cols = 2 x 1"),
+        ("n_rows.csv", "1,2,3\n", ("--n-rows", 1), "state unit .N, kPa, counts, .*; add --unit N"),
     ],
 )
 def test_an_import_that_is_refused_names_its_options_and_leaves_nothing_behind(

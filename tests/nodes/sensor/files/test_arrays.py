@@ -57,9 +57,13 @@ class TestNpy:
         np.testing.assert_array_equal(frames, FORCES * 10)
         assert (source.skin.n_rows, source.skin.n_cols, source.skin.f_max) == (3, 4, 23.0)
 
-    def test_an_array_alone_is_in_newtons_without_rate_or_pitch(self, tmp_path: Path) -> None:
-        source = open_bytes(tmp_path, "skin.npy", npy_bytes(FORCES))
-        assert source.skin.unit == "N"
+    @pytest.mark.parametrize(("dtype", "unit"), [("f4", "N"), ("u2", "counts"), ("i8", "counts")])
+    def test_an_array_alone_has_a_unit_by_its_dtype_and_no_rate_which_the_log_states(
+        self, tmp_path: Path, dtype: str, unit: str
+    ) -> None:
+        source = open_bytes(tmp_path, "skin.npy", npy_bytes((10 * FORCES).astype(dtype)))
+        assert source.skin.unit == unit
+        assert [unit in line or "100 Hz" in line for line in source.take_lines()] == [True, True]
         assert source.rate_hz is None
         assert source.skin.pitch_m is None
         assert source.skin.mask is None
@@ -74,7 +78,8 @@ class TestNpy:
     @pytest.mark.parametrize(
         ("array", "message"),
         [
-            (np.zeros((3, 4)), r"has 2 dimensions, shape \(3, 4\); expected three"),
+            (np.zeros(4), r"has 1 dimensions, shape \(4,\); expected three"),
+            (np.zeros((3, 6)), "holds 6 .* state shape, rate; add n_rows=2 n_cols=3 rate_hz=100$"),
             (np.zeros((0, 3, 4)), "holds no frame"),
             (np.zeros((1, 2048, 1024), dtype="u1"), "2097152 cells; at most 1048576"),
             (np.zeros((2, 3, 4), dtype=complex), "dtype 'complex128'; allowed are integers"),
@@ -137,8 +142,8 @@ class TestNpz:
     @pytest.mark.parametrize(
         ("arrays", "message"),
         [
-            ({"a": FORCES, "b": FORCES}, "expected an array 'forces' or exactly one 3-D array"),
-            ({}, "it holds nothing"),
+            ({"a": FORCES, "b": FORCES}, r"a \(3-D\), b \(3-D\); add topic=a"),
+            ({}, "holds no arrays of frames"),
             ({"forces": FORCES, "mask": np.zeros((3, 4), bool)}, "no cell of the skin is a taxel"),
             ({"forces": FORCES, "mask": np.ones((4, 3), bool)}, r"array 'mask': shape \(4, 3\)"),
             ({"forces": FORCES, "stamp_ns": [1, 2, 3]}, r"expected one a frame: \(2,\)"),
@@ -163,41 +168,6 @@ class TestNpz:
             open_bytes(tmp_path, "skin.npz", npz_bytes(forces=FORCES, stamp_ns=stamps))
 
 
-class TestPlainCsv:
-    @pytest.mark.parametrize("stated", [{"n_rows": 2}, {"n_cols": 3}, {"n_rows": 2, "n_cols": 3}])
-    def test_a_line_is_a_frame_row_after_row_of_which_one_side_is_enough(
-        self, tmp_path: Path, stated: dict[str, int]
-    ) -> None:
-        raw = b"# n\n0,1,2,3,4,5\r\n\r\n6, 7 ,8,9,10,1.1e1\n"
-        source = open_bytes(tmp_path, "skin.csv", raw, **stated, unit="raw")
-        np.testing.assert_array_equal(frames_of(source), np.arange(12).reshape(2, 2, 3))
-        assert source.skin.unit == "raw"
-
-    @pytest.mark.parametrize(
-        ("raw", "stated", "message"),
-        [
-            (b"1,2,3,4\n", {}, r"line 1: .*set n_rows and n_cols \(this line holds 4 cells\)"),
-            (b"1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "2 x 3 needs 6"),
-            (b"1,2,3,4\n1,2,3\n", {"n_rows": 2, "n_cols": 2}, "line 2: holds 3 cells"),
-            (b"1,2\n\n3,-4\n", {"n_rows": 1}, "line 3, row 0, column 1: '-4' is below 0"),
-            (
-                b"a,b\n1,2\n",
-                {"n_rows": 1},
-                "line 1: 'a' is not a number; allowed: an export of Tekscan or XSENSOR",
-            ),
-            (b"\n# only\n", {"n_rows": 1}, "holds no frame"),
-            (b"1,2\n", {"n_rows": 1, "unit": None}, "does not state its unit; set unit"),
-            (b"sole_id,timestamp,accel_x\n1,2,3\n", {"n_rows": 1}, "an export of StappOne has sen"),
-        ],
-    )
-    def test_what_is_no_table_of_frames_is_refused_with_its_line(
-        self, tmp_path: Path, raw: bytes, stated: dict[str, Any], message: str
-    ) -> None:
-        with pytest.raises(SourceError, match=message) as caught:
-            open_bytes(tmp_path, "skin.csv", raw, **{"unit": "N", **stated})
-        assert "skin.csv" in str(caught.value)
-
-
 class TestAnyBytes:
     @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(data=st.data(), suffix=st.sampled_from(["npy", "npz", "csv"]))
@@ -207,13 +177,13 @@ class TestAnyBytes:
         whole = {
             "npy": npy_bytes(FORCES),
             "npz": npz_bytes(forces=FORCES, mask=np.ones((3, 4), bool), unit="N", rate_hz=2.0),
-            "csv": b"1,2,3,4\n5,6,7,8\n",
+            "csv": b"t,a,b\n2026-11-03,3,4\n2026-11-04T01:00Z,7,8\n",
         }[suffix]
         raw = bytearray(data.draw(st.just(whole) | st.binary(min_size=1, max_size=200)))
         for _ in range(data.draw(st.integers(0, 4))):
             start = data.draw(st.integers(0, max(len(raw) - 1, 0)))
             raw[start : start + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=2))
-        stated: dict[str, Any] = {"n_rows": 2, "unit": "N"} if suffix == "csv" else {}
+        stated: dict[str, Any] = {"n_rows": 1, "unit": "N"} if suffix == "csv" else {}
         try:
             source = open_bytes(tmp_path, f"any.{suffix}", bytes(raw), **stated)
         except SourceError as error:
@@ -243,7 +213,7 @@ def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(
     settings = SensorSettings(source=f"file:{path}")
     with pytest.raises(SourceError) as refused:
         Sensor(settings, Context("sensor", ManualClock(0)))
-    place = f"{path}: frame 2, row 511, column 7: nan is not finite; or set nan to zero"
+    place = f"{path}: frame 2, row 511, column 7: nan is not finite; add nan=hold"
     assert str(refused.value).startswith(place)
     open_file(path, policy=Policy(nan=ZERO))
 

@@ -49,8 +49,11 @@ def test_invalid_readings_become_what_the_settings_say(
 @pytest.mark.parametrize(
     ("policy", "text"),
     [
-        (Policy(), "frame 1, row 0, column 0: nan is not finite; or set nan to zero, hold or mask"),
-        (Policy("zero"), "frame 1, row 0, column 1: -1 is below 0; a range starts at 0; or set"),
+        (Policy(), "frame 1, row 0, column 0: nan is not finite; add nan=hold, or zero or mask"),
+        (
+            Policy("zero"),
+            "frame 1, row 0, column 1: -1 is below 0; a range starts at 0; add negative=zero",
+        ),
     ],
 )
 def test_invalid_readings_are_refused_unless_a_setting_treats_them(
@@ -73,7 +76,7 @@ def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path: Path) -> 
         "masked_taxels": 0,
         "offset": -2.0,
     }
-    with pytest.raises(SourceError, match="line 1, row 0, column 1: '' is not a number"):
+    with pytest.raises(SourceError, match="line 1, column 2: '' is not a number"):
         open_file(tmp_path / "a.csv", **options)
 
 
@@ -83,7 +86,7 @@ def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path: Path) 
     chosen = SensorSettings(source=f"file:{tmp_path / 'a.npy'}", nan="hold", negative="offset")
     sensor = Sensor(chosen, Context("sensor", ManualClock(0), lines.append))
     list(sensor.start())
-    assert lines == [
+    assert lines[2:] == [
         "2 readings of the file are not finite: replaced by the last ones",
         "2 readings of the file are below 0: -3 N subtracted from all readings",
     ]

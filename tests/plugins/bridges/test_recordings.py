@@ -1,0 +1,159 @@
+"""Recordings of ROS 1 and ROS 2, written by rosbags, as files of readings."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("rosbags", reason="rosbags is not installed")
+from rosbags import rosbag1, rosbag2
+from rosbags.rosbag2.enums import StoragePlugin
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.files.recording import Policy
+from sparseskin.plugins.bridges import cdr
+from sparseskin.plugins.bridges.frames import ARRAYS
+
+COUNTS = np.arange(24).reshape(2, 3, 4)
+BEGIN_NS, PERIOD_NS = 1_790_000_000_000_000_000, 20_000_000
+ANY = Policy("zero", "zero")
+UINTS = "std_msgs/msg/UInt16MultiArray"
+
+
+def messages(ros: int, frame: np.ndarray, stamp_ns: int) -> dict[str, tuple[str, Any]]:
+    """A message on each topic."""
+    made = cdr.types(ros).types
+    time = made["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    header = made["std_msgs/msg/Header"](
+        **({"seq": 1} if ros == 1 else {}), stamp=time, frame_id="skin"
+    )
+    field = made["sensor_msgs/msg/PointField"]
+    cells = np.zeros(12, [("x", "<f4"), ("force", "<u2")])
+    cells["force"] = frame.ravel()
+    layout = made["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    image = made[cdr.IMAGE](
+        header,
+        3,
+        4,
+        "16UC1",
+        1,
+        10,
+        np.insert(frame, 4, 7, axis=1).astype(">u2").view("u1").ravel(),
+    )
+    cloud = made[cdr.CLOUD](
+        header, 1, 12, [field("x", 0, 7, 1), field("force", 4, 4, 1)], False, 6, 72,
+        cells.view("u1"), True,
+    )  # fmt: skip
+    flat = made[UINTS](layout, frame.astype("u2").ravel())
+    other = made["std_msgs/msg/Header"](**vars(header))
+    kinds = (cdr.IMAGE, cdr.CLOUD, UINTS, "std_msgs/msg/Header")
+    return dict(
+        zip(
+            ("/image", "/cloud", "/flat", "/other"),
+            zip(kinds, (image, cloud, flat, other), strict=True),
+            strict=True,
+        )
+    )
+
+
+def write(folder: Path, kind: str, topics: tuple[str, ...]) -> Path:
+    """A recording of some topics, as a file or the folder of a bag of ROS 2."""
+    ros = 1 if kind == "bag" else 2
+    store = cdr.types(ros)
+    path = folder / ("a.bag" if ros == 1 else "bag")
+    if ros == 1:
+        writer: Any = rosbag1.Writer(path)
+        writer.set_compression(writer.CompressionFormat.BZ2)
+    else:
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    encode = store.serialize_ros1 if ros == 1 else store.serialize_cdr
+    with writer:
+        found = {}
+        for k, frame in enumerate(COUNTS):
+            for topic, (name, message) in messages(ros, frame, BEGIN_NS + k * PERIOD_NS).items():
+                if topic in topics:
+                    if topic not in found:
+                        found[topic] = writer.add_connection(topic, name, typestore=store)
+                    writer.write(found[topic], BEGIN_NS + k * PERIOD_NS, encode(message, name))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
+def test_frames_of_each_kind_of_message_are_read(tmp_path: Path, kind: str) -> None:
+    path = write(tmp_path, kind, ("/image", "/cloud", "/flat", "/other"))
+    for topic in ("/image", "/cloud", "/flat"):
+        source = open_file(path, topic=topic, n_rows=3)
+        np.testing.assert_array_equal(source.frames, COUNTS)
+        assert (source.skin.unit, source.rate_hz, source.stamp_ns) == (
+            "counts",
+            50.0,
+            (0, PERIOD_NS),
+        )
+    with pytest.raises(
+        SourceError, match=r"holds 3 topics of frames: /image .Image, 3 x 4.*add topic=/image"
+    ):
+        open_file(path)
+    with pytest.raises(SourceError, match=r"no topic '/off'; allowed: /image"):
+        open_file(path, topic="/off")
+    with pytest.raises(SourceError, match=r"holds 12 readings; .* shape; add n_rows=3 n_cols=4$"):
+        open_file(path, topic="/flat")
+
+
+def test_the_only_topic_of_frames_is_taken_and_none_is_named(tmp_path: Path) -> None:
+    assert open_file(write(tmp_path, "db3", ("/image", "/other"))).n_frames == 2
+    (tmp_path / "none").mkdir()
+    with pytest.raises(
+        SourceError, match=r"no topic holds frames; it holds /other .std_msgs/msg/H"
+    ):
+        open_file(write(tmp_path / "none", "mcap", ("/other",)))
+
+
+def test_a_base_whose_tables_are_views_is_refused(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "a.db3") as base:
+        base.execute("CREATE VIEW topics AS SELECT 1")
+        base.execute("CREATE VIEW messages AS SELECT 1")
+    with pytest.raises(SourceError, match="holds no tables topics and messages"):
+        open_file(tmp_path / "a.db3")
+
+
+def test_every_array_of_numbers_is_known() -> None:
+    assert set(ARRAYS) <= cdr.types(1).types.keys() & cdr.types(2).types.keys()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Bytes of a recording of each kind."""
+    found = {}
+    for kind in ("bag", "db3", "mcap"):
+        path = write(tmp_path_factory.mktemp(kind), kind, ("/image",))
+        file = path if kind == "bag" else path / f"bag.{kind}"
+        found[kind] = file.read_bytes()
+    return found
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(data=st.data(), kind=st.sampled_from(["bag", "db3", "mcap"]))
+def test_random_and_mutated_recordings_are_read_or_refused_in_one_line(
+    tmp_path: Path, whole: dict[str, bytes], data: st.DataObject, kind: str
+) -> None:
+    raw = bytearray(whole[kind])
+    for _ in range(data.draw(st.integers(1, 4))):
+        start = data.draw(st.integers(0, len(raw)))
+        raw[start : start + data.draw(st.integers(0, 9))] = data.draw(st.binary(max_size=9))
+    path = tmp_path / f"any.{kind}"
+    path.write_bytes(raw)
+    try:
+        assert open_file(path, policy=ANY).frames.shape[1:] == (3, 4)
+    except SourceError as error:
+        line = str(error)
+    else:
+        line = ""
+    assert line.isprintable()

@@ -1,0 +1,106 @@
+"""Arrays in files of MATLAB and HDF5: which one is taken, in which order, and what is refused."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.file_source import open_file
+
+h5py = pytest.importorskip("h5py", reason="h5py is not installed")
+FRAMES = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
+LAST = np.moveaxis(FRAMES, 0, -1)
+
+
+def mat(packed: bool = True, **arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    savemat(buffer, arrays, do_compression=packed)
+    return buffer.getvalue()
+
+
+def hdf5(**arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
+        for name, array in arrays.items():
+            file[name.replace("__", "/")] = array
+    return buffer.getvalue()
+
+
+def read(folder: Path, name: str, raw: bytes, **stated: Any) -> Any:
+    (folder / name).write_bytes(raw)
+    return open_file(folder / name, **stated)
+
+
+@pytest.mark.parametrize(
+    ("name", "raw", "stated"),
+    [
+        ("a.mat", mat(forces=LAST, a=LAST, text="x", cell=np.array([1, "a"], object)), {}),
+        ("a.mat", mat(False, a=LAST, b=LAST), {"topic": "b"}),
+        ("a.mat", mat(a=FRAMES), {"n_rows": 3, "n_cols": 4}),
+        ("a.mat", mat(a=FRAMES.reshape(2, 12)), {"n_rows": 3}),
+        ("a.mat", hdf5(a=LAST.T), {}),
+        ("a.h5", hdf5(run__left=FRAMES, run__right=FRAMES), {"topic": "/run/left"}),
+        ("a.hdf5", hdf5(run__forces=FRAMES, b=FRAMES), {}),
+    ],
+)
+def test_the_frames_are_found(tmp_path: Path, name: str, raw: bytes, stated: Any) -> None:
+    source = read(tmp_path, name, raw, **stated)
+    np.testing.assert_array_equal(source.frames, FRAMES)
+    assert source.skin.unit == "counts"
+
+
+@pytest.mark.parametrize(
+    ("name", "raw", "message"),
+    [
+        ("a.mat", mat(a=LAST, b=LAST), r"a .3-D., b .3-D.; add topic=a"),
+        ("a.mat", mat(a="text"), "holds no arrays of frames"),
+        ("a.mat", mat(a=LAST)[:180], "cannot be read"),
+        ("a.mat", b"MATLAB" * 40, "cannot be read"),
+        ("a.h5", hdf5(a=np.zeros((2, 3, 4), complex)), "dtype 'complex128'"),
+        ("a.h5", hdf5(a=FRAMES)[:900], "cannot be read"),
+    ],
+)
+def test_what_holds_no_frames_is_refused(
+    tmp_path: Path, name: str, raw: bytes, message: str
+) -> None:
+    with pytest.raises(SourceError, match=message) as caught:
+        read(tmp_path, name, raw)
+    assert str(caught.value).isprintable()
+
+
+def test_links_to_other_files_are_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "b.h5").write_bytes(hdf5(forces=FRAMES))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["forces"] = h5py.ExternalLink(str(tmp_path / "b.h5"), "forces")
+        layout = h5py.VirtualLayout((2, 3, 4), "u2")
+        layout[:] = h5py.VirtualSource(str(tmp_path / "b.h5"), "forces", (2, 3, 4))
+        file.create_virtual_dataset("virtual", layout)
+    for topic in (None, "forces", "virtual"):
+        with pytest.raises(SourceError, match="holds no arrays of frames"):
+            open_file(tmp_path / "a.h5", topic=topic)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(data=st.data(), packed=st.booleans())
+def test_mutated_files_of_matlab_are_read_or_refused_in_one_line(
+    tmp_path: Path, data: st.DataObject, packed: bool
+) -> None:
+    raw = bytearray(mat(packed, forces=LAST))
+    for _ in range(data.draw(st.integers(1, 4))):
+        start = data.draw(st.integers(0, len(raw)))
+        raw[start : start + data.draw(st.integers(0, 9))] = data.draw(st.binary(max_size=9))
+    try:
+        read(tmp_path, "any.mat", bytes(raw))
+    except SourceError as error:
+        line = str(error)
+    else:
+        line = ""
+    assert line.isprintable()
