@@ -8,12 +8,12 @@ from sparseskin.messages.text import printable, without_users
 class SparseskinError(Exception):
     """An error that a user can correct: the text names the place, the fault and what is allowed.
 
-    What files and devices put into it is made printable; each line of an argument stays a line.
-    Users and passwords of addresses are left out.
+    Each argument is a line. What files and devices put into it is made printable; users and
+    passwords of addresses are left out.
     """
 
     def __str__(self) -> str:
-        return "\n".join(map(printable, without_users(super().__str__()).split("\n")))
+        return "\n".join(printable(without_users(str(line))) for line in self.args)
 
 
 class SettingsError(SparseskinError):

@@ -45,8 +45,8 @@ def is_remote(name: str) -> bool:
 
 
 def shown(text: str) -> str:
-    """A text without the users, passwords and queries of its addresses, which may hold keys."""
-    return printable(without_users(re.sub(r"(://[^\s?]*)\?\S+", r"\1?***", text)))
+    """A text without users, passwords, queries and fragments of its addresses, often keys."""
+    return printable(without_users(re.sub(r"(://[^\s?#]*)[?#]\S+", r"\1?***", text)))
 
 
 def check_address(address: str) -> None:
@@ -69,7 +69,7 @@ def check_address(address: str) -> None:
     try:
         fsspec.get_filesystem_class(scheme)
     except ImportError as error:
-        raise SettingsError(f"{place}: {one_line(error)}") from error
+        raise SettingsError(f"{place}: needs a further package: {error}") from error
 
 
 def file_name(name: str) -> str:

@@ -210,9 +210,9 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     Parameters
     ----------
     forces, truth : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
-        Estimate and reference, newtons.
+        Estimate and reference, newtons; or both in the unit of f_max.
     f_max : float
-        Upper end of the range, newtons.
+        Upper end of the range of the reference; by default 2.5 N.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     Raises
     ------
     SparseskinError
-        If the shapes differ or are no frames.
+        If the shapes differ or are no frames, or the reference exceeds the range.
 
     Notes
     -----
@@ -241,7 +241,10 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
             f"psnr_db: shapes {forces.shape} and {truth.shape}; "
             "expected the same, (n_rows, n_cols) or (k, n_rows, n_cols)"
         )
-    error = forces - truth
+    if truth.size and (most := float(truth.max())) > f_max:
+        what = f"the reference reaches {most:g}, above f_max = {f_max:g}"
+        raise SparseskinError(f"psnr_db: {what}; state f_max, the upper end of its range")
+    error = np.subtract(forces, truth, dtype=np.result_type(forces, truth, np.float32))
     if error.ndim == 2:
         return psnr_of_error(error, f_max)
     return np.array([psnr_of_error(frame, f_max) for frame in error])
@@ -419,12 +422,13 @@ def read_recording(
     Parameters
     ----------
     path : str or path
-        A bag (.mcap, .mcap.part), or any file that the sensor reads: Novel .lst, Tekscan
-        .csv and .asf, XSENSOR .csv, .npy, .npz, plain .csv.
+        A recording of sparseskin (.mcap, .mcap.part), or any file that the sensor reads; or
+        "example:fingers", which comes with the package.
     patch : str, optional
         Patch to read; needed where a bag has several.
     **stated
-        What a file does not state: n_rows, n_cols, unit, f_max, rate_hz; not for bags.
+        What a file does not state: n_rows, n_cols, unit, f_max, rate_hz, columns, topic; not for
+        recordings of sparseskin.
 
     Returns
     -------

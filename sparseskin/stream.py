@@ -27,6 +27,8 @@ from sparseskin.nodes.reconstructor.solvers.base import (
 
 from .arrays import Floats, Mask, warn_of_threads
 
+MOST_RANGES = 10.0
+"""Largest reading in parts of f_max, chosen: no noise reaches it, counts of a converter do."""
 _NAMED = ("solver", "basis", "iterations", "lambda_n", "fast")
 """Settings of the reconstructor that a stream takes; others are options of the solver."""
 
@@ -162,7 +164,8 @@ class Stream:
         Raises
         ------
         SparseskinError
-            If the frame has another shape; it is not counted.
+            If the frame has another shape, or a reading exceeds 10 f_max, as counts do where
+            newtons are expected; it is not counted.
         ValueError
             If a reading is not finite; the frame is not counted.
         """
@@ -176,6 +179,10 @@ class Stream:
             raise ValueError(
                 f"stream: taxel ({row}, {col}) reads {forces[row, col]}; allowed: finite numbers"
             )
+        most = float(forces.max(initial=0.0, where=self._skin.exists))
+        if most > MOST_RANGES * self._skin.f_max:
+            what = f"a taxel reads {most:g}, far beyond f_max = {self._skin.f_max:g}"
+            raise SparseskinError(f"stream: {what}; state f_max in the unit of the readings")
         phi = self._phis[self._n_compressed % len(self._phis)]
         self._n_compressed += 1
         return phi.forward(forces[self._skin.exists])

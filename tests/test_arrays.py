@@ -162,6 +162,10 @@ def test_psnr_of_frames_is_that_of_each() -> None:
     assert found == pytest.approx([20.0, 20 * np.log10(40)], abs=1e-4)
     with pytest.raises(SparseskinError, match="expected the same"):
         sparseskin.psnr_db(truth, truth[0])
+    counts = np.full((2, 2), 4000, np.uint16)
+    with pytest.raises(SparseskinError, match=r"reaches 4000, above f_max = 2.5; state f_max"):
+        sparseskin.psnr_db(counts, counts)
+    assert sparseskin.psnr_db(counts - np.uint16(40), counts, f_max=4000) == pytest.approx(40)
 
 
 def test_a_launch_file_runs_with_the_bits_of_its_nodes() -> None:

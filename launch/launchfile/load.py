@@ -42,7 +42,8 @@ def find_launch_file(name: str) -> Path:
     path = Path(name)
     if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
-            raise LaunchError([f"{name}: no such launch file"])
+            what = "is no regular file" if path.exists() else "no such launch file"
+            raise LaunchError([f"{name}: {what}"])
         return path
     if name not in bundled_names():
         hint = did_you_mean(name, bundled_names())

@@ -28,7 +28,7 @@ class LaunchError(SparseskinError):
 
     def __init__(self, lines: Sequence[str]) -> None:
         self.lines = [printable(line) for line in lines]
-        super().__init__("\n".join(self.lines))
+        super().__init__(*self.lines)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.files.recording import (
+    ADD,
+    COUNTS,
     NAN_HINT,
     REFUSE,
     check_grid,
@@ -57,6 +59,7 @@ class DriverSource(LiveSource):
         self._target = target
         self._driver = driver
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
+        self._is_in_newtons = unit is None and f_max is None and not raw
         self._skin: Skin | None = None
         self._first: tuple[int, Floats] | None = None  # pulled to learn the shape
         self._checked: Generator[tuple[int, Floats]] | None = None
@@ -181,6 +184,9 @@ class DriverSource(LiveSource):
                 f"{where}: forces have dtype {shown(array.dtype)}; allowed are integers and "
                 "floating point"
             )
+        if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
+            what = "whole numbers, of which the driver states neither unit nor range"
+            raise SourceError(f"{where}: {what}{ADD}unit={COUNTS} f_max=4095")
         if array.ndim != 2:
             raise SourceError(
                 f"{where}: forces have shape {array.shape}; expected two dimensions: (rows, cols)"

@@ -245,7 +245,7 @@ def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: "
     if not faults and (fault := _contradiction(found)):
         faults.append(f"{place(fault[0])}{fault[1]}")
     if faults:
-        raise SettingsError("\n".join(faults))
+        raise SettingsError(*faults)
     n_rows, n_cols, placement = (found[key] for key in ("rows", "cols", "points"))
     n_taxels = placement.points.n if placement else found["taxels"] or n_rows * n_cols
     from_points = placement is not None and "pitch" not in stated

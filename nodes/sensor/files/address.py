@@ -8,16 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from sparseskin.messages.text import printable
-from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.sensor.source import Address, Listing, Source
 
-from .file_source import n_taxels, open_file
+from .file_source import EXAMPLES, n_taxels, open_file
 from .format import suffixes
 from .recording import KEEP, REFUSE, Policy
 
-EXAMPLES = {"fingers": "fingers press on the edge of a hole, Tekscan I-Scan 6900, counts"}
-"""Recordings of this package and a few words on each."""
 MAX_LISTED = 20
 """Most recordings of the current folder that are listed; chosen."""
 
@@ -85,9 +81,7 @@ class ExampleAddress(FileAddress):
 
     @property
     def path(self) -> str:
-        if self.rest not in EXAMPLES:
-            raise SourceError(f"{self.source}: there is no such{nearest_of(self.rest, EXAMPLES)}")
-        return str(Path(__file__).with_name("examples") / f"{self.rest}.npz")
+        return self.source
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:

@@ -20,6 +20,7 @@ from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Source
 
@@ -50,6 +51,8 @@ MAX_FRAMES = 1 << 24
 """Most frames of a recording, chosen: four hours at 1 kHz; each has a stamp, a Python integer."""
 UNTIMED_PERIOD_NS = 10_000_000
 """Time between frames where neither file nor caller states one, chosen: stamps must rise."""
+EXAMPLES = {"fingers": "fingers press on the edge of a hole, Tekscan I-Scan 6900, counts"}
+"""Recordings of this package, as example:NAME, and a few words on each."""
 _MAX_RATE_HZ = 1e9
 _HEADS: dict[tuple[object, ...], Head] = {}
 """The begin of the file that was read last: a launch asks for it several times."""
@@ -109,7 +112,8 @@ def open_file(
     Parameters
     ----------
     path : str or path
-        A file with one of the suffixes in `format.suffixes()`, or the folder of a ROS 2 bag.
+        A file with one of the suffixes in `format.suffixes()`, the folder of a ROS 2 bag,
+        or example:NAME of `EXAMPLES`.
     unit : str, optional
         Unit of the readings. Required for a table; of arrays that state none "counts", where they
         are integers, or else "N"; must agree with a unit that the file states.
@@ -153,7 +157,7 @@ def open_file(
     check_number(name, "rate_hz", rate_hz, high=_MAX_RATE_HZ)
     check_unit(name, unit)
     with _opened(name, policy, stated) as (file, recording):
-        parsed = recording.read()
+        parsed, name = recording.read(), file.name
     n_frames, *cells = parsed.forces.shape
     if n_frames == 0:
         raise SourceError(f"{name}: the recording holds no frame")
@@ -236,9 +240,13 @@ def n_taxels(
 def _opened(
     path: str, policy: Policy, stated: Mapping[str, Any]
 ) -> Iterator[tuple[File, Recording]]:
-    """The recording of a file; of the folder of a bag of ROS 2, of its only file."""
-    folder = Path(path)
-    if (folder / "metadata.yaml").is_file():
+    """The recording of a file, or an example; of the folder of a bag of ROS 2, of its only file."""
+    folder, (kind, _, example) = Path(path), path.partition(":")
+    if kind == "example" and not folder.exists():
+        if example not in EXAMPLES:
+            raise SourceError(f"{path}: there is no such{nearest_of(example, EXAMPLES)}")
+        path = str(Path(__file__).with_name("examples") / f"{example}.npz")
+    elif (folder / "metadata.yaml").is_file():
         found = [file for file in sorted(folder.iterdir()) if file.suffix in (".mcap", ".db3")]
         path = str(found[0]) if len(found) == 1 else path
     with reading(path) as opened:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 
@@ -14,6 +15,12 @@ from sparseskin.launch.commands.cli import main
 LINES = {
     "launch path_4": "no launch file of that name (did you mean 'path_40'?)",
     "launch none.toml": "none.toml: no such launch file",
+    "launch ./pipe.toml": "./pipe.toml: is no regular file",
+    "bag info 'a\nb.mcap'": "a b.mcap: no such file",
+    "launch replay --set sensor.source=file:all.npy --set sensor.n_rows=3": "n_rows = 3 is stated",
+    "launch replay --set sensor.source=file:flat.npy": "; add --set sensor.n_rows=2 --set sensor",
+    "scope file:flat.npy": "shape, rate; add --set n_rows=2 --set n_cols=3 --set rate_hz=100",
+    "scope example:thumbs": "there is no such; allowed: fingers",
     "launch path_40 --set sensor.seed=-1": "--set sensor.seed=-1: -1 is outside",
     "launch path_40 --summary none/out.json": "--summary none/out.json: its folder does not exist",
     "launch path_40 --summary .": "--summary .: is a folder",
@@ -77,6 +84,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     make_bag(folder / "some.mcap", frames(12))
     counts = 40 + np.random.default_rng(0).normal(0, 1, (700, 4, 6))
     np.save(folder / "all.npy", counts)
+    np.save(folder / "flat.npy", counts.reshape(-1, 6))
+    os.mkfifo(folder / "pipe.toml")
     for name in ("old.toml", "old.mcap", "log.csv"):
         (folder / name).write_text("mine")
     return folder

@@ -99,6 +99,8 @@ class TestFrames:
     def test_a_bad_first_frame_is_refused_as_the_driver_is_opened(self, module: Writer) -> None:
         with pytest.raises(SourceError, match="0 rows x 3 columns"):
             yielding(module, "(0, np.zeros((0, 3)))")
+        with pytest.raises(SourceError, match=r"whole numbers, .*; add unit=counts f_max=4095"):
+            yielding(module, "(0, np.zeros((2, 3), int))")
 
 
 class TestLife:
