@@ -13,7 +13,7 @@ SOURCE = tomllib.loads((HERE / "pyproject.toml").read_text(encoding="utf-8"))["p
 
 
 def absolute(text: str) -> str:
-    """Text in Markdown whose relative links lead to the repository; pictures are raw files there."""
+    """Markdown whose relative links lead to the repository; pictures are raw files there."""
     text = re.sub(r"(!\[[^\]]*\]\()(?!\w+:|#)", rf"\g<1>{SOURCE}/raw/main/", text)
     return re.sub(r"((?<!!)\[[^\]]*\]\()(?!\w+:|#)", rf"\g<1>{SOURCE}/blob/main/", text)
 

@@ -60,7 +60,8 @@ class SerialAddress(BoardAddress):
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
-        found = dict.fromkeys(serial_devices(), "")
+        devices = serial_devices()
+        found = dict.fromkeys(devices, "")
         try:
             from serial.tools.list_ports import comports
         except ImportError:
@@ -68,7 +69,9 @@ class SerialAddress(BoardAddress):
             found = dict.fromkeys(found, missing)
         else:
             known = {port.device: port.description for port in comports() if port.hwid != "n/a"}
-            found |= {path: "" if text == "n/a" else text for path, text in known.items()}
+            names = {device: name for name, device in devices.items()}
+            for device, text in known.items():
+                found[names.get(device, device)] = "" if text == "n/a" else text
         ports = [
             {"source": f"serial:{path}", "about": printable(text)}
             for path, text in sorted(found.items())

@@ -122,6 +122,10 @@ class SerialPort(Port):
         return f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings"
 
 
-def serial_devices() -> list[str]:
-    """Serial ports of this host that a board may be at."""
-    return sorted(str(path) for name in DEVICES for path in Path("/dev").glob(name))
+def serial_devices(dev: Path = Path("/dev")) -> dict[str, str]:
+    """Serial ports of this host that a board may be at, sorted, by the device that each is now; a
+    port of USB by its name in serial/by-id, which it keeps wherever it is plugged in.
+    """
+    lasting = {os.path.realpath(path): str(path) for path in dev.glob("serial/by-id/*")}
+    found = sorted(str(path) for name in DEVICES for path in dev.glob(name))
+    return {lasting.get(os.path.realpath(path), path): path for path in found}

@@ -33,8 +33,8 @@ MAX_CELLS = 1 << 16
 MAX_BLOCK = 256
 """Largest Hadamard block: 256 readings of 16 bits add up to less than 2^24, so that float32 holds
 all sums exactly."""
-HEADER_BYTES = 12
-"""Bytes before the codes: start (2), sequence number (2), Phi (4), step (4)."""
+HEADER_BYTES = 13
+"""Bytes before the codes: start (2), sequence number (2), version (1), Phi (4), step (4)."""
 CRC_BYTES = 2
 
 

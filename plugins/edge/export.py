@@ -20,8 +20,11 @@ DESCRIPTION = "edge.toml"
 COPIED = (
     *("edge.h", "edge.c", "edge_tables.h", "edge_check.h", "edge_check.c", "edge_test.c"),
     *("edge_stream.c", "Makefile", "cortex_m4/main.c", "cortex_m4/link.ld"),
+    *("avr/main.c", "arduino/arduino.ino"),
 )
 """Files that are the same for every edge."""
+OF_SKETCH = ("edge.h", "edge.c", "edge_tables.h", "edge_config.h", "edge_tables.c")
+"""Files that stand beside the sketch once more, where the Arduino IDE looks for them."""
 
 
 def export(description: EdgeDescription, out: Path) -> None:
@@ -37,10 +40,10 @@ def export(description: EdgeDescription, out: Path) -> None:
     }
     source = files(__package__) / "c"
     with whole_folder(out):
-        (out / "cortex_m4").mkdir()
-        for name in COPIED:
-            (out / name).write_text((source / name).read_text(encoding="utf-8"), encoding="utf-8")
+        made |= {name: (source / name).read_text(encoding="utf-8") for name in COPIED}
+        made |= {f"arduino/{name}": made[name] for name in OF_SKETCH}
         for name, text in made.items():
+            (out / name).parent.mkdir(exist_ok=True)
             (out / name).write_text(text, encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""Frames of an edge on the wire: start, sequence number, Phi, step, codes, CRC-16.
+"""Frames of an edge on the wire: start, sequence number, version, Phi, step, codes, CRC-16.
 
 `compressed` is the edge in Python: the bytes that its program sends, by the compressor's own Phi.
 """
@@ -19,7 +19,9 @@ from sparseskin.plugins.boards.framing import Framing
 from .description import EdgeDescription
 
 Counts = npt.NDArray[np.uint16]
-_HEAD = struct.Struct("<If")
+_HEAD = struct.Struct("<BIf")
+VERSION = 1
+"""Form of a frame, its first byte after the sequence number."""
 
 
 class EdgeFrame(NamedTuple):
@@ -56,7 +58,7 @@ def frame_bytes(description: EdgeDescription, seq: int, phi: str, y: Quantised) 
     y : Quantised
         Measurements of shape (m,) in counts, of `description.bits` bits.
     """
-    head = _HEAD.pack(int(phi[:8], 16), y.step)
+    head = _HEAD.pack(VERSION, int(phi[:8], 16), y.step)
     return framing_of(description).encode(head + packed(y.codes(), description.bits), seq)
 
 
@@ -81,17 +83,19 @@ def compressed(description: EdgeDescription, frames: Iterable[Counts]) -> Iterat
         yield frame_bytes(description, seq, phi.fingerprint, y)
 
 
-def tag_of(payload: bytes) -> int:
-    """Return the first 8 digits of the fingerprint that a payload states, as a number."""
-    return int.from_bytes(payload[:4], "little")
+def stated(payload: bytes) -> str:
+    """Version and matrix of a payload, for a person."""
+    version, tag, _ = _HEAD.unpack_from(payload)
+    return f"{tag:08x}" if version == VERSION else f"form {version}, read is {VERSION}"
 
 
 def read_frame(description: EdgeDescription, payload: bytes) -> EdgeFrame | None:
-    """Read a payload; None if its matrix is none of the description, or its step not above 0."""
+    """Read a payload; None if its form is another one, its matrix none of
+    the description, or its step not above 0."""
     d = description
-    tag, step = _HEAD.unpack_from(payload)
+    version, tag, step = _HEAD.unpack_from(payload)
     phi = d.tags.get(tag)
-    if phi is None or not 0 < step < np.inf:
+    if version != VERSION or phi is None or not 0 < step < np.inf:
         return None
     codes = unpacked(payload[_HEAD.size :], d.m, d.bits)
     # One code more than the quantiser uses fits the bits.

@@ -13,7 +13,7 @@ from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 
 from .description import EdgeDescription
-from .frames import read_frame, tag_of
+from .frames import read_frame, stated
 from .wire import EdgeWire, describe_wire
 
 COUNTS = "counts"
@@ -169,6 +169,6 @@ class Edge(SourceNode[EdgeSettings]):
         described = ", ".join(f"{tag:08x}" for tag in self._described.tags)
         self.context.log(
             f"{self._wire.name}: {self._n_other} frames of another matrix (the last "
-            f"{tag_of(payload):08x}; described {described}): is {self.settings.description} that "
+            f"{stated(payload)}; described {described}): is {self.settings.description} that "
             "of the program on the board?"
         )

@@ -2,7 +2,8 @@
 
 #include "edge_tables.h"
 
-#define TOP ((1u << (EDGE_BITS - 1)) - 1u) /* largest code */
+#define VERSION 1u /* of the frame */
+#define TOP ((uint32_t)(1u << (EDGE_BITS - 1)) - 1u) /* largest code */
 #define SIGN 0x80000000u
 #define HIDDEN 0x00800000u /* the bit of a float32 that is not stored */
 #define FRACTION 0x007fffffu
@@ -23,29 +24,33 @@ static unsigned leading_zeros(uint32_t value)
 #endif
 }
 
-/* A count, at most full scale. */
-static int32_t limited(uint32_t count)
+/* A count above that at rest, at most full scale. */
+static int32_t limited(const edge_count_t *counts, const edge_count_t *rest, uint16_t cell)
 {
+    uint32_t count = counts[cell];
+
+    if (rest)
+        count = count > rest[cell] ? count - rest[cell] : 0;
     return (int32_t)(count < EDGE_FULL_SCALE ? count : EDGE_FULL_SCALE);
 }
 
 /* Hadamard transform of the counts of some cells, in Sylvester's order of rows. */
-static void transform(const edge_count_t *counts, const uint16_t *cell, unsigned log2_size,
-                      int32_t *v)
+static void transform(const edge_count_t *counts, const edge_count_t *rest, const uint16_t *cell,
+                      unsigned log2_size, int32_t *v)
 {
     const unsigned size = 1u << log2_size;
     unsigned half = 1, i, j;
 
     if (log2_size & 1u) { /* one stage of pairs, then stages of fours */
         for (i = 0; i < size; i += 2) {
-            const int32_t a = limited(counts[cell[i]]), b = limited(counts[cell[i + 1]]);
+            const int32_t a = limited(counts, rest, cell[i]), b = limited(counts, rest, cell[i + 1]);
             v[i] = a + b;
             v[i + 1] = a - b;
         }
         half = 2;
     } else {
         for (i = 0; i < size; i++)
-            v[i] = limited(counts[cell[i]]);
+            v[i] = limited(counts, rest, cell[i]);
     }
     for (; half < size; half *= 4) {
         for (i = 0; i < size; i += 4 * half) {
@@ -143,9 +148,9 @@ static uint32_t measure(edge_t *edge, const edge_count_t *counts)
     for (group = 0; group < EDGE_N_GROUPS; group++) {
         const edge_group_t *g = &edge_groups[group];
         const unsigned size = 1u << g->log2_size, step = size < 32 ? size : 32;
-        const uint32_t all = step < 32 ? (1u << step) - 1u : 0xffffffffu;
+        const uint32_t all = step < 32 ? ((uint32_t)1 << step) - 1u : 0xffffffffu;
         for (block = 0; block < g->n_blocks; block++) {
-            transform(counts, cell, g->log2_size, v);
+            transform(counts, edge->rest, cell, g->log2_size, v);
             cell += size;
             for (i = 0; i < size; i += step, row += step) {
                 uint32_t kept = (rows[row >> 5] >> (row & 31u)) & all;
@@ -205,6 +210,7 @@ static uint8_t *write_codes(const edge_t *edge, uint32_t step, uint8_t *out)
 
 void edge_init(edge_t *edge)
 {
+    edge->rest = 0;
     edge->seq = 0;
     edge->subset = 0;
 }
@@ -216,6 +222,7 @@ void edge_compress(edge_t *edge, const edge_count_t *counts, uint8_t *frame)
     uint8_t *out = put(frame, 0x55aa, 2);
 
     out = put(out, edge->seq, 2);
+    out = put(out, VERSION, 1);
     out = put(out, edge_phi[edge->subset], 4);
     out = put(out, step, 4);
     out = write_codes(edge, step, out);

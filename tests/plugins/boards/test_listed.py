@@ -19,6 +19,7 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.completion import candidates
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.nodes.network.keys import make_key_files
+from sparseskin.plugins.boards.serial_port import serial_devices
 
 
 def test_sources_lists_profiles_with_a_line_on_each(capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,3 +125,17 @@ def test_a_board_of_another_host_need_not_be_here_but_is_described_rightly(
     Path("f.toml").write_text(TWO_HOSTS.replace("16x32", "16x23"))
     with pytest.raises(LaunchError, match=r"did you mean 'flexitac_16x32'\?"):
         load("f.toml").part(None)
+
+
+def test_a_port_of_usb_is_listed_by_its_lasting_name(tmp_path: Path) -> None:
+    (tmp_path / "serial" / "by-id").mkdir(parents=True)
+    for name in ("ttyUSB0", "ttyUSB1", "ttyACM0"):
+        (tmp_path / name).touch()
+    lasting = tmp_path / "serial" / "by-id" / "usb-Palm_0042"
+    lasting.symlink_to("../../ttyUSB1")
+    found = serial_devices(tmp_path)
+    assert found == {
+        str(tmp_path / "ttyACM0"): str(tmp_path / "ttyACM0"),
+        str(tmp_path / "ttyUSB0"): str(tmp_path / "ttyUSB0"),
+        str(lasting): str(tmp_path / "ttyUSB1"),
+    }

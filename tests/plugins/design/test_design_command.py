@@ -19,8 +19,8 @@ def test_it_prints_a_line_for_each_strategy(capsys: pytest.CaptureFixture[str]) 
     out = capsys.readouterr().out
     for name in STRATEGIES:
         assert re.search(rf"^{name} +\d", out, re.MULTILINE)
-    # 64 readings of 10 bits and 14 bytes, 10 bits each, at 115200 baud
-    assert "bus: 94 bytes take 8.16 ms (UART at 115.2 kbaud): 123 Hz" in out
+    # 64 readings of 10 bits and 15 bytes, 10 bits each, at 115200 baud
+    assert "bus: 95 bytes take 8.25 ms (UART at 115.2 kbaud): 121 Hz" in out
 
 
 def test_it_prints_the_accuracy(capsys: pytest.CaptureFixture[str]) -> None:
@@ -35,10 +35,10 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(
 ) -> None:
     path, table = tmp_path / "design.toml", tmp_path / "palm.csv"
     path.write_text('rows = 8\ncols = 8\nbus = "can:1M"\nrate = 50\n')
-    words = ["--rate", "20 Hz", "--taxels", "40", "--only", "full, adaptive", "--no-accuracy"]
+    words = ["--rate", "20 Hz", "--taxels", "39", "--only", "full, adaptive", "--no-accuracy"]
     assert main(["design", str(path), *words, "--csv", str(table)]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("40 points, 4 mm apart")
+    assert out.startswith("39 points, 4 mm apart")
     assert "CAN at 1 Mbit/s" in out
     assert "asked 20 Hz" in out
     with table.open() as file:

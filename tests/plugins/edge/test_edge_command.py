@@ -21,7 +21,7 @@ def test_it_writes_the_program_of_the_stated_matrix(
     made = EdgeDescription.read(out / "edge.toml")
     stated = (made.n_rows, made.n_cols, made.m, made.bits, made.rows, made.seed, made.full_scale)
     assert stated == (6, 8, 12, 10, "rotating", 5, 16383)
-    assert "12 of 48 taxels, rows rotating, 10 bits, 29 bytes a frame" in capsys.readouterr().out
+    assert "12 of 48 taxels, rows rotating, 10 bits, 30 bytes a frame" in capsys.readouterr().out
     assert "@" not in (out / "README.md").read_text()
 
 

@@ -21,7 +21,7 @@ from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.plugins.edge.description import EdgeDescription
-from sparseskin.plugins.edge.frames import compressed, read_frame
+from sparseskin.plugins.edge.frames import compressed, read_frame, stated
 from sparseskin.plugins.edge.node import Edge
 
 pytest.importorskip("serial", reason="pyserial is not installed")
@@ -96,8 +96,9 @@ def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described: str, li
     assert (report["frames"], report["missing_frames"], report["other_matrix"]) == (3, 3, 1)
     assert report["bad_frames"] >= 1
     (stranger,) = (text for text in lines if "another matrix" in text)
-    tag = int.from_bytes(OTHER[6][4:8], "little")
+    tag = int.from_bytes(OTHER[6][5:9], "little")
     assert f"the last {tag:08x}; described {D.phi.fingerprint[:8]}" in stranger
+    assert stated(b"\x02" + OTHER[6][5:13]) == "form 2, read is 1"
 
 
 @given(data=st.binary(min_size=8 + D.code_bytes, max_size=8 + D.code_bytes))
