@@ -13,7 +13,8 @@ import pytest
 from sparseskin.plugins.boards.board import describe_board
 from sparseskin.plugins.boards.framing import Frame
 
-PAGE = Path(__file__).parents[3] / "docs/howto/boards.md"
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs/howto/boards.md"
 
 
 def fenced(language: str) -> str:
@@ -33,7 +34,7 @@ def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state
     numbered = describe_board("serial:/dev/ttyUSB0?profile=numbered&rows=8&cols=8")
     if (compiler := shutil.which("cc")) is None:
         pytest.skip("no C compiler")
-    code = fenced("c")
+    code = (ROOT / "examples" / "numbered_firmware.c").read_text()
     main = (
         "#include <stdio.h>\nint main(void) { uint16_t r[N]; uint8_t out[6 + 2 * N];"
         " for (int k = 0; k < N; k++) r[k] = (uint16_t)(k * 1000);"
