@@ -10,12 +10,14 @@ import threading
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import free_port
 
+import sparseskin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.sensor.driver import DriverSource, open_callable
@@ -157,3 +159,25 @@ def test_a_serial_skin_that_falls_silent_is_named(opened: Open, line: tuple[int,
 def test_a_device_that_is_not_there_is_named(opened: Open) -> None:
     with pytest.raises(SourceError, match="No such file or directory: '/dev/no-skin'"):
         opened("serial_skin", DEVICE="/dev/no-skin")
+
+
+def test_taxels_that_the_glove_of_wuji_lacks_are_masked(monkeypatch: pytest.MonkeyPatch) -> None:
+    pressure = np.where(np.arange(768).reshape(24, 32) % 5, 0.5, np.nan).astype(np.float32)
+
+    class Glove:  # the part of `wujihandpy` that the driver uses
+        def __enter__(self) -> Glove:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def start_streaming(self, call: Callable[[Any], None]) -> None:
+            for _ in range(3):
+                call(SimpleNamespace(pressure=pressure))
+
+    wujihandpy = SimpleNamespace(tactile=SimpleNamespace(Glove=Glove))
+    monkeypatch.setitem(sys.modules, "wujihandpy", wujihandpy)
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    settings = ["sensor.source=wuji_glove:frames", "sensor.f_max=1", "sensor.unit=raw"]
+    frames = list(sparseskin.run_launch("replay", 3, [*settings, "sensor.nan=mask"]))
+    assert [frame.taxels[~np.isnan(pressure)].min() for frame in frames] == [0.5] * 3

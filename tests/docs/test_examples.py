@@ -13,7 +13,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 #: Drivers of hardware: test_drivers.py runs them against simulated skins.
-DRIVERS = {"serial_skin", "udp_skin"}
+DRIVERS = {"serial_skin", "udp_skin", "wuji_glove"}
 #: Run below, as a job of several processes.
 JOBS = {"mpi_pool"}
 WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m", "calibrate"}
