@@ -62,7 +62,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = "with --dry-run: write the graph as DOT text, of which Graphviz draws a picture"
     parser.add_argument("--dot", metavar="F.dot", type=Path, help=about)
     parser.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
-    add_page(parser)
+    about = "open the live page in a browser; a scene or recording is shown again and again"
+    add_page(parser, about)
     add_summary(parser)
     parser.add_argument(
         "--log-dir",
@@ -92,9 +93,12 @@ def _launch(arguments: argparse.Namespace) -> int:
                 print(f"imported, and so run, to be checked: {names}", file=sys.stderr)
     wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
     if wanted:
-        monitors = [node.name for node in launch.nodes.values() if issubclass(node.cls, Monitor)]
+        nodes = launch.nodes.values()
+        monitors = [node.name for node in nodes if issubclass(node.cls, Monitor)]
         changes = [f"{name}.{change}" for name in monitors for change in wanted]
-        launch = load(arguments.name, [*arguments.set, *changes], arguments.record)
+        again = arguments.open and arguments.record is None
+        loops = [f"{node.name}.loop=true" for node in nodes if again and _ends(node.settings)]
+        launch = load(arguments.name, [*loops, *arguments.set, *changes], arguments.record)
     if arguments.dry_run:
         from sparseskin.launch.launchfile.graph_text import dot_of, graph_text
 
@@ -108,6 +112,15 @@ def _launch(arguments: argparse.Namespace) -> int:
     if arguments.dot is not None:
         raise SettingsError("--dot: only with --dry-run")
     return _run(launch.part(arguments.host), arguments)
+
+
+def _ends(settings: object) -> bool:
+    """True of a sensor whose scene or recording has an end."""
+    from sparseskin.nodes.sensor.settings import SensorSettings
+
+    if not isinstance(settings, SensorSettings) or settings.patches:
+        return False
+    return settings.source.startswith(("scene:", "file:"))
 
 
 def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ that can serve several patches, and states none, is made once for each batch.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,6 +22,7 @@ from sparseskin.messages.topics import MAX_NAMES, MAX_PATCHES, check_name
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.monitor.node import check_pose
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.skin_file import MAX_FILE_CHARS, load_skin, parse_skin
 from sparseskin.nodes.sensor.scenes.address import PITCH_MM
@@ -33,6 +35,8 @@ SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
 """Most patches of a body."""
+GAP = 1.06
+"""Distance of patches of a ring in their sides."""
 _OF_SKIN = ("rows", "cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
 
 
@@ -57,18 +61,22 @@ class PatchTable(Settings):
     skin: str = setting("", "name of its skin.toml, in place of keys of the skin")
     host: str = setting("", "host of its nodes; by default as they state")
     compressor: dict[str, Any] | None = setting(None, "settings of its compressor")
+    pose: tuple[float, ...] | None = setting(
+        None, "x, y, z of its middle in mm, roll, pitch, yaw in degrees"
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """One patch of a body: its name, its skin, the host of its nodes, and the settings of its
-    compressor that are in place of the node's.
+    """One patch of a body: its name, its skin, the host of its nodes, the settings of its
+    compressor that are in place of the node's, and its pose.
     """
 
     name: str
     skin: SkinDescription
     host: str = ""
     compressor: Mapping[str, Any] = field(default_factory=dict)
+    pose: tuple[float, ...] | None = None
 
     @property
     def kind(self) -> str:
@@ -127,8 +135,23 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
             note((SKIN, key), what)
         else:
             width = len(str(stated.patches - 1))
-            patches = [Patch(f"p{k:0{width}d}", skin) for k in range(stated.patches)]
+            patches = [
+                Patch(f"p{k:0{width}d}", skin, pose=pose)
+                for k, pose in enumerate(_rings(stated, stated.patches))
+            ]
     return [] if n_faults else list(batches_of(patches, stated.batch))
+
+
+def _rings(skin: SkinTable, n: int) -> Iterator[tuple[float, ...] | None]:
+    """Poses of equal patches in rings around an upright body about as high as wide; of few none."""
+    high, wide = (GAP * side * skin.pitch_mm for side in (skin.rows, skin.cols))
+    ideal = math.sqrt(math.pi * n * high / wide)
+    of_ring = min(range(3, max(4, n + 1)), key=lambda k: abs(math.log(k / ideal)) + (n % k > 0) / 2)
+    radius = wide / 2 / math.tan(math.pi / of_ring) if n > 2 else 0.0
+    for k in range(n):
+        angle = 2 * math.pi * (k % of_ring) / of_ring
+        place = radius * math.cos(angle), radius * math.sin(angle), high * (k // of_ring)
+        yield (*place, 90.0, 0.0, math.degrees(angle) + 90) if n > 2 else None
 
 
 def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
@@ -206,7 +229,9 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
         CompressorSettings.from_mapping({**compressor, "patches": [name, f"{name}_"]}).check()
     except SparseskinError as error:
         raise SparseskinError(f"{where}.compressor.{error}") from error
-    return Patch(name, skin, stated.host, compressor)
+    if stated.pose is not None:
+        check_pose(f"{where}.pose", stated.pose)
+    return Patch(name, skin, stated.host, compressor, stated.pose)
 
 
 def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
@@ -240,7 +265,9 @@ def expand(
     """
     if "batches" in fields:
         all_names = {batch.name: batch.names for batch in batches}
-        return {name: {"patches": [], "batches": all_names, **table}}
+        every = [patch for batch in batches for patch in batch.patches]
+        poses = {patch.name: list(patch.pose) for patch in every if patch.pose is not None}
+        return {name: {"patches": [], "batches": all_names, "poses": poses, **table}}
     if not {"patch", "patches"} <= fields or "patches" in table or "patch" in table:
         return {name: dict(table)}
     found = {}

@@ -22,6 +22,7 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.messages.frames import Frames
+from sparseskin.messages.ranges import is_real
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.clock import ClockEstimate
 from sparseskin.nodes.errors import RefusedError, SettingsError
@@ -51,6 +52,11 @@ class MonitorSettings(Settings):
     batches: dict[str, Any] | None = setting(
         None, "a table of the batches to watch: the names of the patches of each, by its name"
     )
+    poses: dict[str, Any] | None = setting(
+        None,
+        "a table of the pose of each patch on the page, by its name: x, y, z of its middle in mm, "
+        "roll, pitch, yaw in degrees",
+    )
     page: bool = setting(True, "serve a live page on 127.0.0.1, where the graph has a launcher")
     port: int = setting(
         8470, "port of the page; a free one where it is busy, or 0", low=0, high=65535
@@ -73,6 +79,8 @@ class MonitorSettings(Settings):
                 if not isinstance(names, list | tuple) or not names:
                     raise SettingsError(f"expected a list of names, got {names!r}")
                 check_patches("patches", tuple(names))
+        for patch, pose in (self.poses or {}).items():
+            check_pose(f"poses.{patch}", pose)
         if len(set(self.all_patches)) < len(self.all_patches):
             raise SettingsError("batches: a patch occurs twice")
 
@@ -154,7 +162,7 @@ class Monitor(Node[MonitorSettings]):
             from .live.feed import Feed
             from .live.notices import Notices
 
-            self._feed = Feed(self.settings.all_patches)
+            self._feed = Feed(self.settings.all_patches, self.settings.poses)
             self._notices = Notices(self._feed)
         if self._feed is not None and self.settings.page and ask is not None:
             from .live.server import PageServer
@@ -261,6 +269,14 @@ class Monitor(Node[MonitorSettings]):
         with os.fdopen(os.open(self._opener, flags, 0o600), "w") as file:
             file.write(f'<meta http-equiv="refresh" content="0; url={url}">\n')
         return webbrowser.open(self._opener.as_uri())
+
+
+def check_pose(place: str, pose: object) -> None:
+    """Raise SettingsError unless this is x, y, z in mm and three angles in degrees."""
+    if not isinstance(pose, list | tuple) or [is_real(v, -1e6, 1e6) for v in pose] != [True] * 6:
+        raise SettingsError(
+            f"{place}: expected [x, y, z, roll, pitch, yaw], in mm and degrees, got {pose!r:.80}"
+        )
 
 
 def _topics(settings: MonitorSettings, classes: tuple[type[Message], ...]) -> tuple[str, ...]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
@@ -269,6 +269,11 @@ class ReconstructorSettings(PatchesSettings):
                     f"options.{key}: {value!r} is not allowed; allowed: a finite number, a text, "
                     "true or false"
                 )
+
+    def changed(self, changes: Mapping[str, Any]) -> Self:
+        """As in `Settings`; a preset replaces what was stated in place of an earlier one's."""
+        own = dict.fromkeys(("solver", "basis", "iterations", "lambda_n", "options"))
+        return super().changed({**own, **changes} if "preset" in changes else changes)
 
     def check_phi(self, kind: str) -> None:
         """Check that measurements by an announced kind of phi can be reconstructed.

@@ -56,6 +56,7 @@ class Sensor(SourceNode[SensorSettings]):
         if settings.points:
             self._placement = point_skins().place(settings.points)
         self._source = settings.address().open()
+        self._source.loops = settings.loop
         try:
             self._source_skin = self._placed_skin()
             self._stage = self._made_stage()
@@ -201,7 +202,7 @@ class Sensor(SourceNode[SensorSettings]):
 
     def status(self) -> str:
         source = self._source
-        total = f" of {source.n_frames}" if source.n_frames is not None else ""
+        total = f" of {source.n_frames}" if source.n_frames and not source.loops else ""
         text = f"{source.name}: frame {self._n_frames}{total}"
         text += f" of {n} patches" if (n := self.settings.n_patches) > 1 else ""
         text += f"; dropped: {dropped}" if (dropped := source.dropped()) else ""

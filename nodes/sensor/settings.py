@@ -42,6 +42,7 @@ class SensorSettings(PatchesSettings):
         high=100.0,
         live=True,
     )
+    loop: bool = setting(False, "begin a scene or recording again at its end")
     clock: str = setting(
         "source",
         "time of a frame of a board or driver: its own stamp mapped to the graph's clock, or its "
@@ -172,6 +173,8 @@ class SensorSettings(PatchesSettings):
             address.check()
             if self.n_patches > 1 and address.kind != "scene":
                 raise SettingsError(f"{self.source} is not available for several patches")
+        if self.loop and address.kind not in ("scene", "file"):
+            raise SettingsError(f"loop: {self.source} has no beginning; allowed: scene:, file:")
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")

@@ -61,6 +61,8 @@ class Source:
         Clock of the stamps of its frames; None if they have none.
     stamp : int
         Stamp of the last frame on that clock.
+    loops : bool
+        True: a scene or recording begins again at its end, which the sensor sets.
     """
 
     name: str
@@ -77,6 +79,8 @@ class Source:
     period_s: float = 1 / DEFAULT_RATE_HZ
     clock: DeviceClock | None = None
     stamp: int = 0
+    loops: bool = False
+    _began_ns = _last_ns = 0
     _frames: Iterator[tuple[int, Floats]] | None = None
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
@@ -111,8 +115,15 @@ class Source:
         if self._frames is None:
             self._frames = iter(self)
         frame = next(self._frames, None)
+        if frame is None and self.loops:
+            self._began_ns = self._last_ns + round(1e9 * self.period_s)
+            self._frames = iter(self)
+            frame = next(self._frames, None)
         self.ended = frame is None
-        return frame
+        if frame is None:
+            return None
+        self._last_ns = self._began_ns + frame[0]
+        return self._last_ns, frame[1]
 
     def age_ns(self, arrived_ns: int) -> int:
         """Time since a frame arrived, nanoseconds."""

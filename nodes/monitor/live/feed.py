@@ -7,6 +7,7 @@ import secrets
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -93,8 +94,11 @@ class Feed:
     a thousand times a second for nothing.
     """
 
-    def __init__(self, patches: tuple[str, ...]) -> None:
+    def __init__(
+        self, patches: tuple[str, ...], poses: Mapping[str, Sequence[float]] | None = None
+    ) -> None:
         self.changed = threading.Condition()
+        self.poses = poses or {}
         self.patches = {patch: PatchFeed() for patch in patches}
         self.graph: dict[str, Any] | None = None
         self.graph_came_s = self.pulse_s = time.monotonic()

@@ -10,7 +10,7 @@ import json
 import math
 import struct
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -122,7 +122,7 @@ class StreamReader:
             if patch.skin is None:
                 continue
             if self._is_new(f"skin {name}", patch.skin):
-                yield _skin(name, patch)
+                yield _skin(name, patch, feed.poses.get(name))
             if self._n_maps[name] != patch.n_maps and patch.maps:
                 self._n_maps[name] = patch.n_maps
                 names = set(patch.maps) if self._patch else {Reconstruction.schema}
@@ -214,12 +214,13 @@ def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
     return {"contacts": {**head, **listed}}
 
 
-def _skin(name: str, patch: PatchFeed) -> Part:
+def _skin(name: str, patch: PatchFeed, pose: Sequence[float] | None) -> Part:
     skin = patch.skin
     assert skin is not None
     of_grid = ("n_rows", "n_cols", "f_max", "unit", "pitch_m")
-    fields = (*of_grid, "source", "rate_hz", "has_truth", "has_taxels")
-    header = {"kind": "skin", "patch": name, **{key: getattr(skin, key) for key in fields}}
+    fields = (*of_grid, "source", "rate_hz", "has_truth", "has_taxels", "sigma_end")
+    values = {key: getattr(skin, key) for key in fields}
+    header = {"kind": "skin", "patch": name, "pose": pose, **values}
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     if skin.mask is not None:
         arrays["mask"] = skin.mask.view(np.uint8)

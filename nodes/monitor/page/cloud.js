@@ -13,26 +13,32 @@ const CONE = 0.3; // height of a taxel's middle in its radii: where two overlap,
 const BEHIND = 0.35; // distance of the body's discs behind the taxels, in their radii
 const LEAST = 0.75; // least radius of a disc in pixels: one pixel at least
 const GRAZING = 0.12; // least cosine of the angle of view: thinner ellipses are drawn with this one
+const RIM = 0.02; // of the plate around a flat skin, in its longer sides
+const PITCH_M = 0.005; // of a skin that states none
 const MARGIN = 0.48; // radius of the skin in widths of the view
 const OVERLAP = 24; // discs on top of one another, averaged over the view, that are drawn in full
 const LIGHT = [-0.37, 0.46, 0.81], AMBIENT = 0.3; // from above, left, and the eye
 
 export class Cloud {
-  // A record of a skin with points, n x (x, y, z, normal), of the cells that exist, row by row.
-  constructor({ n_rows: nRows, n_cols: nCols, pitch_m: pitch, data }) {
-    const { points, mask, point_rows: rows } = data;
-    this.points = points;
-    this.rows = rows ?? null; // of taxel k its row in the file of points, where there is one
-    this.n = points.length / 6;
-    this.cells = new Int32Array(this.n); // of taxel k its cell on the grid
-    this.taxels = new Int32Array(nRows * nCols).fill(-1); // and the reverse
-    for (let cell = 0, k = 0; cell < nRows * nCols && k < this.n; cell++) {
-      if (mask && !mask[cell]) continue;
-      this.cells[k] = cell;
-      this.taxels[cell] = k++;
-    }
+  // Records of skins: with points, n x (x, y, z, normal) of the cells that exist, row by row, or flat
+  // grids; each at its pose, without one in the origin.
+  constructor(skins) {
+    const sizes = skins.map(({ n_rows: nRows, n_cols: nCols }) => nRows * nCols);
+    const taxels = skins.map(({ data: { mask } }, k) =>
+      mask ? mask.reduce((a, b) => a + b, 0) : sizes[k]);
+    const sum = (list, end) => list.slice(0, end).reduce((a, b) => a + b, 0);
+    this.n = sum(taxels);
+    this.points = new Float32Array(6 * this.n);
+    this.cells = new Int32Array(this.n); // of taxel k its cell, those of all skins in a row
+    this.taxels = new Int32Array(sum(sizes)).fill(-1); // and the reverse
+    this.parts = skins.map((skin, k) => new Part(skin, sum(sizes, k), sum(taxels, k), taxels[k]));
+    for (const part of this.parts) part.place(this);
     this.#measure();
-    this.#space(pitch);
+    this.spacing = new Float32Array(this.n);
+    for (const part of this.parts) {
+      if (part.isFlat) this.spacing.fill(part.pitch, part.first, part.first + part.n);
+      else this.#space(part);
+    }
   }
 
   // True if a skin has points, one for each of its taxels.
@@ -40,6 +46,11 @@ export class Cloud {
     const { points, mask } = skin.data;
     const n = mask ? mask.reduce((a, b) => a + b, 0) : skin.n_rows * skin.n_cols;
     return points !== undefined && points.length === 6 * n;
+  }
+
+  // The part of taxel k.
+  partOf(k) {
+    return this.parts.find((part) => k < part.first + part.n);
   }
 
   // x, y, z of taxel k in metres.
@@ -69,9 +80,9 @@ export class Cloud {
     this.radius = Math.sqrt(most);
   }
 
-  // Mean distance of the nearest neighbours of each point, found in cells of a grid.
-  #space(pitch) {
-    const { points, n, centre } = this;
+  // Mean distance of the nearest neighbours of each point of a part, found in cells of a grid.
+  #space({ first: from, n, pitch }) {
+    const { centre } = this, points = this.points.subarray(6 * from, 6 * (from + n));
     const usual = (3.5 * this.radius) / Math.sqrt(n); // of points all over a sphere
     const side = pitch > 0.02 * usual && pitch < 50 * usual ? 2 * pitch : 2 * usual;
     const buckets = 2 ** Math.ceil(Math.log2(2 * n));
@@ -95,7 +106,6 @@ export class Cloud {
         best[place] = square;
       }
     };
-    this.spacing = new Float32Array(n);
     for (let k = 0; k < n; k++) {
       best.fill(side * side);
       const [i, j, l] = [at(k, 0), at(k, 1), at(k, 2)];
@@ -104,7 +114,56 @@ export class Cloud {
       }
       let sum = 0;
       for (const square of best) sum += square < side * side ? Math.sqrt(square) : side / 2;
-      this.spacing[k] = sum / NEIGHBOURS;
+      this.spacing[from + k] = sum / NEIGHBOURS;
+    }
+  }
+}
+
+// One skin of a cloud: taxels from `first` on, cells from `cell` on.
+class Part {
+  constructor(skin, cell, first, n) {
+    Object.assign(this, { skin, cell, first, n, isFlat: !Cloud.of(skin) });
+    this.pitch = skin.pitch_m || PITCH_M;
+    const [x, y, z, ...angles] = skin.pose ?? [0, 0, 0, 0, 0, 0];
+    this.origin = [x, y, z].map((mm) => mm / 1000);
+    const [[cr, sr], [cp, sp], [cy, sy]] = angles.map((a) => (a * Math.PI) / 180)
+      .map((a) => [Math.cos(a), Math.sin(a)]);
+    this.turn = [[cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+      [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr], [-sp, cp * sr, cp * cr]];
+  }
+
+  // A direction of the skin in the frame of all.
+  turned(direction) {
+    return this.turn.map((row) => dot(row, direction));
+  }
+
+  // A place on a flat skin, in rows and columns: columns run along x, rows against y.
+  at(row, col) {
+    const { n_rows: nRows, n_cols: nCols } = this.skin, { pitch } = this;
+    const flat = [pitch * (col - (nCols - 1) / 2), pitch * ((nRows - 1) / 2 - row), 0];
+    return this.turned(flat).map((v, axis) => v + this.origin[axis]);
+  }
+
+  // A contact with its place and normal in the frame of all.
+  placed({ centre, place_mm: own, normal, ...contact }) {
+    const place = this.isFlat ? this.at(...centre)
+      : own && this.turned(own.map((v) => v / 1000)).map((v, axis) => v + this.origin[axis]);
+    return { ...contact, place_mm: place?.map((v) => 1000 * v),
+      normal: this.isFlat ? this.turned([0, 0, 1]) : normal && this.turned(normal) };
+  }
+
+  // Enter cells and places of the taxels.
+  place({ cells, taxels, points }) {
+    const { skin: { n_cols: nCols, n_rows: nRows, data }, origin } = this;
+    for (let at = 0, k = this.first; at < nRows * nCols; at++) {
+      if (data.mask && !data.mask[at]) continue;
+      const own = this.isFlat ? null : data.points.subarray(6 * (k - this.first));
+      const place = own ? this.turned(own).map((v, axis) => v + origin[axis])
+        : this.at(Math.floor(at / nCols), at % nCols);
+      points.set(place, 6 * k);
+      points.set(this.turned(own ? own.subarray(3) : [0, 0, 1]), 6 * k + 3);
+      cells[k] = this.cell + at;
+      taxels[this.cell + at] = k++;
     }
   }
 }
@@ -138,30 +197,70 @@ export function rasterise(cloud, view, target) {
   const x0 = width * (0.5 + view.x), y0 = height * (0.5 + view.y);
   index.fill(0);
   depth.fill(-Infinity);
+  const lit = (normal) => { // shade and slopes of a surface, of which the side is seen
+    const sign = dot(eye, normal) > 0 ? 1 : -1, nw = sign * dot(eye, normal);
+    const nu = sign * dot(right, normal), nv = -sign * dot(up, normal);
+    const light = Math.max(0, LIGHT[0] * nu - LIGHT[1] * nv + LIGHT[2] * nw);
+    const shade = Math.round((SHADES - 1) * (AMBIENT + (1 - AMBIENT) * light));
+    const face = Math.max(nw, GRAZING);
+    return [sign > 0, (sign > 0 ? OUTSIDE : INSIDE) + shade, -nu / face, -nv / face];
+  };
+  for (const part of cloud.parts.filter(({ isFlat }) => isFlat)) {
+    const [outside, body] = lit(part.turned([0, 0, 1]));
+    tile(target, part, (row, col) => projected(cloud, view, width, height, part.at(row, col)),
+      body, outside ? cloud.taxels : null);
+  }
+  const round = cloud.parts.filter(({ isFlat }) => !isFlat);
   let area = 0;
-  for (let k = 0; k < cloud.n; k++) area += (BODY * spacing[k] * scale) ** 2;
+  for (const { first, n } of round) {
+    for (let k = first; k < first + n; k++) area += (BODY * spacing[k] * scale) ** 2;
+  }
   // Discs far larger than the spacing of their points would take long, and show nothing more.
   const fit = Math.min(1, Math.sqrt((OVERLAP * view.zoom ** 2 * width * height) / area));
   const most = Math.min(width, height) / 4;
   const radius = (metres) => Math.min(most, Math.max(LEAST, fit * scale * metres));
-  for (let k = 0; k < cloud.n; k++) {
-    const p = 6 * k;
-    const x = points[p] - cx, y = points[p + 1] - cy, z = points[p + 2] - cz;
-    const u = x0 + scale * (right[0] * x + right[1] * y + right[2] * z);
-    const v = y0 - scale * (up[0] * x + up[1] * y + up[2] * z);
-    const body = radius(BODY * spacing[k]);
-    if (u < -body || u > width + body || v < -body || v > height + body) continue;
-    const w = scale * (eye[0] * x + eye[1] * y + eye[2] * z);
-    const n0 = points[p + 3], n1 = points[p + 4], n2 = points[p + 5];
-    const facing = eye[0] * n0 + eye[1] * n1 + eye[2] * n2, outside = facing > 0;
-    const sign = outside ? 1 : -1, nw = sign * facing;
-    const nu = sign * (right[0] * n0 + right[1] * n1 + right[2] * n2);
-    const nv = -sign * (up[0] * n0 + up[1] * n1 + up[2] * n2);
-    const lit = Math.max(0, LIGHT[0] * nu - LIGHT[1] * nv + LIGHT[2] * nw);
-    const shade = Math.round((SHADES - 1) * (AMBIENT + (1 - AMBIENT) * lit));
-    const face = Math.max(nw, GRAZING), au = -nu / face, av = -nv / face;
-    splat(target, u, v, w - BEHIND * body, au, av, body, 0, (outside ? OUTSIDE : INSIDE) + shade);
-    if (outside) splat(target, u, v, w, au, av, radius(DISC * spacing[k]), CONE, TAXELS + k);
+  for (const { first, n } of round) {
+    for (let k = first; k < first + n; k++) {
+      const p = 6 * k;
+      const x = points[p] - cx, y = points[p + 1] - cy, z = points[p + 2] - cz;
+      const u = x0 + scale * (right[0] * x + right[1] * y + right[2] * z);
+      const v = y0 - scale * (up[0] * x + up[1] * y + up[2] * z);
+      const body = radius(BODY * spacing[k]);
+      if (u < -body || u > width + body || v < -body || v > height + body) continue;
+      const w = scale * (eye[0] * x + eye[1] * y + eye[2] * z);
+      const [outside, shade, au, av] = lit(cloud.normal(k));
+      splat(target, u, v, w - BEHIND * body, au, av, body, 0, shade);
+      if (outside) splat(target, u, v, w, au, av, radius(DISC * spacing[k]), CONE, TAXELS + k);
+    }
+  }
+}
+
+// A flat skin on a plate a little larger than it, of which `at` takes row and column to the place in
+// pixels. Without taxels its back is seen.
+function tile({ width, height, index, depth }, { skin, cell }, at, body, taxels) {
+  const { n_cols: nCols, n_rows: nRows } = skin, rim = RIM * Math.max(nCols, nRows);
+  const [o, c, r] = [at(-0.5, -0.5), at(-0.5, 0.5), at(0.5, -0.5)];
+  const [cu, cv, cw] = c.map((v, k) => v - o[k]), [ru, rv, rw] = r.map((v, k) => v - o[k]);
+  const det = cu * rv - cv * ru;
+  if (Math.abs(det) < 1e-9) return; // its edge is seen
+  const corners = [-rim, nRows + rim].flatMap((b) => [-rim, nCols + rim].map((a) =>
+    [o[0] + a * cu + b * ru, o[1] + a * cv + b * rv]));
+  const ends = (axis, most) => {
+    const values = corners.map((corner) => corner[axis]);
+    return [Math.max(0, Math.ceil(Math.min(...values))), Math.min(most, Math.max(...values))];
+  };
+  const [left, end] = ends(0, width - 1), [top, bottom] = ends(1, height - 1);
+  for (let v = top; v <= bottom; v++) {
+    for (let u = left; u <= end; u++) {
+      const a = ((u - o[0]) * rv - (v - o[1]) * ru) / det, b = (cu * (v - o[1]) - cv * (u - o[0])) / det;
+      if (a < -rim || b < -rim || a >= nCols + rim || b >= nRows + rim) continue;
+      const near = o[2] + a * cw + b * rw, pixel = v * width + u;
+      if (near <= depth[pixel]) continue;
+      const isIn = taxels && a >= 0 && b >= 0 && a < nCols && b < nRows;
+      const taxel = isIn ? taxels[cell + Math.floor(b) * nCols + Math.floor(a)] : -1;
+      depth[pixel] = near;
+      index[pixel] = taxel < 0 ? body : TAXELS + taxel;
+    }
   }
 }
 

@@ -37,8 +37,26 @@ export const GRADIENT =
   `linear-gradient(to top, ${Array.from({ length: 17 }, (_, k) => css(k / 16)).join(",")})`;
 
 // The next number of the series 1, 2, 5, 10 ... that is not below the value.
-export function rounded(value) {
-  if (!(value > 0)) return 1;
+function rounded(value) {
+  if (!(value > 0)) return 0;
   const decade = 10 ** Math.floor(Math.log10(value));
   return [1, 2, 5, 10].map((k) => k * decade).find((v) => v >= value * (1 - 1e-9));
+}
+
+const HOLD_MS = 5000; // a range that was too wide for this long shrinks
+
+// Upper end of a steady colour range, within its least and its most.
+export class Range {
+  constructor(least, most) {
+    [this.least, this.most, this.top] = [least, most, 0];
+  }
+
+  // The range of a map with this peak at a time in milliseconds: it grows at once.
+  over(peak, now) {
+    const wanted = Math.min(Math.max(rounded(peak), rounded(this.least)), this.most);
+    if (wanted >= this.top) [this.top, this.high, this.since] = [wanted, 0, now];
+    else if (now - this.since > HOLD_MS) [this.top, this.high, this.since] = [this.high, 0, now];
+    this.high = Math.max(this.high, wanted);
+    return this.top;
+  }
 }

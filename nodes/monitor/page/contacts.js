@@ -16,6 +16,13 @@ export function summary({ n, sum } = {}, unit) {
   return n ? `${n} contact${n > 1 ? "s" : ""}, ${brief(sum, unit)}` : "";
 }
 
+// The contacts of a record of maps, of which there may be none.
+export function contactsOf({ id = [], trusted, ...fields } = {}) {
+  const columns = Object.entries(fields).filter(([, values]) => Array.isArray(values));
+  return id.map((number, k) => ({ id: number, trusted,
+    ...Object.fromEntries(columns.map(([name, values]) => [name, values[k]])) }));
+}
+
 export class Contacts {
   constructor(unit) {
     this.unit = unit;
@@ -23,20 +30,18 @@ export class Contacts {
     this.trails = new Map(); // id of a contact -> its last [time, contact]
   }
 
-  // Take the contacts of a record of maps, of which there may be none.
-  show({ id = [], trusted, ...fields } = {}, now) {
-    const columns = Object.entries(fields).filter(([, values]) => Array.isArray(values));
-    this.list = id.map((number, k) => ({ id: number, trusted,
-      ...Object.fromEntries(columns.map(([name, values]) => [name, values[k]])) }));
-    this.trails = new Map(this.list.map((contact) => {
+  // Take the contacts of now.
+  show(list, now) {
+    this.list = list;
+    this.trails = new Map(list.map((contact) => {
       const before = this.trails.get(contact.id) ?? [];
       return [contact.id, [...before.filter(([at]) => now - at < TRAIL_MS), [now, contact]]];
     }));
   }
 
-  // What is drawn over a map of w x h, of which a pixel is `pixel`: `place` takes a contact to its
-  // [x, y], `radius` to the radius of its ring, `isFar` says if it is on the side that is not seen.
-  drawn({ w, h, pixel }, place, radius, isFar = () => false) {
+  // What is drawn over a map of w x h from x0, y0, of which a pixel is `pixel`: `place` takes a contact
+  // to its [x, y], `radius` to the radius of its ring, `isFar` says if the side is not seen.
+  drawn({ x: x0 = 0, y: y0 = 0, w, h, pixel }, place, radius, isFar = () => false) {
     const taken = []; // boxes of the labels
     return this.list.flatMap((contact) => {
       const kind = `contact${contact.trusted ? "" : " doubtful"}${isFar(contact) ? " far" : ""}`;
@@ -45,9 +50,9 @@ export class Contacts {
       const [x, y] = trail.at(-1), r = Math.max(LEAST * pixel, radius(contact));
       const text = `${contact.id}: ${brief(contact.total, this.unit)}`;
       const half = 0.5 * LETTER * pixel * text.length, high = FONT * pixel;
-      const at = Math.max(half, Math.min(w - half, x));
+      const at = Math.max(x0 + half, Math.min(x0 + w - half, x));
       // Above the ring; below it where there is no room, or another label.
-      const isFree = (top) => top >= 0 && top + high <= h && !taken.some(([left, up]) =>
+      const isFree = (top) => top >= y0 && top + high <= y0 + h && !taken.some(([left, up]) =>
         Math.abs(left - at) < 2 * half && Math.abs(up - top) < high);
       const tops = [y - r - 1.2 * high, y + r + 0.2 * high];
       const top = tops.find(isFree) ?? tops[0];

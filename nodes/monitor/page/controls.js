@@ -18,8 +18,9 @@ const SETTINGS = [
   ["compressor", "rows", "Rows of Φ"],
   ["compressor", "bits", "Bits per measurement"],
   ["sensor", "noise", "Noise (× paper)"],
-  ["sensor", "rate_hz", "Rate (Hz)"],
+  ["sensor", "rate_hz", "Rate (Hz; 0 pauses)"],
 ];
+const SHOWN_MS = { done: 6000, refused: 20000 }; // an answer, which then fades
 const PATIENCE_MS = 30000; // the launcher answers after 20 s in place of a node
 
 export class Controls {
@@ -27,6 +28,13 @@ export class Controls {
     this.root = root;
     this.waiting = new Map(); // id of a request -> {line, timer}
     this.shape = "";
+    this.why = element("strong", {});
+  }
+
+  // Let all controls rest, and say why; "": they are in use.
+  rest(why) {
+    this.root.disabled = why !== "";
+    setText(this.why, why);
   }
 
   // Show the state of the graph; rebuild the controls if its nodes differ.
@@ -48,7 +56,7 @@ export class Controls {
   }
 
   build(nodes, hasContacts) {
-    this.root.replaceChildren(element("h2", {}, "Controls"));
+    this.root.replaceChildren(element("h2", {}, "Controls"), this.why);
     const player = nodes.find((node) => "seek" in node.commands);
     if (player) this.root.append(this.playerControls(player.name));
     const sources = nodes.filter((node) => "pause" in node.commands && node !== player);
@@ -86,12 +94,12 @@ export class Controls {
     const seek = element("input", { type: "range", min: 0, step: "any", "data-seek": name,
       "aria-label": "position in the recording",
       onchange: (event) => this.ask(name, "seek", Number(event.target.value), name) });
-    const rate = element("input", { type: "number", min: 0.001, max: 1000, step: "any",
+    const rate = element("input", { type: "number", min: 0, max: 1000, step: "any",
       "data-rate": name, "aria-label": "rate of the replay" });
     const form = element("form", { class: "line", novalidate: true, onsubmit: (event) => {
       event.preventDefault();
-      this.ask(name, "rate", Number(rate.value), name);
-    } }, element("label", {}, "Replay rate ×", rate), element("button", {}, "Set"));
+      this.setRate(name, "rate", Number(rate.value), name);
+    } }, element("label", {}, "Replay rate × (0 pauses)", rate), element("button", {}, "Set"));
     return element("div", { class: "player" },
       element("div", { class: "buttons" },
         this.button(name, "pause", "", { "data-pause": name }, name),
@@ -105,7 +113,8 @@ export class Controls {
     const options = entry.choices.length ? entry.choices : entry.known;
     const id = `${node}.${entry.key}`;
     const input = options.length
-      ? element("select", { id }, ...options.map((name) => element("option", {}, name)))
+      ? element("select", { id }, element("option", { value: "", hidden: true }, "–"),
+        ...options.map((name) => element("option", {}, name)))
       : element("input", { id, type: "number", placeholder: "default", step: entry.type.startsWith("int") ? 1 : "any",
         ...(entry.low === null ? {} : { min: entry.low }),
         ...(entry.high === null ? {} : { max: entry.high }) });
@@ -116,7 +125,8 @@ export class Controls {
         return;
       }
       const value = options.length ? input.value : input.value === "" ? null : Number(input.value);
-      this.ask(node, "set", { [entry.key]: value }, id);
+      if (entry.key === "rate_hz") this.setRate(node, "set", value, id);
+      else this.ask(node, "set", { [entry.key]: value }, id);
     };
     // A choice is sent at once; a number by Enter or the button.
     if (options.length) input.addEventListener("change", send);
@@ -170,6 +180,15 @@ export class Controls {
     if (document.activeElement !== rate) rate.value = fixed(state.rate, 3);
   }
 
+  // A rate of 0 pauses; another one resumes what is paused.
+  async setRate(node, command, rate, line) {
+    if (rate === 0) return this.ask(node, "pause", true, line);
+    if (this.root.querySelector(`[data-pause="${node}"][data-value="false"]`)) {
+      await this.ask(node, "pause", false, line);
+    }
+    return this.ask(node, command, command === "set" ? { rate_hz: rate } : rate, line);
+  }
+
   async ask(node, command, value, line) {
     const id = Array.from(crypto.getRandomValues(new Uint32Array(3)), (n) => n.toString(16)).join("");
     const timer = setTimeout(() => this.answer({ id, done: false, text: `no answer within ${PATIENCE_MS / 1000} s` }),
@@ -202,5 +221,8 @@ export class Controls {
     if (!output) return;
     output.dataset.state = state;
     setText(output, text);
+    clearTimeout(output.fading);
+    delete output.dataset.old;
+    output.fading = SHOWN_MS[state] && setTimeout(() => (output.dataset.old = ""), SHOWN_MS[state]);
   }
 }

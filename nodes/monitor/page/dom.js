@@ -31,6 +31,7 @@ export function fixed(value, digits, unit = "") {
 // Three significant digits, and no exponent.
 export function brief(value, unit = "") {
   if (!known(value)) return "–";
+  if (Math.abs(value) < 5e-5) value = 0;
   const digits = value === 0 ? 0 : 2 - Math.floor(Math.log10(Math.abs(value)));
   return value.toFixed(Math.min(Math.max(digits, 0), 4)) + (unit && ` ${unit}`);
 }

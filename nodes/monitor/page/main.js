@@ -1,24 +1,23 @@
 // The page: reads records of the monitor's stream and draws them.
 
-import { ContactList, summary } from "./contacts.js";
+import { Body } from "./body.js";
+import { ContactList } from "./contacts.js";
 import { Controls } from "./controls.js";
-import { ago, brief, byId, bytes, element, fixed, setText } from "./dom.js";
-import { Maps, thumbnail } from "./maps.js";
+import { brief, byId, bytes, element, fixed, setText } from "./dom.js";
+import { Maps } from "./maps.js";
 import { notices } from "./notices.js";
 import { Stream } from "./stream.js";
 import { Strips } from "./strips.js";
 
 const STRIPS_MS = 250;
 const TEXT_MS = 100;
-const MANY = 9; // patches; of more, the overview shows small maps with few figures
 
 const model = {
   run: null, connection: "connecting", heard: 0, silent: 0, over: false, quiet: false,
   graph: null, hosts: [], state: null, summaries: {}, skins: {}, maps: {}, fresh: {}, traffic: {},
 };
 let patch = null; // null: the overview
-let stream = null, maps = null, strips = null, contactList = null;
-const cards = {}; // panels of the overview by patch
+let stream = null, maps = null, strips = null, contactList = null, body = null;
 let clock = 0; // the monitor's clock less the browser's, in seconds
 const controls = new Controls(byId("controls"));
 
@@ -67,6 +66,7 @@ function onSkin(record) {
   model.fresh[record.patch] = false; // the frame shown is of another skin
   delete model.maps[record.patch];
   if (record.patch === patch) newMaps();
+  body?.skin(record);
 }
 
 // The maps of the skin in the view that is chosen, with the newest frame.
@@ -94,22 +94,14 @@ function rates(name) {
 }
 
 function drawMaps() {
-  for (const name of Object.keys(model.fresh)) {
-    if (!model.fresh[name]) continue;
+  const fresh = Object.keys(model.fresh).filter((name) => model.fresh[name]);
+  for (const name of fresh) {
     model.fresh[name] = false;
     document.body.dataset.drawn = Number(document.body.dataset.drawn ?? 0) + 1;
     if (name === patch) maps?.show(model.maps[name], performance.now());
-    else if (patch === null) drawCard(name);
+    else body?.maps(model.maps[name]);
   }
-}
-
-function drawCard(name) {
-  const canvas = document.querySelector(`#card-${name} canvas`);
-  const record = model.maps[name];
-  if (!canvas || !record.data.reconstruction) return;
-  if (cards[name]?.canvas !== canvas) cards[name] = { canvas };
-  setText(document.querySelector(`#card-${name} small`),
-    thumbnail(cards[name], record, model.skins[name], performance.now()));
+  if (fresh.length) body?.draw(performance.now());
 }
 
 function tile(title, value, note, id) {
@@ -159,7 +151,7 @@ function tiles(name) {
         : `N = ${s.n}, M = ${s.m}`],
     ["traffic", "Data rate of the edge", `${bytes(after)}`,
       skin?.has_taxels === false ? "compressed outside the graph" : `instead of ${bytes(before)}`],
-    ["gain", `PSNR gain${shownFrames(s) === "contact" ? " in contact" : ", all frames"}`,
+    ["gain", `PSNR${Number.isFinite(gain) ? " gain" : ""}${shownFrames(s) === "contact" ? " in contact" : ", all frames"}`,
       Number.isFinite(gain) ? `${gain >= 0 ? "+" : "−"}${Math.abs(gain).toFixed(1)} dB`
         : fixed(mean(s, "reconstruction"), 1, "dB"),
       Number.isFinite(gain) ? `${trusted(s) ? "" : "mean "}${fixed(mean(s, "noisy"), 1)} → ${fixed(
@@ -178,9 +170,8 @@ function tiles(name) {
   ];
 }
 
-function drawHeadline() {
-  const root = byId("headline");
-  for (const [id, title, value, note] of tiles(patch)) {
+function drawTiles(root, tiles) {
+  for (const [id, title, value, note] of tiles) {
     const found = root.querySelector(`[data-tile="${id}"]`);
     if (!found) root.append(tile(title, value, note, id));
     else {
@@ -189,6 +180,10 @@ function drawHeadline() {
       setText(found.querySelector("span"), note);
     }
   }
+}
+
+function drawHeadline() {
+  drawTiles(byId("headline"), tiles(patch));
   const doubt = notTrusted(model.state?.patches[patch]);
   for (const title of document.querySelectorAll(
     '[data-tile="gain"], [data-panel="reconstruction"] h2')) {
@@ -210,16 +205,23 @@ function listed(id, texts) {
   return list.children;
 }
 
+// Nodes that run are counted, all others named.
 function drawNodes() {
-  const nodes = model.graph?.nodes ?? [];
-  const items = listed("nodes", nodes.map((node) => {
+  const nodes = (model.graph?.nodes ?? []).map((node) => {
     const restarts = node.restarts
       ? `, ${node.restarts} restart${node.restarts > 1 ? "s" : ""}` : "";
-    return `${node.name}: ${condition(node)}${restarts}`;
-  }));
-  nodes.forEach((node, k) => {
-    items[k].dataset.condition = condition(node);
-    items[k].title = node.line;
+    const now = condition(node);
+    return { now, name: node.name, text: `${node.name}: ${now}${restarts}`, restarts, line: node.line };
+  });
+  const usual = nodes.filter(({ now, restarts }) => ["running", "ended"].includes(now) && !restarts);
+  const groups = ["running", "ended"].map((now) => [now, usual.filter((node) => node.now === now)])
+    .filter(([, those]) => those.length).map(([now, those]) => ({ now, text: `${those.length} node${
+      those.length > 1 ? "s" : ""} ${now}`, line: those.map(({ name }) => name).join(", ") }));
+  const shown = [...nodes.filter((node) => !usual.includes(node)), ...groups];
+  const items = listed("nodes", shown.map(({ text }) => text));
+  shown.forEach(({ now, line }, k) => {
+    items[k].dataset.condition = now;
+    items[k].title = line;
   });
   const hosts = listed("hosts", model.hosts.map(([, text]) => text));
   model.hosts.forEach(([heard], k) => (hosts[k].dataset.condition = model.over ? "ended" : heard));
@@ -239,39 +241,15 @@ function drawNotices() {
 }
 
 function drawOverview() {
-  const root = byId("overview"), names = Object.keys(model.state?.patches ?? {});
-  root.classList.toggle("many", names.length > MANY);
-  if (root.children.length !== names.length) {
-    root.replaceChildren(...names.map((name) => element("a",
-      { class: "card", id: `card-${name}`, href: `#/${name}` },
-      element("h2", {}, name), element("div", { class: "map" }, element("canvas")),
-      element("small", {}), element("p", {}))));
-  }
-  for (const name of names) {
-    const s = model.summaries[name] ?? {}, state = model.state.patches[name];
-    const card = byId(`card-${name}`);
-    const age = state.age_s.reconstruction;
-    card.classList.toggle("stale", !state.ended && !(age <= state.stale_s));
-    const now = state.ended ? "ended" : age === undefined ? "no frame yet"
-      : age > state.stale_s ? `stale for ${ago(age)}` : state.idle ? "idle" : "live";
-    const skipped = s.frames?.skipped ? [`${s.frames.skipped} skipped`] : [];
-    const touched = [summary(model.maps[name]?.contacts, model.skins[name]?.unit)].filter(Boolean);
-    const lost = state.lost ? [`${state.lost} lost`] : [];
-    setText(card.querySelector("p"), names.length > MANY ? [
-      now, ...touched, fixed(mean(s, "reconstruction"), 1, "dB"), ...skipped, ...lost,
-      ...(state.trusted ? [] : [notTrusted(state)]),
-    ].join(" · ") : [
-      s.ratio ? `${s.ratio.toFixed(2)} : 1` : "–",
-      `PSNR ${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1, "dB")}`,
-      `latency p50 ${fixed(s.latency_ms?.p50, 1)}, p99 ${fixed(s.latency_ms?.p99, 1, "ms")}`,
-      `${state.lost} lost`,
-      ...touched,
-      ...(trusted(s) ? [trusted(s)] : []),
-      ...skipped,
-      ...(state.trusted ? [] : [notTrusted(state)]),
-      now,
-    ].join(" · "));
-  }
+  const states = model.state?.patches ?? {};
+  body.table(states, model.quiet, (name, { lost }) => {
+    const s = model.summaries[name] ?? {};
+    return [`${fixed(mean(s, "noisy"), 1)} → ${fixed(mean(s, "reconstruction"), 1)}`,
+      trusted(s).replace(" trusted", "") || "–",
+      `${fixed(s.latency_ms?.p50, 1)}, p99 ${fixed(s.latency_ms?.p99, 1)}`,
+      `${s.frames?.skipped ?? 0}`, `${lost}`];
+  });
+  drawTiles(byId("headline"), body.tiles(states, model.quiet, seconds() + clock));
 }
 
 function drawText() {
@@ -292,6 +270,8 @@ function drawText() {
     contactList.show(maps.contacts, record.contacts, model.skins[patch], seconds());
   }
   if (model.graph && model.state) controls.show(model.graph, patch, contactList.isShown);
+  controls.rest(model.over ? "The graph has ended: nothing can be set."
+    : model.connection === "open" ? "" : "No connection: nothing can be set.");
   const state = model.state?.patches[patch];
   const reachable = model.connection === "open";
   // Data that arrived before the last record are older by the time since.
@@ -301,12 +281,12 @@ function drawText() {
   const solver = model.graph?.nodes.find(
     (node) => node.patch === patch && "faulty_taxels" in node.state);
   maps?.markFaulty(solver?.state.faulty_taxels ?? []);
-  maps?.markStale(ages, state?.stale_s ?? 0.2, reachable && (model.quiet || state?.ended));
+  maps?.markStale(ages, state?.stale_s ?? 0.2,
+    model.over || (reachable && (model.quiet || state?.ended)));
 }
 
 function drawStrips() {
-  if (patch === null) return;
-  strips?.draw(seconds() + clock, asked(patch));
+  (body ?? { strips }).strips?.draw(seconds() + clock, asked(patch));
 }
 
 function open() {
@@ -316,7 +296,11 @@ function open() {
   maps?.close();
   maps = null;
   strips = name === null ? null : new Strips(byId("strips"));
-  contactList = name === null ? null : new ContactList(byId("strips"));
+  contactList = name === null ? null : new ContactList(byId("look"));
+  byId("contacts")?.remove();
+  body?.close();
+  byId("overview").replaceChildren();
+  body = name === null ? new Body(byId("overview")) : null;
   model.skins = {};
   model.maps = {};
   byId("maps").replaceChildren();
@@ -333,9 +317,11 @@ for (const id of ["range", "error-range"]) {
   byId(id).addEventListener("change", () => maps?.draw(performance.now()));
 }
 byId("view").addEventListener("change", newMaps);
-byId("shown-maps").addEventListener("change", () => maps?.choose());
 byId("reset-view").addEventListener("click", () => maps?.reset());
-byId("turn-to-contact").addEventListener("click", () => maps?.turnToContact());
+byId("zoom").addEventListener("click", ({ currentTarget: button }) => {
+  button.setAttribute("aria-pressed", button.getAttribute("aria-pressed") !== "true");
+  maps?.zoom();
+});
 open();
 setInterval(drawText, TEXT_MS);
 setInterval(drawStrips, STRIPS_MS);

@@ -2,8 +2,8 @@
 // A skin is drawn as its grid, or, where its taxels have places, in 3-D.
 
 import { Cloud } from "./cloud.js";
-import { GRADIENT, pixel, rounded } from "./colours.js";
-import { Contacts } from "./contacts.js";
+import { GRADIENT, pixel, Range } from "./colours.js";
+import { Contacts, contactsOf } from "./contacts.js";
 import { brief, byId, cross, element, setText, tick, within } from "./dom.js";
 import { DARK, SpaceView } from "./space.js";
 
@@ -13,65 +13,106 @@ const TITLES = {
   reconstruction: "Reconstruction",
   error: "Absolute error",
 };
-const HOLD_MS = 4000; // the colour range stays wide this long after a peak
-const CONTACT = 0.004; // fraction of f_max below which no centre of pressure is shown
-const FIRST = 0.04; // fraction of f_max beyond which a force turns the first view: noise is below
+export const CONTACT = 0.004; // fraction of f_max below which no centre of pressure is shown
+export const FIRST = 0.04; // fraction of f_max beyond which a force turns the first view or is zoomed to
+const TOUCHED = 5; // standard deviations of an untouched taxel below which a reading is no contact
+const NOISE = 8; // standard deviations of an untouched taxel that a colour range has at least
+const PRESSED = 0.2; // part of the peak beyond which a taxel is zoomed to
+const AROUND = 2, LEAST_CROP = 0.2; // taxels around it; part of the skin that is shown at least
 const ELLIPSE = 2.146; // standard deviations that contain 90 % of a normal distribution in a plane
 
-// A map as the grid of its taxels.
+// A map as the grid of its taxels, or the part of it that is pressed.
 class GridView {
   constructor(skin) {
     this.skin = skin;
     this.pixel = 0; // of the page in taxels
+    this.aspect = skin.n_cols / skin.n_rows;
+    this.crop = this.all = { row: 0, col: 0, rows: skin.n_rows, cols: skin.n_cols };
   }
 
   canvas(label, name) {
-    const { n_cols: nCols, n_rows: nRows } = this.skin;
-    const canvas = element("canvas", { width: nCols, height: nRows, role: "img",
-      "aria-label": label, "data-map": name });
-    canvas.style.aspectRatio = `${nCols} / ${nRows}`;
+    const canvas = element("canvas", { role: "img", "aria-label": label, "data-map": name });
+    canvas.style.aspectRatio = this.aspect;
     return canvas;
   }
 
   // An overlay in units of taxels, (0, 0) at the centre of the first.
   overlay() {
-    return element("svg", { class: "over",
-      viewBox: `-0.5 -0.5 ${this.skin.n_cols} ${this.skin.n_rows}` });
+    return element("svg", { class: "over" });
   }
 
   attach() {}
 
+  // Show the whole skin, or from now on the part that is pressed.
+  zoom(isOn) {
+    this.isZoomed = isOn;
+    this.crop = this.all;
+  }
+
+  // Choose the part; it stays while all that is pressed lies in it, and after the contact.
+  #follow(map) {
+    const { n_rows: nRows, n_cols: nCols, f_max: fMax } = this.skin, peak = highest(map);
+    if (!this.isZoomed || peak <= FIRST * fMax) return;
+    let [top, left, bottom, right] = [nRows, nCols, 0, 0];
+    for (let k = 0; k < map.length; k++) {
+      if (!(map[k] > PRESSED * peak)) continue;
+      const row = Math.floor(k / nCols), col = k % nCols;
+      [top, bottom] = [Math.min(top, row), Math.max(bottom, row)];
+      [left, right] = [Math.min(left, col), Math.max(right, col)];
+    }
+    const { row, col, rows, cols } = this.crop;
+    const part = Math.max(LEAST_CROP, (bottom - top + 1 + 2 * AROUND) / nRows,
+      (right - left + 1 + 2 * AROUND) / nCols);
+    const isIn = top >= row && left >= col && bottom < row + rows && right < col + cols;
+    if (isIn && this.crop !== this.all && rows < 2 * part * nRows) return;
+    const size = (n) => Math.min(n, Math.ceil(Math.min(1, 1.2 * part) * n));
+    const from = (middle, n) => Math.max(0, Math.min(n - size(n), Math.round(middle - size(n) / 2)));
+    this.crop = { row: from((top + bottom + 1) / 2, nRows), col: from((left + right + 1) / 2, nCols),
+      rows: size(nRows), cols: size(nCols) };
+  }
+
   // The size of a pixel is asked for where contacts need it: it costs a layout.
-  prepare(canvas, contacts) {
+  prepare(canvas, contacts, map) {
+    this.#follow(map);
     if (!contacts.list.length) return;
-    const { n_cols: nCols, n_rows: nRows } = this.skin;
-    this.pixel = Math.max(nCols / (canvas.clientWidth || 1), nRows / (canvas.clientHeight || 1));
+    this.pixel = Math.max(this.crop.cols / (canvas.clientWidth || 1),
+      this.crop.rows / (canvas.clientHeight || 1));
   }
 
   paint(panel, map, top) {
-    panel.image ??= new ImageData(this.skin.n_cols, this.skin.n_rows);
-    panel.pixels ??= new Uint32Array(panel.image.data.buffer);
-    const { mask } = this.skin.data, { pixels } = panel, scale = 255 / top;
-    for (let k = 0; k < map.length; k++) {
-      pixels[k] = mask && !mask[k] ? 0 : pixel(map[k], scale);
+    const { crop, skin: { n_cols: nCols, data: { mask } } } = this;
+    if (panel.crop !== crop) {
+      panel.crop = crop;
+      [panel.canvas.width, panel.canvas.height] = [crop.cols, crop.rows];
+      panel.over.setAttribute("viewBox", `${crop.col - 0.5} ${crop.row - 0.5} ${crop.cols} ${crop.rows}`);
+      panel.image = new ImageData(crop.cols, crop.rows);
+      panel.pixels = new Uint32Array(panel.image.data.buffer);
+    }
+    const { pixels } = panel, scale = 255 / top;
+    for (let row = 0, at = 0; row < crop.rows; row++) {
+      let k = (crop.row + row) * nCols + crop.col;
+      for (const end = k + crop.cols; k < end; k++) {
+        pixels[at++] = mask && !mask[k] ? 0 : pixel(map[k], scale);
+      }
     }
     panel.canvas.getContext("2d").putImageData(panel.image, 0, 0);
   }
 
   // Cell and name of the taxel at a place of the window.
   at([x, y], canvas) {
-    const box = canvas.getBoundingClientRect(), { n_cols: nCols, n_rows: nRows } = this.skin;
-    const place = (at, start, size, n) =>
-      Math.min(n - 1, Math.max(0, Math.floor(((at - start) / size) * n)));
-    const [row, col] = [place(y, box.top, box.height, nRows), place(x, box.left, box.width, nCols)];
-    return { cell: row * nCols + col, name: `row ${row}, column ${col}` };
+    const box = canvas.getBoundingClientRect(), { crop } = this;
+    const place = (at, start, size, first, n) =>
+      first + Math.min(n - 1, Math.max(0, Math.floor(((at - start) / size) * n)));
+    const row = place(y, box.top, box.height, crop.row, crop.rows);
+    const col = place(x, box.left, box.width, crop.col, crop.cols);
+    return { cell: row * this.skin.n_cols + col, name: `row ${row}, column ${col}` };
   }
 
   // The centre of pressure estimated from the measurements alone: a cross, and the ellipse that
   // contains it in 90 % of the frames; contacts. Faulty taxels are struck out on all panels.
   mark(panels, { resultant, faulty, contacts }) {
     const { row, col, row_sd: rowSd, col_sd: colSd } = resultant ?? {};
-    const arm = 0.04 * Math.max(this.skin.n_rows, this.skin.n_cols);
+    const arm = 0.04 * Math.max(this.crop.rows, this.crop.cols);
     const plus = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
     for (const [name, { over }] of Object.entries(panels)) {
       over.replaceChildren(...faulty.map((cell) => element("path", { class: "faulty",
@@ -87,8 +128,8 @@ class GridView {
 
   // Contacts in the overlay's units, which begin half a taxel before the first one's centre.
   #drawn(contacts) {
-    const { n_cols: w, n_rows: h } = this.skin;
-    return contacts.drawn({ w, h, pixel: this.pixel },
+    const { row: y, col: x, rows: h, cols: w } = this.crop;
+    return contacts.drawn({ x, y, w, h, pixel: this.pixel },
       ({ centre: [row, col] }) => [col, row], ({ area }) => Math.sqrt(area / Math.PI));
   }
 
@@ -102,22 +143,37 @@ class GridView {
     }
     const scale = pitch ? 1000 * pitch : 1;
     return `centre ${[rows, cols].map((sum) => ((scale * sum) / total).toFixed(1)).join(", ")} ${
-      pitch ? "mm" : ""}`;
+      pitch ? "mm" : "taxels"}`;
   }
 }
 
-// The maps that can be shown alone or together: the first choice is that of a view in 3-D.
-function choices(names) {
-  const pair = names.filter((name) => ["truth", "reconstruction"].includes(name)
-    || (name === "taxels" && !names.includes("truth")));
-  return { pair, all: names, ...Object.fromEntries(names.map((name) => [name, [name]])) };
+// Least colour range of a skin: its noise looks like noise.
+export const least = ({ f_max: fMax, sigma_end: sigma }) => Math.max(0.02 * fMax, NOISE * sigma);
+
+const isZoomed = () => byId("zoom").getAttribute("aria-pressed") === "true";
+
+// A figure of a map in a view: its title, canvas, marks, and a colour bar with its unit.
+export function panel(view, title, name) {
+  const canvas = view.canvas(title, name), over = view.overlay();
+  const bar = element("div", { class: "bar" });
+  bar.style.background = GRADIENT;
+  const top = element("span", {}), figures = element("figcaption", {});
+  const map = element("div", { class: "map" }, canvas, over);
+  map.style.maxWidth = `calc(var(--room) * ${view.aspect ?? 1})`;
+  const heading = element("h2", {}, element("button", { type: "button" }, title));
+  const figure = element("figure", { "data-panel": name }, heading,
+    element("div", { class: "framed" }, map,
+      element("div", { class: "scale" }, top, bar, element("span", {}, "0"))), figures);
+  return { canvas, over, top, figures, heading, figure };
 }
 
 export class Maps {
   constructor(root, skin) {
+    const { f_max: fMax } = skin;
     this.skin = skin;
     this.root = root;
-    this.peaks = []; // [time, peak] of the last seconds
+    this.forces = new Range(least(skin), fMax);
+    this.errors = new Range(0.001 * fMax, fMax);
     this.panels = {};
     this.maps = {};
     this.faulty = []; // cells of the taxels that the reconstructor leaves out
@@ -126,16 +182,23 @@ export class Maps {
     this.aborter = new AbortController();
     const hasPlaces = Cloud.of(skin);
     this.inSpace = hasPlaces && byId("view").value === "space";
-    this.view = this.inSpace ? new SpaceView(new Cloud(skin)) : new GridView(skin);
+    this.view = this.inSpace ? new SpaceView(new Cloud([{ ...skin, pose: null }])) : new GridView(skin);
     root.replaceChildren();
     root.classList.toggle("space", this.inSpace);
+    const { signal } = this.aborter;
     const names = skin.has_truth ? Object.keys(TITLES)
       : skin.has_taxels ? ["taxels", "reconstruction", "error"] : ["reconstruction"];
-    for (const name of names) root.append(this.panel(name));
-    this.choices = choices(names);
-    this.offer(hasPlaces);
-    this.choose();
-    const { signal } = this.aborter;
+    for (const name of names) {
+      const title = name === "error" && !skin.has_truth ? "Difference from the taxels" : TITLES[name];
+      const made = this.panels[name] = panel(this.view, title, name);
+      this.view.attach(made.canvas, () => this.drawSoon(), signal);
+      made.heading.addEventListener("click", () => this.enlarge(name));
+      root.append(made.figure);
+    }
+    this.enlarge("reconstruction");
+    this.zoom();
+    for (const option of document.querySelectorAll("[data-of=places]")) option.hidden = !hasPlaces;
+    byId("reset-view").hidden = !this.inSpace;
     root.addEventListener("pointermove", (event) => this.point(event), { signal });
     root.addEventListener("pointerdown", (event) => this.point(event), { signal });
     root.addEventListener("pointerleave", () => this.unpoint(), { signal });
@@ -149,43 +212,21 @@ export class Maps {
     this.unpoint();
   }
 
-  panel(name) {
-    const title = name === "error" && !this.skin.has_truth ? "Difference from the taxels"
-      : TITLES[name];
-    const canvas = this.view.canvas(title, name), over = this.view.overlay();
-    this.view.attach(canvas, () => this.drawSoon(), this.aborter.signal);
-    const bar = element("div", { class: "bar" });
-    bar.style.background = GRADIENT;
-    const top = element("span", {}), figures = element("figcaption", {});
-    this.panels[name] = { canvas, over, top, figures };
-    return element("figure", { "data-panel": name }, element("h2", {}, title),
-      element("div", { class: "framed" }, element("div", { class: "map" }, canvas, over),
-        element("div", { class: "scale" }, top, bar, element("span", {}, "0"))),
-      figures);
+  // Show one map large, the others beside it.
+  enlarge(large) {
+    for (const [name, { figure, heading }] of Object.entries(this.panels)) {
+      figure.classList.toggle("large", name === large);
+      heading.title = name === large ? "" : "show this map large";
+    }
+    this.large = large;
+    this.root.style.setProperty("--n-small", Object.keys(this.panels).length - 1);
+    this.drawSoon();
   }
 
-  // Offer the options of a view in 3-D, where there is one.
-  offer(hasPlaces) {
-    for (const option of document.querySelectorAll("[data-of=places]")) option.hidden = !hasPlaces;
-    for (const option of document.querySelectorAll("[data-of=space]")) option.hidden = !this.inSpace;
-    for (const option of byId("shown-maps").options) {
-      const those = this.choices[option.value];
-      option.hidden = option.disabled = !those
-        || (option.value === "pair" && those.length === this.choices.all.length);
-    }
-    const select = byId("shown-maps");
-    if (select.selectedOptions[0]?.disabled ?? true) {
-      select.value = [...select.options].find((option) => !option.disabled).value;
-    }
-  }
-
-  // Show the maps that are chosen; of a grid all.
-  choose() {
-    const shown = this.inSpace ? this.choices[byId("shown-maps").value] : this.choices.all;
-    for (const [name, { canvas }] of Object.entries(this.panels)) {
-      canvas.closest("figure").hidden = !shown.includes(name);
-    }
-    this.root.style.setProperty("--n-maps", shown.length);
+  // Show what is pressed alone, or all.
+  zoom() {
+    const map = this.maps.reconstruction ?? this.maps.taxels;
+    this.view.zoom(isZoomed(), map && highest(map) > CONTACT * this.skin.f_max ? map : null);
     this.drawSoon();
   }
 
@@ -203,19 +244,17 @@ export class Maps {
     this.view.reset?.();
   }
 
-  turnToContact() {
-    const map = this.maps.reconstruction ?? this.maps.taxels;
-    if (map && highest(map) > CONTACT * this.skin.f_max) this.view.turnTo?.(map);
-  }
-
   // Show new maps, each float32 (n_rows * n_cols,), row after row, and the frame's resultant and
   // contacts.
   show({ data: maps, resultant, contacts }, now) {
     this.maps = { ...maps };
-    this.contacts.show(contacts, now);
+    this.contacts.show(contactsOf(contacts), now);
     this.resultant = resultant;
     const reference = maps.truth ?? maps.taxels, felt = maps.reconstruction ?? maps.taxels;
-    if (highest(felt) > FIRST * this.skin.f_max) this.view.turnAtFirst?.(felt);
+    if (highest(felt) > FIRST * this.skin.f_max) {
+      this.view.turnAtFirst?.(felt);
+      if (isZoomed()) this.view.follow?.(felt);
+    }
     if (maps.reconstruction && reference) {
       this.maps.error = maps.reconstruction.map((v, k) => Math.abs(v - reference[k]));
     }
@@ -223,26 +262,23 @@ export class Maps {
   }
 
   draw(now) {
-    const shown = Object.entries(this.panels).filter(
-      ([name, { canvas }]) => this.maps[name] && !canvas.closest("figure").hidden);
+    const shown = Object.entries(this.panels).filter(([name]) => this.maps[name]);
     if (!shown.length) return;
-    this.view.prepare(shown[0][1].canvas, this.contacts);
+    this.view.prepare(this.panels[this.large].canvas, this.contacts,
+      this.maps.reconstruction ?? this.maps.taxels);
     const peak = Math.max(...["truth", "taxels", "reconstruction"].map((m) => highest(this.maps[m])));
-    this.peaks = this.peaks.filter(([at]) => now - at < HOLD_MS);
-    this.peaks.push([now, peak]);
-    const held = Math.max(...this.peaks.map(([, value]) => value), 0.02 * this.skin.f_max);
-    const range = byId("range").value === "full" ? this.skin.f_max
-      : Math.min(rounded(held), this.skin.f_max);
+    const held = this.forces.over(peak, now);
+    const range = byId("range").value === "full" ? this.skin.f_max : held;
     for (const [name, panel] of shown) {
       const map = this.maps[name];
       const own = name === "error" && byId("error-range").value === "own";
-      const top = own ? Math.min(rounded(highest(map)), this.skin.f_max) : range;
+      const top = own ? this.errors.over(highest(map), now) : range;
       this.view.paint(panel, map, top);
       setText(panel.top, `${tick(top)} ${this.skin.unit}`);
       const resultant = name === "reconstruction" && this.resultant;
-      setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map)
+      setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map, name)
         + (resultant
-          ? `\nresultant ${within(resultant.total, resultant.total_sd, this.skin.unit)}` : ""));
+          ? ` · resultant ${within(resultant.total, resultant.total_sd, this.skin.unit)}` : ""));
     }
     this.mark();
     this.read();
@@ -261,21 +297,23 @@ export class Maps {
     this.mark();
   }
 
-  forceText(map) {
-    const { unit, f_max: fMax } = this.skin;
+  forceText(map, name) {
+    const { unit, f_max: fMax, sigma_end: sigma } = this.skin;
     let total = 0;
     for (const force of map) total += force || 0;
     const peak = highest(map);
-    const centre = peak > CONTACT * fMax ? this.view.centre(map, total, peak) : "centre no contact";
-    const missing = missingOf(map), note = missing ? `\n${missing} readings missing` : "";
-    return `peak ${brief(peak, unit)}\ntotal ${brief(total, unit)}\n${centre}${note}`;
+    const noise = name === "taxels" ? TOUCHED * sigma : 0;
+    const centre = name !== this.large ? ""
+      : ` · ${peak > Math.max(CONTACT * fMax, noise) ? this.view.centre(map, total, peak) : "no contact"}`;
+    const missing = missingOf(map), note = missing ? ` · ${missing} readings missing` : "";
+    return `peak ${brief(peak, unit)} · total ${brief(total, unit)}${centre}${note}`;
   }
 
   errorText(map) {
     let sum = 0;
     for (const value of map) sum += value * value || 0;
     const n = (this.mask ? this.mask.reduce((a, b) => a + b, 0) : map.length) - missingOf(map);
-    return `peak ${brief(highest(map), this.skin.unit)}\nRMS ${brief(Math.sqrt(sum / n),
+    return `peak ${brief(highest(map), this.skin.unit)} · RMS ${brief(Math.sqrt(sum / n),
       this.skin.unit)}`;
   }
 
@@ -312,35 +350,10 @@ export class Maps {
     for (const [name, panel] of Object.entries(this.panels)) {
       const age = ages[name === "error" ? "reconstruction" : name];
       const stale = age === undefined || age > limit;
-      const figure = panel.canvas.closest("figure");
-      figure.classList.toggle("stale", stale && !quiet);
-      const title = figure.querySelector("h2");
-      title.dataset.age = stale && !quiet && age !== undefined ? `${age.toFixed(1)} s old` : "";
+      panel.figure.classList.toggle("stale", stale && !quiet);
+      panel.heading.dataset.age = stale && !quiet && age !== undefined ? `${age.toFixed(1)} s old` : "";
     }
   }
-}
-
-// One small map with its contacts, for the overview, of a record of maps; drawn on a panel {canvas}
-// that is kept. Returns its range in words.
-export function thumbnail(panel, { data: { reconstruction: map }, contacts }, skin, now) {
-  if (panel.skin !== skin) {
-    panel.skin = skin;
-    panel.image = panel.pixels = undefined;
-    panel.view = Cloud.of(skin) ? new SpaceView(new Cloud(skin)) : new GridView(skin);
-    panel.canvas.classList.toggle("smooth", Cloud.of(skin));
-    [panel.canvas.width, panel.canvas.height] = [skin.n_cols, skin.n_rows];
-    panel.over?.remove();
-    panel.over = panel.view.overlay();
-    panel.canvas.after(panel.over);
-    panel.contacts = new Contacts(skin.unit);
-  }
-  const top = Math.max(rounded(highest(map)), 0.1 * skin.f_max); // noise is no picture
-  if (highest(map) > FIRST * skin.f_max) panel.view.turnAtFirst?.(map);
-  panel.contacts.show(contacts, now);
-  panel.view.prepare(panel.canvas, panel.contacts);
-  panel.view.paint(panel, map, top);
-  panel.view.mark({ reconstruction: panel }, { faulty: [], contacts: panel.contacts });
-  return `peak ${brief(highest(map), skin.unit)}, colours to ${tick(top)} ${skin.unit}`;
 }
 
 // Taxels whose reading is missing.
@@ -348,7 +361,7 @@ function missingOf(map) {
   return map.reduce((n, value) => n + Number.isNaN(value), 0);
 }
 
-function highest(map) {
+export function highest(map) {
   let high = 0;
   if (map) for (const value of map) if (value > high) high = value;
   return high;

@@ -10,11 +10,14 @@ const COARSE = 1, TURNING_MS = 200; // while the view is turned, and this long a
 const MOST_PIXELS = 700_000;
 const TURN = Math.PI; // by a drag over the whole view
 const STEP = Math.PI / 18, ZOOM_STEP = 1.25; // of a key
-const MOST_ZOOM = 20;
+const MOST_ZOOM = 20, MOST_ZOOMED = 4; // by the user, and to a contact,
+const GRAZED = 0.2, NEAR_EDGE = 0.4; // cosine of the view, part of it: where the zoom follows
+const FILLED = 0.5; // which then has this part of the view
 const OPENING = { yaw: 0.45, pitch: 0.25 }; // from where a skin all round is seen at first
 const TRIAD = 18; // length of the axes in a corner, in pixels
 const PRESSED = 0.1; // part of the peak beyond which a force is of the contact, not noise
 const STEEPEST = 0.7; // pitch to which the view turns by itself: a body seen from above is hard to read
+const ASIDE = [0.35, 0.15]; // from a contact, where several skins are seen
 const ONE_SIDED = 0.3; // length of the mean normal beyond which a skin has a front
 
 export const DARK = matchMedia("(prefers-color-scheme: dark)");
@@ -45,6 +48,29 @@ export class SpaceView {
     this.#turned();
   }
 
+  // Turn the most loaded side of a map to the eye, as large as fits; or show all.
+  zoom(isOn, map) {
+    const facing = isOn && map ? this.#facing(map) : null;
+    if (!facing && this.isZoomed) this.reset();
+    this.isZoomed = false;
+    if (!facing) return;
+    const { cloud } = this, view = { ...facing, zoom: 1 }, [, , eye] = axes(view);
+    const top = PRESSED * map.reduce((a, b) => (b > a ? b : a), 0);
+    const [low, high] = [[1, 1], [0, 0]];
+    for (let k = 0; k < cloud.n; k++) {
+      if (!(map[cloud.cells[k]] > top) || dot(eye, cloud.normal(k)) <= 0) continue;
+      projected(cloud, view, 1, 1, cloud.place(k)).slice(0, 2).forEach((v, axis) => {
+        [low[axis], high[axis]] = [Math.min(low[axis], v), Math.max(high[axis], v)];
+      });
+    }
+    const span = Math.max(high[0] - low[0], high[1] - low[1], FILLED / MOST_ZOOMED);
+    view.zoom = Math.max(1, FILLED / span);
+    [view.x, view.y] = [0, 1].map((axis) => view.zoom * (0.5 - (low[axis] + high[axis]) / 2));
+    this.view = view;
+    this.isZoomed = true;
+    this.#turned();
+  }
+
   #opening() {
     const mean = [0, 0, 0], { cloud } = this;
     for (let k = 0; k < cloud.n; k++) cloud.normal(k).forEach((v, axis) => (mean[axis] += v / cloud.n));
@@ -53,12 +79,15 @@ export class SpaceView {
     return { x: 0, y: 0, zoom: 1, ...(Math.hypot(...mean) < ONE_SIDED ? OPENING : aside) };
   }
 
-  // Turn the most loaded side to the eye; a map without forces turns nothing.
-  turnTo(map) {
-    const facing = this.#facing(map);
-    if (!facing) return;
-    Object.assign(this.view, facing);
-    this.#turned();
+  // Zoom to the most loaded taxel of a map again once it is not seen, or near the edge.
+  follow(map) {
+    const k = this.cloud.taxels[map.indexOf(map.reduce((a, b) => (b > a ? b : a), 0))];
+    if (!(k >= 0) || this.pointers.size || this.timer !== undefined) return;
+    const [x, y] = projected(this.cloud, this.view, 1, 1, this.cloud.place(k));
+    const isSeen = dot(axes(this.view)[2], this.cloud.normal(k)) > GRAZED;
+    if (!this.isZoomed || !isSeen || Math.max(Math.abs(x - 0.5), Math.abs(y - 0.5)) > NEAR_EDGE) {
+      this.zoom(true, map);
+    }
   }
 
   // Turn to the first contact, once, unless the view is turned already. The frame is drawn
@@ -78,8 +107,10 @@ export class SpaceView {
       cloud.normal(k).forEach((v, axis) => (sum[axis] += force * force * v));
     }
     if (!(Math.hypot(...sum) > 0)) return null;
+    const [aside, above] = cloud.parts.length > 1 ? ASIDE : [0, 0];
     const { yaw, pitch } = towards(sum);
-    return { yaw, pitch: Math.max(-STEEPEST, Math.min(STEEPEST, pitch)), x: 0, y: 0 };
+    return { yaw: yaw + aside, x: 0, y: 0,
+      pitch: Math.max(-STEEPEST, Math.min(STEEPEST, pitch + above)) };
   }
 
   canvas(label, name) {
@@ -225,8 +256,11 @@ export class SpaceView {
     const k = isOver ? index[row * width + col] - TAXELS : -1;
     if (k < 0) return null;
     const place = Array.from(this.cloud.place(k), (v) => (1000 * v).toFixed(1)).join(", ");
-    const { cells, rows } = this.cloud;
-    return { cell: cells[k], name: `taxel ${rows ? rows[k] : k} at ${place} mm` };
+    const part = this.cloud.partOf(k), { patch, data: { point_rows: rows }, n_cols: n } = part.skin;
+    const cell = this.cloud.cells[k], own = cell - part.cell;
+    const name = part.isFlat ? `row ${Math.floor(own / n)}, column ${own % n}`
+      : `taxel ${rows ? rows[k - part.first] : k - part.first} at ${place} mm`;
+    return { cell, patch, name };
   }
 
   overlay() {
@@ -302,7 +336,7 @@ export class SpaceView {
       if (dot(eye, cloud.normal(k)) <= 0) hidden += force;
     }
     const share = Math.round((100 * hidden) / contact);
-    return `centre ${sums.map((sum) => ((1000 * sum) / total).toFixed(1)).join(", ")} mm\n${
+    return `centre ${sums.map((sum) => ((1000 * sum) / total).toFixed(1)).join(", ")} mm · ${
       share ? `${share} % of the contact on the far side` : "contact on the near side"}`;
   }
 }

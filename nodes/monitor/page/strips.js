@@ -5,7 +5,7 @@ import { EVENTS } from "./contacts.js";
 import { brief, element, tick } from "./dom.js";
 
 const SPAN_S = 60;
-const LEFT = 44, RIGHT = 10, TOP = 20, BOTTOM = 16;
+const LEFT = 44, RIGHT = 10, TOP = 25, BOTTOM = 16;
 
 class Buckets {
   constructor(width) {
@@ -57,14 +57,21 @@ const CHARTS = [
   { id: "lost", title: "Frames lost", unit: "", lines: [
     ["bad", "lost", (f) => f.last, "lost since the start"]] },
 ];
-const WIDTHS = { psnr_noisy_db: 0.25, psnr_db: 0.25, latency_ms: 1, solve_ms: 1, lost: 0.25, rate: 1,
+const WIDTHS = { total: 0.25, pressed: 0.25, psnr_noisy_db: 0.25, psnr_db: 0.25, latency_ms: 1, solve_ms: 1, lost: 0.25, rate: 1,
   ...Object.fromEntries(Object.keys(EVENTS).map((name) => [name, 0.5])) };
 
+// Charts of all patches together, of forces in a unit.
+export const chartsOfAll = (unit) => [
+  { id: "total", title: "Total force", unit, lines: [["good", "total", (f) => f.mean, "all patches"]] },
+  { id: "pressed", title: "Patches pressed", unit: "", lines: [["good", "pressed", (f) => f.last, "now"]] },
+];
+
 export class Strips {
-  constructor(root) {
+  constructor(root, charts = CHARTS) {
+    this.charts = charts;
     this.series = Object.fromEntries(
       Object.entries(WIDTHS).map(([name, width]) => [name, new Buckets(width)]));
-    this.canvases = CHARTS.map((chart) => element("canvas", { "data-strip": chart.id, role: "img",
+    this.canvases = charts.map((chart) => element("canvas", { "data-strip": chart.id, role: "img",
       "aria-label": `${chart.title}, last ${SPAN_S} s` }));
     root.replaceChildren(...this.canvases.map((canvas) => element("figure", {}, canvas)));
   }
@@ -87,7 +94,7 @@ export class Strips {
   }
 
   draw(now, asked) {
-    CHARTS.forEach((chart, k) => this.chart(this.canvases[k], chart, now, asked));
+    this.charts.forEach((chart, k) => this.chart(this.canvases[k], chart, now, asked));
   }
 
   lineOf(name, figure, now) {
