@@ -167,11 +167,19 @@ def one_patch(page: Any, folder: Path) -> None:
         os.kill(sensor, signal.SIGCONT)
 
 
-def two_patches(page: Any, folder: Path) -> None:
-    """The overview of two patches; then one of them on a phone in the dark."""
-    with launched(page, folder, "two_patches"):
-        wait_until(lambda: n_drawn(page) > 500, "frames of both")
+def many_patches(page: Any, folder: Path) -> None:
+    """The overview of a body; then one of two patches on a phone in the dark."""
+    with launched(page, folder, "body", "sensor.rate_hz=20", "reconstructor.contacts=true"):
+        zoom = "document.querySelector('#overview button[aria-pressed]').click()"
+        wait_until(
+            lambda: text(page, "[data-tile=pressed] strong") == "8", "eight that are pressed"
+        )
+        page.execute_script(zoom)
+        before = n_drawn(page)
+        wait_until(lambda: n_drawn(page) > before + 500, "frames of history")
+        wait_until(lambda: not text(page, "#notices"), "no notice")
         shoot(page, "overview")
+    with launched(page, folder, "two_patches"):
         dark(page, True)
         metrics = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
         page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
@@ -182,24 +190,19 @@ def two_patches(page: Any, folder: Path) -> None:
 
 
 def torso(page: Any, folder: Path) -> None:
-    """A body is pressed all round: its taxels in 3-D, turned to the contact."""
+    """A body is pressed all round: its taxels in 3-D, zoomed to the contact and back."""
     dark(page, False)
     size = {"width": 1280, "height": 720, "deviceScaleFactor": 1, "mobile": False}
     page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    turn = "document.getElementById('turn-to-contact').click()"
+    caption = '[data-panel="reconstruction"] figcaption'
     with launched(page, folder, "torso", "sensor.rate_hz=20"):
         wait_until(lambda: n_drawn(page) > 120, "frames of history")
-
-        def in_sight() -> bool:
-            page.execute_script(turn)
-            caption = text(page, '[data-panel="reconstruction"] figcaption')
-            found = re.search(r"centre [-0-9.]+, [-0-9.]+, ([0-9.]+) mm", caption)
-            chest = found is not None and 250 < float(found[1]) < 430
-            return "on the near side" in caption and chest and not text(page, "#notices")
-
-        wait_until(in_sight, "a contact on the near side, below the shoulders")
-        before = n_drawn(page)
-        wait_until(lambda: n_drawn(page) > before + 10, "the picture in full")
+        wait_until(
+            lambda: (
+                "contact on the near side" in text(page, caption) and not text(page, "#notices")
+            ),
+            "a contact on the near side",
+        )
         shoot(page, "torso")
 
 
@@ -218,7 +221,7 @@ SHOTS = {
     "contact": contact,
     "contacts": contacts,
     "stale": one_patch,
-    "patches": two_patches,
+    "patches": many_patches,
     "torso": torso,
 }
 

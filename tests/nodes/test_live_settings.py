@@ -23,6 +23,7 @@ from sparseskin.messages import (
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.settings import Settings, setting
 
 OVERRIDES = ("reconstructor.iterations=5",)
@@ -97,6 +98,13 @@ def test_a_ratio_that_is_stated_last_counts() -> None:
     assert settings.changed({"ratio": 8}).n_measurements(1600) == 200
     assert settings.changed({"ratio": 8, "m": 300}).n_measurements(1600) == 300
     assert settings.changed({"ratio": 8}).changed({"m": 100}).n_measurements(1600) == 100
+
+
+def test_a_preset_that_is_stated_last_replaces_solver_and_numbers() -> None:
+    settings = load("path_40", ["reconstructor.solver=tv"]).nodes["reconstructor"].settings
+    assert settings.changed({"preset": "paper"}).chosen() == PRESETS["paper"]
+    both = settings.changed({"preset": "paper", "iterations": 5})
+    assert both.chosen() == PRESETS["paper"] | {"iterations": 5}
 
 
 @pytest.mark.parametrize("changes", [{"ratio": 8.0}, {"m": 700}])

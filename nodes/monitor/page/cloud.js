@@ -5,8 +5,7 @@
 // or taxel k as TAXELS + k.
 export const SHADES = 64, OUTSIDE = 1, INSIDE = OUTSIDE + SHADES, TAXELS = INSIDE + SHADES;
 
-const NEIGHBOURS = 5; // whose mean distance is the local spacing
-const MOST_A_CELL = 32; // points of a cell in which neighbours are sought
+const SEAM = 4; // distance in pitches beyond which neighbours on the grid are none on the surface
 const DISC = 0.46; // radius of a taxel's disc in local spacings
 const BODY = 1; // radius of the body's discs in local spacings: no gaps in random layouts
 const CONE = 0.3; // height of a taxel's middle in its radii: where two overlap, the nearer middle wins
@@ -62,59 +61,36 @@ export class Cloud {
     return this.points.subarray(6 * k + 3, 6 * k + 6);
   }
 
+  // The middle of the box of all points, and the radius about it.
   #measure() {
-    const { points } = this, low = [0, 1, 2].map((axis) => points[axis]), high = [...low];
-    for (let at = 0; at < points.length; at += 6) {
-      for (let axis = 0; axis < 3; axis++) {
-        low[axis] = Math.min(low[axis], points[at + axis]);
-        high[axis] = Math.max(high[axis], points[at + axis]);
-      }
+    const { points } = this, far = [0, 1, 2].map(() => [Infinity, -Infinity]);
+    for (let at = 0; at < points.length; at++) {
+      const ends = far[at % 6];
+      if (points[at] < ends?.[0]) ends[0] = points[at];
+      if (points[at] > ends?.[1]) ends[1] = points[at];
     }
-    const centre = low.map((v, axis) => (v + high[axis]) / 2);
-    let most = 1e-12;
+    const centre = this.centre = far.map(([low, high]) => (low + high) / 2);
+    let most = 1e-24;
     for (let at = 0; at < points.length; at += 6) {
-      const x = points[at] - centre[0], y = points[at + 1] - centre[1], z = points[at + 2] - centre[2];
-      most = Math.max(most, x * x + y * y + z * z);
+      most = Math.max(most, (points[at] - centre[0]) ** 2 + (points[at + 1] - centre[1]) ** 2
+        + (points[at + 2] - centre[2]) ** 2);
     }
-    this.centre = centre;
     this.radius = Math.sqrt(most);
   }
 
-  // Mean distance of the nearest neighbours of each point of a part, found in cells of a grid.
-  #space({ first: from, n, pitch }) {
-    const { centre } = this, points = this.points.subarray(6 * from, 6 * (from + n));
-    const usual = (3.5 * this.radius) / Math.sqrt(n); // of points all over a sphere
-    const side = pitch > 0.02 * usual && pitch < 50 * usual ? 2 * pitch : 2 * usual;
-    const buckets = 2 ** Math.ceil(Math.log2(2 * n));
-    const first = new Int32Array(buckets).fill(-1), next = new Int32Array(n);
-    const at = (k, axis) => Math.floor((points[6 * k + axis] - centre[axis]) / side);
-    const bucket = (i, j, l) =>
-      (Math.imul(i, 73856093) ^ Math.imul(j, 19349663) ^ Math.imul(l, 83492791)) & (buckets - 1);
-    for (let k = 0; k < n; k++) {
-      const b = bucket(at(k, 0), at(k, 1), at(k, 2));
-      next[k] = first[b];
-      first[b] = k;
-    }
-    const best = new Float64Array(NEIGHBOURS);
-    const look = (k, b) => {
-      for (let other = first[b], seen = 0; other >= 0 && seen < MOST_A_CELL; other = next[other], seen++) {
-        const x = points[6 * other] - points[6 * k], y = points[6 * other + 1] - points[6 * k + 1];
-        const z = points[6 * other + 2] - points[6 * k + 2], square = x * x + y * y + z * z;
-        if (!(square > 0 && square < best[NEIGHBOURS - 1])) continue; // itself, or at its place
-        let place = NEIGHBOURS - 1;
-        for (; place > 0 && best[place - 1] > square; place--) best[place] = best[place - 1];
-        best[place] = square;
+  // Mean distance of the taxels of a part to their neighbours on its grid, without those at seams.
+  #space({ skin: { n_rows: nRows, n_cols: nCols }, cell, first, n, pitch }) {
+    for (let k = first; k < first + n; k++) {
+      const row = Math.floor((this.cells[k] - cell) / nCols), col = (this.cells[k] - cell) % nCols;
+      const near = [];
+      for (const [r, c] of [[row - 1, col], [row + 1, col], [row, col - 1], [row, col + 1]]) {
+        const other = r >= 0 && c >= 0 && r < nRows && c < nCols ? this.taxels[cell + r * nCols + c] : -1;
+        if (other < 0) continue;
+        const [from, to] = [this.place(k), this.place(other)];
+        near.push(Math.hypot(from[0] - to[0], from[1] - to[1], from[2] - to[2]));
       }
-    };
-    for (let k = 0; k < n; k++) {
-      best.fill(side * side);
-      const [i, j, l] = [at(k, 0), at(k, 1), at(k, 2)];
-      for (let u = i - 1; u <= i + 1; u++) for (let v = j - 1; v <= j + 1; v++) {
-        for (let w = l - 1; w <= l + 1; w++) look(k, bucket(u, v, w));
-      }
-      let sum = 0;
-      for (const square of best) sum += square < side * side ? Math.sqrt(square) : side / 2;
-      this.spacing[from + k] = sum / NEIGHBOURS;
+      const beside = near.filter((distance) => distance < SEAM * pitch);
+      this.spacing[k] = beside.reduce((a, b) => a + b, 0) / beside.length || pitch;
     }
   }
 }

@@ -54,9 +54,11 @@ export class Range {
   // The range of a map with this peak at a time in milliseconds: it grows at once.
   over(peak, now) {
     const wanted = Math.min(Math.max(rounded(peak), rounded(this.least)), this.most);
-    if (wanted >= this.top) [this.top, this.high, this.since] = [wanted, 0, now];
-    else if (now - this.since > HOLD_MS) [this.top, this.high, this.since] = [this.high, 0, now];
-    this.high = Math.max(this.high, wanted);
+    if (wanted < this.top) {
+      this.high = Math.max(this.high, wanted);
+      if (now - this.since <= HOLD_MS) return this.top;
+    }
+    [this.top, this.high, this.since] = [wanted < this.top ? this.high : wanted, 0, now];
     return this.top;
   }
 }

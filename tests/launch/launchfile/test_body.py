@@ -25,6 +25,7 @@ cols = 8
 name = "forearm"
 rows = 12
 cols = 6
+pose = [0, 40.5, 0, 0, 0, 90]
 mask = ["111111", "111111", "111111", "111111", "111111", "111111",
         "111111", "111111", "111111", "111111", "111110", "111100"]
 noise = 0.01
@@ -58,7 +59,9 @@ def test_equal_patches_are_one_batch_of_four_nodes() -> None:
     assert sensor.patches == ("p0", "p1", "p2")
     assert sensor.simulated == {"rows": 12, "cols": 64, "pitch_mm": 5.0, "f_max": 2.5}
     assert sensor.rate_hz == 20
-    assert launch.nodes["monitor"].settings.all_patches == sensor.patches
+    monitor = launch.nodes["monitor"].settings
+    assert monitor.all_patches == sensor.patches
+    assert monitor.poses["p1"][3:] == pytest.approx([90, 0, 210])
     assert {link.topic for link in launch.links if link.reader == "reconstructor"} == {
         *("/body/skin", "/body/phi", "/body/measurements"),
     }
@@ -74,6 +77,7 @@ def test_patches_of_a_body_file_are_served_in_batches_of_equal_ones(body: Path) 
     }
     forearm, sole = (launch.nodes[f"sensor_{k}"].settings for k in (2, 3))
     assert forearm.address().n_taxels() == 69
+    assert launch.nodes["monitor"].settings.poses == {"forearm": [0, 40.5, 0, 0, 0, 90]}
     assert (forearm.simulated["noise"], forearm.simulated["pitch_mm"]) == (0.01, 5.0)
     assert sole.simulated == {"rows": 6, "cols": 10, "f_max": 5.0, "pitch_mm": 8.0}
     assert [launch.nodes[f"compressor_{k}"].settings.ratio for k in (1, 2, 3)] == [3, 3, 2]
@@ -112,6 +116,7 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() 
     ("before", "after", "line"),
     [
         ("rows = 12", "rows = 0", "patches[2] (forearm): rows: 0 is outside 1..4096"),
+        ("40.5, ", "", "(forearm).pose: expected [x, y, z, roll, pitch, yaw]"),
         ("noise =", "nose =", "patches[2].nose: unknown key (did you mean 'noise'?)"),
         ('"left_palm"', '"Left palm"', "patches[0].name: 'Left palm' is no name"),
         ('"left_palm"', '"sole"', "patches[3].name: 'sole' occurs twice"),

@@ -15,7 +15,9 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor import sources
+from sparseskin.nodes.sensor.files.file_source import RecordedSource
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
+from sparseskin.nodes.sensor.source import Skin
 
 GLOVE = """
 import numpy as np
@@ -132,6 +134,16 @@ def test_a_source_that_computes_its_frames_is_read_a_frame_at_a_time_and_ends() 
     while source.next_frame(0.0) is not None:
         assert not source.ended
     assert source.ended
+
+
+def test_a_recording_that_loops_begins_again_and_its_stamps_go_on() -> None:
+    frames = np.arange(4, dtype=np.float32).reshape(2, 1, 2)
+    source = RecordedSource("r", Skin(1, 2, 3.0), frames, [0, 10])
+    source.loops, source.period_s = True, 1e-8
+    read = [source.next_frame(0.0) for _ in range(5)]
+    assert [(ns, forces[0, 0]) for ns, forces in filter(None, read)] == [
+        *((0, 0), (10, 2), (20, 0), (30, 2), (40, 0)),
+    ]
 
 
 def test_what_is_no_address_is_refused_with_all_forms() -> None:

@@ -79,6 +79,14 @@ def set_field(page: Any, field: str, value: str) -> None:
     )
 
 
+def choose(page: Any, field: str, value: str) -> None:
+    """Choose a value, and wait until the solver shown is the one of that name."""
+    script = "const s = document.getElementById(arguments[0]); s.value = arguments[1];"
+    page.execute_script(f"{script} s.dispatchEvent(new Event('change'));", field, value)
+    solver = "return document.getElementById('reconstructor.solver').value"
+    wait_until(lambda: page.execute_script(solver) == value, "the solver")
+
+
 def answer(page: Any, field: str) -> str:
     return text(page, f'output[data-answer="{field}"]')
 
@@ -109,6 +117,14 @@ def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(
     # What the owner refuses changes nothing, and the page says why.
     set_field(page, field, "0")
     wait_until(lambda: answer(page, field) == "✗ iterations: 0 is outside 1..1000", "the refusal")
+    choose(page, "reconstructor.solver", "tv")
+    choose(page, "reconstructor.preset", "skin")
+    faded = f"return getComputedStyle(document.querySelector('[data-answer=\"{field}\"]')).opacity"
+    wait_until(lambda: page.execute_script(faded) == "0", "the refusal to fade")
+    set_field(page, "sensor.rate_hz", "0")
+    wait_until(lambda: text(page, "#liveness") == "paused", "the pause")
+    set_field(page, "sensor.rate_hz", "20")
+    wait_until(lambda: text(page, "#liveness") == "live", "the run to go on")
     set_field(page, "compressor.m", "400")
     wait_until(lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400")
     page.execute_script("document.getElementById('record').click()")
@@ -293,20 +309,16 @@ def test_a_taxel_whose_reading_is_missing_looks_like_no_force(page: Any) -> None
         assert alpha == 255
 
 
-def test_the_overview_has_a_card_of_each_patch_with_its_map(page: Any) -> None:
-    graph = Graph("left", "right")
-    with served(graph, page):
-        for patch in ("left", "right"):
-            graph.skin(patch)
-
-            def is_shown(patch: str = patch) -> bool:
-                graph.frame(patch)  # one that comes before there is a card is not drawn
-                return "peak" in text(page, f"#card-{patch} small")
-
-            wait_until(is_shown, f"the map of {patch} on its card")
-        # The server of this page is gone: the browser says so, and that is no fault.
-        errors = [entry["message"] for entry in page.get_log("browser")]
-        assert not [text for text in errors if "ERR_" not in text]
+def test_a_colour_range_grows_at_once_and_shrinks_after_a_while(page: Any) -> None:
+    script = (
+        "const done = arguments[1];"
+        "import('./colours.js').then(({ Range }) => {"
+        "  const range = new Range(0.05, 2.5);"
+        "  done(arguments[0].map(([peak, s]) => range.over(peak, 1000 * s))); });"
+    )
+    with served(Graph(), page):
+        peaks = [[0, 0], [0.9, 1], [1.1, 1.1], [0.9, 2], [0.3, 6], [0.1, 7.2], [9, 8]]
+        assert page.execute_async_script(script, peaks) == [0.05, 1, 2, 2, 2, 1, 2.5]
 
 
 def test_the_numbers_of_the_page_are_those_of_the_summary(
@@ -318,6 +330,8 @@ def test_the_numbers_of_the_page_are_those_of_the_summary(
     code, _, stderr = program.finish()
     assert code == 0, stderr
     wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end on the page")
+    assert "The graph has ended: nothing can be set." in text(page, "#controls")
+    assert page.find_elements("css selector", "#controls :enabled") == []
     patch = json.loads(summary.read_text())["patches"]["skin"]
     noisy, restored = (patch["psnr_db"][k]["contact"]["mean"] for k in ("noisy", "reconstruction"))
     assert text(page, '[data-tile="gain"] h2') == "PSNR gain in contact"

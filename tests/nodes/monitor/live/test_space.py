@@ -34,6 +34,7 @@ CHOOSE = (
     "const select = document.getElementById(arguments[0]); select.value = arguments[1];"
     "select.dispatchEvent(new Event('change'));"
 )
+ZOOM = "document.getElementById('zoom').click()"
 VIRIDIS_TOP, VIRIDIS_ZERO = (0xFD, 0xE7, 0x25), (0x44, 0x01, 0x54)
 
 
@@ -191,10 +192,11 @@ def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
         drag(page, width(page) // 2 - 10)
     wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] == 0, "the other side")
     wait_until(lambda: "100 % of the contact on the far side" in figures(page), "its share")
-    run(page, "document.getElementById('turn-to-contact').click()")
+    run(page, ZOOM)
     wait_until(lambda: "on the near side" in figures(page), "the side of the contact")
     wait_until(lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle")
-    run(page, "document.getElementById('reset-view').click()")
+    assert pixels(page, VIRIDIS_TOP)[0] > 2 * n
+    run(page, ZOOM)
     settled(page)
     wait_until(lambda: image(page) == before, "the view of the beginning")
 
@@ -262,7 +264,7 @@ def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(
 
     k = int(np.argmax(pressed(points, FRONT, PEAK_N, RADIUS_M)))
     row = len(points) - 1 - k
-    run(page, "document.getElementById('turn-to-contact').click()")
+    run(page, ZOOM)
     settled(page)
     wait_until(lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle")
     canvas = page.find_element("css selector", "canvas[data-map=reconstruction]")
@@ -277,20 +279,50 @@ def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(
     assert run(page, rings) >= 2
 
 
-def test_the_grid_of_the_same_skin_and_single_maps_can_be_shown(page: Any, graph: Graph) -> None:
-    titles = (
-        "return [...document.querySelectorAll('#maps figure')].filter((f) => !f.hidden)"
-        "  .map((f) => f.querySelector('h2').innerText).join(', ')"
-    )
-    assert run(page, titles) == "Truth, Reconstruction"
-    run(page, CHOOSE, "shown-maps", "reconstruction")
-    assert run(page, titles) == "Reconstruction"
+def test_any_map_is_shown_large_and_the_grid_of_the_same_skin(
+    page: Any, graph: Graph, points: Floats
+) -> None:
+    large = "return document.querySelector('#maps .large h2').innerText"
+    assert run(page, large) == "Reconstruction"
+    run(page, "document.querySelector('[data-panel=truth] button').click()")
+    assert run(page, large) == "Truth"
     run(page, CHOOSE, "view", "grid")
-    assert run(page, titles) == "Truth, Taxels (measured), Reconstruction, Absolute error"
+    wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 0, "the frame on the grid")
     size = "const c = document.querySelector('[data-map=truth]'); return [c.width, c.height]"
     assert run(page, size) == [N_COLS, N_ROWS]
-    wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 0, "the frame on the grid")
+    press(graph, points, BACK)  # in the middle of the grid
+    run(page, ZOOM)
+    wait_until(lambda: run(page, size)[0] < N_COLS, "the part that is pressed")
     run(page, CHOOSE, "view", "space")
-    run(page, CHOOSE, "shown-maps", "pair")
     settled(page)
-    wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 20, "the frame in 3-D")
+
+
+def test_patches_of_a_body_stand_at_their_poses_with_what_they_do(
+    page: Any, points: Floats
+) -> None:
+    graph = Graph("front", "back", "torso")
+    poses = {"front": [300, 0, 0, 90, 0, 90], "back": [-300, 0, 0, 90, 0, -90]}
+    graph.feed.poses = {name: [float(v) for v in pose] for name, pose in poses.items()}
+    now = "return document.querySelector(`#row-${arguments[0]} td:nth-child(2)`)?.innerText"
+    with served(graph, page):
+        for patch in ("front", "back"):
+            graph.skin(patch, mask=None, f_max=0.5, pitch_m=0.05)
+        graph.skin("torso", n_rows=N_ROWS, n_cols=N_COLS, mask=MASK, points=points)
+
+        def is_pressed() -> bool:
+            graph.frame("front", unchanged=True)
+            graph.frame("back", forces=np.zeros((1, 5, 7), np.float32), unchanged=True)
+            return run(page, now, "front") == "pressed" and run(page, now, "back") == "idle"
+
+        wait_until(is_pressed, "what each does")
+        assert run(page, now, "torso") == "no frame yet"
+        place = (  # of the patch in front, which is pressed, in what is drawn
+            "const [done, at] = [arguments[1], arguments[0]];"
+            "import('./cloud.js').then(({ Cloud, projected }) => {"
+            "  const skin = { n_rows: 5, n_cols: 7, pitch_m: 0.05, data: {}, pose: at };"
+            "  const cloud = new Cloud([skin]);"
+            "  done([cloud.place(0), cloud.normal(0)].map((v) => [...v])); });"
+        )
+        corner, normal = page.execute_async_script(place, poses["front"])
+        assert corner == pytest.approx([0.3, -0.15, 0.1], abs=1e-6)
+        assert normal == pytest.approx([1, 0, 0], abs=1e-6)
