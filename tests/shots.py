@@ -170,7 +170,7 @@ def one_patch(page: Any, folder: Path) -> None:
 def many_patches(page: Any, folder: Path) -> None:
     """The overview of a body; then one of two patches on a phone in the dark."""
     with launched(page, folder, "body", "sensor.rate_hz=20", "reconstructor.contacts=true"):
-        zoom = "document.querySelector('#overview button[aria-pressed]').click()"
+        zoom = "document.getElementById('zoom').click()"
         wait_until(
             lambda: text(page, "[data-tile=pressed] strong") == "8", "eight that are pressed"
         )

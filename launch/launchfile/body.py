@@ -8,7 +8,6 @@ that can serve several patches, and states none, is made once for each batch.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -35,8 +34,6 @@ SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
 """Most patches of a body."""
-GAP = 1.06
-"""Distance of patches of a ring in their sides."""
 _OF_SKIN = ("rows", "cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
 
 
@@ -135,23 +132,8 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
             note((SKIN, key), what)
         else:
             width = len(str(stated.patches - 1))
-            patches = [
-                Patch(f"p{k:0{width}d}", skin, pose=pose)
-                for k, pose in enumerate(_rings(stated, stated.patches))
-            ]
+            patches = [Patch(f"p{k:0{width}d}", skin) for k in range(stated.patches)]
     return [] if n_faults else list(batches_of(patches, stated.batch))
-
-
-def _rings(skin: SkinTable, n: int) -> Iterator[tuple[float, ...] | None]:
-    """Poses of equal patches in rings around an upright body about as high as wide; of few none."""
-    high, wide = (GAP * side * skin.pitch_mm for side in (skin.rows, skin.cols))
-    ideal = math.sqrt(math.pi * n * high / wide)
-    of_ring = min(range(3, max(4, n + 1)), key=lambda k: abs(math.log(k / ideal)) + (n % k > 0) / 2)
-    radius = wide / 2 / math.tan(math.pi / of_ring) if n > 2 else 0.0
-    for k in range(n):
-        angle = 2 * math.pi * (k % of_ring) / of_ring
-        place = radius * math.cos(angle), radius * math.sin(angle), high * (k // of_ring)
-        yield (*place, 90.0, 0.0, math.degrees(angle) + 90) if n > 2 else None
 
 
 def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:

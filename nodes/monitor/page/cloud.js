@@ -47,9 +47,9 @@ export class Cloud {
     return points !== undefined && points.length === 6 * n;
   }
 
-  // The part of taxel k.
-  partOf(k) {
-    return this.parts.find((part) => k < part.first + part.n);
+  // The part of a patch, or of taxel k.
+  part(of) {
+    return this.parts.find(({ skin, first, n }) => skin.patch === of || of < first + n);
   }
 
   // x, y, z of taxel k in metres.

@@ -1,13 +1,13 @@
 // The page: reads records of the monitor's stream and draws them.
 
 import { Body } from "./body.js";
-import { ContactList } from "./contacts.js";
+import { ContactList, contactsOf } from "./contacts.js";
 import { Controls } from "./controls.js";
 import { brief, byId, bytes, element, fixed, setText } from "./dom.js";
 import { Maps } from "./maps.js";
 import { notices } from "./notices.js";
 import { Stream } from "./stream.js";
-import { Strips } from "./strips.js";
+import { chartsOfAll, Strips } from "./strips.js";
 
 const STRIPS_MS = 250;
 const TEXT_MS = 100;
@@ -69,12 +69,19 @@ function onSkin(record) {
   body?.skin(record);
 }
 
-// The maps of the skin in the view that is chosen, with the newest frame.
+// The maps of the skin, or of all skins, in the view that is chosen, with the newest frame.
 function newMaps() {
   maps?.close();
-  const skin = model.skins[patch];
+  const skin = body ? body.whole() : model.skins[patch];
   maps = skin ? new Maps(byId("maps"), skin) : null;
-  if (maps && model.maps[patch]) maps.show(model.maps[patch], performance.now());
+  strips ??= new Strips(byId("strips"), chartsOfAll(skin.unit));
+  if (maps && !body && model.maps[patch]) showMaps();
+}
+
+function showMaps() {
+  const record = body ? body.newest() : model.maps[patch];
+  const contacts = body ? record.contacts : contactsOf(record.contacts);
+  maps?.show({ ...record, contacts }, performance.now());
 }
 
 // Bytes a second, from the counts of two summaries some time apart.
@@ -98,10 +105,10 @@ function drawMaps() {
   for (const name of fresh) {
     model.fresh[name] = false;
     document.body.dataset.drawn = Number(document.body.dataset.drawn ?? 0) + 1;
-    if (name === patch) maps?.show(model.maps[name], performance.now());
-    else body?.maps(model.maps[name]);
+    body?.maps(model.maps[name]);
   }
-  if (fresh.length) body?.draw(performance.now());
+  if (body && fresh.length && !body.cloud) newMaps();
+  if (fresh.length) showMaps();
 }
 
 function tile(title, value, note, id) {
@@ -205,21 +212,18 @@ function listed(id, texts) {
   return list.children;
 }
 
-// Nodes that run are counted, all others named.
+// Nodes that do what is usual are counted, all others named.
 function drawNodes() {
-  const nodes = (model.graph?.nodes ?? []).map((node) => {
-    const restarts = node.restarts
-      ? `, ${node.restarts} restart${node.restarts > 1 ? "s" : ""}` : "";
-    const now = condition(node);
-    return { now, name: node.name, text: `${node.name}: ${now}${restarts}`, restarts, line: node.line };
-  });
-  const usual = nodes.filter(({ now, restarts }) => ["running", "ended"].includes(now) && !restarts);
-  const groups = ["running", "ended"].map((now) => [now, usual.filter((node) => node.now === now)])
-    .filter(([, those]) => those.length).map(([now, those]) => ({ now, text: `${those.length} node${
-      those.length > 1 ? "s" : ""} ${now}`, line: those.map(({ name }) => name).join(", ") }));
-  const shown = [...nodes.filter((node) => !usual.includes(node)), ...groups];
-  const items = listed("nodes", shown.map(({ text }) => text));
-  shown.forEach(({ now, line }, k) => {
+  const usual = model.over ? "ended" : "running", nodes = model.graph?.nodes ?? [];
+  const rest = nodes.filter((node) => condition(node) === usual && !node.restarts);
+  const shown = nodes.filter((node) => !rest.includes(node)).map((node) => [condition(node),
+    `${node.name}: ${condition(node)}${node.restarts ? `, restarts: ${node.restarts}` : ""}`, node.line]);
+  if (rest.length) {
+    const text = `${rest.length} node${rest.length > 1 ? "s" : ""} ${usual}`;
+    shown.push([usual, text, rest.map(({ name }) => name).join(", ")]);
+  }
+  const items = listed("nodes", shown.map(([, text]) => text));
+  shown.forEach(([now, , line], k) => {
     items[k].dataset.condition = now;
     items[k].title = line;
   });
@@ -249,7 +253,11 @@ function drawOverview() {
       `${fixed(s.latency_ms?.p50, 1)}, p99 ${fixed(s.latency_ms?.p99, 1)}`,
       `${s.frames?.skipped ?? 0}`, `${lost}`];
   });
-  drawTiles(byId("headline"), body.tiles(states, model.quiet, seconds() + clock));
+  const { tiles: shown, ...charted } = body.tiles(states, model.quiet);
+  drawTiles(byId("headline"), shown);
+  for (const [name, value] of model.quiet ? [] : Object.entries(charted)) {
+    strips?.series[name].add(seconds() + clock, value);
+  }
 }
 
 function drawText() {
@@ -286,7 +294,7 @@ function drawText() {
 }
 
 function drawStrips() {
-  (body ?? { strips }).strips?.draw(seconds() + clock, asked(patch));
+  strips?.draw(seconds() + clock, asked(patch));
 }
 
 function open() {
@@ -295,29 +303,26 @@ function open() {
   patch = name;
   maps?.close();
   maps = null;
+  document.body.classList.toggle("overview", name === null);
+  for (const id of ["strips", "maps", "headline", "patches"]) byId(id).replaceChildren();
+  byId("contacts")?.remove();
+  body = name === null ? new Body(byId("patches")) : null;
   strips = name === null ? null : new Strips(byId("strips"));
   contactList = name === null ? null : new ContactList(byId("look"));
-  byId("contacts")?.remove();
-  body?.close();
-  byId("overview").replaceChildren();
-  body = name === null ? new Body(byId("overview")) : null;
   model.skins = {};
-  model.maps = {};
-  byId("maps").replaceChildren();
-  byId("headline").replaceChildren();
-  byId("patch").hidden = name === null;
-  byId("overview").hidden = name !== null;
+  [model.maps, model.fresh] = [{}, {}];
   stream = new Stream(name, onRecord, onConnection);
 }
 
 // The token is in a cookie now, and need not be in the history.
 if (location.search) history.replaceState(null, "", location.pathname + location.hash);
 window.addEventListener("hashchange", open);
-for (const id of ["range", "error-range"]) {
-  byId(id).addEventListener("change", () => maps?.draw(performance.now()));
-}
+byId("range").addEventListener("change", () => maps?.draw(performance.now()));
 byId("view").addEventListener("change", newMaps);
-byId("reset-view").addEventListener("click", () => maps?.reset());
+byId("maps").addEventListener("dblclick", () => {
+  if (body && maps?.pointed) location.hash = `#/${maps.pointed.patch}`;
+});
+byId("reset-view").addEventListener("click", () => maps?.view.reset());
 byId("zoom").addEventListener("click", ({ currentTarget: button }) => {
   button.setAttribute("aria-pressed", button.getAttribute("aria-pressed") !== "true");
   maps?.zoom();

@@ -3,7 +3,7 @@
 
 import { Cloud } from "./cloud.js";
 import { GRADIENT, pixel, Range } from "./colours.js";
-import { Contacts, contactsOf } from "./contacts.js";
+import { Contacts } from "./contacts.js";
 import { brief, byId, cross, element, setText, tick, within } from "./dom.js";
 import { DARK, SpaceView } from "./space.js";
 
@@ -14,7 +14,7 @@ const TITLES = {
   error: "Absolute error",
 };
 export const CONTACT = 0.004; // fraction of f_max below which no centre of pressure is shown
-export const FIRST = 0.04; // fraction of f_max beyond which a force turns the first view or is zoomed to
+const FIRST = 0.04; // fraction of f_max beyond which a force turns the first view or is zoomed to
 const TOUCHED = 5; // standard deviations of an untouched taxel below which a reading is no contact
 const NOISE = 8; // standard deviations of an untouched taxel that a colour range has at least
 const PRESSED = 0.2; // part of the peak beyond which a taxel is zoomed to
@@ -40,8 +40,6 @@ class GridView {
   overlay() {
     return element("svg", { class: "over" });
   }
-
-  attach() {}
 
   // Show the whole skin, or from now on the part that is pressed.
   zoom(isOn) {
@@ -148,12 +146,12 @@ class GridView {
 }
 
 // Least colour range of a skin: its noise looks like noise.
-export const least = ({ f_max: fMax, sigma_end: sigma }) => Math.max(0.02 * fMax, NOISE * sigma);
+const least = ({ f_max: fMax, sigma_end: sigma }) => Math.max(0.02 * fMax, NOISE * sigma);
 
 const isZoomed = () => byId("zoom").getAttribute("aria-pressed") === "true";
 
 // A figure of a map in a view: its title, canvas, marks, and a colour bar with its unit.
-export function panel(view, title, name) {
+function panel(view, title, name) {
   const canvas = view.canvas(title, name), over = view.overlay();
   const bar = element("div", { class: "bar" });
   bar.style.background = GRADIENT;
@@ -180,23 +178,25 @@ export class Maps {
     this.contacts = new Contacts(skin.unit);
     this.mask = skin.data.mask ?? null;
     this.aborter = new AbortController();
-    const hasPlaces = Cloud.of(skin);
-    this.inSpace = hasPlaces && byId("view").value === "space";
-    this.view = this.inSpace ? new SpaceView(new Cloud([{ ...skin, pose: null }])) : new GridView(skin);
+    const hasPlaces = !skin.cloud && Cloud.of(skin);
+    this.inSpace = skin.cloud || (hasPlaces && byId("view").value === "space");
+    this.view = this.inSpace ? new SpaceView(skin.cloud ?? new Cloud([{ ...skin, pose: null }]))
+      : new GridView(skin);
     root.replaceChildren();
-    root.classList.toggle("space", this.inSpace);
+    root.classList.toggle("space", Boolean(this.inSpace));
     const { signal } = this.aborter;
     const names = skin.has_truth ? Object.keys(TITLES)
       : skin.has_taxels ? ["taxels", "reconstruction", "error"] : ["reconstruction"];
     for (const name of names) {
       const title = name === "error" && !skin.has_truth ? "Difference from the taxels" : TITLES[name];
       const made = this.panels[name] = panel(this.view, title, name);
-      this.view.attach(made.canvas, () => this.drawSoon(), signal);
+      this.view.attach?.(made.canvas, () => this.drawSoon(), signal);
       made.heading.addEventListener("click", () => this.enlarge(name));
       root.append(made.figure);
     }
     this.enlarge("reconstruction");
     this.zoom();
+    this.unpoint();
     for (const option of document.querySelectorAll("[data-of=places]")) option.hidden = !hasPlaces;
     byId("reset-view").hidden = !this.inSpace;
     root.addEventListener("pointermove", (event) => this.point(event), { signal });
@@ -240,15 +240,11 @@ export class Maps {
     });
   }
 
-  reset() {
-    this.view.reset?.();
-  }
-
-  // Show new maps, each float32 (n_rows * n_cols,), row after row, and the frame's resultant and
-  // contacts.
+  // Show new maps, each float32 (n_rows * n_cols,), row after row, the frame's resultant, and a list
+  // of its contacts.
   show({ data: maps, resultant, contacts }, now) {
     this.maps = { ...maps };
-    this.contacts.show(contactsOf(contacts), now);
+    this.contacts.show(contacts, now);
     this.resultant = resultant;
     const reference = maps.truth ?? maps.taxels, felt = maps.reconstruction ?? maps.taxels;
     if (highest(felt) > FIRST * this.skin.f_max) {
@@ -266,13 +262,12 @@ export class Maps {
     if (!shown.length) return;
     this.view.prepare(this.panels[this.large].canvas, this.contacts,
       this.maps.reconstruction ?? this.maps.taxels);
-    const peak = Math.max(...["truth", "taxels", "reconstruction"].map((m) => highest(this.maps[m])));
-    const held = this.forces.over(peak, now);
+    const { truth, taxels, reconstruction } = this.maps;
+    const held = this.forces.over(Math.max(...[truth, taxels, reconstruction].map(highest)), now);
     const range = byId("range").value === "full" ? this.skin.f_max : held;
     for (const [name, panel] of shown) {
       const map = this.maps[name];
-      const own = name === "error" && byId("error-range").value === "own";
-      const top = own ? this.errors.over(highest(map), now) : range;
+      const top = name === "error" ? this.errors.over(highest(map), now) : range;
       this.view.paint(panel, map, top);
       setText(panel.top, `${tick(top)} ${this.skin.unit}`);
       const resultant = name === "reconstruction" && this.resultant;
@@ -328,7 +323,8 @@ export class Maps {
   unpoint() {
     this.pointed = null;
     this.mark();
-    setText(byId("under-pointer"), "Point at a taxel to see its values.");
+    setText(byId("under-pointer"), this.skin.cloud ? "Double-click a patch to open it."
+      : "Point at a taxel to see its values.");
   }
 
   // The values under the pointer, in all maps.

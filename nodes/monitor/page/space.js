@@ -256,11 +256,11 @@ export class SpaceView {
     const k = isOver ? index[row * width + col] - TAXELS : -1;
     if (k < 0) return null;
     const place = Array.from(this.cloud.place(k), (v) => (1000 * v).toFixed(1)).join(", ");
-    const part = this.cloud.partOf(k), { patch, data: { point_rows: rows }, n_cols: n } = part.skin;
+    const part = this.cloud.part(k), { patch, data: { point_rows: rows }, n_cols: n } = part.skin;
     const cell = this.cloud.cells[k], own = cell - part.cell;
     const name = part.isFlat ? `row ${Math.floor(own / n)}, column ${own % n}`
       : `taxel ${rows ? rows[k - part.first] : k - part.first} at ${place} mm`;
-    return { cell, patch, name };
+    return { cell, patch, name: this.cloud.parts.length > 1 ? `${patch}, ${name}` : name };
   }
 
   overlay() {

@@ -59,9 +59,7 @@ def test_equal_patches_are_one_batch_of_four_nodes() -> None:
     assert sensor.patches == ("p0", "p1", "p2")
     assert sensor.simulated == {"rows": 12, "cols": 64, "pitch_mm": 5.0, "f_max": 2.5}
     assert sensor.rate_hz == 20
-    monitor = launch.nodes["monitor"].settings
-    assert monitor.all_patches == sensor.patches
-    assert monitor.poses["p1"][3:] == pytest.approx([90, 0, 210])
+    assert launch.nodes["monitor"].settings.all_patches == sensor.patches
     assert {link.topic for link in launch.links if link.reader == "reconstructor"} == {
         *("/body/skin", "/body/phi", "/body/measurements"),
     }
