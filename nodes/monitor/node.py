@@ -233,10 +233,14 @@ class Monitor(Node[MonitorSettings]):
             self._opener.unlink(missing_ok=True)
 
     def status(self) -> str:
-        if self._feed is not None and self.settings.screen:
-            from .live.screen import screen
+        line = self._status_line()
+        if self._feed is None or not self.settings.screen:
+            return line
+        from .live.screen import screen
 
-            return screen(self._feed, self._notices)
+        return screen(self._feed, self._notices, line)
+
+    def _status_line(self) -> str:
         now_ns = self.context.clock.now_ns()
         seconds = (now_ns - self._status_ns) / 1e9
         self._status_ns = now_ns
