@@ -325,7 +325,7 @@ def test_the_numbers_of_the_page_are_those_of_the_summary(
     start: StartProgram, page: Any, tmp_path: Path
 ) -> None:
     summary = tmp_path / "summary.json"
-    settings = ("--set", "sensor.rate_hz=100", "--frames", "1000", "--summary", str(summary))
+    settings = ("--set", "sensor.rate_hz=30", "--frames", "450", "--summary", str(summary))
     program = open_page(start, page, "drag_wrench_40", *settings)
     code, _, stderr = program.finish()
     assert code == 0, stderr
@@ -335,8 +335,8 @@ def test_the_numbers_of_the_page_are_those_of_the_summary(
     patch = json.loads(summary.read_text())["patches"]["skin"]
     noisy, restored = (patch["psnr_db"][k]["contact"]["mean"] for k in ("noisy", "reconstruction"))
     assert text(page, '[data-tile="gain"] h2') == "PSNR gain in contact"
-    assert text(page, '[data-tile="frames"] strong') == "1000"
-    assert text(page, '[data-tile="frames"] span') == "of 1000, 0 lost"
+    assert text(page, '[data-tile="frames"] strong') == "450"
+    assert text(page, '[data-tile="frames"] span') == "of 450, 0 lost"
     trust = patch["trust"]["contact"]
     shown = f"mean {noisy:.1f} → {restored:.1f} dB"
     if trust is not None:
