@@ -9,8 +9,9 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matrices import assert_operators, grids
+from matrices import grids
 
+from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.phi.adaptive import (
     AdaptiveChoice,
     AdaptivePhi,
@@ -70,7 +71,7 @@ def test_a_matrix_is_dense_orthonormal_and_its_adjoint_the_transpose() -> None:
     phi = phi_of(exists, 40)
     rng = np.random.default_rng(0)
     measured(phi, AdaptiveChoice(phi), rng.random(phi.n))
-    assert_operators(phi)
+    check_phi(phi)
     np.testing.assert_allclose(phi.dense() @ phi.dense().T, np.eye(40), atol=1e-12)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matrices import assert_operators
 
+from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
@@ -26,7 +26,7 @@ def test_together_the_row_subsets_hold_each_row_of_w_once(kind: str, ratio: int)
     rows = np.concatenate([phi.rows for phi in subsets])  # type: ignore[attr-defined]
     np.testing.assert_array_equal(np.sort(rows), np.arange(n))
     for phi in subsets:
-        assert_operators(phi)
+        check_phi(phi)
     whole = np.concatenate([phi.dense() for phi in subsets])
     np.testing.assert_allclose(whole @ whole.T, np.eye(n), atol=1e-12)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from matrices import assert_operators
 
+from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, SPREAD, block_of, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
@@ -57,7 +57,7 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(
     others = numbers_of(phi, phi.rows) - 1
     proportional = (m - len(sizes)) * (sizes - 1) / max(1, n - len(sizes))
     assert (np.abs(others - proportional) < 1).all()
-    assert_operators(phi)
+    check_phi(phi)
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
@@ -77,7 +77,7 @@ def test_each_row_subset_has_rows_of_each_block_in_proportion_and_together_they_
         times[phi.rows] += 1
     assert times.min() >= 1
     assert times.max() <= 2
-    assert_operators(phi)
+    check_phi(phi)
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, rule=st.sampled_from([RANDOM, SPREAD]))

@@ -12,9 +12,9 @@ import pytest
 import scipy.sparse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from matrices import assert_operators
 
 from sparseskin import Stream, psnr_db, run_launch
+from sparseskin.checks import check_phi
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.nodes.compressor.phi import stored
 from sparseskin.nodes.compressor.phi.base import make_phi
@@ -35,7 +35,7 @@ def test_operators_are_adjoint_and_are_those_of_the_file(m: int, n: int, tmp_pat
     matrix = matrix_of(m, n)
     scipy.sparse.save_npz(path, matrix)
     phi = make_phi(f"file:{path}", n, m, 0)
-    assert_operators(phi)
+    check_phi(phi)
     np.testing.assert_allclose(phi.dense(), matrix.toarray())
     largest = np.linalg.eigvalsh(phi.dense() @ phi.dense().T)[-1]
     assert phi.lipschitz <= 1.1 * largest * (1 + 1e-6)
@@ -160,7 +160,7 @@ def test_the_matrices_of_a_stack_measure_frames_in_turn(name: str, tmp_path: Pat
     phi = make_phi(kind, 13, 5, 0)
     subsets = row_subsets(phi, "rotating")
     for one, matrix in zip(subsets, stack, strict=True):
-        assert_operators(one)
+        check_phi(one)
         np.testing.assert_array_equal(one.dense(), matrix)
         largest = np.linalg.eigvalsh(matrix.astype(float) @ matrix.T)[-1]
         assert one.lipschitz == subsets[0].lipschitz >= largest

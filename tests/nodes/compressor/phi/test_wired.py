@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from matrices import assert_operators
 
+from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
@@ -31,7 +31,7 @@ def test_operators_are_adjoint_and_agree_with_the_dense_matrix(
     n = shape[0] * shape[1]
     for m in {n // 3 if kind != "row_local" else max(shape[0], n // 3), n}:
         phi = laid_out(kind, shape, max(1, m), seed=3)
-        assert_operators(phi)
+        check_phi(phi)
         assert len({one.fingerprint for one in row_subsets(phi, "fixed")}) == 1
 
 
@@ -44,7 +44,7 @@ def test_row_subsets_together_measure_all_rows(kind: str, shape: tuple[int, int]
     assert len({one.fingerprint for one in subsets}) == len(subsets) >= 2
     for one in subsets:
         assert one.m == phi.m
-        assert_operators(one)
+        check_phi(one)
     together = np.concatenate([one.dense() for one in subsets])
     assert np.linalg.matrix_rank(together) == n
 
@@ -67,7 +67,7 @@ def test_a_mask_is_laid_out_by_its_existing_taxels() -> None:
     exists[2:5, 3:6] = False
     phi = make_phi("local:4", 55, 20, 0)
     layout(phi, exists)
-    assert_operators(phi)
+    check_phi(phi)
     for kind in ("local:4", "adaptive", "row_local", "sbhe"):
         with pytest.raises(PhiError, match="n = 55, but 64 taxels exist"):
             layout(make_phi(kind, 55, 20, 0), np.ones((8, 8), dtype=np.bool_))

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.fft import dctn
 
+from sparseskin.checks import check_basis
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.reconstructor.bases.base import BASES, make_basis
@@ -43,19 +44,9 @@ def haar_by_definition(image: npt.NDArray[np.float32]) -> Doubles:
 @given(
     name=st.sampled_from(sorted(BASES)),
     shape=st.tuples(st.integers(1, 40), st.integers(1, 40)),
-    seed=st.integers(0, 99),
 )
-def test_every_basis_reconstructs_any_size_and_passes_the_dot_test(
-    name: str, shape: tuple[int, int], seed: int
-) -> None:
-    basis = make_basis(name, *shape)
-    image, theta = normal(shape, seed), normal(shape, seed + 1)
-    coefficients = basis.analysis(image)
-    np.testing.assert_allclose(basis.synthesis(coefficients), image, atol=2e-5)
-    assert np.linalg.norm(coefficients) == pytest.approx(np.linalg.norm(image), rel=1e-4)
-    left = float(np.vdot(coefficients.astype(float), theta))
-    right = float(np.vdot(image.astype(float), basis.synthesis(theta)))
-    assert left == pytest.approx(right, abs=1e-4 * max(1.0, float(np.linalg.norm(image))) ** 2)
+def test_every_basis_of_any_size_is_orthonormal(name: str, shape: tuple[int, int]) -> None:
+    check_basis(make_basis(name, *shape))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (31, 1), (5, 7), (12, 32)])

@@ -1,0 +1,252 @@
+"""Checks of matrices, bases and solvers of one's own: what every part of this package fulfils."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.numerics.arrays import TINY, Floats
+from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.solvers.base import Solver
+
+ROUNDING = 1e-5
+"""Largest error, relative to the lengths of vectors, that float32 arithmetic explains."""
+N_FRAMES, N_TIMED = 6, 5
+
+
+def check_phi(phi: Phi) -> dict[str, float]:
+    """Check a measurement matrix by random vectors, its dense form and its eigenvalues.
+
+    Shapes and types of `forward` and `adjoint`, which leave their input as it is and give the same
+    bits on two calls, alone and in a batch; <Phi x, y> = <x, Phi^T y> (the dot test); `dense`;
+    `lipschitz`, which is at least the largest eigenvalue of Phi Phi^T; `fingerprint`.
+
+    Parameters
+    ----------
+    phi : Phi
+
+    Returns
+    -------
+    dict
+        "dot": error of the dot test, relative; "largest": largest eigenvalue; "forward_s",
+        "adjoint_s": least time of a frame, seconds.
+
+    Raises
+    ------
+    PhiError
+        At the first of these that does not hold, with what was found and what is expected.
+    """
+    name = f"phi {phi.kind}"
+    x, y = _normal((2, phi.n)), _normal((2, phi.m))
+    measured = _checked(PhiError, f"{name}: forward", phi.forward, x, (2, phi.m))
+    spread = _checked(PhiError, f"{name}: adjoint", phi.adjoint, y, (2, phi.n))
+    dot = _dot_error(PhiError, f"{name}: adjoint", (measured, y), (x, spread))
+    dense = phi.dense()
+    if dense.shape != (phi.m, phi.n) or dense.dtype != np.float64:
+        _fail(PhiError, f"{name}: dense", f"{dense.dtype} {dense.shape}", f"float64 {phi.m, phi.n}")
+    for what, found, by_dense in (
+        ("forward", measured, x @ dense.T),
+        ("adjoint", spread, y @ dense),
+    ):
+        _compare(PhiError, f"{name}: {what}", found, by_dense, "the product with dense()")
+    largest = float(np.linalg.norm(dense, 2)) ** 2
+    if not phi.lipschitz >= largest * (1 - ROUNDING):
+        _fail(PhiError, f"{name}: lipschitz", phi.lipschitz, f"at least {largest:.7g}")
+    if not (isinstance(phi.fingerprint, str) and len(phi.fingerprint) == 16):
+        _fail(PhiError, f"{name}: fingerprint", repr(phi.fingerprint), "16 characters")
+    return {
+        "dot": dot,
+        "largest": largest,
+        "forward_s": _least_s(phi.forward, x[0]),
+        "adjoint_s": _least_s(phi.adjoint, y[0]),
+    }
+
+
+def check_basis(basis: Basis) -> dict[str, float]:
+    """Check that a basis is orthonormal, and its shapes, types and bits as in `check_phi`.
+
+    Returns
+    -------
+    dict
+        "dot": error of the dot test, relative; "analysis_s", "synthesis_s": least time of a frame,
+        seconds.
+
+    Raises
+    ------
+    SolverError
+        At the first property that does not hold.
+    """
+    name, shape = f"basis {type(basis).__name__}", (2, basis.n_rows, basis.n_cols)
+    image, theta = _normal(shape), _normal(shape, 1)
+    found = _checked(SolverError, f"{name}: analysis", basis.analysis, image, shape)
+    made = _checked(SolverError, f"{name}: synthesis", basis.synthesis, theta, shape)
+    dot = _dot_error(SolverError, f"{name}: synthesis", (found, theta), (image, made))
+    back, again = basis.synthesis(found), basis.analysis(made)
+    _compare(SolverError, f"{name}: synthesis of analysis", back, image, "the image")
+    _compare(SolverError, f"{name}: analysis of synthesis", again, theta, "the coefficients")
+    return {
+        "dot": dot,
+        "analysis_s": _least_s(basis.analysis, image[0]),
+        "synthesis_s": _least_s(basis.synthesis, theta[0]),
+    }
+
+
+def check_solver(solver: Solver) -> dict[str, float]:
+    """Check a solver by frames of a disc that slides over its skin; it is reset before and after.
+
+    Forces are float32 of the grid's shape, finite, at least 0, 0 where no taxel exists, and the
+    caller's own; measurements are left as they are; `setup`, `step` and `finish` are `solve`;
+    `reset` forgets; nothing gives nothing; what is not finite is refused and leaves no trace.
+
+    Returns
+    -------
+    dict
+        "error": of the last frame, relative to its forces; "solve_s": least time of a frame,
+        seconds.
+
+    Raises
+    ------
+    SolverError
+        At the first property that does not hold.
+    """
+    name, shape = f"solver {solver.name}", solver.mask.shape
+    frames = _disc(shape) * solver.mask
+    subsets = solver.subsets or (solver.phi,)
+    phis = [subsets[k % len(subsets)] for k in range(N_FRAMES)]
+    given = [phi.forward(f[solver.mask]) for phi, f in zip(phis, frames, strict=True)]
+
+    def solved(how: Callable[[Phi, Floats], Floats]) -> list[Floats]:
+        solver.reset()
+        found: list[Floats] = []
+        for phi, y in zip(phis, given, strict=True):
+            solver.use(phi)
+            kept = y.copy()
+            forces = how(phi, y)
+            if forces.shape != shape or forces.dtype != np.float32:
+                _fail(SolverError, name, f"{forces.dtype} {forces.shape}", f"float32 {shape}")
+            if not (np.isfinite(forces).all() and float(forces.min(initial=0)) >= 0):
+                _fail(SolverError, name, "forces below 0 or not finite", "at least 0, finite")
+            if forces[~solver.mask].any():
+                _fail(SolverError, name, "forces outside the mask", "0 there")
+            if not np.array_equal(y, kept):
+                _fail(SolverError, name, "other measurements than were given", "y unchanged")
+            found.append(forces)
+        return found
+
+    def straight(phi: Phi, y: Floats) -> Floats:
+        return solver.solve(y)
+
+    def stepped(phi: Phi, y: Floats) -> Floats:
+        solver.setup(y)
+        for _ in range(solver.n_steps):
+            solver.step()
+        return solver.finish()
+
+    def troubled(phi: Phi, y: Floats) -> Floats:
+        try:
+            solver.solve(np.where(np.arange(y.size) == y.size // 2, np.float32(np.nan), y))
+        except SolverError:
+            solver.use(phi)
+            return solver.solve(y)
+        return _fail(SolverError, name, "a NaN among the measurements is taken", "SolverError")
+
+    first = solved(straight)
+    copies = [one.copy() for one in first]
+    for what, how in (
+        ("a second run after reset()", straight),
+        ("setup(), step() and finish()", stepped),
+        ("frames after one that is refused", troubled),
+    ):
+        if not all(map(np.array_equal, solved(how), copies)):
+            _fail(SolverError, name, f"{what} differ from solve()", "the same bits")
+    if not all(map(np.array_equal, first, copies)):
+        _fail(SolverError, name, "a result that a later frame changes", "the caller's own array")
+    solver.reset()
+    solver.use(phis[0])
+    if solver.solve(np.zeros(solver.phi.m, np.float32)).any():
+        _fail(SolverError, name, "forces for measurements of 0", "0")
+    off = float(np.linalg.norm(first[-1] - frames[-1]))
+
+    def solve_first(y: Floats) -> Floats:
+        solver.use(phis[0])
+        return solver.solve(y)
+
+    solve_s = _least_s(solve_first, given[0])
+    solver.reset()
+    return {"error": off / max(float(np.linalg.norm(frames[-1])), TINY), "solve_s": solve_s}
+
+
+def _fail(kind: type[SparseskinError], what: str, found: object, expected: str) -> Any:
+    raise kind(f"{what}: {found}; expected: {expected}")
+
+
+def _normal(shape: tuple[int, ...], seed: int = 0) -> Floats:
+    return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
+
+
+def _disc(shape: tuple[int, ...]) -> Floats:
+    """Frames of a disc of force 1 that slides along the middle row, (N_FRAMES, n_rows, n_cols)."""
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    radius = max(1.0, min(shape) / 6)
+    at = shape[1] / 4 + 0.5 * np.arange(N_FRAMES)[:, None, None]
+    return (np.hypot(rows - shape[0] // 2, cols - at) < radius).astype(np.float32)
+
+
+def _checked(
+    kind: type[SparseskinError],
+    what: str,
+    apply: Callable[[Floats], Floats],
+    given: Floats,
+    shape: tuple[int, ...],
+) -> Floats:
+    """Apply to a batch of two frames, with checks of shape, type, values and bits."""
+    kept = given.copy()
+    found = apply(given)
+    if found.shape != shape or found.dtype != np.float32:
+        _fail(kind, what, f"{found.dtype} of shape {found.shape}", f"float32 of shape {shape}")
+    if not np.isfinite(found).all():
+        _fail(kind, what, "not finite", "finite numbers")
+    if not np.array_equal(given, kept):
+        _fail(kind, what, "its input is changed", "an input that is left as it is")
+    again = np.stack([apply(one) for one in given])
+    if not np.array_equal(again, found):
+        _fail(kind, what, "other bits on a second call", "the same bits, alone and in a batch")
+    return found
+
+
+def _dot_error(
+    kind: type[SparseskinError], what: str, left: tuple[Floats, ...], right: tuple[Floats, ...]
+) -> float:
+    """Relative difference of two inner products of the first frames, as they are equal."""
+    one, other = (float(np.vdot(a[0].astype(np.float64), b[0])) for a, b in (left, right))
+    length = max(
+        float(np.linalg.norm(a[0])) * float(np.linalg.norm(b[0])) for a, b in (left, right)
+    )
+    error = abs(one - other) / max(length, TINY)
+    if not error <= ROUNDING:
+        _fail(kind, what, f"inner products of {one:.6g} and {other:.6g}", "the transpose, so equal")
+    return error
+
+
+def _compare(
+    kind: type[SparseskinError], what: str, found: Floats, expected: npt.NDArray[Any], name: str
+) -> None:
+    error = float(np.abs(found - expected).max()) / max(float(np.linalg.norm(expected)), TINY)
+    if not error <= ROUNDING:
+        _fail(kind, what, f"a relative error of {error:.2g}", name)
+
+
+def _least_s(apply: Callable[[Floats], Floats], given: Floats) -> float:
+    """Least time of a call, seconds."""
+    times = []
+    for _ in range(N_TIMED):
+        begin_s = time.perf_counter()
+        apply(given)
+        times.append(time.perf_counter() - begin_s)
+    return min(times)
