@@ -35,6 +35,7 @@ def main() -> None:
     measurements = sparseskin.compress(smooth, phi, rows="fixed")
     for name in ("haar", "own_basis:BlockCosine"):
         basis = sparseskin.make_basis(name, 40, 40)
+        sparseskin.check_basis(basis)
         solver = sparseskin.make_solver("fista", phi, basis, iterations=100, rows="fixed")
         reconstructed = sparseskin.reconstruct(measurements, solver)
         print(f"{name}: {sparseskin.psnr_db(reconstructed, smooth):.1f} dB")

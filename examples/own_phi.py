@@ -47,6 +47,7 @@ def main() -> None:
     basis = sparseskin.make_basis("haar", 40, 40)
     for kind in ("sbhe", "own_phi:RandomSums"):
         phi = sparseskin.make_phi(kind, n=1600, m=533, seed=0)
+        sparseskin.check_phi(phi)
         solver = sparseskin.make_solver("fista", phi, basis)
         reconstructed = sparseskin.reconstruct(sparseskin.compress(taxels, phi), solver)
         print(f"{kind}: {sparseskin.psnr_db(reconstructed[-1], truth[-1]):.1f} dB")

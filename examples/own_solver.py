@@ -48,6 +48,7 @@ def main() -> None:
     measurements = sparseskin.compress(taxels, phi)
     for name in ("own_solver:ProjectedGradient", "fista"):
         solver = sparseskin.make_solver(name, phi, basis, iterations=30)
+        sparseskin.check_solver(solver)
         reconstructed = sparseskin.reconstruct(measurements, solver)
         print(f"{name}: {sparseskin.psnr_db(reconstructed[-1], truth[-1]):.1f} dB")
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         run_launch,
         simulate,
     )
+    from .checks import check_basis, check_phi, check_solver
     from .stream import Stream
 
 #: Module and attribute of each name.
@@ -41,6 +42,9 @@ _HOMES = {
     "make_phi": ("sparseskin.nodes.compressor.phi.base", "make_phi"),
     "make_basis": ("sparseskin.nodes.reconstructor.bases.base", "make_basis"),
     "make_solver": ("sparseskin.arrays", "make_solver"),
+    "check_phi": ("sparseskin.checks", "check_phi"),
+    "check_basis": ("sparseskin.checks", "check_basis"),
+    "check_solver": ("sparseskin.checks", "check_solver"),
     "compress": ("sparseskin.arrays", "compress"),
     "reconstruct": ("sparseskin.arrays", "reconstruct"),
     "find_contacts": ("sparseskin.nodes.reconstructor.contacts", "find_contacts"),
@@ -55,6 +59,9 @@ _HOMES = {
 __all__ = [
     "Stream",
     "__version__",
+    "check_basis",
+    "check_phi",
+    "check_solver",
     "compress",
     "find_contacts",
     "load_launch",

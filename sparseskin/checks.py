@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
-from sparseskin.nodes.numerics.arrays import TINY, Floats
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 
@@ -154,7 +154,7 @@ def check_solver(solver: Solver) -> dict[str, float]:
         except SolverError:
             solver.use(phi)
             return solver.solve(y)
-        return _fail(SolverError, name, "a NaN among the measurements is taken", "SolverError")
+        _fail(SolverError, name, "a NaN among the measurements is taken", "SolverError")
 
     first = solved(straight)
     copies = [one.copy() for one in first]
@@ -182,12 +182,13 @@ def check_solver(solver: Solver) -> dict[str, float]:
     return {"error": off / max(float(np.linalg.norm(frames[-1])), TINY), "solve_s": solve_s}
 
 
-def _fail(kind: type[SparseskinError], what: str, found: object, expected: str) -> Any:
+def _fail(kind: type[SparseskinError], what: str, found: object, expected: str) -> NoReturn:
     raise kind(f"{what}: {found}; expected: {expected}")
 
 
 def _normal(shape: tuple[int, ...], seed: int = 0) -> Floats:
-    return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
+    made: Floats = np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
+    return made
 
 
 def _disc(shape: tuple[int, ...]) -> Floats:
@@ -195,7 +196,8 @@ def _disc(shape: tuple[int, ...]) -> Floats:
     rows, cols = np.mgrid[: shape[0], : shape[1]]
     radius = max(1.0, min(shape) / 6)
     at = shape[1] / 4 + 0.5 * np.arange(N_FRAMES)[:, None, None]
-    return (np.hypot(rows - shape[0] // 2, cols - at) < radius).astype(np.float32)
+    inside: Mask = np.hypot(rows - shape[0] // 2, cols - at) < radius
+    return inside.astype(np.float32)
 
 
 def _checked(
