@@ -6,6 +6,7 @@ import bz2
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,10 +27,20 @@ from sparseskin.nodes.recorder.bag.records import (
     records,
 )
 from sparseskin.nodes.sensor.files.format import Format
-from sparseskin.nodes.sensor.files.recording import File, Parsed, Recording, choose, rising
+from sparseskin.nodes.sensor.files.recording import (
+    File,
+    Parsed,
+    Recording,
+    choose,
+    rising,
+    shape_text,
+)
 
 from .base import check_installed
 from .frames import KINDS, Received, read_frame
+
+MAX_BAG_CHUNK_BYTES = 1 << 28
+"""Largest chunk of a bag of ROS 1 after decompression; chosen: a hundred times the usual."""
 
 
 class Recorded(NamedTuple):
@@ -65,17 +76,11 @@ class RosRecording(Recording):
             found = [self._frame(one) for one in messages]
         except SourceError:
             raise
-        except Break as error:
-            raise SourceError(f"{name}: byte {error.offset}: {error}") from error
-        except MemoryError:
-            raise SourceError(f"{name}: does not fit in memory") from None
         except Exception as error:  # of rosbags and SQLite, at malformed bytes of any kind
             text = " ".join(str(error).split())[:200] or type(error).__name__
             raise SourceError(f"{name}: cannot be read ({text})") from error
         if len(shapes := {one.values.shape for one in found}) > 1:
-            raise SourceError(
-                f"{name}: {topic}: the shape of its frames changes: {sorted(shapes)[:4]}"
-            )
+            raise SourceError(f"{name}: {topic}: its shape changes: {sorted(shapes)[:4]}")
         stamps = [one.stamp_ns or 0 for one in found]
         if not all(stamps) or sorted(set(stamps)) != stamps:
             stamps = [one.log_ns for one in messages]
@@ -106,6 +111,7 @@ class RosRecording(Recording):
         for one in self._all():
             firsts.setdefault(one.topic, one)
         fitting: dict[str, str] = {}
+        more = ""
         for topic, one in firsts.items():
             if one.kind not in KINDS:
                 continue
@@ -115,13 +121,16 @@ class RosRecording(Recording):
                 if topic == self._file.topic or len(firsts) == 1:
                     raise
                 continue
+            if not fitting and len(shape) == 1 and not (self._file.n_rows or self._file.n_cols):
+                more = f" {shape_text(*shape)}"
             fitting[topic] = f"{one.kind.rpartition('/')[2]}, {' x '.join(map(str, shape))}"
         if not fitting:
             held = ", ".join(f"{topic} ({one.kind})" for topic, one in [*firsts.items()][:8])
             raise SourceError(
                 f"{self._file.name}: no topic holds frames; it holds {held or 'no message'}"
             )
-        return choose(fitting, self._file.topic, self._file.name, "topics of frames")
+        file = self._file
+        return choose(fitting, file.topic, file.name, "topics of frames", more=more)
 
 
 def _mcap(file: File) -> Iterator[Recorded]:
@@ -161,17 +170,11 @@ def _db3(file: File) -> Iterator[Recorded]:
     with closing(sqlite3.connect(where, uri=True)) as base:
         base.execute("PRAGMA trusted_schema = OFF")
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_GROWN_BYTES)
-        tables = {
-            name for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
-        }
-        if not tables >= {"topics", "messages"}:
+        tables = {*base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not tables >= {("topics",), ("messages",)}:
             raise SourceError(f"{file.name}: holds no tables topics and messages of a bag of ROS 2")
-        topics = {
-            id: (str(name), str(kind) if form == "cdr" else str(form))
-            for id, name, kind, form in base.execute(
-                "SELECT id, name, type, serialization_format FROM topics"
-            )
-        }
+        rows = base.execute("SELECT id, name, type, serialization_format FROM topics")
+        topics = {id: (str(name), str(kind if f == "cdr" else f)) for id, name, kind, f in rows}
         rows = base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp")
         for id, log_ns, data in rows:
             if not (id in topics and isinstance(log_ns, int) and isinstance(data, bytes)):
@@ -184,25 +187,22 @@ def _bag(file: File) -> Iterator[Recorded]:
     from rosbags.rosbag1 import Reader
     from rosbags.rosbag1.reader import decompressors
 
-    limit = 1 << 28
-
-    def bounded(plain: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
-        make = {
-            decompressors["bz2"]: bz2.BZ2Decompressor,
-            decompressors["lz4"]: lz4.frame.LZ4FrameDecompressor,
-        }.get(plain)
-        return plain if make is None else lambda data: make().decompress(data, max_length=limit)
+    bounded = {
+        decompressors["bz2"]: bz2.BZ2Decompressor,
+        decompressors["lz4"]: lz4.frame.LZ4FrameDecompressor,
+    }
 
     with Reader(Path(file.name)) as reader:
         for at, chunk in reader.chunks.items():
-            reader.chunks[at] = chunk._replace(decompressor=bounded(chunk.decompressor))
+            if (make := bounded.get(chunk.decompressor)) is not None:
+                reader.chunks[at] = chunk._replace(decompressor=partial(_plain, make))
         for connection, log_ns, data in reader.messages():
             yield Recorded(connection.topic, connection.msgtype, log_ns, data)
 
 
-READERS: dict[str, Callable[[File], Iterator[Recorded]]] = {
-    ".bag": _bag,
-    ".db3": _db3,
-    ".mcap": _mcap,
-}
+def _plain(make: Callable[[], Any], data: bytes) -> bytes:
+    return bytes(make().decompress(data, max_length=MAX_BAG_CHUNK_BYTES))
+
+
+READERS = {".bag": _bag, ".db3": _db3, ".mcap": _mcap}
 ROS = Format({".bag": "ROS 1", ".db3": "ROS 2", ".mcap": "ROS 2"}, RosRecording)

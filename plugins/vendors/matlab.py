@@ -51,8 +51,6 @@ class ArraysRecording(Recording):
                 key, array = self._mat(file.read())
         except SourceError:
             raise
-        except MemoryError:
-            raise SourceError(f"{name}: does not fit in memory") from None
         except Exception as error:  # of SciPy and HDF5, at malformed bytes of any kind
             text = " ".join(str(error).split())[:200] or type(error).__name__
             raise SourceError(f"{name}: cannot be read ({text})") from error

@@ -28,7 +28,7 @@ LIBRARY_PREFIX = "sparseskin "
 
 GRAPH_RECORD = "sparseskin"
 """Name of the metadata record with the scene, seed, launch file, Phi and versions."""
-ROS2_HINT = "; it is for ROS 2: ros2 bag info and ros2 bag play read its folder"
+ROS2_HINT = "; it is for ROS 2: a sensor reads it as file:PATH, ros2 bag play its folder"
 """What an error appends of a bag of ROS 2."""
 COUNTS_RECORD = "counts"
 TOPICS_RECORD = "topics"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages.errors import MessageError
-from sparseskin.messages.fields import MAX_SIDE
+from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
@@ -44,6 +44,7 @@ from .recording import (
     check_stated_shape,
     check_unit,
     reading,
+    shape_text,
     shown,
 )
 
@@ -88,10 +89,9 @@ class RecordedSource(Source):
             yield stamp, frame.copy()
 
     def take_lines(self) -> list[str]:
+        is_new, self._is_new = self._is_new, False
         lines = [*self.notes, *self.treated.lines(self.policy, self.skin.unit)]
-        lines = lines if self._is_new else []
-        self._is_new = False
-        return lines
+        return lines if is_new else []
 
     def report(self) -> dict[str, Any]:
         invalid = self.treated.counts()
@@ -163,12 +163,11 @@ def open_file(
         raise SourceError(f"{name}: the recording holds no frame")
     timed = (rate_hz, parsed.rate_hz, parsed.stamp_ns) != (None, None, None)
     keeps = policy.negative == KEEP
-    needs_unit = not (unit or keeps)
-    shape = _checked_shape(Head(tuple(cells), None, parsed.unit, timed), file, needs_unit)
-    parsed = replace(parsed, forces=parsed.forces.reshape(n_frames, *shape))
-    stated_mask = parsed.mask
-    is_whole_numbers = parsed.forces.dtype.kind in "iu"
-    parsed, treated = treat(parsed, policy)
+    head = Head(tuple(cells), None, parsed.unit, timed)
+    shape = _checked_shape(head, file, needs_unit=not (unit or keeps))
+    stated_mask, is_whole_numbers = parsed.mask, parsed.forces.dtype.kind in "iu"
+    forces = parsed.forces.reshape(n_frames, *shape)
+    parsed, treated = treat(replace(parsed, forces=forces), policy)
     if n_frames > MAX_FRAMES:
         raise SourceError(f"{name}: {n_frames} frames; at most {MAX_FRAMES} are allowed")
     check_readings(parsed.forces, name, -MAX_READING if keeps else 0.0, policy.nan != REFUSE)
@@ -258,30 +257,26 @@ def _checked_shape(head: Head, file: File, needs_unit: bool) -> tuple[int, int]:
     """Rows and columns of a frame; SourceError that asks for all that is missing at once."""
     name, n_cells = file.name, math.prod(head.shape)
     rows, cols = file.n_rows, file.n_cols
-    missing: dict[str, object] = {}
+    missing: dict[str, str] = {}
+    if not 1 <= n_cells <= MAX_ELEMENTS:
+        raise SourceError(f"{name}: a frame holds {n_cells} cells; at most {MAX_ELEMENTS}")
     if len(head.shape) == 2:
         check_stated_shape(*head.shape, rows, cols, name)
         rows, cols = head.shape
     elif not (rows or cols):
-        side = max(k for k in range(1, math.isqrt(n_cells) + 1) if n_cells % k == 0)
-        missing = {"n_rows": side, "n_cols": n_cells // side}
+        missing = {"shape": shape_text(n_cells)}
     else:
         rows = rows or n_cells // (cols or 1)
         cols = cols or n_cells // rows
         if rows * cols != n_cells:
             needed = f"n_rows x n_cols = {rows} x {cols} needs {rows * cols}"
-            raise SourceError(
-                f"{name}: a frame holds {n_cells} readings, but {needed}; columns states which"
-            )
+            raise SourceError(f"{name}: a frame holds {n_cells} readings, but {needed}")
     if needs_unit and head.unit is None and Path(name).suffix.lower() == ".csv":
-        missing["unit"] = "N"
+        missing["unit (N, kPa, counts, ...)"] = "unit=N"
     if missing:
-        missing |= {} if head.is_timed else {"rate_hz": 100}
-        words = {"n_cols": "shape", "unit": "unit (N, kPa, counts, ...)", "rate_hz": "rate"}
-        what = ", ".join(words[key] for key in missing if key in words)
-        settings = " ".join(f"{key}={value}" for key, value in missing.items())
-        fault = f"a frame holds {n_cells} readings; the file does not state {what}"
-        raise SourceError(f"{name}: {fault}{ADD}{settings}")
+        missing |= {} if head.is_timed else {"rate": "rate_hz=100"}
+        fault = f"a frame holds {n_cells} readings; the file does not state {', '.join(missing)}"
+        raise SourceError(f"{name}: {fault}{ADD}{' '.join(missing.values())}")
     assert rows is not None is not cols
     check_grid(rows, cols, name)
     return rows, cols

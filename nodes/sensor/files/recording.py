@@ -150,10 +150,16 @@ def spelled(text: str, option: Callable[[str], str]) -> str:
 
 
 def choose(
-    found: Mapping[str, str], stated: str | None, name: str, what: str, key: str = "topic"
+    found: Mapping[str, str],
+    stated: str | None,
+    name: str,
+    what: str,
+    key: str = "topic",
+    more: str = "",
 ) -> str:
     """The key of one of several things in a file, each with a few words on it: the stated one, or
-    the only one. Raises SourceError if there is none, or not one; `key` is the setting.
+    the only one. Raises SourceError if there is none, or not one; `key` is the setting, `more` what
+    else is missing.
     """
     listed = ", ".join(f"{printable(key)} ({about})" for key, about in [*found.items()][:8])
     if len(found) == 1 and stated is None:
@@ -165,7 +171,7 @@ def choose(
     if stated is not None:
         raise SourceError(f"{name}: holds no {key} {shown(stated)}; allowed: {listed}")
     first = shlex.quote(printable(next(iter(found))))
-    raise SourceError(f"{name}: holds {len(found)} {what}: {listed}{ADD}{key}={first}")
+    raise SourceError(f"{name}: holds {len(found)} {what}: {listed}{ADD}{key}={first}{more}")
 
 
 def rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
@@ -174,6 +180,12 @@ def rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
         if stamp < before:
             raise SourceError(f"{name}: the time of frame {k} is before that of the one before it")
     return tuple(s - stamps[0] for s in stamps) if len(set(stamps)) == len(stamps) else None
+
+
+def shape_text(n_cells: int) -> str:
+    """Settings of a shape of so many cells, the most square one."""
+    n_rows = max(k for k in range(1, math.isqrt(n_cells) + 1) if n_cells % k == 0)
+    return f"n_rows={n_rows} n_cols={n_cells // n_rows}"
 
 
 @contextmanager

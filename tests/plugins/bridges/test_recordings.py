@@ -89,6 +89,7 @@ def write(folder: Path, kind: str, topics: tuple[str, ...]) -> Path:
 @pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
 def test_frames_of_each_kind_of_message_are_read(tmp_path: Path, kind: str) -> None:
     path = write(tmp_path, kind, ("/image", "/cloud", "/flat", "/other"))
+    (tmp_path / "flat").mkdir()
     for topic in ("/image", "/cloud", "/flat"):
         source = open_file(path, topic=topic, n_rows=3)
         np.testing.assert_array_equal(source.frames, COUNTS)
@@ -101,6 +102,8 @@ def test_frames_of_each_kind_of_message_are_read(tmp_path: Path, kind: str) -> N
         SourceError, match=r"holds 3 topics of frames: /image .Image, 3 x 4.*add topic=/image"
     ):
         open_file(path)
+    with pytest.raises(SourceError, match=r"add topic=/cloud n_rows=3 n_cols=4$"):
+        open_file(write(tmp_path / "flat", kind, ("/cloud", "/flat")))
     with pytest.raises(SourceError, match=r"no topic '/off'; allowed: /image"):
         open_file(path, topic="/off")
     with pytest.raises(SourceError, match=r"holds 12 readings; .* shape; add n_rows=3 n_cols=4$"):

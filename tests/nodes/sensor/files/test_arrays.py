@@ -81,6 +81,7 @@ class TestNpy:
             (np.zeros(4), r"has 1 dimensions, shape \(4,\); expected three"),
             (np.zeros((3, 6)), "holds 6 .* state shape, rate; add n_rows=2 n_cols=3 rate_hz=100$"),
             (np.zeros((0, 3, 4)), "holds no frame"),
+            (np.zeros((3, 0)), "a frame holds 0 cells"),
             (np.zeros((1, 2048, 1024), dtype="u1"), "2097152 cells; at most 1048576"),
             (np.zeros((2, 3, 4), dtype=complex), "dtype 'complex128'; allowed are integers"),
             (np.zeros((2, 3, 4)), "all readings are 0, so its range is unknown; state f_max"),
