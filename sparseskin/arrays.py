@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -32,12 +33,12 @@ from sparseskin.nodes.recorder.bag.frames import (
     array_names,
     described,
     frame_topics,
-    frames,
     patch_of,
     skin_of,
 )
 from sparseskin.nodes.recorder.bag.patches import split_bag
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.convert.npz import export_npz
 from sparseskin.nodes.sensor.files.file_source import open_file
 
 Floats = npt.NDArray[np.float32]
@@ -469,7 +470,7 @@ def read_recording(
 
 
 def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]:
-    with BagReader(path) as whole:
+    with BagReader(path) as whole, tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
         bag = split_bag(whole)
         topics = frame_topics(bag, None)
         patches = sorted({patch_of(topic) for topic in topics})
@@ -479,29 +480,9 @@ def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]
         wanted = [topic for topic in topics if patch_of(topic) == patch]
         if not wanted:
             raise SparseskinError(f"{path}: has no patch {patch!r} (it has {', '.join(patches)})")
-        arrays: dict[str, list[Floats]] = {}
-        stamps: dict[str, list[int]] = {}
-        for frame in frames(bag, wanted, "read"):
-            schema = frame.message.schema
-            arrays.setdefault(schema, []).append(frame.array)
-            stamps.setdefault(schema, []).append(frame.message.stamp_ns)
+        (written,) = export_npz(bag, Path(folder) / "frames.npz", wanted)
         skin = skin_of(bag, patch)
-    found: dict[str, Any] = {}
-    for schema, frames_of_it in arrays.items():
-        name, stamps_name = array_names(schema)
-        if schema != Measurements.schema and len({a.shape for a in frames_of_it}) > 1:
-            raise SparseskinError(f"{path}: the shape of {schema} changes")
-        found[name] = _stacked(frames_of_it)
-        found[stamps_name] = np.array(stamps[schema], dtype=np.int64)
-    if skin is not None:
-        found |= described(skin, skin.rate_hz)
-    return found
-
-
-def _stacked(arrays: Sequence[Floats]) -> Floats:
-    """Frames as one array; measurements of fewer rows end with NaN."""
-    longest = max(len(array) for array in arrays)
-    stacked = np.full((len(arrays), longest, *arrays[0].shape[1:]), np.nan, dtype=np.float32)
-    for row, array in zip(stacked, arrays, strict=True):
-        row[: len(array)] = array
-    return stacked
+        names = [name for topic in wanted for name in array_names(bag.topics[topic].schema)]
+        with np.load(written) as held:
+            found: dict[str, Any] = {name: held[name] for name in names}
+    return found | ({} if skin is None else described(skin, skin.rate_hz))
