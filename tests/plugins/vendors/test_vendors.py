@@ -102,6 +102,11 @@ class TestRealTekscan:
         ]
         np.testing.assert_array_equal(frames_of(open_file(path)).sum(axis=(1, 2)), sums)
 
+    def test_the_example_of_the_package_is_this_recording(self) -> None:
+        whole, example = open_file(recording("iscan_test.csv")), open_file("example:fingers")
+        np.testing.assert_array_equal(example.frames, whole.frames)
+        assert (example.stamp_ns, example.skin.unit) == (whole.stamp_ns, whole.skin.unit)
+
 
 class TestEmed:
     def test_touched_cells_land_on_the_full_matrix_in_newtons(self, opened: Opener) -> None:
