@@ -34,17 +34,18 @@ _NS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "ISO 8601": 
 _UNIT = re.compile(r"(?:^|[^a-z])(ns|us|µs|ms|s)(?:ec|econds)?\W*$|^(millis|seconds)$")
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 """Least numbers of times since 1970 in each unit, chosen: each is of 1973."""
+_COUNTED = 8
+"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
 _COLUMNS = "names as s*, numbers as 2-65, time=NAME or time_ms=NAME, separated by commas"
 
 
 class TableRecording(Recording):
     """Numbers separated by commas, semicolons, tabs or spaces, one frame a line.
 
-    Blank lines and lines that begin with `#` are skipped. A first line that holds no number is a
-    header. The time is the column that `columns` states, or whose name begins as one of times does,
-    or that holds ISO 8601 stamps; without a header the first one, where a line has one cell more
-    than the stated shape. Taxels are the columns that `columns` states, or else, without
-    the time, those named alike but for numbers, if they are most, or all of numbers. Two numbers in
+    Blank lines and lines that begin with `#` are skipped. A first line with a text, or of 0, 1, 2,
+    ..., is a header. The time is the column that `columns` states, or whose name begins as one of
+    times does, or that holds ISO 8601 stamps; without a header the first one, where a line has one
+    cell more than the stated shape. Taxels are the columns that `columns` states, or else those named alike but for numbers, if they are most, or all of numbers. Two numbers in
     each name are row and column of a taxel, where they fill a grid.
 
     Raises
@@ -56,15 +57,12 @@ class TableRecording(Recording):
     def __init__(self, file: File) -> None:
         self._file, self._lines = file, file.lines
         self._rows = self._cells()
-        names = next(self._rows, None)
-        first = names
-        if names is not None and not all(map(_is_value, names)):
-            first = next(self._rows, None)
-        if first is None or names is None:
+        first = next(self._rows, [])
+        self._width, self._names = len(first), first if _is_header(first) else []
+        self._first = next(self._rows, []) if self._names else first
+        if not self._first:
             raise SourceError(f"{file.name}: the recording holds no frame")
-        self._first, self._width = first, len(names)
-        self._check_width(first)
-        self._names = [] if first is names else names
+        self._check_width(self._first)
         self._time, self._unit = self._stated_time()
         self._taxels, self._shape = self._arranged(self._found_taxels())
 
@@ -207,9 +205,15 @@ class TableRecording(Recording):
 
     def _instant(self, cell: str) -> float:
         """A time in its unit; ISO 8601 in microseconds."""
-        if (moment := _iso(cell)) is not None:
-            return moment
-        return parse_number(cell, f"{self._lines.where}, time", -1e19, 1e19)
+        moment = _iso(cell) if self._unit == "ISO 8601" else None
+        return moment or parse_number(cell, f"{self._lines.where}, time", -1e19, 1e19)
+
+
+def _is_header(cells: list[str]) -> bool:
+    """True if some cell is no value; or all are 0, 1, 2, ..., as pandas names columns."""
+    named = [cell for cell in cells if cell]
+    counted = len(named) >= _COUNTED and named == [*map(str, range(len(named)))]
+    return counted or not all(map(_is_value, cells))
 
 
 def _is_value(cell: str) -> bool:

@@ -46,6 +46,11 @@ def read(folder: Path, text: str, **stated: Any) -> Any:
             {"n_rows": 2, "columns": "time_us=when,x*"},
             250_000,
         ),
+        (
+            ",0,1,2,3,4,5,6,7\n0,0,1,2,3,4,5,9,9\n1,6,7,8,9,10,11,9,9\n",
+            {"n_rows": 2, "columns": "2-7"},
+            None,
+        ),
         ("9,0,1,2,3,4,5\n9,6,7,8,9,10,11\n", {"n_rows": 2, "columns": "2-7"}, None),
     ],
 )
