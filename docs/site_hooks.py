@@ -11,6 +11,7 @@ import ast
 import re
 import tempfile
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 #: Pages of the site that stand at the top of the repository.
 TOP_PAGES = {
     "README.md": "index.md",
@@ -60,14 +62,19 @@ def on_files(files: Files, config: Any, **_: Any) -> Files:
     for source, page in TOP_PAGES.items():
         text = (ROOT / source).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=_moved(text)))
-    for path in sorted((ROOT / "examples").glob("*.py")):
+    for path in EXAMPLES:
         page = f"examples/{path.stem}.md"
         files.append(File.generated(config, page, content=_example_page(path)))
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Replace each formula of a page by its MathML, and links out of docs/ by links to pages."""
+    if page.file.src_uri == "reference/json.md":
+        markdown += "".join(_tables(ROOT / "docs" / "reference" / "json.toml"))
+    if page.file.src_uri == "reference/examples.md":
+        rows = [f"| [{p.name}](../../examples/{p.name}) | {_title(p)} |\n" for p in EXAMPLES]
+        markdown += "\n| file | shows |\n|---|---|\n" + "".join(rows)
     for source, page in TOP_PAGES.items():
         markdown = markdown.replace(f"](../../{source}", f"](../{page}")
     markdown = re.sub(
@@ -75,6 +82,14 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     )
     markdown = _BLOCK.sub(lambda m: f"\n{_mathml(m[1], 'block')}\n", markdown)
     return _INLINE.sub(lambda m: m["code"] or _mathml(m["tex"], "inline"), markdown)
+
+
+def _tables(path: Path) -> Iterator[str]:
+    """A section of each format of JSON, with the table of its fields."""
+    for name, form in tomllib.loads(path.read_text(encoding="utf-8")).items():
+        yield f"\n## `{name}`\n\n{form['about']}\n\n| field | type | meaning |\n|---|---|---|\n"
+        for field, (kind, meaning) in form["fields"].items():
+            yield f"| `{field}` | {kind} | {meaning} |\n"
 
 
 def _mathml(tex: str, display: str) -> str:
@@ -93,8 +108,11 @@ def _moved(text: str) -> str:
     return re.sub(r"\[([^\]]+)\]\((LICENSE|CITATION\.cff)\)", r"\1 (`\2`)", text)
 
 
+def _title(path: Path) -> str:
+    """First line of the docstring of an example."""
+    return (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").splitlines()[0]
+
+
 def _example_page(path: Path) -> str:
     source = path.read_text(encoding="utf-8")
-    module = ast.parse(source)
-    title = (ast.get_docstring(module) or path.stem).splitlines()[0]
-    return f"# {path.name}\n\n{title}\n\n```python\n{source}```\n"
+    return f"# {path.name}\n\n{_title(path)}\n\n```python\n{source}```\n"

@@ -1,5 +1,7 @@
-"""A skin on a serial line: each frame is AA 55, then 12 x 32 bytes row by row, then their sum
-modulo 256. As a pattern for other lines: this one needs no code, but the source
+"""A skin on a serial line: frames with start bytes and a checksum.
+
+Each is AA 55, then 12 x 32 bytes row by row, then their sum modulo 256. As a pattern for other
+lines: this one needs no code, but the source
 serial:/dev/ttyUSB0?rows=12&cols=32&start=AA55&checksum=sum8&baud=2000000.
 
 It needs the standard library alone; with pyserial (`pip install pyserial`),

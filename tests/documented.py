@@ -1,13 +1,13 @@
-"""docs/reference/json.md as data: what it documents of the JSON that commands print and write."""
+"""What docs/reference/json.toml documents of the JSON that commands print and write."""
 
 from __future__ import annotations
 
-import re
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-PAGE = Path(__file__).parents[1] / "docs" / "reference" / "json.md"
+FIELDS = Path(__file__).parents[1] / "docs" / "reference" / "json.toml"
 TYPES: dict[str, Callable[[Any], bool]] = {
     "string": lambda value: isinstance(value, str),
     "integer": lambda value: type(value) is int,
@@ -22,22 +22,20 @@ Parts = tuple[str, ...]
 
 
 def documented() -> dict[str, dict[Parts, set[str]]]:
-    """Of each format on the page its fields, as parts of their paths, and the types of each."""
+    """Of each format its fields, as parts of their paths, and the types of each."""
     found: dict[str, dict[Parts, set[str]]] = {}
-    for section in PAGE.read_text().split("\n## ")[1:]:
-        title = re.match(r"`(.*)`", section)
-        assert title is not None
+    for name, form in tomllib.loads(FIELDS.read_text(encoding="utf-8")).items():
         fields: dict[Parts, set[str]] = {("format",): {"string"}}
-        for cell, types in re.findall(r"^\| (`.+?`) \| ([^|]+) \|", section, re.MULTILINE):
-            for path in (path for text in re.findall(r"`([^`]+)`", cell) for path in spread(text)):
+        for text, (types, _) in form["fields"].items():
+            for path in spread(text):
                 parts = tuple(path.replace("[]", ".[]").split("."))
-                assert parts not in fields, (title[1], path)
-                fields[parts] = set(types.strip().split(" / "))
-        for parts, types in list(fields.items()):  # lists and objects that only their parts show
+                assert parts not in fields, (name, path)
+                fields[parts] = set(types.split(" / "))
+        for parts, kinds in list(fields.items()):  # lists and objects that only their parts show
             for k in range(1, len(parts)):
                 kind = "list" if parts[k] == "[]" else "object"
-                fields.setdefault(parts[:k], {kind} | types & {"absent"})
-        found[title[1]] = fields
+                fields.setdefault(parts[:k], {kind} | kinds & {"absent"})
+        found[name] = fields
     return found
 
 

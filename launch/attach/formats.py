@@ -1,4 +1,4 @@
-"""Formats of the JSON that commands print and write; docs/reference/json.md has their fields."""
+"""Formats of the JSON that commands print and write; docs/reference/json.toml has their fields."""
 
 from __future__ import annotations
 

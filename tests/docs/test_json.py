@@ -1,4 +1,4 @@
-"""docs/reference/json.md documents each field of the JSON that commands print and write, and no
+"""docs/reference/json.toml documents each field of the JSON that commands print and write, and no
 other: tests of these commands check their documents by it.
 """
 
