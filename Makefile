@@ -15,7 +15,7 @@ PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 .PHONY: test test-all test-dist test-core coverage test-kernels check mutants docs hooks clean
 .DELETE_ON_ERROR:
 
-# The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes.
+# The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes, one minute.
 demo: .venv/installed
 	$(BIN)/sparseskin launch drag_wrench_64 --set sensor.rate_hz=100
 

@@ -133,6 +133,11 @@ class Node(Generic[S]):
         return {}
 
     @classmethod
+    def left_behind(cls, settings: S) -> str:
+        """What a process that was killed has left, in words; "" for nothing."""
+        return ""
+
+    @classmethod
     def totals(
         cls, settings: S, report: Mapping[str, Any], counts: Iterable[Any], again: bool
     ) -> dict[str, Any]:
@@ -140,6 +145,11 @@ class Node(Generic[S]):
         in a graph in which nodes were restarted; `again`: this one was.
         """
         return {}
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Outputs on which it publishes nothing, which only the node itself knows."""
+        return ()
 
     def start(self) -> Iterable[Message]:
         """Messages to publish before the first step."""

@@ -26,6 +26,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     estimated_error,
     make_rotating_solver,
 )
+from sparseskin.nodes.touch import in_contact
 
 #: Solvers of sums of taxels: all but those that need a phi which chooses its taxels in each frame.
 SUM_SOLVERS = tuple(
@@ -210,11 +211,6 @@ def make_method(
     basis = make_basis(chosen.get("basis", "haar"), *shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask, **settings)
     return Method(solver, phis)
-
-
-def in_contact(truth: Floats, f_max_n: float) -> bool:
-    """True if some taxel bears more than 0.4 % of the range, 0.01 N of 2.5 N."""
-    return bool(truth.max() > CONTACT_FRACTION * f_max_n)
 
 
 @dataclass

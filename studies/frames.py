@@ -22,8 +22,9 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import press_frames, scattered_mask
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
 from sparseskin.nodes.sensor.scenes.simulation import Scene
+from sparseskin.nodes.touch import in_contact
 
-from .evaluate import LOADED, in_contact
+from .evaluate import LOADED
 from .points import StudyError
 
 NOISE = NoiseModel.for_range(PAPER_F_MAX_N)

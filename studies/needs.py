@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.bodies import Body, metal_peg, monkey_wrench, wooden_cube
@@ -21,6 +20,7 @@ from sparseskin.nodes.sensor.scenes.simulation import (
     Scene,
     SceneSource,
 )
+from sparseskin.nodes.touch import in_contact
 
 from .points import compute_rows
 from .report import PALETTE, Chart, Page, cells
@@ -114,7 +114,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng(point["seed"])
     changes, noises = [], []
     for ours, theirs in zip(Variant(True, scene).frames(), variant.frames(), strict=True):
-        if max(ours.max(), theirs.max()) <= CONTACT_FRACTION * scene.f_max_n:
+        if not any(in_contact(frame, scene.f_max_n) for frame in (ours, theirs)):
             continue
         changes.append(float(np.mean(np.square(theirs - ours), dtype=np.float64)))
         noise = noise_model.apply(ours, rng) - ours

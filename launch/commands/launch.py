@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -32,11 +33,16 @@ if TYPE_CHECKING:
 
 STATUS_LINE = (
     "The status line has for each patch: frames reconstructed so far and a second (Hz), frames "
-    "lost; the share of the last 100 contact frames that are trusted, where the solver estimates "
-    "its error; the mean PSNR of these frames (of all before the first contact), and "
-    "that of the taxels themselves; the latency from acquisition to reconstruction, median (p50) "
-    "and 99th percentile (p99)."
+    "lost; contacts or total force; of contact frames, the mean PSNR and the share that the solver "
+    "trusts, where it estimates its error; the latency from acquisition to reconstruction, median "
+    "(p50) and 99th percentile (p99); the PSNR of the taxels themselves."
 )
+
+NEXT = """
+The live page:  {0} launch {1} --open
+Other scenes:   {0} scenes list
+Your own file:  {0} launch replay --set sensor.source=file:F.npy"""
+"""What is printed in a terminal after a bundled launch file."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -148,6 +154,9 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
         write_summary(arguments.summary, "launch-summary", summary)
     if run_log is not None and code in (EXIT_FAILED, EXIT_USAGE):
         print(f"logs of the nodes: {run_log.folder}", file=sys.stderr)
+    if code == 0 and launch.name in bundled_names() and sys.stderr.isatty():
+        program = "sparseskin" if shutil.which("sparseskin") else sys.argv[0]
+        print(NEXT.format(program, launch.name), file=sys.stderr)
     for name, patch in sensed.items():
         if not patch["frames"]["reconstructed"]:
             print(f"{name}: not one frame was reconstructed", file=sys.stderr)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 START_POINTS = ("auto", "taxels", "measurements")
 STATIONS = ("compressor", "reconstructor")
-FIELD_MINUTES = 5.0
-"""Minutes per GB of recording: the figure of the field, printed beside the own one."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -68,11 +66,11 @@ def _reprocess(arguments: argparse.Namespace) -> int:
 
 
 def _rate(outcome: Outcome) -> str:
-    """Bytes and time of a recording, beside those of the field."""
+    """Bytes and time of a recording."""
     n_bytes, minutes = outcome.n_bytes, outcome.seconds / 60
     return (
         f"{size_text(n_bytes)} in {outcome.seconds:.1f} s: {size_text(n_bytes / minutes)} per "
-        f"minute, {minutes / (n_bytes / 1e9):.3g} minutes per GB (the field: {FIELD_MINUTES:g})"
+        f"minute, {minutes / (n_bytes / 1e9):.3g} minutes per GB"
     )
 
 

@@ -49,6 +49,8 @@ class Fleet:
         Not 0 once a node has failed that the graph needs.
     late_code : int
         Not 0 once a node has failed that it can do without, or has raised an error and gone on.
+    left : dict of str to list of str
+        What nodes that have died left behind, in words, by name.
     supervised : bool
         True while a node that fails is restarted as its policy states.
     hear : callable
@@ -77,6 +79,7 @@ class Fleet:
         self.restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
         self.nodes: dict[str, NodeProcess] = {}
         self.exit_code = self.late_code = 0
+        self.left: dict[str, list[str]] = {}
         self.supervised = False
         self.hear: Hear = lambda node, event: None
         keys = launch.credentials
@@ -112,7 +115,7 @@ class Fleet:
         """The note by which others find this graph and its topics, once all nodes are bound."""
         nodes = {
             node.name: RunningNode(
-                *(node.spec.type_name, node.endpoint, list(node.spec.outputs), self._public)
+                *(node.spec.type_name, node.endpoint, node.outputs, self._public)
             )
             for node in self
         }
@@ -290,6 +293,7 @@ class Fleet:
         match event["event"]:
             case "bound":
                 node.endpoint = event["endpoint"]
+                node.outputs = [t for t in node.spec.outputs if t not in event["unused"]]
                 self._peers[node.name] = Peer(node.name, node.endpoint, key=self._public)
                 if self.supervised:
                     self.connect(node)
@@ -325,6 +329,8 @@ class Fleet:
 
     def _died(self, node: NodeProcess, code: int, text: str) -> None:
         """A process has ended before its time: start it again, or end the graph with it."""
+        if left := node.spec.cls.left_behind(node.spec.settings):
+            self.left.setdefault(node.name, []).append(left)
         line = text if text.startswith("[") else f"[launch] {text}"
         if self.supervised and code != EXIT_USAGE:
             why = text.removeprefix(f"[{node.name}] ").removeprefix(f"{node.name} ")

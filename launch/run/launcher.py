@@ -134,6 +134,8 @@ class Launcher:
         counts = [node.counts for node in self._fleet]
         for node in self._fleet:
             found = dict(node.report)
+            if left := self._fleet.left.get(node.name):
+                found["lines"] = [*found.get("lines", ()), *left]
             if any(restarts.values()):
                 again = restarts[node.name] > 0
                 found |= node.spec.cls.totals(node.spec.settings, found, counts, again)
@@ -228,7 +230,7 @@ class Launcher:
             self._controls.serve()
         nodes = self._fleet.nodes
         lines = [nodes[name].line for name in self._sinks if name in nodes]
-        self._terminal.status("  ||  ".join(filter(None, lines)))
+        self._terminal.status("\n".join(filter(None, lines)))
 
     def _drain(self) -> None:
         """Stop the sources, and let frames under way reach the end of the graph."""

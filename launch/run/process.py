@@ -87,6 +87,7 @@ class NodeProcess:
         except OSError as error:
             raise SparseskinError(f"{name}: cannot be started: {error.strerror}") from error
         self.endpoint = ""
+        self.outputs = list(spec.outputs)
         self.ready = self.ended = self.failed = False
         self.lacks: list[str] = []
         self.heard: dict[str, bool] = {}

@@ -76,7 +76,7 @@ def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[st
         "inputs": [
             counted(topic, **{what: what for what in COUNTED}) for topic in node.config["inputs"]
         ],
-        "outputs": [counted(topic, sent="published") for topic in spec.outputs],
+        "outputs": [counted(topic, sent="published") for topic in node.outputs],
     }
     if in_full:
         values = {**vars(spec.settings), **node.settings}

@@ -59,13 +59,13 @@ class Terminal:
                 self._write(f"{time_text(now_s)} [launch] no more logs: {self._run_log.error}\n")
 
     def status(self, line: str) -> None:
-        """Renew the status line, or lines."""
+        """Renew the status line, or lines, where the text has changed."""
         line = "\n".join(map(printable, line.split("\n")))
-        if self._live:
+        if self._live and line != self._status:
             self._erase()
             self._status = line
             self._draw()
-        elif line and time.monotonic() >= self._next_s:
+        elif not self._live and line and time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + QUIET_STATUS_S
             self._write(line + "\n")
 
@@ -100,7 +100,7 @@ class Terminal:
     def _draw(self) -> None:
         if self._live and self._status:
             size = shutil.get_terminal_size()
-            lines = [line[: size.columns - 1] for line in self._status.split("\n")]
+            lines = [_fitted(line, size.columns - 1) for line in self._status.split("\n")]
             lines = lines[: size.lines - 1]
             self._n_drawn = len(lines)
             self._write("\n".join(lines))
@@ -113,3 +113,10 @@ class Terminal:
             sys.stderr.flush()
         except OSError:
             self._open = False
+
+
+def _fitted(line: str, width: int) -> str:
+    """A line without the last of its parts, between " | ", that do not fit."""
+    while len(line) > width and " | " in line:
+        line = line.rpartition(" | ")[0]
+    return line[:width]

@@ -10,7 +10,7 @@ import numpy as np
 
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, force_threshold, packed_places
+from sparseskin.nodes.compressor.phi.acts import SIGMAS, ActsPhi, ActsSearch, packed_places
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, phis_for
 from sparseskin.nodes.compressor.phi.base import (
     KINDS,
@@ -34,6 +34,7 @@ from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
+from sparseskin.nodes.touch import touch_level
 
 from .limits import compression_warnings
 from .quantiser import quantised
@@ -220,7 +221,7 @@ class Compressor(Node[CompressorSettings]):
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
         if isinstance(phi, ActsPhi):
-            threshold = force_threshold(state.sigma_end, state.f_max)
+            threshold = touch_level(state.sigma_end, state.f_max, SIGMAS)
             self._search = ActsSearch(state.skin.exists, phi.m, threshold)
         self._choice = AdaptiveChoice(phi) if isinstance(phi, AdaptivePhi) else None
         chosen = block_and_rule(s.rows, s.block)

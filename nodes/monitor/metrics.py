@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,9 +25,9 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.messages.quantised import Quantised
-from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.touch import MeasuredNoise, in_contact
 
 from .statistics import Extent, Quantiles
 
@@ -38,8 +38,6 @@ MAX_PENDING = 512
 """Most frames that wait for their reconstruction; the oldest is dropped as unpaired."""
 MAX_CHANGES = 100
 """Changes of settings that are kept for the summary; later ones are not."""
-RECENT = 100
-"""Frames of the recent mean PSNR."""
 
 _OF_SOLVER = ("preset", "solver", "basis", "iterations", "lambda_n")
 
@@ -70,23 +68,11 @@ class Quality:
 
     every: Extent = field(default_factory=Extent)
     contact: Extent = field(default_factory=Extent)
-    in_contact: bool = False
-    """True once there was a contact frame; `recent` is then of contact frames."""
-    _recent: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
 
-    def add(self, value: float, in_contact: bool) -> None:
+    def add(self, value: float, is_contact: bool) -> None:
         self.every.add(value)
-        if in_contact:
+        if is_contact:
             self.contact.add(value)
-            if not self.in_contact:
-                self._recent.clear()
-                self.in_contact = True
-        if in_contact == self.in_contact:
-            self._recent.append(value)
-
-    def recent(self) -> float | None:
-        """Mean over the last 100 contact frames, before the first one of all; None of none."""
-        return sum(self._recent) / len(self._recent) if self._recent else None
 
     def summary(self) -> dict[str, Any]:
         return {"all": self.every.summary(), "contact": self.contact.summary()}
@@ -171,6 +157,10 @@ class PatchMetrics:
         Largest uncertainty of a latency so far; 0 on one host.
     contacts : Contacts or None
         Those of the newest frame, where they are published.
+    load : float or None
+        Total force of the newest frame, 0 where it is not in contact; None before the first one.
+    doubts : Counter of str
+        Number of frames that are not to be trusted, by the reason.
     idle : bool
         True while the newest frame was published as unchanged; `unchanged` counts such frames.
     """
@@ -199,6 +189,9 @@ class PatchMetrics:
         self.lost_so_far = self.skipped = self.unchanged = 0
         self.idle = False
         self.contacts: Contacts | None = None
+        self.load: float | None = None
+        self.doubts: Counter[str] = Counter()
+        self._noise = MeasuredNoise()
         self.unpaired = self.compared = 0
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
 
@@ -344,19 +337,23 @@ class PatchMetrics:
         taxels = None if frame.taxels is None else frame.taxels.forces[0][cells]
         reference = taxels if frame.truth is None else frame.truth.forces[0][cells]
         judged = forces if reference is None else reference  # nothing to compare with
-        in_contact = float(judged.max()) > CONTACT_FRACTION * skin.f_max
+        noise = 0.0 if frame.truth else skin.sigma_end or self._noise.update(judged)
+        is_contact = in_contact(judged, skin.f_max, noise)
+        self.load = float(forces.sum()) if is_contact else 0.0
         (estimate,), (trusted,) = frame.reconstruction.error, frame.reconstruction.trusted
         if estimate is not None or not trusted:  # else the solver estimates no error
-            self.trust.add(float(trusted), in_contact)
+            self.trust.add(float(trusted), is_contact)
+        if not trusted:
+            self.doubts["".join(frame.reconstruction.reason) or "error"] += 1
         if reference is None or taxels is None:
             return frame
         if frame.truth is not None:
             frame.psnr_noisy_db = psnr_db(taxels - reference, skin.f_max)
-            self.noisy.add(frame.psnr_noisy_db, in_contact)
+            self.noisy.add(frame.psnr_noisy_db, is_contact)
         error = forces - reference
         frame.psnr_db = psnr_db(error, skin.f_max)
-        self.reconstruction.add(frame.psnr_db, in_contact)
-        if in_contact:
+        self.reconstruction.add(frame.psnr_db, is_contact)
+        if is_contact:
             norm = float(np.linalg.norm(reference))
             self.relative_error.add(float(np.linalg.norm(error)) / norm)
         return frame
@@ -396,6 +393,7 @@ class PatchMetrics:
                 "all": _trust_summary(self.trust.every),
                 "contact": _trust_summary(self.trust.contact),
             },
+            "doubts": dict(self.doubts),
             "latency_ms": self.latency.summary(),
             "latency_uncertainty_ms": self.latency_uncertainty_ns / 1e6,
             "solve_ms": self.solve.summary(),

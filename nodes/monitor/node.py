@@ -30,7 +30,7 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import Settings, check_patch, check_patches, naming, setting
 
 from .metrics import ClockOf, PatchMetrics
-from .table import FEW, status_line, status_of_many
+from .table import FEW, status_line
 
 if TYPE_CHECKING:
     from .live.feed import Feed
@@ -250,11 +250,11 @@ class Monitor(Node[MonitorSettings]):
             self._status_frames[patch] = metrics.reconstructed
             rates_hz[patch] = new / seconds if seconds > 0 else 0.0
         if len(rates_hz) > FEW:
-            return status_of_many(self._patches, sum(rates_hz.values()) / len(rates_hz))
-        lines = [
-            status_line(patch, metrics, rates_hz[patch]) for patch, metrics in self._patches.items()
-        ]
-        return "  ||  ".join(lines)
+            return status_line(self._patches, sum(rates_hz.values()) / len(rates_hz))
+        return "\n".join(
+            status_line({patch: metrics}, rates_hz[patch])
+            for patch, metrics in self._patches.items()
+        )
 
     def report(self) -> dict[str, Any]:
         return {"patches": {name: metrics.summary() for name, metrics in self._patches.items()}}

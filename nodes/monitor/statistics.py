@@ -33,11 +33,15 @@ class Extent:
         self.low = min(self.low, value)
         self.high = max(self.high, value)
 
+    @property
+    def mean(self) -> float:
+        return self.total / self.count
+
     def summary(self) -> dict[str, float] | None:
         """{mean, min, max}; None without numbers."""
         if not self.count:
             return None
-        return {"mean": self.total / self.count, "min": self.low, "max": self.high}
+        return {"mean": self.mean, "min": self.low, "max": self.high}
 
 
 class Quantiles:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import textwrap
 import time
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from sparseskin.messages.contacts import summary
@@ -17,86 +18,104 @@ WIDTH = 78
 LABELS = {"m": "M", "kind": "phi", "sigma_mid": "noise sigma"}
 MAX_CHANGES = 4
 """Changes of settings that the table lists."""
+DOUBTS = {
+    "error": "the estimated error is a large part of the forces, as at first touch",
+    "constant": "all measurements are equal, as of a dead link or converter",
+    "frozen": "frames repeat exactly, as of a board that hangs",
+    "missing": "readings are missing over an area",
+    "rows": "many measurements contradict each other (is the mask right?)",
+    "stuck": "a row, column or square of taxels stands alone, pressed alike (is it stuck?)",
+    "range": "forces exceed the range of the skin",
+    "uniform": "all taxels rose together: drift, hum, or a pressure on the whole skin",
+}
+"""What the reasons of frames that are not to be trusted mean."""
 FEW = 4
 """Most patches that are shown with all their figures; of more, each has one row."""
 
 
-def status_line(patch: str, metrics: PatchMetrics, rate_hz: float) -> str:
-    """State of a patch in one line: contacts and their force, where they are published; share of
-    the last 100 contact frames that the solver trusts, where it estimates its error; mean PSNR of
-    reconstruction and noisy taxels over them, before the first contact over all; latency since the
-    start. A terminal of 80 columns shows the contacts at least.
-    """
-    parts = [
-        f"{patch}: {metrics.reconstructed} frames, {rate_hz:.0f} Hz, lost {metrics.lost_so_far}",
-        *_contacts([metrics]),
-        *_trusted([metrics]),
-    ]
-    reconstruction, noisy = metrics.reconstruction.recent(), metrics.noisy.recent()
-    if reconstruction is not None:
-        frames = "contact frames" if metrics.reconstruction.in_contact else "all frames"
-        against = "to taxels " if noisy is None else ""
-        parts.append(f"PSNR of {frames} {against}{reconstruction:.1f} dB")
-        if noisy is not None:
-            parts[-1] += f" (taxels {noisy:.1f})"
-    parts += _latency([metrics])
-    if len(parts) > 1 and metrics.latency_uncertainty_ns:
-        parts[-1] += f" ± {metrics.latency_uncertainty_ns / 1e6:.1f}"
-    if since := _since(metrics.since_ns):
-        parts.append(since.strip())
-    return " | ".join(parts)
+def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
+    """State of one patch, or of several, in one line whose parts stand by their weight, for a
+    terminal to leave out the last ones.
 
-
-def status_of_many(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
-    """State of many patches in one line; `rate_hz` is the mean of their rates.
-
-    Frames, skips and losses are those of the worst patch, PSNR is the mean of the recent ones,
-    latency that of the slowest patch.
+    Contacts of the newest frames, or their total force; then the figures of the table of contact
+    frames, mean PSNR and share trusted by the solver, and latency, that of the readings, and since
+    when. Of several, frames, skips and losses are those of the worst patch, PSNR is the mean,
+    latency that of the slowest; `rate_hz` is the mean of their rates.
     """
     every = list(patches.values())
-    asked = max((m.skin.rate_hz for m in every if m.skin is not None), default=0.0)
-    rate = f"{rate_hz:.0f} of {asked:g} Hz" if asked else f"{rate_hz:.0f} Hz"
-    pressed = [m for m in every if m.reconstruction.in_contact]
-    psnr = [p for m in pressed if (p := m.reconstruction.recent()) is not None]
-    return " | ".join(
-        [
-            f"{len(every)} patches: {min(m.reconstructed for m in every)} frames, {rate}, "
-            f"skipped {max(m.skipped for m in every)}, lost {max(m.lost_so_far for m in every)}",
-            *_contacts(every),
-            f"idle {sum(m.idle for m in every)}",
-            *_trusted(pressed),
-            *([f"PSNR of contact frames {sum(psnr) / len(psnr):.1f} dB"] if psnr else ()),
-            *_latency(every),
-        ]
-    )
+    n, lost = min(m.reconstructed for m in every), max(m.lost_so_far for m in every)
+    rate, idle = f"{rate_hz:.0f} Hz", []
+    name = next(iter(patches))
+    if len(every) > 1:
+        name, idle = f"{len(every)} patches", [f"idle {sum(m.idle for m in every)}"]
+        asked = max((m.skin.rate_hz for m in every if m.skin is not None), default=0.0)
+        rate = f"{rate_hz:.0f} of {asked:g} Hz" if asked else rate
+        rate += f", skipped {max(m.skipped for m in every)}"
+    psnr = [m.reconstruction.contact.mean for m in every if m.reconstruction.contact.count]
+    noisy = [m.noisy.contact.mean for m in every if m.noisy.contact.count]
+    trust = [m.trust.contact for m in every if m.trust.contact.count]
+    share = sum(t.total for t in trust) / sum(t.count for t in trust) if trust else 0.0
+    to_taxels = "" if noisy else " to taxels"
+    parts = [
+        f"{name}: {n} frames, {rate}, lost {lost}",
+        *_contacts(every),
+        *idle,
+        *([f"PSNR{to_taxels} {sum(psnr) / len(psnr):.1f} dB"] if psnr else ()),
+        *([f"trusted {share_of(share)}"] if trust else ()),
+        *_latency(every),
+        *([f"taxels {sum(noisy) / len(noisy):.1f} dB"] if noisy else ()),
+    ]
+    since = _since(every[0].since_ns).strip()
+    return " | ".join([*parts, since] if since else parts)
 
 
 def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
-    """Contacts of the newest frames and their force; none where they are not published."""
-    known = [m.contacts for m in patches if m.contacts is not None]
+    """Contacts of the newest frames and their force; where they are not published, the force."""
     units = [m.skin.unit for m in patches if m.skin is not None]
-    n, total = sum(c.id.size for c in known), sum(float(c.total.sum()) for c in known)
-    return [summary(n, total, units[0])] if known and units else []
-
-
-def _trusted(patches: Sequence[PatchMetrics]) -> list[str]:
-    """Share of recent frames that solvers trust; none where they do not estimate it."""
-    shares = [t for m in patches if (t := m.trust.recent()) is not None]
-    return [f"trusted {share_of(sum(shares) / len(shares))}"] if shares else []
+    known = [m.contacts for m in patches if m.contacts is not None]
+    loads = [m.load for m in patches if m.load is not None]
+    if known and units:
+        n, total = sum(c.id.size for c in known), sum(float(c.total.sum()) for c in known)
+        return [summary(n, total, units[0])]
+    return [f"{sum(loads):.3g} {units[0]}" if any(loads) else "no contact"] if loads else []
 
 
 def _latency(patches: Sequence[PatchMetrics]) -> list[str]:
     """Latency of the slowest patch; none where it is unknown."""
-    known = [found for m in patches if (found := m.latency.summary())]
-    slowest = max(known, key=lambda found: found["p50"], default=None)
-    return [f"latency p50 {slowest['p50']:.1f}, p99 {slowest['p99']:.1f} ms"] if slowest else []
+    known = [(q["p50"], q["p99"], m) for m in patches if (q := m.latency.summary())]
+    if not known:
+        return []
+    p50, p99, slowest = max(known, key=lambda found: found[:2])
+    within = slowest.latency_uncertainty_ns / 1e6
+    return [f"latency p50 {p50:.1f}, p99 {p99:.1f} ms" + (f" ± {within:.1f}" if within else "")]
 
 
 def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
     """The summary of every patch as text for a terminal of 80 columns."""
     if len(patches) > FEW:
-        return _many_table(patches)
-    return "\n".join(patch_table(name, patch) for name, patch in patches.items())
+        text = _many_table(patches)
+    else:
+        text = "\n".join(patch_table(name, patch) for name, patch in patches.items())
+    return "\n".join(filter(None, [text, doubts_text(patches.values())]))
+
+
+def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
+    """One sentence on the frames that are not to be trusted, and what may help; "" of none."""
+    every = [patch for patch in patches if patch["trust"]["all"]]
+    n, total = (sum(p["trust"]["all"][key] for p in every) for key in ("untrusted", "frames"))
+    if not n:
+        return ""
+    counts: Counter[str] = Counter()
+    for patch in every:
+        counts.update(patch["doubts"])
+    reasons = "; ".join(DOUBTS.get(word, word) for word, _ in counts.most_common())
+    advice = ""
+    if counts["error"]:
+        rotate = "" if all(p["rows"] == "rotating" for p in every) else " or rotating rows"
+        advice = f"; if that lasts, more measurements{rotate} may help"
+    are = "frame is" if n == 1 else "frames are"
+    text = f"{n} of {total} {are} in doubt, and marked on the page: {reasons}{advice}."
+    return textwrap.fill(text, WIDTH)
 
 
 def patch_table(name: str, patch: Mapping[str, Any]) -> str:

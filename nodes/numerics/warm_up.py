@@ -1,9 +1,12 @@
-"""Compiling of a solver's loops before its first frame."""
+"""Compiling of all loops before the first frame."""
 
 from __future__ import annotations
 
+import fcntl
 import os
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
 from .compiled import (
     ENVIRONMENT,
@@ -19,18 +22,22 @@ from .compiled import (
 def compile_loops(
     solver: str, fast: str, log: Callable[[str], None], contacts: bool = False
 ) -> None:
-    """Compile the loops of a solver now, or read them from disk, so that no frame waits for it;
-    with `contacts` that of contacts, too.
+    """Compile all loops now, or read them from disk, so that no frame waits for it; processes that
+    start together do so one after the other, and the first compiles.
 
-    Nothing is done where there are none, or where `use_compiled` is False, with Raises as
-    there. `log` receives a line of text before anything is compiled, and one after it; where numba
-    is missing or cannot be imported, one that says so.
+    Nothing is done where the solver has none and there are no contacts, or where `use_compiled` is
+    False, with Raises as there. `log` receives a line of text before anything is compiled, and one
+    after it; where numba is missing or cannot be imported, one that says so.
     """
     if solver not in SOLVERS and not contacts:
         return
     if use_compiled(fast):
-        from .kernels import LOOPS, components  # needs numba
+        from . import kernels  # needs numba
 
-        ready(*LOOPS.get(solver, ()), *[components] * contacts, log=log)
+        loops = [loop for of_solver in kernels.LOOPS.values() for loop in of_solver]
+        with Path(kernels.__file__).open() as file:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX)
+            ready(*loops, kernels.components, log=log)
     elif "off" not in (fast, os.environ.get(ENVIRONMENT)):
         log(NOT_INSTALLED if check_fast(fast) == "off" else NOT_IMPORTED)

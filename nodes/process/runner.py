@@ -138,7 +138,7 @@ class Runner:
         """Serve until the launcher sends "stop" or ends."""
         signal.signal(signal.SIGINT, self._on_interrupt)
         signal.signal(signal.SIGTERM, self._on_terminate)
-        self.control.emit("bound", endpoint=self.writer.endpoint)
+        self.control.emit("bound", endpoint=self.writer.endpoint, unused=self.host.node.unused)
         self._publish(self.host.start())
         # Modules and compiled loops are half a million objects, which no collection need visit.
         gc.freeze()

@@ -290,7 +290,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         if self.settings.contacts:
             yield self._contacts(measurements)
         for k in solving:
-            patches[k].learn(stamp_ns, skin)
+            patches[k].learn()
 
     def _reconstruction(
         self, measurements: Measurements, unchanged: list[bool], done_ns: int

@@ -18,7 +18,6 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.numerics.neighbours import of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
-from sparseskin.nodes.reconstructor.estimates.trust import TrustLog
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch
 from sparseskin.nodes.reconstructor.solvers.base import (
@@ -76,7 +75,6 @@ class Patch:
         self._subsets: list[Phi] = []
         self._last: Floats | None = None
         self._warm: Floats | None = None
-        self._trust_log = TrustLog(log)
         self._uncertainty: Uncertainty | None = None
         self._resultant: ResultantEstimator | None = None
         self._tracker: ContactTracker | None = None
@@ -126,7 +124,6 @@ class Patch:
         self.settings, self.solver, self._subsets = settings, solver, subsets
         self.most_steps = most_steps
         self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
-        self._trust_log.begin(len(subsets))
         if settings.uncertainty:
             name = chosen["solver"]
             self._uncertainty = Uncertainty(solver.mask, phi.ratio, name, announced.rows, phi.rule)
@@ -267,7 +264,7 @@ class Patch:
             return None
         return self._tracker.update(self.solved.forces, self.solved.error, stamp_ns, self.solved.sd)
 
-    def learn(self, stamp_ns: int, skin: SkinState) -> None:
+    def learn(self) -> None:
         """Learn from the frame that was solved, once it is published."""
         assert self.solver is not None
         assert self.solved is not None
@@ -276,14 +273,6 @@ class Patch:
         if self._constant:
             return
         following = self._subsets[(self._subsets.index(phi) + 1) % len(self._subsets)]
-        self._trust_log.update(
-            stamp_ns,
-            forces,
-            self.solved.error,
-            self.solved.reason,
-            n=solver.taxels.size,
-            unit=skin.unit,
-        )
         unfitted = getattr(solver, "unfitted", None)
         if self._watched and self.faults.update(
             phi, self._given, self._y, forces, self._fitted, unfitted

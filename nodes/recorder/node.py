@@ -16,7 +16,7 @@ from sparseskin.messages import Message
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, BagError, check_new_bag
+from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, check_new_bag
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 from sparseskin.nodes.settings import Settings, setting
 
@@ -69,6 +69,12 @@ class Recorder(Node[RecorderSettings]):
         out = Path(settings.out)
         stem = out.stem.removesuffix(f".restart{n_restarts - 1}")
         return {"out": str(out.with_name(f"{stem}.restart{n_restarts}{FILE_SUFFIX}"))}
+
+    @classmethod
+    def left_behind(cls, settings: RecorderSettings) -> str:
+        part = f"{settings.out}{PART_SUFFIX}"
+        how = f"sparseskin bag recover {part}"
+        return f"what was recorded before it ended is in {part} ({how})" * Path(part).is_file()
 
     def step(self, message: Message) -> Iterable[Message]:
         self._guard(lambda: self._write(message))

@@ -58,6 +58,8 @@ class Sensor(SourceNode[SensorSettings]):
         self._source = settings.address().open()
         self._source.loops = settings.loop
         try:
+            if settings.first or settings.every > 1:
+                self._source.read_part(settings.first, settings.every)
             self._source_skin = self._placed_skin()
             self._stage = self._made_stage()
         except Exception:
@@ -79,7 +81,8 @@ class Sensor(SourceNode[SensorSettings]):
     @classmethod
     def outputs(cls, settings: SensorSettings) -> tuple[str, ...]:
         stated = (Calibration,) if settings.is_calibrated else ()
-        kinds: tuple[type[Message], ...] = (SkinState, *stated, Taxels, Truth)
+        truth = (Truth,) if settings.address().delivers != "taxels" else ()
+        kinds: tuple[type[Message], ...] = (SkinState, *stated, Taxels, *truth)
         return tuple(topic_of(settings.patch, kind.schema) for kind in kinds)
 
     @classmethod
@@ -103,6 +106,11 @@ class Sensor(SourceNode[SensorSettings]):
         yield from self._calibration()
         if not self._readings.learns:
             yield self._describe()
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        is_true = self._source.delivers == "truth"
+        return () if is_true else (topic_of(self.settings.patch, Truth.schema),)
 
     @property
     def skin(self) -> Skin:
@@ -245,7 +253,9 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _set_pace(self) -> None:
         stated = self.settings.rate_hz
-        self.rate_hz = self._source.pace_hz if stated is None else stated
+        own = self._source.pace_hz
+        own /= self.settings.every if own == self._source.rate_hz else 1
+        self.rate_hz = own if stated is None else stated
         self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
 
     def _prepare(self) -> None:

@@ -34,6 +34,16 @@ class SensorSettings(PatchesSettings):
         high=100_000.0,
         live=True,
     )
+    first: int = setting(
+        0, "first frame of a scene or file that is read, from 0", low=0, high=2**31 - 1
+    )
+    every: int = setting(
+        1,
+        "steps from one frame of a scene or file to the next that is read; a file's own rate is "
+        "divided by it",
+        low=1,
+        high=2**31 - 1,
+    )
     seed: int = setting(0, "seed of the scene and of the noise", low=0, high=2**32 - 1)
     noise: float = setting(
         1.0,

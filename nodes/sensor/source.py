@@ -6,9 +6,11 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .device_clock import DeviceClock
@@ -125,6 +127,18 @@ class Source:
         self._last_ns = self._began_ns + frame[0]
         return self._last_ns, frame[1]
 
+    def read_part(self, first: int, every: int) -> None:
+        """Read every `every`-th frame alone, from the one of number `first` on.
+        Raises SourceError if the source is live, or has no such frame.
+        """
+        if self.is_live:
+            raise SourceError(f"{self.name}: first, every: are of scenes and files")
+        if self.n_frames is not None:
+            if first >= self.n_frames:
+                raise SourceError(f"{self.name}: first: {first}: allowed: 0..{self.n_frames - 1}")
+            self.n_frames = len(range(first, self.n_frames, every))
+        self._frames = islice(iter(self), first, None, every)
+
     def age_ns(self, arrived_ns: int) -> int:
         """Time since a frame arrived, nanoseconds."""
         return 0
@@ -216,6 +230,8 @@ class Address(ABC):
         Number of patches, their skin, and the part that is pressed, for a scene of a body.
     form : str
         The form of such addresses, for help and errors.
+    delivers : "truth", "taxels" or None
+        As of the source it opens; None: only that shows it.
     own : tuple of str
         Settings of the sensor that such a source has itself: they must not be stated.
     """
@@ -237,6 +253,7 @@ class Address(ABC):
     simulated: Mapping[str, Any] | None = None
     active: float | None = None
     form: ClassVar[str] = "module:callable"
+    delivers: ClassVar[Literal["truth", "taxels"] | None] = None
     own: ClassVar[tuple[str, ...]] = ()
 
     @classmethod

@@ -18,6 +18,8 @@ from .source import BoardSource
 class BoardAddress(Address):
     """A board."""
 
+    delivers = "taxels"
+
     def check(self) -> None:
         check_board(self._board())
 

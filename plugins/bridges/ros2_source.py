@@ -53,6 +53,7 @@ def parse(source: str) -> tuple[str, Ros2Query]:
 class Ros2Address(Address):
     """The address of a topic of ROS 2, whose messages are frames."""
 
+    delivers = "taxels"
     form = "ros2:/TOPIC"
 
     def check(self) -> None:

@@ -35,7 +35,8 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, Timing, press_frames
-from sparseskin.studies.evaluate import Method, in_contact
+from sparseskin.nodes.touch import in_contact
+from sparseskin.studies.evaluate import Method
 
 from .strategies import SINGLE, Strategy
 

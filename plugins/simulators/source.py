@@ -168,6 +168,7 @@ class MujocoAddress(Address):
     """A model and the site of its skin."""
 
     form = "mujoco:MODEL.xml#SITE"
+    delivers = "truth"
 
     def check(self) -> None:
         self.n_taxels()

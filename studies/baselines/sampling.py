@@ -12,7 +12,7 @@ import numpy as np
 import zstandard
 from scipy.spatial import QhullError, cKDTree
 
-from sparseskin.nodes.compressor.phi.acts import ActsSearch, force_threshold
+from sparseskin.nodes.compressor.phi.acts import ActsSearch
 from sparseskin.nodes.compressor.phi.quadtree import Quadtree
 from sparseskin.nodes.compressor.phi.rotation import m_of
 from sparseskin.nodes.errors import PhiError
@@ -22,6 +22,7 @@ from sparseskin.nodes.reconstructor.solvers.interpolation import (
     interpolated_from,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.touch import touch_level
 from sparseskin.studies.evaluate import VALUE_BYTES, Solved
 
 N_CODES = 255
@@ -124,7 +125,7 @@ class Acts:
         if not m:
             raise PhiError(f"acts: no value of {n} taxels fits with its address at N/{ratio}")
         # The noise of a recorded skin is not known, as in the graph: 0.
-        self._search = ActsSearch(mask, m, force_threshold(0.0, f_max))
+        self._search = ActsSearch(mask, m, touch_level(0.0, f_max))
         self._lines = LineInterpolation(mask)
         self._taxels, self._inside = np.flatnonzero(mask), mask
         self._n_bytes = VALUE_BYTES * m + address_bytes(n, m)

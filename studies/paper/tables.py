@@ -13,7 +13,7 @@ import pywt
 
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.studies.evaluate import in_contact
+from sparseskin.nodes.touch import in_contact
 from sparseskin.studies.frames import SceneFrames, UntouchedFrames, scene_of
 from sparseskin.studies.harness import (
     PAPER_ROWS,

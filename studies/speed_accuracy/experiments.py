@@ -28,8 +28,9 @@ from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import BASES
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.touch import in_contact
 from sparseskin.studies.baselines.libraries import PEERS, Bpdn, Solve
-from sparseskin.studies.evaluate import SUM_SOLVERS, in_contact, settings_of
+from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.frames import SceneFrames, scene_of
 from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
+from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats
@@ -17,6 +17,7 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.touch import in_contact
 from sparseskin.studies.frames import scene_frames
 
 #: Scene, first frame, stop and stride: an impact frame by frame, and at 100 Hz a wrench dragged
@@ -85,7 +86,7 @@ def reconstruct(solver: Solver, ys: Floats) -> Floats:
 
 def mean_psnr(frames: Floats, truth: Floats) -> float:
     """Mean PSNR over the frames in contact, dB; of each from `BLOWN_UP_DB` to 100."""
-    contact = truth.max(axis=(1, 2)) > CONTACT_FRACTION * PAPER_F_MAX_N
+    contact = [in_contact(frame, PAPER_F_MAX_N) for frame in truth]
     with np.errstate(all="ignore"):
         errors = np.mean(np.square(frames - truth, dtype=np.float64), axis=(1, 2))
         db = np.nan_to_num(10 * np.log10(PAPER_F_MAX_N**2 / errors), nan=BLOWN_UP_DB)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sparseskin.nodes.touch import in_contact
 from sparseskin.studies import looped
-from sparseskin.studies.evaluate import in_contact
 from sparseskin.studies.frames import scene_frames
 from sparseskin.studies.speed.latency import QUANTILES, SCENES, STAGES, figures, stages_ns
 

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 
@@ -102,15 +101,6 @@ def follow(phi: Phi, places: npt.NDArray[np.uint8] | None) -> None:
         raise PhiError(f'{phi.kind}: measurements with places; allowed: phi "acts" alone has them')
 
 
-def force_threshold(sigma_end: float, f_max: float) -> float:
-    """Return the reading above which a taxel counts as touched, in the unit of the arguments.
-
-    `sigma_end` is the standard deviation of an untouched taxel's noise, 0 if not known; `f_max`
-    the upper end of the range.
-    """
-    return max(SIGMAS * sigma_end, CONTACT_FRACTION * f_max)
-
-
 class ActsSearch:
     """Chooses and reads m taxels of a frame, each from the readings before it.
 
@@ -127,7 +117,7 @@ class ActsSearch:
     m : int
         Number of taxels to read, 1..n.
     threshold : float
-        Readings above it are forces; as `force_threshold`.
+        Readings above it are forces; as `touch_level`, of `SIGMAS`.
 
     Raises
     ------

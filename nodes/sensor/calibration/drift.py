@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.numerics.neighbours import of_nine
+from sparseskin.nodes.touch import touch_level
 
 DRIFT_RATE = 1e-4
 """Largest rate of the drift that is followed, in parts of f_max a second: 0.6 % of f_max a minute.
@@ -115,7 +115,7 @@ class Drift:
     ) -> None:
         self.rate = rate
         self._f_max = f_max
-        self.threshold = max(TUNING.sigmas * noise, CONTACT_FRACTION * f_max)
+        self.threshold = touch_level(noise, f_max, TUNING.sigmas)
         # Of each taxel, and of the mean of it and its eight neighbours.
         self._sigma: Doubles = noise * np.array([1, 1 / 3]).reshape(2, 1, 1)
         self.value: Doubles = np.zeros(shape)

@@ -25,6 +25,7 @@ class FileAddress(Address):
     kept where a calibration converts them.
     """
 
+    delivers = "taxels"
     form = "file:PATH"
 
     @property

@@ -28,6 +28,7 @@ class SceneAddress(Address):
     """A simulated scene."""
 
     form = "scene:NAME"
+    delivers = "truth"
     own = ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min")
 
     def check(self) -> None:

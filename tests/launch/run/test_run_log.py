@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pwd
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -52,6 +54,23 @@ def test_what_a_node_prints_cannot_act_on_terminal_or_log(
     assert len(lines) == 6
     assert all(line.rstrip("\n").isprintable() for line in lines)
     assert sum(r"\x1b]0;title\x07" in line for line in lines) == 4
+
+
+def test_a_status_is_drawn_where_its_text_changes_and_leaves_out_what_does_not_fit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    screen = io.StringIO()
+    monkeypatch.setattr(screen, "isatty", lambda: True)
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("COLUMNS", "20")
+    terminal = Terminal()
+    for line in ("one | two", "one | two", "first part | second | third", "x" * 30):
+        terminal.status(line)
+    assert screen.getvalue().split("\r\x1b[J") == [
+        "one | two",
+        "first part | second",
+        "x" * 19,
+    ]
 
 
 def test_a_full_file_makes_room_and_one_before_it_is_kept(

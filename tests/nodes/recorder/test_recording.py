@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 from pathlib import Path
@@ -90,6 +91,19 @@ def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
     last = decode(b"/skin/reconstruction", found["/skin/reconstruction"][-1][1])
     frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
     assert last.seq == frames["reconstructed"] - 1
+
+
+def test_the_end_names_the_file_that_a_killed_recorder_has_left(
+    start: StartProgram, tmp_path: Path
+) -> None:
+    graph = start("launch", "path_40", "--record", "run.mcap", *SLOWLY)
+    part = tmp_path / "run.mcap.part"
+    wait_until(lambda: "/skin/reconstruction" in topics(part), "a reconstruction in the file")
+    os.kill(graph.pid_of("recorder"), signal.SIGKILL)
+    graph.wait_for("[launch] recorder ended too early")
+    graph.process.send_signal(signal.SIGINT)
+    _, stdout, _ = graph.finish()
+    assert "recorder: what was recorded before it ended is in run.mcap.part (sparseskin " in stdout
 
 
 def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(

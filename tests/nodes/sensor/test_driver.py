@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.driver import DriverSource, open_callable
+from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import open_source
 
 Writer = Callable[[str], str]
@@ -153,6 +156,17 @@ class TestSourceObject:
         assert stamp == 0
         np.testing.assert_array_equal(forces, [[1, 4, 0]])
         assert source.clipped.n == 1
+
+    @pytest.mark.parametrize("delivers", ["truth", "taxels"])
+    def test_a_sensor_has_a_topic_of_the_truth_where_there_is_one(
+        self, module: Writer, delivers: str
+    ) -> None:
+        hand = module(self.BODY.replace('"truth"', f'"{delivers}"')) + ":Hand"
+        sensor = Sensor(SensorSettings(source=hand), Context("sensor", ManualClock()))
+        assert sensor.unused == ("/skin/truth",) * (delivers == "taxels")
+        for source, known in (("scene:path_40", True), ("file:a.npy", False), (hand, True)):
+            outputs = Sensor.outputs(SensorSettings(source=source))
+            assert ("/skin/truth" in outputs) == known
 
     @pytest.mark.parametrize(
         ("old", "new", "message"),

@@ -106,6 +106,20 @@ def test_a_sensor_reads_a_kind_of_source_that_another_package_brings() -> None:
     sensor.close({})
 
 
+def test_a_part_of_a_recording_is_read_at_its_part_of_the_rate(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    forces = np.arange(10, dtype=np.float32)[:, None, None] * np.ones((2, 3), np.float32)
+    np.savez(path, forces=forces, rate_hz=200.0)
+    stated = {"source": f"file:{path}", "unit": "N", "every": 4}
+    sensor = Sensor(SensorSettings(**stated, first=1), Context("sensor", ManualClock()))
+    ticks = [sensor.acquire(Tick(k, k)) for k in range(3)]
+    taxels = [m.forces[0, 0, 0] for tick in ticks for m in tick if isinstance(m, Taxels)]
+    assert (taxels, sensor.exhausted, sensor.rate_hz) == ([1, 5, 9], True, 50)
+    assert sensor.status() == "a: frame 3 of 3"
+    with pytest.raises(SourceError, match=r"a: first: 10: allowed: 0\.\.9"):
+        Sensor(SensorSettings(**stated, first=10), Context("sensor", ManualClock()))
+
+
 @pytest.mark.usefixtures("offered")
 def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts() -> None:
     with pytest.raises(SettingsError, match="source: glove:right: allowed is left"):

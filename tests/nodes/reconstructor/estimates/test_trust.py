@@ -1,4 +1,4 @@
-"""A solver's estimate of its own error is published with each frame, and doubts are logged."""
+"""A solver's estimate of its own error is published with each frame."""
 
 from __future__ import annotations
 
@@ -13,11 +13,8 @@ from sparseskin.messages import Reconstruction, decode, encode
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.estimates.trust import EVERY_NS, FIXED_ADVICE, TrustLog
 
-FORCES = np.full(10, 0.5, np.float32)
 PHI = make_phi("sbhe", N, N // 3, seed=0)
-S = 1_000_000_000
 
 
 def untouched(n_frames: int) -> Floats:
@@ -60,30 +57,3 @@ def test_an_estimate_that_is_none_is_refused(
     monkeypatch.setattr(solver, "finish", finish_wrongly)
     with pytest.raises(RefusedError, match=rf"doubting: {next(iter(wrong))} = .*; allowed: "):
         reconstructions(desk, 1)
-
-
-def test_one_line_a_run_of_doubts_and_one_every_10_s() -> None:
-    lines: list[str] = []
-    log = TrustLog(lines.append)
-
-    def feed(stamps_s: list[float], trusted: bool) -> int:
-        before = len(lines)
-        for stamp_s in stamps_s:
-            stamp_ns = round(stamp_s * S)
-            log.update(stamp_ns, FORCES, 0.31, "" if trusted else "error", n=10, unit="N")
-        return len(lines) - before
-
-    assert feed([0, 1, 2], trusted=True) == 0
-    assert feed([2.8, 2.9], trusted=False) == 0
-    assert feed([3], trusted=False) == 1
-    assert feed([4, 5, 6], trusted=False) == 0
-    assert feed([7], trusted=True) == 0
-    assert feed([8, 3 + EVERY_NS / S - 1e-3], trusted=False) == 0
-    assert feed([3 + EVERY_NS / S], trusted=False) == 1
-    assert feed([20, 40, 60], trusted=True) == 0
-    assert feed([61, 62], trusted=False) == 1
-    assert feed([3, 4], trusted=False) == 1  # the recording is played again
-    first, second, *_ = lines
-    estimate = "frames not to be trusted: estimated error 62 % of the forces"
-    assert first == estimate + FIXED_ADVICE
-    assert second == f"{estimate} (6 of the last 7 frames){FIXED_ADVICE}"
