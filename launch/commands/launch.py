@@ -32,10 +32,8 @@ if TYPE_CHECKING:
     from sparseskin.launch.run.run_log import RunLog
 
 STATUS_LINE = (
-    "The status line has for each patch: frames reconstructed so far and a second (Hz), frames "
-    "lost; contacts or total force; of contact frames, the mean PSNR and the share that the solver "
-    "trusts, where it estimates its error; the latency from acquisition to reconstruction, median "
-    "(p50) and 99th percentile (p99); the PSNR of the taxels themselves."
+    "The status line: frames, frames a second, frames lost; contacts or force; of contact frames, "
+    "mean PSNR and share trusted by the solver; latency; PSNR of the taxels themselves."
 )
 
 NEXT = """

@@ -178,7 +178,9 @@ class Launcher:
         return done
 
     def _late_lines(self) -> list[str]:
-        return list(filter(None, (waits_for(node, self._launch) for node in self._fleet)))
+        # The others wait for those that have not started.
+        fleet = [n for n in self._fleet if not (n.endpoint or n.failed)] or self._fleet
+        return list(filter(None, (waits_for(node, self._launch) for node in fleet)))
 
     def _look_around(self) -> None:
         """Pass on keys, and end where the graph that was joined is gone."""

@@ -241,20 +241,15 @@ class Monitor(Node[MonitorSettings]):
         return screen(self._feed, self._notices, line)
 
     def _status_line(self) -> str:
-        now_ns = self.context.clock.now_ns()
-        seconds = (now_ns - self._status_ns) / 1e9
-        self._status_ns = now_ns
-        rates_hz = {}
-        for patch, metrics in self._patches.items():
-            new = metrics.reconstructed - self._status_frames[patch]
-            self._status_frames[patch] = metrics.reconstructed
-            rates_hz[patch] = new / seconds if seconds > 0 else 0.0
-        if len(rates_hz) > FEW:
-            return status_line(self._patches, sum(rates_hz.values()) / len(rates_hz))
-        return "\n".join(
-            status_line({patch: metrics}, rates_hz[patch])
-            for patch, metrics in self._patches.items()
-        )
+        earlier, self._status_ns = self._status_ns, self.context.clock.now_ns()
+        seconds = max(self._status_ns - earlier, 1) / 1e9
+        each = [{name: metrics} for name, metrics in self._patches.items()]
+        before, lines = self._status_frames, []
+        for patches in [self._patches] if len(each) > FEW else each:
+            new = sum(m.reconstructed - before[name] for name, m in patches.items())
+            lines.append(status_line(patches, new / seconds / len(patches)))
+        self._status_frames = {name: m.reconstructed for name, m in self._patches.items()}
+        return "\n".join(lines)
 
     def report(self) -> dict[str, Any]:
         return {"patches": {name: metrics.summary() for name, metrics in self._patches.items()}}

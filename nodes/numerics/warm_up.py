@@ -8,15 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from .compiled import (
-    ENVIRONMENT,
-    NOT_IMPORTED,
-    NOT_INSTALLED,
-    SOLVERS,
-    check_fast,
-    ready,
-    use_compiled,
-)
+from . import compiled
 
 
 def compile_loops(
@@ -29,15 +21,16 @@ def compile_loops(
     False, with Raises as there. `log` receives a line of text before anything is compiled, and one
     after it; where numba is missing or cannot be imported, one that says so.
     """
-    if solver not in SOLVERS and not contacts:
+    if solver not in compiled.SOLVERS and not contacts:
         return
-    if use_compiled(fast):
+    if compiled.use_compiled(fast):
         from . import kernels  # needs numba
 
         loops = [loop for of_solver in kernels.LOOPS.values() for loop in of_solver]
         with Path(kernels.__file__).open() as file:
             with suppress(OSError):  # a file system without locks
                 fcntl.flock(file, fcntl.LOCK_EX)
-            ready(*loops, kernels.components, log=log)
-    elif "off" not in (fast, os.environ.get(ENVIRONMENT)):
-        log(NOT_INSTALLED if check_fast(fast) == "off" else NOT_IMPORTED)
+            compiled.ready(*loops, kernels.components, log=log)
+    elif "off" not in (fast, os.environ.get(compiled.ENVIRONMENT)):
+        is_missing = compiled.check_fast(fast) == "off"
+        log(compiled.NOT_INSTALLED if is_missing else compiled.NOT_IMPORTED)
