@@ -45,8 +45,9 @@ class TableRecording(Recording):
     Blank lines and lines that begin with `#` are skipped. A first line with a text, or of 0, 1, 2,
     ..., is a header. The time is the column that `columns` states, or whose name begins as one of
     times does, or that holds ISO 8601 stamps; without a header the first one, where a line has one
-    cell more than the stated shape. Taxels are the columns that `columns` states, or else those named alike but for numbers, if they are most, or all of numbers. Two numbers in
-    each name are row and column of a taxel, where they fill a grid.
+    cell more than the stated shape. Taxels are the columns that `columns` states, or else those
+    named alike but for numbers, if they are most, or all of numbers. Two numbers in each name are
+    row and column of a taxel, where they fill a grid.
 
     Raises
     ------
