@@ -158,10 +158,7 @@ def _opened(address: str) -> tuple[Any, str]:
 def _in_time(
     address: str, action: Callable[[threading.Event], None], n_bytes: Callable[[], int]
 ) -> None:
-    """Run an action on a file system in a thread, and give it up where it takes too long for its
-    number of bytes: then its event is set. An error of any kind becomes one line that names the
-    address.
-    """
+    """Run an action on a file system in a thread, and give it up (its event is set) if too slow."""
     late, failures = threading.Event(), list[BaseException]()
 
     def run() -> None:

@@ -11,8 +11,7 @@ SIGMAS = 5.0
 """Standard deviations of noise above which a frame is in contact. Chosen: of 4096 untouched taxels,
 one exceeds them in one of 850 frames."""
 DIFFERENCE, CLIPPED = 0.954, 0.392
-"""Median difference of two readings of normal noise, in its standard deviations; the second where
-both are clipped at 0. Derived."""
+"""Median difference of two readings of normal noise over its deviation; clipped at 0. Derived."""
 SMOOTHING = 0.1
 """Part of a frame in the running mean of the noise. Chosen."""
 FALL, RISE = 0.98, 1.001

@@ -11,10 +11,7 @@ WIDTH_M, DEPTH_M, HEIGHT_M = 0.36, 0.22, 0.5
 
 
 def torso(n_rows: int = 50, n_cols: int = 80, seed: int = 0) -> Floats:
-    """A point of each cell of a grid around a torso: rows go up, columns around it from the front.
-
-    x points to the front, z up; float32 (n_rows * n_cols, 6), metres and outward unit normals.
-    """
+    """A point of each cell around a torso, x to the front, z up: metres and outward normals."""
     rng = np.random.default_rng(seed)
     rows, cols = np.indices((n_rows, n_cols)).reshape(2, -1) + rng.uniform(0.3, 0.7, (2, 1))
     rows, cols = (each + rng.uniform(-0.2, 0.2, each.shape) for each in (rows, cols))

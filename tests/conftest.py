@@ -78,10 +78,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 @pytest.fixture(autouse=True)
 def forget_user_modules(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Remove what a test imports from its folder or from the examples, and restore `sys.path`.
-
-    Otherwise a later test of the same process gets a module of that name instead of its own.
-    """
+    """Remove what a test imports from its folder or the examples, and restore `sys.path`."""
     path, modules = list(sys.path), set(sys.modules)
     folders = EXAMPLES, tmp_path_factory.getbasetemp()
     yield

@@ -14,10 +14,7 @@ ERROR = 0.25
 
 
 class DoubtingSolver(Solver):
-    """Reconstructs 0.5 in every other row, with an estimated error of 0.25.
-
-    The first `n_doubted` frames of each `period` are not to be trusted.
-    """
+    """0.5 in every other row, error 0.25; doubts the first `n_doubted` of a `period`."""
 
     name = "doubting"
 

@@ -60,10 +60,7 @@ class Graph:
         return state
 
     def frame(self, patch: str = "skin", upto: int = 4, **estimate: Any) -> list[Message]:
-        """The next frame: taxels, truth, measurements, reconstruction; or the first of them.
-
-        `estimate`: error and trusted of the reconstruction.
-        """
+        """The next frame, or the first messages of it; `estimate`: error and trusted."""
         k = self.n[patch]
         self.n[patch] += 1
         messages = [message.published("0" * 16, k) for message in frame(k, patch)[:upto]]
@@ -116,10 +113,7 @@ Record = tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]
 
 
 def read_records(read: Callable[[int], bytes]) -> Iterator[Record]:
-    """(header, arrays) of each record, taken from `read` until it ends.
-
-    Written from the description of the stream alone, as a page has to.
-    """
+    """(header, arrays) of each record of `read`, by the description of the stream alone."""
     while counts := read(8):
         n_head, n_data = struct.unpack("<II", counts)
         header = json.loads(read(n_head))

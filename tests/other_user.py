@@ -16,9 +16,7 @@ Run = Callable[[str], str]
 
 
 def become_nobody() -> Run:
-    """What runs Python code as another user, and returns the last line that it printed; of an error
-    its name. The test is skipped where that is impossible.
-    """
+    """What runs Python code as another user and returns its last line; skips where impossible."""
     if os.geteuid() != 0:
         pytest.skip("only root can act as another user")
     if shutil.which("setpriv") is None:

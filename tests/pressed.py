@@ -39,9 +39,7 @@ def noisy(frames: Floats, seed: int = 0, f_max: float = 2.5) -> Floats:
 def with_errors(
     truths: Iterable[Floats], mask: Mask, seed: int, offset: float, gain: float, dead: float
 ) -> Iterator[Floats]:
-    """The readings of a skin with offsets |N(0, offset)|, gains N(1, gain), a part of dead taxels,
-    each drawn once a taxel, and the paper's noise.
-    """
+    """Readings with offsets |N(0, offset)|, gains N(1, gain), dead taxels and the paper's noise."""
     n, noise = int(np.count_nonzero(mask)), NoiseModel()
     draws = [np.random.default_rng([seed, 1, k]) for k in range(4)]
     offsets = np.abs(offset * draws[0].standard_normal(n))

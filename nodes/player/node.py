@@ -285,9 +285,7 @@ class Player(SourceNode[PlayerSettings]):
 
 
 class _Renumbering:
-    """New run ids and numbers from 0: after a seek, readers would take the recorded numbers for
-    losses or repetitions.
-    """
+    """New run ids and numbers from 0, after a seek: recorded ones would count as losses."""
 
     def __init__(self) -> None:
         self._run_ids: dict[str, str] = {}

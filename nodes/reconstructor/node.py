@@ -363,9 +363,7 @@ def _is_alike(message: Message, known: Message) -> bool:
 
 
 def _rehearse(settings: ReconstructorSettings) -> None:
-    """Reconstruct one empty frame of a small skin, and discard the solver: the first frame of the
-    graph then waits for no import. Parts of the user's own are left alone.
-    """
+    """Reconstruct one empty frame of a small skin: the first of the graph waits for no import."""
     chosen = dict(settings.chosen())
     names = chosen.pop("solver"), chosen.pop("basis")
     if any(":" in name for name in names):

@@ -235,9 +235,7 @@ class Sensor(SourceNode[SensorSettings]):
         return clipped.report(self._f_min, self.skin.f_max, self.skin.unit)
 
     def _watch_range(self) -> None:
-        """Log clipped readings at first, then when their number has doubled, `LOG_S` apart at
-        least: a wrong sign, unit or range.
-        """
+        """Log clipped readings at first, then when doubled, `LOG_S` apart: wrong sign or unit."""
         clipped = self._clipped()
         if clipped["clipped"] <= 2 * self._n_logged:
             return
@@ -334,9 +332,7 @@ class Sensor(SourceNode[SensorSettings]):
         return default if self.settings.drift is None else self.settings.drift
 
     def _placed_skin(self) -> Skin:
-        """The skin of the source, of a layout that of its virtual grid.
-        Raises SourceError if a frame has another number of readings.
-        """
+        """The skin of the source, of a layout that of its virtual grid; SourceError by its size."""
         skin = self._source.skin
         if self._placement is None or self._source.on_points:
             return skin

@@ -206,9 +206,7 @@ class Touch:
         return depths, hit, tops
 
     def _deep(self, top: Doubles, normal: Doubles) -> tuple[float, int]:
-        """Penetration and geom where the first surface is deeper than is read: another one above,
-        the deepest where the ray starts inside a body, or none.
-        """
+        """Penetration and geom where the first surface is deeper than is read; or none."""
         import mujoco
 
         depth, hit, outward = self._pad.depth_m, np.full(1, -1, np.int32), np.zeros(3)

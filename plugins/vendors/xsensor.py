@@ -40,9 +40,7 @@ def is_xsensor(raw: bytes) -> bool:
 
 
 class _Frame(NamedTuple):
-    """The first sensor of a frame, its pitch, and True if it covers a part of its grid alone; the
-    time of day in s, the readings, and the mask of sensels that exist.
-    """
+    """First sensor, pitch, True if a part of the grid; time of day, s; readings; mask."""
 
     sensor: str
     pitch_m: float | None

@@ -232,9 +232,7 @@ class ContactScores:
 
 
 class _Part:
-    """True contacts of a part by id: all; begin and largest total of those that are not found yet;
-    the id that was found at each last.
-    """
+    """True contacts of a part by id: all; begin and largest total of those not found yet; ids."""
 
     def __init__(self) -> None:
         self.seen: set[int] = set()

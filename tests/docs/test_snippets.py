@@ -151,9 +151,7 @@ def test_commands_named_in_the_text_have_help(capsys: pytest.CaptureFixture[str]
 
 
 def runnable(arguments: list[str]) -> bool:
-    """True if a launch command names no file or device that only its reader has, and asks for none
-    of what a file lacks.
-    """
+    """True if a launch command names no file or device that only its reader has."""
     readers = (".toml", "--host", "serial:/dev", "file:my_bag", "log.csv --open")
     return not any(part in " ".join(arguments) for part in readers)
 

@@ -22,9 +22,7 @@ SANITIZED = (f"-fsanitize={','.join(_KINDS[_FROM:])}", "-fno-sanitize-recover=al
 
 
 def compiled(described: EdgeDescription, folder: Path, *flags: str, test: bool = False) -> Path:
-    """Export an edge into a new folder and compile `edge_stream` there, with sanitizers; and the
-    self-test if wanted.
-    """
+    """Export an edge into a new folder and compile it, with sanitizers; self-test if wanted."""
     if shutil.which("gcc") is None:
         pytest.skip("gcc is not installed")
     out = folder / "edge"

@@ -21,9 +21,7 @@ MESSAGE_DATA = 1
 
 
 class Data(NamedTuple):
-    """A message of a subscription: the channel's topic, the time of the log in ns, its content by
-    the schema that the server advertises.
-    """
+    """A message: topic of the channel, time of the log in ns, content by the server's schema."""
 
     topic: str
     log_time_ns: int

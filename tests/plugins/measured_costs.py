@@ -39,9 +39,7 @@ HOW = f"""# python tests/plugins/measured_costs.py
 
 
 def measure(strategy: Strategy, shape: tuple[int, int], seed: int = 0) -> dict[str, float]:
-    """`FIGURES` of a strategy on a skin that each of `BODIES` presses, microseconds. Single taxels
-    are used as they are read: their host decodes, and solves nothing.
-    """
+    """`FIGURES` of a strategy on a skin that each of `BODIES` presses, microseconds."""
     runs = [[_measure(strategy, shape, body, seed) for body in BODIES] for _ in range(N_REPEATS)]
     edge, calm, pressed = np.moveaxis(np.array(runs), -1, 0)  # each: repeats x bodies
     of_run = (edge.mean(axis=1), calm.min(axis=1), pressed.max(axis=1))
@@ -51,9 +49,7 @@ def measure(strategy: Strategy, shape: tuple[int, int], seed: int = 0) -> dict[s
 def _measure(
     strategy: Strategy, shape: tuple[int, int], body: str, seed: int
 ) -> tuple[float, float, float]:
-    """Median processor time under one body, microseconds: of the edge in pressed frames, and of the
-    host in untouched and in pressed ones.
-    """
+    """Median processor time under one body, microseconds: edge pressed, host untouched, pressed."""
     noise = NoiseModel.for_range(PAPER_F_MAX_N)
     skin = Skin(*shape, noise.f_max, "N", 0.004)
     settings: dict[str, Any] = {"phi": strategy.phi, "seed": seed, "rows": strategy.rows}

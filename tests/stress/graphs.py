@@ -178,9 +178,7 @@ class GraphRun(Program):
 def launch_text(
     nodes: Mapping[str, Mapping[str, Any]], graph: Mapping[str, Any] | None = None
 ) -> str:
-    """Text of a launch file: settings of each node by its name, which is its type where none is
-    stated, and of the table [graph]; keys whose value is None are left out.
-    """
+    """Text of a launch file: settings of nodes by name, and of [graph]; None: left out."""
     tables = {f"nodes.{name}": {"type": name, **settings} for name, settings in nodes.items()}
     return "".join(
         f"[{table}]\n"
@@ -192,9 +190,7 @@ def launch_text(
 
 
 def graph_text(graph: Mapping[str, Any] | None = None, **changed: Mapping[str, Any]) -> str:
-    """Launch file of the graph to which faults are done, with changed settings of the graph and of
-    nodes by name. With this restart window each fault counts as the first.
-    """
+    """Launch file of the graph to which faults are done, with changed settings by name."""
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"source": "scene:path_40", "rate_hz": RATE_HZ},
         "compressor": {"rows": FIXED},
@@ -246,10 +242,7 @@ class Probe:
         return self._clock.now_ns()
 
     def lost(self, since_ns: int) -> tuple[int, int]:
-        """Frames acquired since a time and not reconstructed, and frames acquired; from the first
-        to the last reconstructed one, as one subscription may begin after the other, and later
-        frames may be on their way.
-        """
+        """Frames acquired since a time and not reconstructed, and acquired, to the last one."""
         done = {seen.stamp_ns for seen in list(self.reconstructed)}
         until_ns = max(done, default=0)
         since_ns = max(since_ns, min(done, default=0) - 1)
@@ -258,9 +251,7 @@ class Probe:
         return len(sensed - done), len(sensed)
 
     def wait_for_frame(self, after_ns: int | None = None, max_age_ns: float = FRESH_NS) -> float:
-        """Wait for the reconstruction of a frame acquired after a time, by default now, that is no
-        older than `max_age_ns` as it comes; the seconds from that time until it came.
-        """
+        """Seconds until a frame acquired after a time (now) comes, at most `max_age_ns` old."""
         begin_ns = self.now_ns() if after_ns is None else after_ns
         found: list[Seen] = []
 

@@ -79,9 +79,7 @@ class Watched:
         )
 
     def end(self, note: Any, attack: str, **figures: Any) -> dict[str, list[Look]]:
-        """Wait for the end of the attack and end the graph, which has lost nothing; before, at most
-        and after by node.
-        """
+        """Wait for the end of the attack, end the graph; before, at most, after by node."""
         wait_until(self.is_as_before, "the end of all connections")
         self._graph.probe.wait_for_frame()
         self.look()
@@ -110,9 +108,7 @@ def few_files(limit: int | None) -> Iterator[None]:
 
 
 def half_open(port: int, k: int) -> socket.socket:
-    """A connection that is silent after the k-th kind of beginning; every other one from an address
-    of its own.
-    """
+    """A connection silent after the k-th kind of beginning; half from addresses of their own."""
     made = socket.socket()
     try:
         if k % 2:
@@ -192,9 +188,7 @@ def test_half_open_connections_cost_a_graph_with_keys_nothing(
 
 
 class Pages:
-    """Connections that request the stream of a page with its token, at once, and read it; all but
-    `reading` of them stall once they have their answer.
-    """
+    """Connections that request the stream of a page at once; all but `reading` stall afterwards."""
 
     def __init__(self, url: str, n: int, reading: int) -> None:
         place = urlsplit(url)

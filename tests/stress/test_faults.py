@@ -106,9 +106,7 @@ def strike(
 
 
 def not_recorded(folder: Path, sensed: set[int]) -> int:
-    """Number of frames that are in no recording, of those acquired between the first and the last
-    that is in one; recordings that a killed recorder has left are read too.
-    """
+    """Number of frames in no recording, those of killed recorders included."""
     recorded: set[int] = set()
     for path in folder.glob("run*.mcap*"):
         with BagReader(path) as bag:
@@ -174,9 +172,7 @@ def begun(tmp_path: Path) -> Iterator[Callable[..., ObservedGraph]]:
 
 @pytest.fixture
 def ended(note: Any) -> Callable[..., Outcome]:
-    """End a graph and note its figures under the name of its fault: no other node has ended, and
-    nothing is left behind.
-    """
+    """End a graph, note its figures by the fault: no other node ended, nothing is left behind."""
 
     def end(graph: ObservedGraph, fault: str, *but: str, **figures: Any) -> Outcome:
         found = graph.outcome(*but)

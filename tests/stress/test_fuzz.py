@@ -132,11 +132,7 @@ def hostile_subscription(rng: np.random.Generator) -> bytes:
 
 
 class Harness:
-    """A node in a process of its own, joined to this program alone; to be used in a `with`.
-
-    It has the settings `values` and reads `topics` from `writer`; `streams` are those topics that
-    are not latched.
-    """
+    """A node in a process of its own, joined to this program alone, for a `with`."""
 
     def __init__(self, type_name: str, values: dict[str, Any], topics: list[str]) -> None:
         self.context = make_context()

@@ -214,9 +214,7 @@ class Quadtree:
         return -(-(self.n_tiles + (1 + N_PARTS) * marked) // 8)
 
     def _visits(self, marked: Mask) -> Iterator[tuple[Level, Indices]]:
-        """Yield each level with its nodes whose larger one is marked, all of the first; the caller
-        may mark those of a level before it asks for the next one.
-        """
+        """Yield each level with its nodes whose larger one is marked, which the caller may mark."""
         nodes = np.arange(self.n_tiles if self.levels else 0)
         for k, level in enumerate(self.levels):
             yield level, nodes

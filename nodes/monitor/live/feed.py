@@ -156,9 +156,7 @@ class Feed:
         self.pulse_s = time.monotonic()
 
     def _add_unpaired(self, feed: PatchFeed, message: Message, now_s: float) -> None:
-        """Show a map without the rest of its frame, if no frame was complete for a while: taxels
-        that are not reconstructed, or a reconstruction so late that its taxels are dropped.
-        """
+        """Show a map without the rest of its frame, if no frame was complete for a while."""
         if not isinstance(message, Taxels | Truth | Reconstruction):
             return
         if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:

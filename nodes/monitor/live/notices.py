@@ -106,9 +106,7 @@ class Notices:
 
 
 def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
-    """Notices of all patches; those of more than `FEW` patches that differ in numbers alone are
-    one, with the text of the first patch.
-    """
+    """Notices of all patches; of more than `FEW` that differ in numbers alone, the first."""
     if len(by_patch) == 1:
         return next(iter(by_patch.values()))
     kinds: dict[tuple[str, str], list[tuple[str, str]]] = {}

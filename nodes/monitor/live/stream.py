@@ -200,9 +200,7 @@ def _resultant(patch: PatchFeed) -> dict[str, Any]:
 
 
 def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
-    """Contacts of the frame shown, by their ids, if they are published: number and total of all,
-    fields of the strongest.
-    """
+    """Contacts of the frame shown: number and total of all, fields of the strongest."""
     found = patch.contacts
     if found is None or abs(found.stamp_ns - patch.stamp_ns) > 1e9 * patch.stale_s:
         return {}

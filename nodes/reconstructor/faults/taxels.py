@@ -179,9 +179,7 @@ def _shift(here: Reach, there: Reach) -> int:
 
 @dataclass
 class _Suspect:
-    """Taxels that stand alone: their forces, the squared noise of each in each frame so far, and
-    True if that was found as stated.
-    """
+    """Taxels that stand alone: forces, and squared noise of each frame; True if it is as stated."""
 
     forces: Floats
     noise: list[Floats] = field(default_factory=list)
@@ -332,9 +330,7 @@ class TaxelWatch:
                 self._use_again(place)
 
     def _as_noisy_as_stated(self, forces: Floats, change: Floats, quiet: Sequence[int]) -> bool:
-        """Return True if the measurements have the noise that the skin states of all taxels but
-        the quiet ones.
-        """
+        """True if the measurements have the stated noise of all taxels but the quiet ones."""
         variances = np.square(self._sigma(forces))
         variances.flat[list(quiet)] = 0
         # Half of the noise of an untouched taxel is clipped at 0.

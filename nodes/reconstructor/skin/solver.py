@@ -230,9 +230,7 @@ class SkinSolver(Solver):
         return max(self._noise * self._trust, self._floor)
 
     def _follow_signal(self, e2: float, noise: float) -> float:
-        """Return the mean squared error of the prediction: what the innovation's, e2, exceeds the
-        noise by, averaged over frames.
-        """
+        """Mean squared error of the prediction: the excess of e2 over the noise, averaged."""
         n_read = self._values.size
         now = self._t.surplus(e2, noise, n_read)
         self._signal += self._t.signal_rate * (e2 - noise - self._signal)
@@ -301,9 +299,7 @@ class SkinSolver(Solver):
         return _mean(self._residuals[-self._t.averaged :])
 
     def _follow_bias(self, settled: Settled) -> None:
-        """Update the mean reading of an untouched taxel: by the residual along Phi 1, and by the
-        taxels of the estimate within the noise.
-        """
+        """Update the mean reading of an untouched taxel: by residual along Phi 1, and taxels."""
         t, n, energy = self._t, self._rows.n, self._ones_of()[1]
         noise = math.sqrt(self._least_noise)
         more = settled.along / energy if energy > DUST * n else 0.0

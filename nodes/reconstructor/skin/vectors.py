@@ -118,9 +118,7 @@ class FrameVectors:
         self._compare(float(now @ now), float(last @ last), float(now @ last))
 
     def _compare(self, power: float, of_last: float, product: float) -> None:
-        """Set `innovation2` and `alike` by the sums of squares of the innovation and of the last
-        correction, and the sum of their products.
-        """
+        """Set `innovation2` and `alike`: innovation and last correction, squares and product."""
         self.innovation2 = power / self.innovation.size
         self.alike = product / math.sqrt(power * (of_last + NEGLIGIBLE**2 * power) + TINY)
 

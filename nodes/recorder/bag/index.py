@@ -224,9 +224,7 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
 
 
 def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | None, str]:
-    """The index at the end of the file, None if it must be scanned; and the damage found by
-    the checksums, "" for none. Raises Break if there is no index.
-    """
+    """The index at the end, None if it must be scanned; its damage. Raises Break without one."""
     size = size_of(file)
     footer_at = max(size - _FOOTER_BYTES - len(MAGIC), 0)
     footer = record_at(file, footer_at, size, Opcode.FOOTER).parsed(mcap.Footer.read)

@@ -105,9 +105,7 @@ def _recorded(bag: BagReader, topics: list[str], folder: Path) -> Iterator[dict[
 
 
 class _Columns:
-    """Messages of one topic, field by field: numbers and texts in memory, frames in files, as a
-    recording may be larger than the memory. `place` stands for the topic in errors.
-    """
+    """Messages of one topic, field by field, frames in files; `place` names the topic in errors."""
 
     def __init__(self, place: str, message: Message, folder: Path) -> None:
         self._place, self._schema = place, message.schema

@@ -175,9 +175,7 @@ class Drift:
         np.clip(self.value, -t.most * self._f_max, t.most * self._f_max, out=self.value)
 
     def _lightly_pressed(self, mean: Doubles, dt_s: float) -> Mask:
-        """The taxels under presses that may be too light to count as a touch, by the mean of the
-        frames of the last dt_s seconds.
-        """
+        """Taxels under presses too light for a touch, by the mean of the last dt_s seconds."""
         t = TUNING
         self._n_updates += 1
         means = np.stack([mean, of_nine(mean, np.add) / 9])

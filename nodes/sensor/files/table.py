@@ -237,9 +237,7 @@ def _iso(cell: str) -> int | None:
 
 
 def _unit_of(times: Sequence[float]) -> str:
-    """The unit of numbers that state none: by their size since 1970; else seconds where they are
-    less than 1 apart, and milliseconds where not.
-    """
+    """Unit of numbers that state none, by their size since 1970 or their distance."""
     for least, unit in _EPOCHS:
         if abs(times[0]) > least:
             return unit

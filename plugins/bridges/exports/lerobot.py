@@ -55,9 +55,7 @@ INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 @dataclass(frozen=True)
 class _Stream:
-    """One topic: its feature, the number of frames in a row, all frames (n_frames, N) and their
-    stamps, ascending, in nanoseconds. Of contacts the shape is their number and that of the values.
-    """
+    """One topic: feature, frames in a row, all frames (n_frames, N), their stamps, nanoseconds."""
 
     topic: str
     key: str
@@ -136,9 +134,7 @@ def export_lerobot(
 
 
 def _wanted(bag: BagReader, topics: Iterable[str] | None) -> tuple[list[str], list[str]]:
-    """Topics of maps, and of contacts: those requested; or else the reconstruction of each patch,
-    or its taxels, and all contacts.
-    """
+    """Topics requested; or else the reconstruction of each patch, or its taxels, and contacts."""
     found = frame_topics(bag, topics, (*FRAME_SCHEMAS, Contacts.schema))
     touched = [topic for topic in found if split_topic(topic)[1] == Contacts.schema]
     if topics is not None:

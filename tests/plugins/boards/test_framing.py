@@ -148,9 +148,7 @@ class TestWithoutErrors:
 
 
 def damaged(pieces: list[bytes], data: st.DataObject, safe: bool) -> list[bytes]:
-    """Frames with bytes lost, extra or wrong. `safe`: in one run a frame, shorter than a frame,
-    without start bytes, and each damaged frame is followed by a whole one.
-    """
+    """Frames with bytes lost, extra or wrong; `safe`: each is followed by a whole one."""
     out, k = [], 0
     while k < len(pieces):
         piece, n = pieces[k], len(pieces[k])

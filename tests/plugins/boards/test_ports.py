@@ -257,9 +257,7 @@ def test_frames_before_the_start_and_while_paused_are_counted_as_unused(line: Li
 def test_frames_of_a_board_with_a_clock_have_its_time(
     line: Line, monkeypatch: pytest.MonkeyPatch, clock: str
 ) -> None:
-    """A board whose clock is 100 ppm fast and wraps, behind 5 ms of jitter, and started again; the
-    host's clock is set by the test.
-    """
+    """A board whose clock is 100 ppm fast, wraps and restarts, with 5 ms of jitter."""
     query = "rows=2&cols=3&start=A55A&sequence=u16&skip=4&stamp=u32&stamp_at=4&checksum=crc16"
     now = ManualClock(10**18)
     here = SimpleNamespace(monotonic_ns=now.now_ns, monotonic=time.monotonic)

@@ -47,9 +47,7 @@ def this_host_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Peer:
-    """The other process. It ends by itself with its `with`: one that is killed is for seconds still
-    taken for a reader by those of its domain, so that a later writer does not wait for its own.
-    """
+    """The other process; it ends by itself with its `with`, so that no reader of it is left."""
 
     def __init__(self, action: str, topic: str, kind: str, n: int) -> None:
         self.process = subprocess.Popen(

@@ -114,10 +114,7 @@ FOLLOWED[2:10, 2:10] = False  # a press holds the taxels around it
 def drift_under_a_light_press(
     percent: float, noise: float, *, drift: float = 0.0, seconds: float = 62.0
 ) -> np.ndarray:
-    """Drift that is followed, in parts of f_max, once a part of a skin of f_max = 2.5 N was pressed
-    by so many % of it from second 2 on, all its readings rise by `drift` a second, in parts of
-    f_max, and have noise of the standard deviation `noise`, N.
-    """
+    """Drift followed, in parts of f_max, under a press of some % from second 2 on."""
     chain = Chain(SkinDescription("palm", *PAD, 2.5, noise=noise or None))
     rng = np.random.default_rng(0)
     for k in range(round(20 * seconds)):

@@ -27,9 +27,7 @@ TABLE = {
 
 @dataclass
 class Played:
-    """All frames of a scene: their largest force and their sum, each of shape (n_steps,), and one
-    frame at which the body has come to rest, just before it is moved.
-    """
+    """Largest force and sum of each frame of a scene, and one frame of the body at rest."""
 
     peak: npt.NDArray[np.float64]
     total: npt.NDArray[np.float64]
