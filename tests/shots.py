@@ -9,9 +9,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import io
-import os
 import re
-import signal
 import sys
 import tempfile
 import time
@@ -19,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from browser import browser, dark, lack
+from browser import browser, lack
 from conftest import Program, wait_until
 
 DOCS = Path(__file__).parent.parent / "docs" / "pictures"
@@ -74,10 +72,10 @@ def n_drawn(page: Any) -> int:
     return int(page.execute_script("return Number(document.body.dataset.drawn ?? 0)"))
 
 
-def touched(page: Any, n: int = 800) -> bool:
-    """True if a body presses on the skin now and `n` frames of history have been drawn."""
+def touched(page: Any) -> bool:
+    """True if a body presses on the skin now."""
     found = re.search(r"total ([0-9.]+) N", text(page, '[data-panel="truth"] figcaption'))
-    return found is not None and float(found[1]) > 8 and n_drawn(page) > n
+    return found is not None and float(found[1]) > 8
 
 
 def hero(page: Any, folder: Path) -> None:
@@ -87,7 +85,7 @@ def hero(page: Any, folder: Path) -> None:
         wait_until(lambda: n_frames(page) >= DRAGGED_FROM, "the drag")
         wait_until(
             lambda: (
-                touched(page, 0) and not text(page, "#notices") and not page.execute_script(marks)
+                touched(page) and not text(page, "#notices") and not page.execute_script(marks)
             ),
             "a trusted contact",
         )
@@ -156,42 +154,21 @@ def n_frames(page: Any) -> int:
     return int(found[1]) if found else 0
 
 
-def one_patch(page: Any, folder: Path) -> None:
-    """A wrench is dragged over the skin; then the sensor hangs."""
-    with launched(page, folder, "drag_wrench_64", "sensor.rate_hz=100") as program:
-        wait_until(lambda: touched(page), "the wrench on the skin")
-        sensor = program.pid_of("sensor")
-        os.kill(sensor, signal.SIGSTOP)
-        wait_until(lambda: "not answering" in text(page, "#nodes"), "the notice")
-        shoot(page, "stale")
-        os.kill(sensor, signal.SIGCONT)
-
-
-def many_patches(page: Any, folder: Path) -> None:
-    """The overview of a body; then one of two patches on a phone in the dark."""
+def overview(page: Any, folder: Path) -> None:
+    """The overview of a body, zoomed to its contacts."""
     with launched(page, folder, "body", "sensor.rate_hz=20", "reconstructor.contacts=true"):
-        zoom = "document.getElementById('zoom').click()"
         wait_until(
             lambda: text(page, "[data-tile=pressed] strong") == "8", "eight that are pressed"
         )
-        page.execute_script(zoom)
+        page.execute_script("document.getElementById('zoom').click()")
         before = n_drawn(page)
         wait_until(lambda: n_drawn(page) > before + 500, "frames of history")
         wait_until(lambda: not text(page, "#notices"), "no notice")
         shoot(page, "overview")
-    with launched(page, folder, "two_patches"):
-        dark(page, True)
-        metrics = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
-        page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-        page.execute_script("location.hash = '#/forearm'")
-        before = n_drawn(page)
-        wait_until(lambda: n_drawn(page) > before + 100, "frames of one")
-        shoot(page, "phone")
 
 
 def torso(page: Any, folder: Path) -> None:
     """A body is pressed all round: its taxels in 3-D, zoomed to the contact and back."""
-    dark(page, False)
     size = {"width": 1280, "height": 720, "deviceScaleFactor": 1, "mobile": False}
     page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     caption = '[data-panel="reconstruction"] figcaption'
@@ -220,8 +197,7 @@ SHOTS = {
     "hero": hero,
     "contact": contact,
     "contacts": contacts,
-    "stale": one_patch,
-    "patches": many_patches,
+    "overview": overview,
     "torso": torso,
 }
 

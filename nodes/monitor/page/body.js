@@ -2,8 +2,8 @@
 
 import { Cloud } from "./cloud.js";
 import { contactsOf, summary } from "./contacts.js";
-import { ago, brief, element, setText } from "./dom.js";
-import { CONTACT, highest } from "./maps.js";
+import { ago, brief, cells, element, highest } from "./dom.js";
+import { CONTACT } from "./maps.js";
 
 const GAP = 1.08; // distance of patches without a pose, in sides of the largest
 const FEW = 6; // of them, that stand side by side
@@ -33,8 +33,9 @@ export class Body {
     this.skins = {};
     this.figures = {}; // of a patch: peak and total of its newest map, its contacts
     this.body = element("tbody", {});
-    root.replaceChildren(element("thead", {},
-      element("tr", {}, ...COLUMNS.map((title) => element("th", {}, title)))), this.body);
+    const head = element("tr", {});
+    cells(head, "th", COLUMNS);
+    root.replaceChildren(element("thead", {}, head), this.body);
   }
 
   // Take the record of a skin.
@@ -90,20 +91,16 @@ export class Body {
     return [summary(this.figures[patch].contacts, this.skins[patch].unit) || "pressed", "good"];
   }
 
-  // Show figures of all patches: `rows` has the cells of each after its total.
+  // Show figures of all patches; `rest` has those after the total.
   table(states, isPaused, rest) {
     for (const [patch, state] of Object.entries(states)) {
-      let line = document.getElementById(`row-${patch}`);
-      if (!line) {
-        line = element("tr", { id: `row-${patch}` }, ...COLUMNS.map(() => element("td", {})));
-        line.cells[0].append(element("a", { href: `#/${patch}` }, patch));
-        this.body.append(line);
-      }
+      const row = document.getElementById(`row-${patch}`) ?? element("tr", { id: `row-${patch}` },
+        element("td", {}, element("a", { href: `#/${patch}` }, patch)));
+      if (!row.isConnected) this.body.append(row);
       const { peak, total } = this.figures[patch] ?? {}, unit = this.skins[patch]?.unit;
       const [text, tone] = this.#now(patch, state, isPaused);
-      line.cells[1].className = tone;
-      [text, brief(peak, unit), brief(total, unit), ...rest(patch, state)]
-        .forEach((cell, k) => setText(line.cells[k + 1], cell));
+      cells(row, "td", [patch, text, brief(peak, unit), brief(total, unit), ...rest(patch, state)]);
+      row.children[1].className = tone;
     }
   }
 

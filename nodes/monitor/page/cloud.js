@@ -15,7 +15,6 @@ const GRAZING = 0.12; // least cosine of the angle of view: thinner ellipses are
 const RIM = 0.02; // of the plate around a flat skin, in its longer sides
 const PITCH_M = 0.005; // of a skin that states none
 const MARGIN = 0.48; // radius of the skin in widths of the view
-const OVERLAP = 24; // discs on top of one another, averaged over the view, that are drawn in full
 const LIGHT = [-0.37, 0.46, 0.81], AMBIENT = 0.3; // from above, left, and the eye
 
 export class Cloud {
@@ -157,22 +156,22 @@ export function scaleOf(cloud, view, width, height) {
   return (view.zoom * MARGIN * Math.min(width, height)) / cloud.radius;
 }
 
-// Place in pixels of a point of the cloud: to the right, down, and towards the eye.
-export function projected(cloud, view, width, height, place) {
-  const scale = scaleOf(cloud, view, width, height), { centre: c } = cloud;
-  const from = [place[0] - c[0], place[1] - c[1], place[2] - c[2]];
-  const [right, up, eye] = axes(view).map((axis) => scale * dot(axis, from));
-  return [width * (0.5 + view.x) + right, height * (0.5 + view.y) - up, eye];
+// Takes a point of the cloud to its place in pixels: to the right, down, and towards the eye.
+export function projector(cloud, view, width, height) {
+  const scale = scaleOf(cloud, view, width, height), [cx, cy, cz] = cloud.centre;
+  const [right, up, eye] = axes(view), x0 = width * (0.5 + view.x), y0 = height * (0.5 + view.y);
+  return ([x, y, z]) => {
+    const from = [x - cx, y - cy, z - cz];
+    return [x0 + scale * dot(right, from), y0 - scale * dot(up, from), scale * dot(eye, from)];
+  };
 }
 
 // What is seen at each pixel: fills target.index, of width x height.
 export function rasterise(cloud, view, target) {
-  const { width, height, index, depth } = target;
-  const [right, up, eye] = axes(view), scale = scaleOf(cloud, view, width, height);
-  const [cx, cy, cz] = cloud.centre, { points, spacing } = cloud;
-  const x0 = width * (0.5 + view.x), y0 = height * (0.5 + view.y);
-  index.fill(0);
-  depth.fill(-Infinity);
+  const { width, height } = target, [right, up, eye] = axes(view);
+  const project = projector(cloud, view, width, height), scale = scaleOf(cloud, view, width, height);
+  target.index.fill(0);
+  target.depth.fill(-Infinity);
   const lit = (normal) => { // shade and slopes of a surface, of which the side is seen
     const sign = dot(eye, normal) > 0 ? 1 : -1, nw = sign * dot(eye, normal);
     const nu = sign * dot(right, normal), nv = -sign * dot(up, normal);
@@ -181,32 +180,19 @@ export function rasterise(cloud, view, target) {
     const face = Math.max(nw, GRAZING);
     return [sign > 0, (sign > 0 ? OUTSIDE : INSIDE) + shade, -nu / face, -nv / face];
   };
-  for (const part of cloud.parts.filter(({ isFlat }) => isFlat)) {
-    const [outside, body] = lit(part.turned([0, 0, 1]));
-    tile(target, part, (row, col) => projected(cloud, view, width, height, part.at(row, col)),
-      body, outside ? cloud.taxels : null);
-  }
-  const round = cloud.parts.filter(({ isFlat }) => !isFlat);
-  let area = 0;
-  for (const { first, n } of round) {
-    for (let k = first; k < first + n; k++) area += (BODY * spacing[k] * scale) ** 2;
-  }
-  // Discs far larger than the spacing of their points would take long, and show nothing more.
-  const fit = Math.min(1, Math.sqrt((OVERLAP * view.zoom ** 2 * width * height) / area));
-  const most = Math.min(width, height) / 4;
-  const radius = (metres) => Math.min(most, Math.max(LEAST, fit * scale * metres));
-  for (const { first, n } of round) {
-    for (let k = first; k < first + n; k++) {
-      const p = 6 * k;
-      const x = points[p] - cx, y = points[p + 1] - cy, z = points[p + 2] - cz;
-      const u = x0 + scale * (right[0] * x + right[1] * y + right[2] * z);
-      const v = y0 - scale * (up[0] * x + up[1] * y + up[2] * z);
-      const body = radius(BODY * spacing[k]);
+  for (const part of cloud.parts) {
+    if (part.isFlat) {
+      const [outside, body] = lit(part.turned([0, 0, 1]));
+      tile(target, part, (...at) => project(part.at(...at)), body, outside ? cloud.taxels : null);
+      continue;
+    }
+    for (let k = part.first; k < part.first + part.n; k++) {
+      const [u, v, w] = project(cloud.place(k));
+      const [body, disc] = [BODY, DISC].map((r) => Math.max(LEAST, r * scale * cloud.spacing[k]));
       if (u < -body || u > width + body || v < -body || v > height + body) continue;
-      const w = scale * (eye[0] * x + eye[1] * y + eye[2] * z);
       const [outside, shade, au, av] = lit(cloud.normal(k));
       splat(target, u, v, w - BEHIND * body, au, av, body, 0, shade);
-      if (outside) splat(target, u, v, w, au, av, radius(DISC * spacing[k]), CONE, TAXELS + k);
+      if (outside) splat(target, u, v, w, au, av, disc, CONE, TAXELS + k);
     }
   }
 }

@@ -1,6 +1,6 @@
 // Contacts of a patch: a ring, a trail and a label of each over a map, and a list of them.
 
-import { brief, element, fixed, setText, within } from "./dom.js";
+import { brief, cells, element, fixed, setText, within } from "./dom.js";
 
 const TRAIL_MS = 1500;
 const LEAST = 6; // radius of a ring, and further below sizes of its label, in pixels
@@ -66,11 +66,11 @@ export class Contacts {
   }
 }
 
-// The list of the contacts of a patch. A contact keeps its row, and an ended one a little longer.
+// The list of the contacts of a patch, by id; an ended one stays a little longer.
 export class ContactList {
   constructor(root) {
     this.root = root;
-    this.rows = []; // {line, contact, seen}
+    this.known = new Map(); // id -> {contact, seen}
     this.title = element("h2", {});
     this.head = element("tr", {});
     this.body = element("tbody", {});
@@ -78,18 +78,10 @@ export class ContactList {
     this.figure = element("figure", { id: "contacts" },
       element("div", { class: "heading" }, this.title, element("span", {}, legend)),
       element("table", {}, element("thead", {}, this.head), this.body));
-    for (let k = 0; k < ROWS; k++) this.#add();
   }
 
   get isShown() {
     return this.figure.isConnected;
-  }
-
-  #add() {
-    const line = element("tr", {}, ...Array.from({ length: 6 }, () => element("td", {}, "\u00a0")));
-    this.body.append(line);
-    this.rows.push({ line, seen: -Infinity });
-    return this.rows.at(-1);
   }
 
   // Show the contacts of a record of maps on a skin, at a time in seconds.
@@ -98,30 +90,26 @@ export class ContactList {
     const more = record.n > list.length ? `, the ${list.length} strongest:` : "";
     setText(this.title, summary(record, unit) + more || "No contact");
     const length = pitch || data.points ? "mm" : "taxels";
-    const titles = ["", `Force ${unit}`, `${data.points ? "x, y, z" : "Row, col"} ${length}`,
-      pitch ? "mm²" : "Area", `${length}/s`, "Age s"];
-    if (this.head.children.length === 0) this.head.append(...titles.map(() => element("th", {})));
-    titles.forEach((title, k) => setText(this.head.children[k], title));
-    for (const contact of list) {
-      const row = this.rows.find((each) => each.contact?.id === contact.id)
-        ?? this.rows.find((each) => now - each.seen > LINGER_S)
-        ?? (this.rows.length < MOST ? this.#add()
-          : this.rows.reduce((a, b) => (a.seen <= b.seen ? a : b)));
-      [row.contact, row.seen] = [contact, now];
+    cells(this.head, "th", ["", `Force ${unit}`, `${data.points ? "x, y, z" : "Row, col"} ${length}`,
+      pitch ? "mm²" : "Area", `${length}/s`, "Age s"]);
+    for (const contact of list) this.known.set(contact.id, { contact, seen: now });
+    const rows = [...this.known].filter(([, { seen }]) => now - seen <= LINGER_S)
+      .sort(([a], [b]) => a - b).slice(-MOST);
+    this.known = new Map(rows);
+    while (this.body.children.length < Math.max(ROWS, rows.length)) this.body.append(element("tr", {}));
+    [...this.body.children].forEach((line, k) => {
+      const [, { contact, seen }] = rows[k] ?? [0, {}];
+      line.className = seen < now ? "ended" : contact?.trusted === false ? "doubtful" : "";
+      if (!contact) return cells(line, "td", ["\u00a0", "", "", "", "", ""]);
       const at = (data.points && contact.place_mm)
         || contact.centre.map((v) => v * (pitch ? 1000 * pitch : 1));
       const marks = [["over", contact.over], ["slide", contact.sliding]]
         .map(([name, is]) => (is ? EVENTS[name][0] : "")).join("");
-      [`${contact.id}${marks}`, within(contact.total, contact.total_sd, ""),
+      return cells(line, "td", [`${contact.id}${marks}`, within(contact.total, contact.total_sd, ""),
         at.map((v) => v.toFixed(data.points ? 0 : 1)).join(", "),
         contact.area_mm2 ? brief(contact.area_mm2) : String(contact.area),
         fixed(Math.hypot(...(contact.velocity_mm_s ?? contact.velocity)), 0),
-        fixed(contact.age_s, 1),
-      ].forEach((text, k) => setText(row.line.children[k], text));
-    }
-    for (const { line, contact, seen } of this.rows) {
-      line.className = seen < now ? "ended" : contact?.trusted === false ? "doubtful" : "";
-      if (now - seen > LINGER_S) for (const cell of line.children) setText(cell, "\u00a0");
-    }
+        fixed(contact.age_s, 1)]);
+    });
   }
 }

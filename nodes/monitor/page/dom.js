@@ -22,6 +22,18 @@ export function setText(target, text) {
   if (target.textContent !== text) target.textContent = text;
 }
 
+export function highest(map) {
+  let high = 0;
+  if (map) for (const value of map) if (value > high) high = value;
+  return high;
+}
+
+// Show texts in the cells of a row of a table.
+export function cells(row, tag, texts) {
+  while (row.children.length < texts.length) row.append(element(tag, {}));
+  texts.forEach((text, k) => setText(row.children[k], text));
+}
+
 const known = (value) => value !== null && value !== undefined && Number.isFinite(value);
 
 export function fixed(value, digits, unit = "") {

@@ -111,11 +111,6 @@ function drawMaps() {
   if (fresh.length) showMaps();
 }
 
-function tile(title, value, note, id) {
-  return element("div", { class: "tile", "data-tile": id }, element("h2", {}, title),
-    element("strong", {}, value), element("span", {}, note));
-}
-
 // The frames that PSNR is shown of: those in contact, before the first one all.
 function shownFrames(summary) {
   return summary?.psnr_db?.reconstruction?.contact ? "contact" : "all";
@@ -177,20 +172,18 @@ function tiles(name) {
   ];
 }
 
-function drawTiles(root, tiles) {
-  for (const [id, title, value, note] of tiles) {
-    const found = root.querySelector(`[data-tile="${id}"]`);
-    if (!found) root.append(tile(title, value, note, id));
-    else {
-      setText(found.querySelector("h2"), title);
-      setText(found.querySelector("strong"), value);
-      setText(found.querySelector("span"), note);
-    }
+// Headline figures, each [id, title, value, note].
+function drawTiles(tiles) {
+  for (const [id, ...texts] of tiles) {
+    const tile = byId("headline").querySelector(`[data-tile="${id}"]`) ?? element("div",
+      { class: "tile", "data-tile": id }, element("h2"), element("strong"), element("span"));
+    if (!tile.isConnected) byId("headline").append(tile);
+    texts.forEach((text, k) => setText(tile.children[k], text));
   }
 }
 
 function drawHeadline() {
-  drawTiles(byId("headline"), tiles(patch));
+  drawTiles(tiles(patch));
   const doubt = notTrusted(model.state?.patches[patch]);
   for (const title of document.querySelectorAll(
     '[data-tile="gain"], [data-panel="reconstruction"] h2')) {
@@ -254,7 +247,7 @@ function drawOverview() {
       `${s.frames?.skipped ?? 0}`, `${lost}`];
   });
   const { tiles: shown, ...charted } = body.tiles(states, model.quiet);
-  drawTiles(byId("headline"), shown);
+  drawTiles(shown);
   for (const [name, value] of model.quiet ? [] : Object.entries(charted)) {
     strips?.series[name].add(seconds() + clock, value);
   }
@@ -268,10 +261,7 @@ function drawText() {
   setText(byId("recording"), `● recording ${model.graph?.recording ?? ""}`);
   drawNodes();
   drawNotices();
-  if (patch === null) {
-    drawOverview();
-    return;
-  }
+  if (body) return drawOverview();
   drawHeadline();
   const record = model.maps[patch];
   if (record?.contacts && maps) {
@@ -293,10 +283,6 @@ function drawText() {
     model.over || (reachable && (model.quiet || state?.ended)));
 }
 
-function drawStrips() {
-  strips?.draw(seconds() + clock, asked(patch));
-}
-
 function open() {
   const name = decodeURIComponent(location.hash.replace(/^#\/?/, "")) || null;
   stream?.close();
@@ -309,8 +295,7 @@ function open() {
   body = name === null ? new Body(byId("patches")) : null;
   strips = name === null ? null : new Strips(byId("strips"));
   contactList = name === null ? null : new ContactList(byId("look"));
-  model.skins = {};
-  [model.maps, model.fresh] = [{}, {}];
+  [model.skins, model.maps, model.fresh] = [{}, {}, {}];
   stream = new Stream(name, onRecord, onConnection);
 }
 
@@ -329,4 +314,4 @@ byId("zoom").addEventListener("click", ({ currentTarget: button }) => {
 });
 open();
 setInterval(drawText, TEXT_MS);
-setInterval(drawStrips, STRIPS_MS);
+setInterval(() => strips?.draw(seconds() + clock, asked(patch)), STRIPS_MS);

@@ -4,7 +4,7 @@
 import { Cloud } from "./cloud.js";
 import { GRADIENT, pixel, Range } from "./colours.js";
 import { Contacts } from "./contacts.js";
-import { brief, byId, cross, element, setText, tick, within } from "./dom.js";
+import { brief, byId, cross, element, highest, setText, tick, within } from "./dom.js";
 import { DARK, SpaceView } from "./space.js";
 
 const TITLES = {
@@ -355,10 +355,4 @@ export class Maps {
 // Taxels whose reading is missing.
 function missingOf(map) {
   return map.reduce((n, value) => n + Number.isNaN(value), 0);
-}
-
-export function highest(map) {
-  let high = 0;
-  if (map) for (const value of map) if (value > high) high = value;
-  return high;
 }

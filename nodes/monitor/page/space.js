@@ -1,9 +1,9 @@
 // A view of a skin of points: turned by dragging, by touch and by the arrow keys, zoomed by the
 // wheel, two fingers, + and -. All maps of a patch share it.
 
-import { OUTSIDE, INSIDE, SHADES, TAXELS, axes, dot, projected, rasterise, scaleOf } from "./cloud.js";
+import { OUTSIDE, INSIDE, SHADES, TAXELS, axes, dot, projector, rasterise, scaleOf } from "./cloud.js";
 import { pixel } from "./colours.js";
-import { cross, element } from "./dom.js";
+import { cross, element, highest } from "./dom.js";
 
 const FINENESS = 2; // pixels drawn for one of the page: their mean has smooth edges
 const COARSE = 1, TURNING_MS = 200; // while the view is turned, and this long afterwards
@@ -52,42 +52,30 @@ export class SpaceView {
   zoom(isOn, map) {
     const facing = isOn && map ? this.#facing(map) : null;
     if (!facing && this.isZoomed) this.reset();
-    this.isZoomed = false;
+    this.isZoomed = facing !== null;
     if (!facing) return;
-    const { cloud } = this, view = { ...facing, zoom: 1 }, [, , eye] = axes(view);
-    const top = PRESSED * map.reduce((a, b) => (b > a ? b : a), 0);
-    const [low, high] = [[1, 1], [0, 0]];
+    const { cloud } = this, [, , eye] = axes(facing), pressed = [];
+    const project = projector(cloud, { ...facing, zoom: 1 }, 1, 1), most = highest(map);
     for (let k = 0; k < cloud.n; k++) {
-      if (!(map[cloud.cells[k]] > top) || dot(eye, cloud.normal(k)) <= 0) continue;
-      projected(cloud, view, 1, 1, cloud.place(k)).slice(0, 2).forEach((v, axis) => {
-        [low[axis], high[axis]] = [Math.min(low[axis], v), Math.max(high[axis], v)];
-      });
+      if (!(map[cloud.cells[k]] > PRESSED * most) || dot(eye, cloud.normal(k)) <= 0) continue;
+      pressed.push(project(cloud.place(k)));
     }
-    const span = Math.max(high[0] - low[0], high[1] - low[1], FILLED / MOST_ZOOMED);
-    view.zoom = Math.max(1, FILLED / span);
-    [view.x, view.y] = [0, 1].map((axis) => view.zoom * (0.5 - (low[axis] + high[axis]) / 2));
-    this.view = view;
-    this.isZoomed = true;
+    const ends = [0, 1].map((axis) => pressed.reduce(([low, high], { [axis]: v }) =>
+      [Math.min(low, v), Math.max(high, v)], [1, 0]));
+    const span = Math.max(...ends.map(([low, high]) => high - low), FILLED / MOST_ZOOMED);
+    const zoom = Math.max(1, FILLED / span);
+    const [x, y] = ends.map(([low, high]) => zoom * (0.5 - (low + high) / 2));
+    this.view = { ...facing, zoom, x, y };
     this.#turned();
-  }
-
-  #opening() {
-    const mean = [0, 0, 0], { cloud } = this;
-    for (let k = 0; k < cloud.n; k++) cloud.normal(k).forEach((v, axis) => (mean[axis] += v / cloud.n));
-    const front = towards(mean);
-    const aside = { yaw: front.yaw + 0.35, pitch: Math.max(-1, Math.min(1, front.pitch + 0.25)) };
-    return { x: 0, y: 0, zoom: 1, ...(Math.hypot(...mean) < ONE_SIDED ? OPENING : aside) };
   }
 
   // Zoom to the most loaded taxel of a map again once it is not seen, or near the edge.
   follow(map) {
-    const k = this.cloud.taxels[map.indexOf(map.reduce((a, b) => (b > a ? b : a), 0))];
+    const { cloud, view } = this, k = cloud.taxels[map.indexOf(highest(map))];
     if (!(k >= 0) || this.pointers.size || this.timer !== undefined) return;
-    const [x, y] = projected(this.cloud, this.view, 1, 1, this.cloud.place(k));
-    const isSeen = dot(axes(this.view)[2], this.cloud.normal(k)) > GRAZED;
-    if (!this.isZoomed || !isSeen || Math.max(Math.abs(x - 0.5), Math.abs(y - 0.5)) > NEAR_EDGE) {
-      this.zoom(true, map);
-    }
+    const off = projector(cloud, view, 1, 1)(cloud.place(k)).slice(0, 2).map((v) => Math.abs(v - 0.5));
+    const isSeen = dot(axes(view)[2], cloud.normal(k)) > GRAZED && Math.max(...off) < NEAR_EDGE;
+    if (!this.isZoomed || !isSeen) this.zoom(true, map);
   }
 
   // Turn to the first contact, once, unless the view is turned already. The frame is drawn
@@ -287,7 +275,7 @@ export class SpaceView {
     const { cloud, view } = this, { width, height, index } = this.target;
     const scale = scaleOf(cloud, view, w, h);
     return cells.filter((cell) => cloud.taxels[cell] >= 0).flatMap((cell) => {
-      const k = cloud.taxels[cell], [x, y] = projected(cloud, view, w, h, cloud.place(k));
+      const k = cloud.taxels[cell], [x, y] = projector(cloud, view, w, h)(cloud.place(k));
       const col = Math.floor((x / w) * width), row = Math.floor((y / h) * height);
       const isOver = col >= 0 && row >= 0 && col < width && row < height;
       if (!isOver || index[row * width + col] !== TAXELS + k) return [];
@@ -298,7 +286,7 @@ export class SpaceView {
 
   #ring(k, w, h) {
     const { cloud, view } = this;
-    const [x, y] = projected(cloud, view, w, h, cloud.place(k));
+    const [x, y] = projector(cloud, view, w, h)(cloud.place(k));
     const r = Math.max(4, 0.8 * cloud.spacing[k] * scaleOf(cloud, view, w, h));
     return element("ellipse", { cx: x, cy: y, rx: r, ry: r });
   }
@@ -308,7 +296,7 @@ export class SpaceView {
     const spacing = cloud.spacing.reduce((a, b) => a + b, 0) / cloud.n;
     return contacts.drawn({ w, h, pixel: 1 },
       ({ place_mm: place }) =>
-        place && projected(cloud, view, w, h, place.map((v) => v / 1000)).slice(0, 2),
+        place && projector(cloud, view, w, h)(place.map((v) => v / 1000)).slice(0, 2),
       ({ area }) => scale * spacing * Math.sqrt(area / Math.PI),
       ({ normal }) => normal && dot(eye, normal) <= 0);
   }

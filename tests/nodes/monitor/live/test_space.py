@@ -316,10 +316,9 @@ def test_patches_of_a_body_stand_at_their_poses_with_what_they_do(
 
         wait_until(is_pressed, "what each does")
         assert run(page, now, "torso") == "no frame yet"
-        place = (  # of the patch in front, which is pressed, in what is drawn
-            "const [done, at] = [arguments[1], arguments[0]];"
-            "import('./cloud.js').then(({ Cloud, projected }) => {"
-            "  const skin = { n_rows: 5, n_cols: 7, pitch_m: 0.05, data: {}, pose: at };"
+        place = (
+            "const [pose, done] = arguments; import('./cloud.js').then(({ Cloud }) => {"
+            "  const skin = { n_rows: 5, n_cols: 7, pitch_m: 0.05, data: {}, pose };"
             "  const cloud = new Cloud([skin]);"
             "  done([cloud.place(0), cloud.normal(0)].map((v) => [...v])); });"
         )
