@@ -26,6 +26,7 @@ from sparseskin.messages.ranges import is_real
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.clock import ClockEstimate
 from sparseskin.nodes.errors import RefusedError, SettingsError
+from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import Settings, check_patch, check_patches, naming, setting
 
@@ -80,6 +81,10 @@ class MonitorSettings(Settings):
                     raise SettingsError(f"expected a list of names, got {names!r}")
                 check_patches("patches", tuple(names))
         for patch, pose in (self.poses or {}).items():
+            if patch not in self.all_patches:
+                raise SettingsError(
+                    f"poses.{patch}: no patch{did_you_mean(patch, self.all_patches)}"
+                )
             check_pose(f"poses.{patch}", pose)
         if len(set(self.all_patches)) < len(self.all_patches):
             raise SettingsError("batches: a patch occurs twice")

@@ -69,6 +69,14 @@ export class SpaceView {
     this.#turned();
   }
 
+  #opening() {
+    const mean = [0, 0, 0], { cloud } = this;
+    for (let k = 0; k < cloud.n; k++) cloud.normal(k).forEach((v, axis) => (mean[axis] += v / cloud.n));
+    const front = towards(mean);
+    const aside = { yaw: front.yaw + 0.35, pitch: Math.max(-1, Math.min(1, front.pitch + 0.25)) };
+    return { x: 0, y: 0, zoom: 1, ...(Math.hypot(...mean) < ONE_SIDED ? OPENING : aside) };
+  }
+
   // Zoom to the most loaded taxel of a map again once it is not seen, or near the edge.
   follow(map) {
     const { cloud, view } = this, k = cloud.taxels[map.indexOf(highest(map))];

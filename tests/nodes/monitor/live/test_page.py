@@ -124,7 +124,7 @@ def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(
     set_field(page, "sensor.rate_hz", "0")
     wait_until(lambda: text(page, "#liveness") == "paused", "the pause")
     set_field(page, "sensor.rate_hz", "20")
-    wait_until(lambda: text(page, "#liveness") == "live", "the run to go on")
+    wait_until(lambda: "Pause" in text(page, "[data-pause]"), "the run to go on")
     set_field(page, "compressor.m", "400")
     wait_until(lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400")
     page.execute_script("document.getElementById('record').click()")
