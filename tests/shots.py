@@ -84,9 +84,7 @@ def hero(page: Any, folder: Path) -> None:
     with launched(page, folder, "drag_wrench_40", "sensor.rate_hz=50"):
         wait_until(lambda: n_frames(page) >= DRAGGED_FROM, "the drag")
         wait_until(
-            lambda: (
-                touched(page) and not text(page, "#notices") and not page.execute_script(marks)
-            ),
+            lambda: touched(page) and not text(page, "#notices") and not page.execute_script(marks),
             "a trusted contact",
         )
         shoot(page, "live")
