@@ -9,11 +9,12 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
+FOLDERS = ("sparseskin", "messages", "nodes", "launch", "studies", "plugins")
 IGNORED = shutil.ignore_patterns("__pycache__")
 
 
 def copy_package(tree: Path) -> None:
-    """Copy the folders that an installation maps to `sparseskin.*` to tree/sparseskin/..."""
-    for imported, folder in CONFIG["setuptools"]["package-dir"].items():
-        to = tree / imported.replace(".", "/")
+    """Copy the folders of the package to tree/sparseskin/..."""
+    for folder in FOLDERS:
+        to = tree / "sparseskin" / ("" if folder == "sparseskin" else folder)
         shutil.copytree(ROOT / folder, to, ignore=IGNORED, dirs_exist_ok=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
 import tempfile
 import tomllib
 from collections.abc import Iterator
@@ -40,14 +41,11 @@ _tree = tempfile.TemporaryDirectory()
 @event_priority(100)  # before mkdocstrings reads its settings
 def on_config(config: Any, **_: Any) -> Any:
     """Let the docstrings be read from a tree that is named as the package is imported."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    for name, folder in sorted(project["tool"]["setuptools"]["package-dir"].items()):
-        made = Path(_tree.name, *name.split("."))
-        made.mkdir(parents=True, exist_ok=True)
-        for inner in (ROOT / folder).iterdir():
-            (made / inner.name).symlink_to(inner)
-        if not (made / "__init__.py").exists():  # launch/ has none, and would not be searched
-            (made / "__init__.py").touch()
+    made = Path(_tree.name, "sparseskin")
+    shutil.copytree(ROOT / "sparseskin", made, dirs_exist_ok=True)
+    for name in ("messages", "nodes", "launch", "studies", "plugins"):
+        shutil.copytree(ROOT / name, made / name, dirs_exist_ok=True)
+    (made / "launch" / "__init__.py").touch()  # it has none, and would not be searched
     config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [_tree.name]
     return config
 

@@ -1,7 +1,7 @@
 """The same box, dropped and dragged, in MuJoCo and in the contact model of the scenes.
 
-Needs MuJoCo: pip install '.[mujoco]'. MuJoCo moves the body; the taxels of models/pad.xml press on
-it by the force law of the scenes.
+Needs MuJoCo: pip install 'sparseskin[mujoco]'. MuJoCo moves the body; the taxels of models/pad.xml
+press on it by the force law of the scenes.
 """
 
 from __future__ import annotations

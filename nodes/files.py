@@ -25,12 +25,12 @@ class OutputError(SparseskinError):
 
 
 def user_folder(kind: str) -> Path:
-    """Folder of this program for "cache", "data" or "state" of the user: in $XDG_KIND_HOME, or
-    in the home directory where that is not an absolute path.
+    """Folder of this program for "cache" or "state" of the user: in $XDG_KIND_HOME, or in the home
+    directory where that is not an absolute path.
     Raises SparseskinError if no home directory is known.
     """
     stated = Path(os.environ.get(f"XDG_{kind.upper()}_HOME", ""))
-    default = {"cache": ".cache", "data": ".local/share", "state": ".local/state"}[kind]
+    default = {"cache": ".cache", "state": ".local/state"}[kind]
     try:
         home = stated if stated.is_absolute() else Path.home() / default
     except RuntimeError as error:

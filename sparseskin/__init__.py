@@ -11,15 +11,13 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # as of `typing`, without its import: the command imports this first
 
-# In a checkout (an editable installation) the subpackages stand beside this folder. `launch` has
-# no __init__.py, lest it shadow the package `launch` of ROS 2, and is found by the path alone.
+# Where Python runs in a checkout, the subpackages stand beside this folder. `launch` has no
+# __init__.py, lest it shadow the package `launch` of ROS 2, and is found by the path alone.
 _here = os.path.dirname(os.path.abspath(__file__))
 if not os.path.isdir(os.path.join(_here, "launch")):
     __path__.append(os.path.dirname(_here))
 
 if TYPE_CHECKING:
-    from typing import Any
-
     from sparseskin.launch.launchfile.load import load as load_launch
     from sparseskin.nodes.compressor.phi.base import make_phi
     from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -36,6 +34,8 @@ if TYPE_CHECKING:
     )
     from .checks import check_basis, check_phi, check_solver
     from .stream import Stream
+
+    __version__: str
 
 #: Module and attribute of each name.
 _HOMES = {
@@ -76,17 +76,19 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version
+if not TYPE_CHECKING:  # which know the names above, and no others
 
-        return version("sparseskin")
-    if name not in _HOMES:
-        raise AttributeError(f"module 'sparseskin' has no attribute {name!r}")
-    module, attribute = _HOMES[name]
-    found = getattr(import_module(module), attribute)
-    globals()[name] = found
-    return found
+    def __getattr__(name):
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version("sparseskin")
+        if name not in _HOMES:
+            raise AttributeError(f"module 'sparseskin' has no attribute {name!r}")
+        module, attribute = _HOMES[name]
+        found = getattr(import_module(module), attribute)
+        globals()[name] = found
+        return found
 
 
 def __dir__() -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 import warnings
@@ -26,6 +25,7 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
+from sparseskin.nodes.numerics.arrays import real_floats
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
@@ -71,8 +71,9 @@ def compress(
     Raises
     ------
     PhiError
-        If the number of existing taxels is not `phi.n`, `rows` is neither, the rows of `phi`
-        cannot rotate, or `phi` is "adaptive".
+        If forces or mask have another shape or type, a force is not finite, the number of existing
+        taxels is not `phi.n`, `phi` measured another grid before, `rows` is neither, the rows of
+        `phi` cannot rotate, or `phi` is "adaptive".
 
     Examples
     --------
@@ -86,9 +87,27 @@ def compress(
             'compress: phi "adaptive" chooses rows by what it reads, and measurements alone do not '
             "state which; allowed: other kinds, or a graph"
         )
-    forces = np.asarray(forces, dtype=np.float32)
-    n = math.prod(forces.shape[-2:])
-    x = forces.reshape(*forces.shape[:-2], n) if mask is None else forces[..., mask]
+    if not hasattr(phi, "forward"):
+        raise PhiError(f"phi: got {type(phi).__name__}; expected what make_phi returns")
+    if np.issubdtype(getattr(forces, "dtype", float), np.integer):
+        allowed = "newtons, as of float32 (counts become newtons by sparseskin calibrate)"
+        raise PhiError(f"compress: forces: type {forces.dtype}; allowed: {allowed}")
+    forces = real_floats(forces, "compress: forces", PhiError)
+    if forces.ndim not in (2, 3):
+        expected = "expected (n_rows, n_cols) or (k, n_rows, n_cols)"
+        raise PhiError(f"compress: forces: shape {forces.shape}; {expected}")
+    shape = forces.shape[-2:]
+    exists = np.ones(shape, dtype=np.bool_) if mask is None else np.asarray(mask)
+    if exists.shape != shape or exists.dtype != np.bool_:
+        given = f"{exists.dtype} of shape {exists.shape}"
+        raise PhiError(f"compress: the mask is {given}; expected bool of shape {shape}")
+    if (n := np.count_nonzero(exists)) != phi.n:
+        raise PhiError(f"compress: {n} taxels of {exists.shape} exist; {phi} is for {phi.n}")
+    _keep_grid(phi, exists.shape)
+    x = forces[..., exists]
+    if not np.isfinite(x).all():
+        place = np.argwhere(exists & ~np.isfinite(forces))[0].tolist()
+        raise PhiError(f"compress: forces{place} is not finite; allowed: finite numbers")
     subsets = row_subsets(phi, rows)
     if x.ndim != 2:
         return subsets[0].forward(x)
@@ -96,6 +115,14 @@ def compress(
     for first, subset in enumerate(subsets):
         y[first :: len(subsets)] = subset.forward(x[first :: len(subsets)])
     return y
+
+
+def _keep_grid(phi: Phi, shape: tuple[int, ...]) -> None:
+    """Note the grid that a phi measures, or raise PhiError if it is another than before."""
+    grid = getattr(phi, "grid", None) or shape
+    if grid != shape:
+        raise PhiError(f"{phi} measures frames of {grid}, not of {shape}; make one for each grid")
+    phi.grid = (shape[0], shape[1])
 
 
 def make_solver(
@@ -113,8 +140,7 @@ def make_solver(
     Parameters
     ----------
     name : str
-        "skin", "fista", "fista_nonneg", "reweighted", "tv",
-        "interpolation"; or "module:Class" for your own, as `Solver`.
+        "skin", "fista", "tv", "interpolation"; or "module:Class" for your own, as `Solver`.
     phi, basis, mask
         As in `Solver`.
     fast : str
@@ -132,9 +158,12 @@ def make_solver(
     SettingsError
         If fast is none of these, or "on" without numba.
     PhiError
-        If rows is none of these, or "rotating" and those of phi cannot.
+        If rows is none of these, or "rotating" and those of phi cannot; or phi measures another
+        grid than that of the basis.
     """
-    return make_rotating_solver(name, row_subsets(phi, rows), basis, mask, fast=fast, **settings)
+    made = make_rotating_solver(name, row_subsets(phi, rows), basis, mask, fast=fast, **settings)
+    _keep_grid(phi, (basis.n_rows, basis.n_cols))
+    return made
 
 
 def reconstruct(measurements: Floats, solver: Solver) -> Floats:
@@ -175,7 +204,9 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     """
     if getattr(solver, "name", "") == "skin":
         warn_of_threads()
-    y = np.asarray(measurements, dtype=np.float32)
+    if not hasattr(solver, "solve"):
+        raise SolverError(f"solver: got {type(solver).__name__}; expected what make_solver returns")
+    y = real_floats(measurements, "measurements", SolverError)
     if y.ndim not in (1, 2):
         raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
     # A single frame may be any of a stream.
@@ -236,6 +267,8 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     >>> round(sparseskin.psnr_db(truth + np.float32(0.25), truth), 3)
     20.0
     """
+    for given in (forces, truth):
+        real_floats(given, "psnr_db", SparseskinError)
     forces, truth = np.asarray(forces), np.asarray(truth)
     if forces.shape != truth.shape or forces.ndim not in (2, 3):
         raise SparseskinError(
@@ -418,7 +451,7 @@ def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator
 def read_recording(
     path: str | os.PathLike[str], patch: str | None = None, **stated: Any
 ) -> dict[str, Any]:
-    """Read a recording into arrays, under the names that `bag export --to npz` uses.
+    """Read a recording into arrays, under the names that `recording export --to npz` uses.
 
     Parameters
     ----------
@@ -458,7 +491,7 @@ def read_recording(
     name = Path(path).name
     if name.endswith((FILE_SUFFIX, FILE_SUFFIX + PART_SUFFIX)):
         if stated:
-            raise SparseskinError(f"{path}: a bag states {', '.join(stated)} itself")
+            raise SparseskinError(f"{path}: a recording states {', '.join(stated)} itself")
         return _read_bag(path, patch)
     source = open_file(path, **stated)
     pairs = list(source)

@@ -15,6 +15,7 @@ from sparseskin.nodes.compressor.node import CHOSEN_ANEW, CompressorSettings
 from sparseskin.nodes.compressor.phi.rotation import RATIO
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import suggestion
+from sparseskin.nodes.numerics.arrays import real_floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.limits import options_for_range
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
@@ -135,6 +136,12 @@ class Stream:
         self.error: float | None = None
         self.trusted = True
 
+    def __repr__(self) -> str:
+        rows, cols = self._skin.shape
+        turns = f", {len(self._phis)} row subsets" if len(self._phis) > 1 else ""
+        phi = f"m = {self.m} of {self.n} taxels by {self._phis[0].kind}{turns}"
+        return f"<Stream {rows} x {cols}: {phi}; solver {self._host.chosen()['solver']}>"
+
     @cached_property
     def _solver(self) -> Solver:
         """The solver, made when it is first used: an edge needs none."""
@@ -164,12 +171,12 @@ class Stream:
         Raises
         ------
         SparseskinError
-            If the frame has another shape, or a reading exceeds 10 f_max, as counts do where
-            newtons are expected; it is not counted.
+            If the frame has another shape or type, or a reading exceeds 10 f_max, as counts do
+            where newtons are expected; it is not counted.
         ValueError
             If a reading is not finite; the frame is not counted.
         """
-        forces = np.asarray(frame, dtype=np.float32)
+        forces = real_floats(frame, "stream: readings", SparseskinError)
         if forces.shape != self._skin.shape:
             expected = f"expected {self._skin.shape}"
             raise SparseskinError(f"stream: the frame has shape {forces.shape}; {expected}")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from sparseskin.launch.commands.options import rare, whole
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.extensions import STUDIES as GROUP
 from sparseskin.nodes.extensions import failures, loaded
@@ -89,6 +89,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "where it was."
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    more = rare(parser)
     known = studies()
     parser.epilog = "\n".join(f"{name:<15} {study.summary}" for name, study in known.items())
     name = parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(known)}")
@@ -102,52 +103,39 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=Path, help="folder to write to (default: out/NAME)"
     )
-    parser.add_argument(
+    more.add_argument(
         "--executor",
         metavar="HOW",
         default=f"process:{len(os.sched_getaffinity(0))}",
         help=f"where points are computed: {forms()} (default: %(default)s)",
     )
-    parser.add_argument(
+    more.add_argument(
         "--recordings",
         metavar="DIR",
         type=Path,
         help="accuracy: folder of recordings of real skins",
     )
-    parser.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
-    parser.add_argument(
-        "--seed", type=_whole(0, 2**32 - 1), default=0, help="seed of noise and Phi (default: 0)"
-    )
-    parser.add_argument(
+    more.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
+    more.add_argument("--seed", type=whole(0), default=0, help="seed of noise and Phi (default: 0)")
+    more.add_argument(
         "--seeds",
         metavar="K",
-        type=_whole(1, 1000),
+        type=whole(1),
         help="accuracy: number of seeds, from --seed on (default: 1)",
     )
-    parser.add_argument(
+    more.add_argument(
         "--constants",
         action="store_true",
         default=None,
         help="accuracy with --recordings: each constant of the default solver halved and doubled",
     )
-    parser.add_argument(
+    more.add_argument(
         "--alone",
         action="store_true",
         default=None,
         help="accuracy: single frames beside total variation (extra peers)",
     )
     parser.set_defaults(run=_study)
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    """Parser of a whole number."""
-
-    def parse(text: str) -> int:
-        if not text.isdecimal() or not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {low}..{high}")
-        return int(text)
-
-    return parse
 
 
 def _study(arguments: argparse.Namespace) -> int:

@@ -18,8 +18,15 @@ from sparseskin.messages import (
     Truth,
     encode,
 )
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.node import Tick
+from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
+from sparseskin.nodes.recorder.node import Recorder
+from sparseskin.nodes.sensor.node import Sensor
 
 PERIOD_NS = 10_000_000
 LAG_NS = 700
@@ -79,8 +86,8 @@ Bag = Callable[..., int]
 
 
 def run_bag(*arguments: object) -> int:
-    """Run `sparseskin bag ARGUMENTS` in this process; its exit code."""
-    words = ["bag", *map(str, arguments)]
+    """Run `sparseskin recording ARGUMENTS` in this process; its exit code."""
+    words = ["recording", *map(str, arguments)]
     chosen = make_parser(words).parse_args(words)
     return int(chosen.run(chosen))
 
@@ -112,3 +119,29 @@ def make_bag(path: Path, messages: list[Message], flush_every: int = 40) -> list
                 writer.flush()
         writer.close({"lost": {"/skin/taxels": 2}})
     return payloads
+
+
+def record_scene(out: Path, scene: str, first: int, n_frames: int, every: int) -> Path:
+    """Record steps of a scene from `first` on, `every` steps apart, at 100 Hz, with all topics."""
+    bus = Bus(
+        {
+            "sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}")),
+            "compressor": (Compressor, Compressor.Settings()),
+            "reconstructor": (Reconstructor, Reconstructor.Settings()),
+            "recorder": (Recorder, Recorder.Settings(out=str(out), source=scene)),
+        },
+        clock := ManualClock(PERIOD_NS),
+    )
+    sensor: Any = bus.hosts["sensor"].node
+
+    def skip(n_steps: int) -> None:
+        for step in range(n_steps):
+            list(sensor.acquire(Tick(0, step)))
+
+    skip(first)
+    for _ in bus.frames(n_frames):
+        clock.advance(PERIOD_NS)
+        skip(every - 1)
+    bus.close()
+    bus.check()
+    return out

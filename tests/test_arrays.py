@@ -7,6 +7,7 @@ import importlib
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import bags
@@ -160,8 +161,6 @@ def test_psnr_of_frames_is_that_of_each() -> None:
     truth = np.zeros((2, 3, 3), np.float32)
     found = sparseskin.psnr_db(truth + np.float32([[[0.1]], [[0.025]]]), truth, f_max=1.0)
     assert found == pytest.approx([20.0, 20 * np.log10(40)], abs=1e-4)
-    with pytest.raises(SparseskinError, match="expected the same"):
-        sparseskin.psnr_db(truth, truth[0])
     counts = np.full((2, 2), 4000, np.uint16)
     with pytest.raises(SparseskinError, match=r"reaches 4000, above f_max = 2.5; state f_max"):
         sparseskin.psnr_db(counts, counts)
@@ -229,10 +228,54 @@ def test_arguments_of_a_run_are_named(n_frames: object) -> None:
         next(sparseskin.run_launch("path_40", 3, "compressor.ratio=4"))
 
 
-def test_swapped_arguments_of_a_solver_are_named() -> None:
-    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
-    basis = sparseskin.make_basis("haar", 40, 40)
-    with pytest.raises(SolverError, match=r"^phi: got .*; expected what make_phi returns"):
-        sparseskin.make_solver("fista", basis, phi)  # type: ignore[arg-type]
-    with pytest.raises(SolverError, match=r"^basis: got str; expected what make_basis returns"):
-        sparseskin.make_solver("fista", phi, "haar")  # type: ignore[arg-type]
+PHI, BASIS = sparseskin.make_phi("sbhe", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
+SOLVER = sparseskin.make_solver("fista", PHI, BASIS)
+STREAM = sparseskin.Stream((8, 8))
+X, Y = np.ones((2, 8, 8), np.float32), np.ones((2, 22), np.float32)
+MISTAKES: dict[str, Callable[[], object]] = {
+    "the mask is bool of shape (4, 16); expected bool of shape (8, 8)": lambda: sparseskin.compress(
+        X, PHI, np.ones((4, 16), np.bool_)
+    ),
+    "the mask is int64 of shape": lambda: sparseskin.compress(X, PHI, X[0].astype(int)),  # type: ignore[arg-type]
+    "compress: forces[1, 0, 3] is not finite": lambda: sparseskin.compress(
+        np.where(np.arange(128).reshape(2, 8, 8) == 67, np.nan, X), PHI
+    ),
+    "compress: forces: type int64; allowed: newtons": lambda: sparseskin.compress(
+        np.ones((8, 8), int),  # type: ignore[arg-type]
+        PHI,
+    ),
+    "compress: forces: type complex": lambda: sparseskin.compress(X * 1j, PHI),
+    "compress: forces: type object": lambda: sparseskin.compress(X.astype(object), PHI),
+    "compress: forces: shape (64,)": lambda: sparseskin.compress(X[0].reshape(-1), PHI),
+    "compress: 256 taxels of (16, 16) exist": lambda: sparseskin.compress(np.ones((16, 16)), PHI),  # type: ignore[arg-type]
+    "phi: got ndarray": lambda: sparseskin.compress(PHI, X),  # type: ignore[arg-type]
+    "measures frames of (8, 8), not of (4, 16)": lambda: sparseskin.make_solver(
+        "fista", PHI, sparseskin.make_basis("haar", 4, 16)
+    ),
+    "phi: got HaarBasis; expected what": lambda: sparseskin.make_solver("fista", BASIS, PHI),  # type: ignore[arg-type]
+    "basis: got str; expected what": lambda: sparseskin.make_solver("fista", PHI, "haar"),  # type: ignore[arg-type]
+    "basis: '8' x 8 is no grid": lambda: sparseskin.make_basis("haar", "8", 8),  # type: ignore[arg-type]
+    "y has shape (21,); expected (22,)": lambda: sparseskin.reconstruct(Y[:, :21], SOLVER),
+    "measurements: type complex": lambda: sparseskin.reconstruct(Y * 1j, SOLVER),
+    "solver: got ndarray": lambda: sparseskin.reconstruct(SOLVER, Y),  # type: ignore[arg-type]
+    "the frame has shape (4, 16); expected (8, 8)": lambda: STREAM.compress(X[0].reshape(4, 16)),
+    "stream: readings: type complex": lambda: STREAM.compress(X[0] * 1j),
+    "psnr_db: type complex": lambda: sparseskin.psnr_db(X * 1j, X),
+    "find_contacts: forces of shape (2, 8, 8)": lambda: sparseskin.find_contacts(X, 0.1),
+}
+
+
+@pytest.mark.parametrize("line", MISTAKES)
+def test_a_natural_mistake_is_answered_in_one_line(line: str) -> None:
+    with pytest.raises(SparseskinError) as refused:
+        MISTAKES[line]()
+    assert line in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_objects_state_what_they_are() -> None:
+    assert repr(PHI) == "<SbhePhi sbhe: m = 22 of 64 taxels, seed 0>"
+    assert repr(BASIS) == "<HaarBasis haar: 8 x 8>"
+    made = "8 x 8, m = 22 of 64 taxels by sbhe, 3 row subsets"
+    assert repr(SOLVER) == f"<RotatingSolver fista: {made}>"
+    assert repr(STREAM) == f"<Stream {made.replace(',', ':', 1)}; solver skin>"

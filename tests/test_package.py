@@ -12,30 +12,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+FOLDERS = ("sparseskin", "messages", "nodes", "launch", "studies", "plugins")
 STATIONS = [
     f"sparseskin.nodes.{station}"
     for station in ("sensor", "compressor", "reconstructor", "monitor", "recorder", "player")
 ]
 
 
-def test_every_folder_with_modules_or_launch_files_is_a_package_and_no_other() -> None:
-    folders = set()
-    for name, top in CONFIG["package-dir"].items():
-        modules = [*(ROOT / top).rglob("*.py"), *(ROOT / top).rglob("*.toml")]
-        for module in modules:
-            inner = module.parent.relative_to(ROOT / top).parts
-            folders.add(".".join((name, *inner)))
-    assert folders == set(CONFIG["packages"])
-    # It would shadow the package of ROS 2.
-    assert not (ROOT / "launch" / "__init__.py").exists()
-
-
-def test_a_wheel_holds_sparseskin_and_nothing_else(tmp_path: Path) -> None:
+def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path: Path) -> None:
     source = tmp_path / "source"
     source.mkdir()
-    files = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
-    for name in (*files, *CONFIG["package-dir"].values()):
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", *FOLDERS):
         (source / name).symlink_to(ROOT / name)
     options = ["--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
     wheel = [sys.executable, "-m", "pip", "wheel", *options, "--wheel-dir", str(tmp_path)]
@@ -45,8 +32,19 @@ def test_a_wheel_holds_sparseskin_and_nothing_else(tmp_path: Path) -> None:
     names = wheel_file.namelist()
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"sparseskin"}
-    for needed in ("launch/drag_wrench_64.toml", "launch/commands/cli.py", "messages/py.typed"):
-        assert f"sparseskin/{needed}" in names
+    held = {name.removeprefix("sparseskin/") for name in names if name.startswith("sparseskin/")}
+    wanted = ("*.py", "*.toml", "*.typed", "*.npz", "*.md", "*.js", "*.css", "*.html", "*.c", "*.h")
+    files = {
+        str(path.relative_to(ROOT)).removeprefix("sparseskin/")
+        for top in FOLDERS
+        for pattern in wanted
+        for path in (ROOT / top).rglob(pattern)
+    }
+    assert files - held == set()
+    others = {Path(name).suffix for name in held - files}
+    assert others <= {"", ".svg", ".in", ".ld", ".csv", ".ino", ".cpp", ".hpp", ".mcap"}
+    # It would shadow the package of ROS 2.
+    assert not (ROOT / "launch" / "__init__.py").exists()
     (metadata,) = [name for name in names if name.endswith(".dist-info/METADATA")]
     links = re.findall(r"\]\((.*?)\)", wheel_file.read(metadata).decode())
     assert len(links) > 5
@@ -86,7 +84,7 @@ def test_nothing_in_the_package_unpickles_or_evaluates() -> None:
     unsafe = r"allow_pickle=(?!False)|(?<![.\w])(?<!def )(eval|exec|compile|__import__)\("
     found = [
         f"{path.relative_to(ROOT)}: {match[0]}"
-        for top in CONFIG["package-dir"].values()
+        for top in FOLDERS
         for path in sorted((ROOT / top).rglob("*.py"))
         for match in re.finditer(unsafe, path.read_text(encoding="utf-8"))
     ]

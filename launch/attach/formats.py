@@ -19,9 +19,7 @@ VERSIONS = {
     "topic-info": 1,
     "topic-echo": 1,
     "topic-hz": 1,
-    "topic-bw": 1,
-    "topic-delay": 1,
-    "bag-info": 1,
+    "recording-info": 1,
     "tare-result": 1,
 }
 """Version of each format: 1 more where a field goes or changes its meaning; new ones may come."""

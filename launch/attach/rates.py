@@ -15,20 +15,13 @@ import numpy.typing as npt
 from sparseskin.launch.run.running import RunningGraph
 
 from .formats import formatted
-from .stream import PATIENCE_S, Arrival, Losses, latched_note, quiet_reason
+from .stream import PATIENCE_S, Arrival, Losses, quiet_reason
 from .text import size_text
 
 REPORT_S = 1.0
 """Time from one line to the next, seconds."""
 MAX_KEPT = 100_000
 """Most messages that the figures at the end are over."""
-FIGURES = {
-    "hz": ("sent_hz", "interval_ms", "arrives_hz"),
-    "bw": ("bytes_per_s", "size_bytes"),
-    "delay": ("delay_ms",),
-}
-"""Of each command the figures that it prints."""
-
 Longs = npt.NDArray[np.int64]
 
 
@@ -38,7 +31,7 @@ class Samples:
     def __init__(self) -> None:
         self.n = 0
         self._losses = Losses()
-        self._kept: deque[tuple[int, int, int, int]] = deque(maxlen=MAX_KEPT)
+        self._kept: deque[tuple[int, int, int, int, bool]] = deque(maxlen=MAX_KEPT)
 
     @property
     def lost(self) -> int:
@@ -50,14 +43,16 @@ class Samples:
             self._kept.clear()
         if not arrival.ends:
             self.n += 1
-            self._kept.append((arrival.at_ns, arrival.stamp_ns, arrival.seq, arrival.n_bytes))
+            self._kept.append(
+                (arrival.at_ns, arrival.stamp_ns, arrival.seq, arrival.n_bytes, arrival.fresh)
+            )
 
     def last(self, window: int) -> Longs:
-        """Time of arrival, stamp, number and size of the last messages of the publisher's present
-        run, `window` at most: shape (n, 4).
+        """Time of arrival, stamp, number, size and freshness of the last messages of the
+        publisher's present run, `window` at most: shape (n, 5).
         """
         rows = islice(self._kept, max(0, len(self._kept) - window), None)
-        return np.array(list(rows), dtype=np.int64).reshape(-1, 4)
+        return np.array(list(rows), dtype=np.int64).reshape(-1, 5)
 
 
 def figures_of(samples: Longs) -> dict[str, Any]:
@@ -69,11 +64,11 @@ def figures_of(samples: Longs) -> dict[str, Any]:
         sent_hz, by the numbers and stamps; interval_ms between the stamps of messages with adjacent
         numbers; arrives_hz, the received messages over the span of the stamps; bytes_per_s and
         size_bytes, topic and payload; delay_ms from the stamp, the acquisition of the frame, to the
-        arrival here. Of distributions mean, min, max and std, of the delay p50 and p99 too. None
-        where too few came.
+        arrival here, of fresh messages. Of distributions mean, min, max and std, of the delay p50
+        and p99 too. None where too few came.
     """
-    at_ns, stamp_ns, seq, n_bytes = samples.T
-    steps, delays_ms = np.diff(seq), (at_ns - stamp_ns) / 1e6
+    at_ns, stamp_ns, seq, n_bytes, fresh = samples.T
+    steps, delays_ms = np.diff(seq), (at_ns - stamp_ns)[fresh > 0] / 1e6
     delay = _extent(delays_ms)
     if delay is not None:
         p50, p99 = np.quantile(delays_ms, [0.5, 0.99])
@@ -88,23 +83,15 @@ def figures_of(samples: Longs) -> dict[str, Any]:
     }
 
 
-def text_of(name: str, figures: dict[str, Any]) -> str:
-    """The figures of a command as part of a line; "" where there are none."""
-    if figures[FIGURES[name][0]] is None:
-        return ""
-    if name == "hz":
-        line = f"sent {figures['sent_hz']:.2f} Hz"
-        if interval := figures["interval_ms"]:
-            line += ", interval {min:.2f}..{max:.2f}, std {std:.2f} ms".format(**interval)
-        return f"{line} | arrives {figures['arrives_hz']:.2f} Hz"
-    if name == "bw":
-        size = figures["size_bytes"]
-        extent = "" if size["min"] == size["max"] else " ({min:.0f}..{max:.0f})".format(**size)
-        return f"{size_text(figures['bytes_per_s'])}/s | {size['mean']:.0f}{extent} bytes a message"
-    delay = (
-        "delay p50 {p50:.2f}, p99 {p99:.2f}, max {max:.2f} ms | mean {mean:.2f}, std {std:.2f} ms"
-    )
-    return delay.format(**figures["delay_ms"])
+def text_of(figures: dict[str, Any]) -> str:
+    """The figures as part of a line; "" where there are none."""
+    parts = []
+    if figures["sent_hz"] is not None:
+        parts.append(f"{figures['sent_hz']:.4g} Hz, {figures['arrives_hz']:.4g} here")
+        parts.append(f"{size_text(figures['bytes_per_s'])}/s")
+    if age := figures["delay_ms"]:
+        parts.append("p50 {p50:.2f}, p99 {p99:.2f} ms old".format(**age))
+    return " | ".join(parts)
 
 
 def _a_second(stamp_ns: Longs, amounts: Longs) -> float | None:
@@ -122,21 +109,13 @@ def _extent(values: npt.NDArray[Any]) -> dict[str, float] | None:
 
 
 class Meter:
-    """Prints the figures of one command, a line a second over `window` messages at most.
+    """Prints the figures of a topic, a line a second over `window` messages at most."""
 
-    Attributes
-    ----------
-    patience_s : float
-        How long messages may wait to be read together, seconds, which saves processor time; 0 for
-        the delay, which the arrival itself decides.
-    """
+    patience_s = PATIENCE_S
 
-    def __init__(
-        self, graph: RunningGraph, topic: str, name: str, *, window: int, in_json: bool
-    ) -> None:
-        self._graph, self._topic, self._name = graph, topic, name
+    def __init__(self, graph: RunningGraph, topic: str, *, window: int, in_json: bool) -> None:
+        self._graph, self._topic = graph, topic
         self._window, self._in_json = window, in_json
-        self.patience_s = 0.0 if name == "delay" else PATIENCE_S
         self._samples = Samples()
         self._reported_n, self._heard_s = 0, time.monotonic()
         self._report_at_s = self._heard_s + REPORT_S
@@ -163,9 +142,6 @@ class Meter:
 
     def finish(self) -> None:
         """Print a line over all messages."""
-        if self._name == "delay" and (latched := latched_note(self._topic)):
-            note = f"{self._topic}: the delay is the age of its last message{latched}"
-            print(note, file=sys.stderr, flush=True)
         print(self._line(None), flush=True)
 
     def _line(self, window: int | None) -> str:
@@ -175,8 +151,7 @@ class Meter:
         n, lost = self._samples.n, self._samples.lost
         if self._in_json:
             head = {"topic": self._topic, "messages": n, "lost": lost}
-            own = {key: figures[key] for key in FIGURES[self._name]}
             over = {"over": len(samples), "final": window is None}
-            return json.dumps(formatted(f"topic-{self._name}", {**head, **own, **over}))
-        measured = text_of(self._name, figures) or "too few messages for a rate"
+            return json.dumps(formatted("topic-hz", {**head, **figures, **over}))
+        measured = text_of(figures) or "too few messages for a rate"
         return ("" if window else f"all {n}: ") + f"{measured} | lost {lost}"

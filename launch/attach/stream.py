@@ -4,6 +4,7 @@ in time is dropped for it alone.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import signal
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import msgpack
 
 from sparseskin.launch.run.running import RunningGraph, is_running
-from sparseskin.messages import End
+from sparseskin.messages import End, SkinState, decode
 from sparseskin.messages.buffers import MARK, head_of
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS, Payload
@@ -27,6 +28,7 @@ from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import QUEUE_FRAMES, Reader, make_context
 
 from .client import describe, topics_of
+from .text import flowing
 
 POLL_MS = 100
 LOOK_S = 0.5
@@ -46,7 +48,8 @@ their writer, so that neither process wakes the other for each of them.
 
 class Arrival(NamedTuple):
     """One message as it came: its bytes, the time `at_ns` of reading on the graph's clock, and the
-    fields that identify it. At the end of a stream `seq` is the number of messages sent.
+    fields that identify it. At the end of a stream `seq` is the number of messages sent. `fresh` is
+    False if it may have waited for a patient observer.
     """
 
     topic: bytes
@@ -56,6 +59,7 @@ class Arrival(NamedTuple):
     seq: int
     stamp_ns: int
     ends: bool
+    fresh: bool = True
 
     @property
     def n_bytes(self) -> int:
@@ -126,6 +130,7 @@ class TopicStream:
             node = graph.nodes[name]
             self._reader.connect(node.endpoint, node.key)
         self._least_age_ns: float = math.inf
+        self._drained = True
         self.unreadable = 0
         self.interrupted = False
 
@@ -161,24 +166,33 @@ class TopicStream:
                     return
             left_s = math.inf if duration_s is None else began_s + duration_s - now_s
             timeout_ms = max(1, round(min(POLL_MS, 1e3 * left_s)))
+            came_ns = None
             if self._reader.socket.poll(timeout_ms) and self._patience_s:
+                came_ns = self._clock.now_ns() if self._drained else None
                 time.sleep(min(self._patience_s, left_s))
-            yield self._read()
+            yield self._read(came_ns)
 
-    def _read(self) -> list[Arrival]:
-        """The messages that are there; of a patient observer those that wait at the writer, too."""
+    def _read(self, came_ns: int | None = None) -> list[Arrival]:
+        """The messages that are there; of a patient observer those that wait at the writer, too.
+
+        `came_ns`: when the first of them came, where that is known.
+        """
         found: list[Arrival] = []
+        self._drained = False
         for _ in range(BATCH):
             while (parts := self._reader.receive()) is None:
                 if not (
                     found and self._has_waited(found[-1]) and self._reader.socket.poll(DRAIN_MS)
                 ):
+                    self._drained = True
                     return found
-            arrival = _arrival(*parts, self._clock.now_ns())
+            arrival = _arrival(*parts, came_ns or self._clock.now_ns())
             if arrival is None:
                 self.unreadable += 1
             else:
-                found.append(arrival)
+                fresh = came_ns is not None or not self._patience_s
+                found.append(arrival._replace(fresh=fresh))
+            came_ns = None
         return found
 
     def _has_waited(self, last: Arrival) -> bool:
@@ -239,6 +253,18 @@ def observe(
         return EXIT_NOTHING
     display.finish()
     return 0
+
+
+def unit_of(graph: RunningGraph, topic: str) -> str:
+    """Unit of the forces of the patch of a topic; "" where its skin does not come within 1 s."""
+    skin = f"/{split_topic(topic)[0]}/{SkinState.schema}"
+    if skin in graph.writers():
+        with TopicStream(graph, skin) as stream:
+            for arrival in itertools.chain.from_iterable(stream.batches(1.0)):
+                message = None if arrival.ends else decode(arrival.topic, arrival.payload)
+                if isinstance(message, SkinState):
+                    return flowing(message.unit)
+    return ""
 
 
 def quiet_reason(graph: RunningGraph, topic: str) -> str:

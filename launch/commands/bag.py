@@ -1,4 +1,4 @@
-"""The commands `sparseskin bag ...`: look into recordings, repair and convert them."""
+"""The commands `sparseskin recording ...`: look into recordings, repair and convert them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_exp
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.files.recording import NAN_WAYS, NEGATIVE_WAYS, REFUSE, spelled
 
-from .options import add_commands, add_shape, bag_names, show, whole
+from .options import add_commands, add_shape, bag_names, rare, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -39,18 +39,22 @@ _NOT_SHOWN = ("lost", "received", "published")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `bag`."""
-    add = add_commands(parser, "Work with bags, the recordings of a recorder node (.mcap).")
-    info = add("info", _info, "print the contents of a bag")
-    info.add_argument("bag", metavar="BAG", help=f"NAME{FILE_SUFFIX}, or an address of one")
+    """Add the arguments of `recording`."""
+    add = add_commands(parser, "Work with recordings (.mcap).")
+    info = add("info", _info, "print what a recording holds")
+    info.add_argument("bag", metavar="F.mcap", help=f"NAME{FILE_SUFFIX}, or an address of one")
     info.add_argument("--json", action="store_true", help="print JSON in place of a table")
-    recover = add("recover", _recover, "save the readable part of a broken bag")
-    recover.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]")
+    recover = add("recover", _recover, "save the readable part of a broken recording")
+    recover.add_argument(
+        "bag", metavar="F.mcap", type=Path, help=f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]"
+    )
     about = f"default: NAME_recovered{FILE_SUFFIX}"
     recover.add_argument("--out", metavar="NEW", type=Path, help=about)
-    _configure_import(add("import", _import, "make a bag of a file of frames"))
-    export = add("export", _export, "convert a bag to NumPy, CSV or the format of another tool")
-    export.add_argument("bag", metavar="BAG", type=Path, help=f"NAME{FILE_SUFFIX}")
+    _configure_import(add("import", _import, "make a recording of a file of frames"))
+    export = add(
+        "export", _export, "convert a recording to NumPy, CSV or the format of another tool"
+    )
+    export.add_argument("bag", metavar="F.mcap", type=Path, help=f"NAME{FILE_SUFFIX}")
     export.add_argument("--to", choices=export_names(), required=True, help="the format")
     about = "default: NAME and the ending of the format, as NAME.npz, NAME_csv, NAME_ros2"
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
@@ -58,7 +62,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
     for option, (takers, metavar, what) in _export_options().items():
         about = f"of {', '.join(takers)}: {what}"
-        export.add_argument(f"--{option}", metavar=metavar, type=whole(1), help=about)
+        rare(export).add_argument(f"--{option}", metavar=metavar, type=whole(1), help=about)
 
 
 def _export_options() -> dict[str, tuple[list[str], str, str]]:
@@ -71,25 +75,26 @@ def _export_options() -> dict[str, tuple[list[str], str, str]]:
 
 
 def _configure_import(parser: argparse.ArgumentParser) -> None:
+    more = rare(parser)
     formats = "; ".join(f"{suffix}: {what}" for suffix, what in suffixes().items())
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="the recording")
-    about = f"the bag, NAME{FILE_SUFFIX}; or a folder, for one bag a FILE"
+    about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
     parser.add_argument("--out", metavar="PATH", required=True, help=about)
     add_shape(parser)
     parser.add_argument("--unit", help="unit of the readings, where the file does not state it")
-    parser.add_argument("--f-max", metavar="X", type=float, help="upper end of the range")
+    more.add_argument("--f-max", metavar="X", type=float, help="upper end of the range")
     parser.add_argument("--rate-hz", metavar="X", type=float, help="frames a second")
     parser.add_argument("--columns", metavar="A,B", help="columns of a table, as sensor.columns")
     parser.add_argument("--topic", help="topic of a recording, or name of an array in the file")
     about = "readings that are not finite (default: refuse)"
-    parser.add_argument("--nan", choices=NAN_WAYS, default=REFUSE, help=about)
+    more.add_argument("--nan", choices=NAN_WAYS, default=REFUSE, help=about)
     about = "readings below 0 (default: refuse)"
-    parser.add_argument("--negative", choices=NEGATIVE_WAYS, default=REFUSE, help=about)
+    more.add_argument("--negative", choices=NEGATIVE_WAYS, default=REFUSE, help=about)
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    """Print the contents of a bag; check all of it. Of a topic: its messages, their rate, the
+    """Print what a recording holds; check all of it. Of a topic: its messages, their rate, the
     seconds from the first to the last, and how many the recorder lost.
     """
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -97,11 +102,11 @@ def _info(arguments: argparse.Namespace) -> int:
 
     with BagReader(local_path(arguments.bag)) as bag:
         name = arguments.bag
-        return show(arguments, "bag-info", info_document(bag, name), info_lines(bag, name))
+        return show(arguments, "recording-info", info_document(bag, name), info_lines(bag, name))
 
 
 def _recover(arguments: argparse.Namespace) -> int:
-    """Write every message before the break of a bag into a new, whole bag."""
+    """Write every message before the break of a recording into a new, whole one."""
     from sparseskin.nodes.recorder.bag.reader import BagReader
     from sparseskin.nodes.recorder.convert.to_bag import recover_bag
 
@@ -114,7 +119,7 @@ def _recover(arguments: argparse.Namespace) -> int:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    """Make a bag of a recording in another format, as if a sensor had played it."""
+    """Make a recording (.mcap) of a file of another format, as if a sensor had played it."""
     from sparseskin.nodes.recorder.convert.to_bag import import_file
 
     names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
@@ -135,8 +140,8 @@ def _log(file: Path, line: str) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    """Convert the frames of a bag: npz (one file a patch, which a source file:PATH reads), csv (a
-    folder, one file a topic, one frame a line), ros2 (a folder with CDR messages and
+    """Convert the frames of a recording: npz (a file per patch, which a source file:PATH reads),
+    csv (a folder, a file per topic, a frame per line), ros2 (a folder with CDR messages and
     metadata.yaml), foxglove (an .mcap with Foxglove's schemas), lerobot (a folder, a dataset of
     codebase version v3.0), or skin (the file skin.toml of a calibrated skin). The patches of a
     body that were recorded in batches are exported one by one.
@@ -173,7 +178,7 @@ def _count(n: int, what: str) -> str:
 def info_document(bag: BagReader, name: str = "") -> dict[str, Any]:
     """The file or its `name`, its topics, counts of its recorder and its metadata in full."""
     return {
-        "bag": name or str(bag.path),
+        "recording": name or str(bag.path),
         "size_bytes": bag.path.stat().st_size,
         "recovered": bag.recovered,
         "duration_s": _seconds(span_ns(bag.topics.values())),
@@ -192,7 +197,7 @@ def info_lines(bag: BagReader, name: str = "") -> list[str]:
     n_messages = sum(info.n_messages for info in bag.topics.values())
     counts = bag.counts or {}
     of_file = {
-        "bag": name or str(bag.path),
+        "recording": name or str(bag.path),
         "size": f"{size_text(bag.path.stat().st_size)}, {n_messages} messages",
         "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
         "state": bag.recovered or "whole",

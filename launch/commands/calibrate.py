@@ -37,7 +37,7 @@ from sparseskin.nodes.sensor.calibration.press import (
 )
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 
-from .options import add_graph, add_shape, real, show, whole
+from .options import add_graph, add_shape, rare, real, show, whole
 
 UNTOUCHED = "3s"
 STEP_S = 2.0
@@ -51,6 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Calibrate a skin: baseline, noise and faulty taxels from untouched frames, gains and "
         "response curve from presses of known weight. Without --press it asks for each step."
     )
+    more = rare(parser)
     parser.add_argument("source", metavar="SOURCE", help="as sensor.source; readings may be raw")
     about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
     parser.add_argument("--out", metavar="F.toml", type=Path, required=True, help=about)
@@ -64,18 +65,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = "ask nothing: take no presses, or those of --press"
     parser.add_argument("--no-questions", action="store_true", help=about)
     about = "live sources: seconds to wait before each step, in place of Enter"
-    parser.add_argument("--wait", metavar="S", type=real(above_0=False), help=about)
+    more.add_argument("--wait", metavar="S", type=real(above_0=False), help=about)
     about = "even loads of several weights: one curve for all taxels, one each, or none"
-    parser.add_argument("--curve", choices=CURVES, default=CURVES[0], help=about)
-    parser.add_argument("--name", help="name of the skin; default: that of the file")
+    more.add_argument("--curve", choices=CURVES, default=CURVES[0], help=about)
+    more.add_argument("--name", help="name of the skin; default: that of the file")
     about = "upper end of a taxel's range; default: 1.25 times the largest force of a press"
     parser.add_argument("--f-max", metavar="X", type=real(above_0=True), help=about)
     about = "unit of the readings where there are no presses; default: that of the source"
-    parser.add_argument("--unit", help=about)
+    more.add_argument("--unit", help=about)
     about = "distance of neighbouring taxels; default: that of the source"
-    parser.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
+    more.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
     about = "let the range begin below 0, so that noise around 0 is not clipped"
-    parser.add_argument("--keep-noise", action="store_true", help=about)
+    more.add_argument("--keep-noise", action="store_true", help=about)
     add_shape(parser)
     parser.set_defaults(run=_calibrate)
 
@@ -262,7 +263,7 @@ def configure_tare(parser: argparse.ArgumentParser) -> None:
     about = "names of sensors; all that have a calibration by default"
     parser.add_argument("nodes", metavar="NODE", nargs="*", help=about)
     about = "number of frames, whose median is taken (default: 30)"
-    parser.add_argument("--frames", metavar="N", type=whole(1), help=about)
+    rare(parser).add_argument("--frames", metavar="N", type=whole(1), help=about)
     add_graph(parser, "one JSON document")
     parser.set_defaults(run=_tare)
 

@@ -15,33 +15,46 @@ from sparseskin.nodes import extensions
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import nearest_of, one_line, suggestion
 
+from .options import RARE
+
 EXIT_USAGE = 2
 
+RUN, LOOK, DATA, BUILD, MORE, OTHERS = "Run", "Look", "Data", "Build a skin", "More", "Plug-ins"
+"""Groups of commands; `MORE` are rarely used, `OTHERS` of plug-ins that state no `GROUP`."""
 COMMANDS = {
-    "launch": (".launch", "start a graph of nodes from a launch file"),
-    "keys": (".launch", "make keys, so that only your hosts read and write a graph"),
-    "graph": (".graph", "list the running graphs"),
-    "stop": (".graph", "end a running graph"),
-    "monitor": (".observers", "watch a running graph"),
-    "node": (".graph", "list the nodes of a running graph, describe one"),
-    "param": (".graph", "list, get and set the settings of a running graph's nodes"),
-    "topic": (".topic", "list the topics of a running graph, print and measure their messages"),
-    "record": (".observers", "record topics of a running graph"),
-    "play": (".play", "play a recording"),
-    "bag": (".bag", "look into a recording, repair it, convert it"),
-    "reprocess": (".reprocess", "put recordings through other settings, offline"),
-    "sources": (".sources", "list what a sensor of this host can read"),
-    "scope": (".sources", "show the frames of a source in the terminal"),
-    "calibrate": (".calibrate", "make the file of a skin: from counts to newtons"),
-    "tare": (".calibrate", "take the readings of the untouched skin of a running graph for zero"),
-    "scenes": (".play", "list the scenes, make short recordings of them"),
-    "study": ("sparseskin.studies.command", "compute tables and charts anew"),
-    "completion": (".completion", "print the completion script of a shell"),
-    "help": (".cli", "describe a command"),
+    "launch": (RUN, ".launch", "start a graph of nodes, watch it, print what was measured"),
+    "play": (RUN, ".play", "play a recording, on the live page too"),
+    "scenes": (RUN, ".play", "list the graphs that launch knows by name"),
+    "stop": (RUN, ".graph", "end a running graph"),
+    "monitor": (LOOK, ".observers", "watch a running graph on the live page or in the terminal"),
+    "topic": (LOOK, ".topic", "list, print and measure the messages of a running graph"),
+    "node": (LOOK, ".graph", "list and describe the nodes of a running graph"),
+    "param": (LOOK, ".graph", "list, get and set the settings of a running graph"),
+    "sources": (LOOK, ".sources", "list what a sensor of this host can read"),
+    "scope": (LOOK, ".sources", "show the frames of a source in the terminal"),
+    "record": (DATA, ".observers", "record topics of a running graph"),
+    "recording": (DATA, ".bag", "look into a recording, repair it, convert it"),
+    "calibrate": (BUILD, ".calibrate", "make the file of a skin: from counts to newtons"),
+    "tare": (BUILD, ".calibrate", "make the readings of an untouched skin its zero"),
+    "graph": (MORE, ".graph", "list the graphs that run on this host"),
+    "keys": (MORE, ".launch", "make keys, so that only your hosts read and write a graph"),
+    "reprocess": (MORE, ".reprocess", "put recordings through other settings, offline"),
+    "study": (MORE, "sparseskin.studies.command", "compute tables and charts anew"),
+    "completion": (MORE, ".completion", "print the completion script of a shell"),
+    "help": (MORE, ".cli", "describe a command"),
+    "Data": (MORE, "record", "recording"),
 }
-"""Of each command the module that adds its arguments to a parser, by `configure_COMMAND` or
-`configure`, and one line of help.
+"""Of each command its group, the module that adds its arguments to a parser, by `configure_COMMAND`
+or `configure`, and one line of help.
 """
+MOVED = {
+    "bag": "recording",
+    "topic bw": "topic hz, which prints rate, bytes and age",
+    "topic delay": "topic hz, which prints rate, bytes and age",
+    "scenes list": "scenes",
+    "scenes make": "launch NAME --record FILE",
+}
+"""Commands of earlier versions, and those that replaced them."""
 
 
 def plugins() -> list[str]:
@@ -49,46 +62,79 @@ def plugins() -> list[str]:
     return [*extensions.added(extensions.COMMANDS, COMMANDS)]
 
 
-def about(name: str) -> str:
-    """One line of help of a command; of a plug-in that cannot be imported, the reason."""
+def about(name: str) -> tuple[str, str]:
+    """Group of a command, and one line of help: the reason, if a plug-in cannot be imported."""
     if name in COMMANDS:
-        return COMMANDS[name][1]
+        group, _, line = COMMANDS[name]
+        return group, line
     try:
-        return str(extensions.load(extensions.COMMANDS, name, SparseskinError).HELP)
+        plugin = extensions.load(extensions.COMMANDS, name, SparseskinError)
+        return str(getattr(plugin, "GROUP", OTHERS)), str(plugin.HELP)
     except (SparseskinError, AttributeError) as error:
-        return printable(f"cannot be used: {error}")
+        return OTHERS, printable(f"cannot be used: {error}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    words = sys.argv[1:] if argv is None else argv
+    words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    if words[0] == "help":
+        words = [*words[1:], "--help"]
+    everything = "--all" in words and bool({"-h", "--help"} & {*words})
+    if everything:
+        words.remove("--all")
     try:
-        arguments = make_parser(words).parse_args(words)
+        for former in (" ".join(words[:2]), words[0]):
+            if new := MOVED.get(former):
+                raise SparseskinError(f"sparseskin {former}: is now sparseskin {new}")
+        arguments = make_parser(words, everything).parse_args(words)
         return int(arguments.run(arguments))
     except SparseskinError as error:
         print(error, file=sys.stderr)
     return EXIT_USAGE
 
 
-def make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
-    """The parser of a command line; only the command that is named there has its arguments."""
-    parser = _Parser(prog="sparseskin", description="Compressed sensing for robot tactile skins.")
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+def make_parser(words: Sequence[str], everything: bool = True) -> _Parser:
+    """The parser of a command line; only the command that is named there has its arguments.
+    Without `everything`, help leaves out what is rarely used.
+    """
     named = next((word for word in words if not word.startswith("-")), None)
     # Where one of the core is named, no other is listed.
-    for name in COMMANDS if named in COMMANDS else (*COMMANDS, *plugins()):
-        # argparse takes a percent sign of the help for a format.
-        command = commands.add_parser(name, help=about(name).replace("%", "%%"))
+    names = [*COMMANDS] if named in COMMANDS else [*COMMANDS, *plugins()]
+    parser = _Parser(
+        prog="sparseskin",
+        usage="sparseskin COMMAND ...",
+        description="" if named else _overview(names, everything),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="sparseskin COMMAND --help describes a command. With --all, help names commands\n"
+        "and options that are rarely used, too.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    commands = parser.add_subparsers(prog="sparseskin", metavar="COMMAND", help=argparse.SUPPRESS)
+    commands.required = True
+    for name in names:
+        command = commands.add_parser(name)
         if name == named:
             _configure(name, command)
+            if not everything:
+                command.hide_rare()
     return parser
+
+
+def _overview(names: Sequence[str], everything: bool) -> str:
+    """Commands in groups, a line each."""
+    groups: dict[str, list[str]] = {group: [] for group in (RUN, LOOK, DATA, BUILD, OTHERS, MORE)}
+    for name in names:
+        group, line = about(name)
+        groups.setdefault(group, []).append(f"  {name:<10}  {line}")
+    shown = {g: lines for g, lines in groups.items() if lines and (everything or g != MORE)}
+    parts = ["Compressed sensing for robot tactile skins."]
+    return "\n\n".join(parts + ["\n".join([g, *lines]) for g, lines in shown.items()])
 
 
 def _configure(name: str, parser: argparse.ArgumentParser) -> None:
     """Add the arguments of a command to its parser."""
     if name in COMMANDS:
-        module = import_module(COMMANDS[name][0], __package__)
+        module = import_module(COMMANDS[name][1], __package__)
         (getattr(module, f"configure_{name}", None) or module.configure)(parser)
         return
     plugin = extensions.load(extensions.COMMANDS, name, SparseskinError)
@@ -104,23 +150,16 @@ def configure_help(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `help`."""
     parser.description = "Describe a command, as its --help does."
     words = parser.add_argument(
-        "words", metavar="COMMAND", nargs="*", help="as launch, or bag info"
+        "words", metavar="COMMAND", nargs="*", help="as launch, or recording info"
     )
     words.completer = _commands  # type: ignore[attr-defined]
-    parser.set_defaults(run=_help)
 
 
 def _commands(*, prefix: str, parsed_args: argparse.Namespace, **_: Any) -> dict[str, str]:
     """Commands that begin with what has been typed, and their lines of help."""
     if parsed_args.words:
         return {}
-    return {name: about(name) for name in (*COMMANDS, *plugins()) if name.startswith(prefix)}
-
-
-def _help(arguments: argparse.Namespace) -> NoReturn:
-    words = [*arguments.words, "--help"]
-    make_parser(words).parse_args(words)
-    raise AssertionError("--help has ended the program")
+    return {name: about(name)[1] for name in (*COMMANDS, *plugins()) if name.startswith(prefix)}
 
 
 class _Parser(argparse.ArgumentParser):
@@ -130,6 +169,23 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
+        self._n_hidden = 0
+
+    def hide_rare(self) -> None:
+        """Leave options that are rarely used out of help, here and in the commands below."""
+        rare = [a for g in self._action_groups if g.title == RARE for a in g._group_actions]
+        self._n_hidden = len(rare)
+        for action in rare:
+            action.help = argparse.SUPPRESS
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for one in action.choices.values():
+                    one.hide_rare()
+
+    def format_help(self) -> str:
+        """Help, and how many options it leaves out."""
+        more = f"\n{self._n_hidden} more options: {self.prog} --help --all\n"
+        return super().format_help() + more * bool(self._n_hidden)
 
     def parse_known_args(self, *given: Any, **more: Any) -> Any:
         """Refuse unknown words here, where the command that they belong to is known."""
@@ -137,7 +193,7 @@ class _Parser(argparse.ArgumentParser):
         if unknown:
             options = [word for word in unknown if word.startswith("-")]
             if options:  # what else is unknown may be the value of one
-                known = {*_OPTION.findall(self.format_usage()), "--help"}
+                known = {name for name in self._option_string_actions if name[:2] == "--"}
                 hint = suggestion(options[0].partition("=")[0], known)
                 self.error(f"unrecognized arguments: {options[0]}{hint}")
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -151,7 +207,6 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)} (see {self.prog} --help)\n")
 
 
-_OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*")
 _CHOICE = re.compile(r"(argument .+): invalid choice: '(.*)' \(choose from (.*)\)", re.DOTALL)
 """The message of argparse for a word that is not among those allowed."""
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # Imports of one kind of value stand where it is offered: a key is pressed, and a person waits.
 # Commands, options, files and names of a graph come without numpy, settings and sources with it.
-FILES = ("FILE", "BAG", "NEW", "PATH", "OUT.json", "F.mcap", "G.mcap", "REC.mcap", "B.npz")
+FILES = ("FILE", "NEW", "PATH", "OUT.json", "F.mcap", "G.mcap", "REC.mcap", "B.npz")
 FOLDERS = ("DIR", "D")
 """Metavars of arguments that are files, and folders."""
 GRAPH = "graph"
@@ -99,11 +99,6 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
             return sources(prefix)
         case "NAME|FILE.toml":
             return _bare(bundled_names()) | _paths(prefix, folders_only=False)
-        case "F.mcap|NAME":
-            from sparseskin.launch.offline.scenarios import SCENARIOS
-
-            about = {name: scenario.about for name, scenario in SCENARIOS.items()}
-            return about | _paths(prefix, folders_only=False)
     if metavar in FILES or metavar in FOLDERS:
         return _paths(prefix, folders_only=metavar in FOLDERS)
     return {}

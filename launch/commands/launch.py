@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.launchfile import bundled_names
-from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.files import overwrite
 
 from .options import (
     add_commands,
@@ -23,6 +21,7 @@ from .options import (
     check_summary,
     naming_options,
     print_ends,
+    rare,
     whole,
     write_summary,
 )
@@ -38,7 +37,7 @@ STATUS_LINE = (
 
 NEXT = """
 The live page:  {0} launch {1} --open
-Other scenes:   {0} scenes list
+Other scenes:   {0} scenes
 Your own file:  {0} launch replay --set sensor.source=file:F.npy"""
 """What is printed in a terminal after a bundled launch file."""
 
@@ -47,6 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `launch`."""
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
     parser.epilog = f"Bundled launch files: {', '.join(bundled_names())}. {STATUS_LINE}"
+    more = rare(parser)
     parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
     add_set(
         parser,
@@ -62,19 +62,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = "check the launch file (modules that it names are imported), print the graph"
     parser.add_argument("--dry-run", action="store_true", help=about)
     about = "run the part of this host, of a graph of several"
-    parser.add_argument("--host", metavar="NAME", help=about)
-    about = "with --dry-run: write the graph as DOT text, of which Graphviz draws a picture"
-    parser.add_argument("--dot", metavar="F.dot", type=Path, help=about)
+    more.add_argument("--host", metavar="NAME", help=about)
     parser.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
     about = "open the live page in a browser; a scene or recording is shown again and again"
     add_page(parser, about)
     add_summary(parser)
-    parser.add_argument(
-        "--log-dir",
-        metavar="DIR",
-        help="folder in which each run has a folder of its own, with a log file a node "
-        "(default: the launch file's log_dir, or sparseskin/log in $XDG_STATE_HOME)",
-    )
     parser.set_defaults(run=_launch)
 
 
@@ -104,17 +96,10 @@ def _launch(arguments: argparse.Namespace) -> int:
         loops = [f"{node.name}.loop=true" for node in nodes if again and _ends(node.settings)]
         launch = load(arguments.name, [*loops, *arguments.set, *changes], arguments.record)
     if arguments.dry_run:
-        from sparseskin.launch.launchfile.graph_text import dot_of, graph_text
+        from sparseskin.launch.launchfile.graph_text import graph_text
 
-        if arguments.dot is not None:
-            try:
-                overwrite(arguments.dot, dot_of(launch).encode())
-            except OSError as error:
-                raise SettingsError(f"--dot {arguments.dot}: {error.strerror}") from error
         print(graph_text(launch))
         return 0
-    if arguments.dot is not None:
-        raise SettingsError("--dot: only with --dry-run")
     return _run(launch.part(arguments.host), arguments)
 
 
@@ -134,7 +119,7 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.monitor.table import summary_table
 
     check_summary(arguments.summary)
-    run_log = _run_log(launch, arguments.log_dir)
+    run_log = _run_log(launch)
     launcher = Launcher(launch, Terminal(run_log), arguments.frames)
     code = launcher.run()
     if run_log is not None:
@@ -172,20 +157,19 @@ def _titled(patches: dict[str, Any], graph: str) -> dict[str, Any]:
     }
 
 
-def _run_log(launch: LaunchFile, stated: str | None) -> RunLog | None:
+def _run_log(launch: LaunchFile) -> RunLog | None:
     """The log files of a run; None, with a warning, if the default folder cannot be made."""
     from sparseskin.launch.run.run_log import RunLog
     from sparseskin.nodes.errors import SparseskinError
     from sparseskin.nodes.files import user_folder
 
-    if wanted := stated or launch.log_dir:
-        with naming_options({"log_dir": "--log-dir"} if stated else {}):
-            return RunLog(Path(wanted), launch.name, time.time())
+    if launch.log_dir:
+        return RunLog(Path(launch.log_dir), launch.name, time.time())
     try:
         return RunLog(user_folder("state") / "log", launch.name, time.time())
     except SparseskinError as error:
         reason = str(error).removeprefix("log_dir: ")
-        print(f"warning: no log files: {reason}; --log-dir states another folder", file=sys.stderr)
+        print(f"warning: no log files: {reason}; graph.log_dir states another", file=sys.stderr)
         return None
 
 

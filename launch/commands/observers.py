@@ -15,7 +15,7 @@ from sparseskin.launch.run.running import RunningGraph, choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
-from .options import add_graph, add_page, naming_options, print_ends, whole
+from .options import add_graph, add_page, naming_options, print_ends, rare, whole
 
 
 def configure_monitor(parser: argparse.ArgumentParser) -> None:
@@ -26,7 +26,7 @@ def configure_monitor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--text", action="store_true", help="in this terminal, without a page")
     add_page(parser)
     about = "port of the page on 127.0.0.1; 8470 by default"
-    parser.add_argument("--port", type=whole(0), help=about)
+    rare(parser).add_argument("--port", type=whole(0), help=about)
     add_graph(parser)
     parser.set_defaults(run=_monitor)
 

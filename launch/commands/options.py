@@ -47,13 +47,22 @@ def add_commands(
     return add
 
 
+RARE = "rarely used options"
+"""Title of the options that `--help` shows with `--all` alone."""
+
+
+def rare(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """The group of the options of a command that are rarely used."""
+    found = (group for group in parser._action_groups if group.title == RARE)
+    return next(found, None) or parser.add_argument_group(RARE)
+
+
 def add_graph(parser: argparse.ArgumentParser, document: str = "") -> None:
     """Add --graph, as all commands beside a running graph have it, and --json, if it prints one."""
     if document:
         parser.add_argument("--json", action="store_true", help=f"print {document}")
-    parser.add_argument(
-        "--graph", metavar="NAME|PID", help="which graph, where several run on this host"
-    )
+    about = "which graph, where several run on this host"
+    rare(parser).add_argument("--graph", metavar="NAME|PID", help=about)
 
 
 def add_page(
@@ -62,7 +71,7 @@ def add_page(
     """Add the options of the live page."""
     parser.add_argument("--open", action="store_true", help=about_open)
     about = "serve the live page to all users of this host, without a token"
-    parser.add_argument("--no-token", action="store_true", help=about)
+    rare(parser).add_argument("--no-token", action="store_true", help=about)
 
 
 def add_shape(parser: argparse.ArgumentParser) -> None:
@@ -93,7 +102,7 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
         return [f"{out.rstrip('/')}/{name}" for name in names]
     if not folder.is_dir():
         if folder.suffix == FILE_SUFFIX:
-            raise SettingsError(f"--out {out}: several files need a folder, one bag each")
+            raise SettingsError(f"--out {out}: several files need a folder, one recording each")
         make_folder(folder)
     return [str(folder / name) for name in names]
 
@@ -125,7 +134,7 @@ def stated_values(words: Iterable[str], entries: Iterable[Mapping[str, Any]]) ->
 def add_summary(parser: argparse.ArgumentParser) -> None:
     """Add --summary."""
     about = "write the summary as JSON"
-    parser.add_argument("--summary", metavar="OUT.json", type=Path, help=about)
+    rare(parser).add_argument("--summary", metavar="OUT.json", type=Path, help=about)
 
 
 def check_summary(path: Path | None) -> None:

@@ -1,31 +1,24 @@
 """The commands `sparseskin play`, which publishes a recording and shows it on a live page, and
-`scenes`, which lists and makes short recordings.
+`scenes`, which lists launch files.
 """
 
 from __future__ import annotations
 
 import argparse
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparseskin.launch.attach.text import size_text, table
-from sparseskin.launch.offline.scenarios import (
-    FILE_SUFFIX,
-    PERIOD_NS,
-    SCENARIOS,
-    data_folder,
-    make_scenario,
-    resolve_recording,
-    unknown_scenario,
-)
+from sparseskin.launch.attach.text import table
+from sparseskin.launch.launchfile import BUNDLED, bundled_names
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.remote import local_path
 
-from .options import add_commands, add_page, naming_options, print_ends, real, whole
+from .options import add_page, naming_options, print_ends, rare, real, whole
 
 if TYPE_CHECKING:
     from sparseskin.launch.launchfile.spec import LaunchFile
-    from sparseskin.nodes.sensor.scenes.simulation import Scene
 
 PLAY_KEYS = {
     " ": ("player", "pause"),
@@ -33,7 +26,6 @@ PLAY_KEYS = {
     "up": ("player", "faster"),
     "down": ("player", "slower"),
 }
-STEP_KEYS = PLAY_KEYS | {" ": ("player", "step"), "\n": ("player", "step")}
 OPTIONS = {
     key: f"--{key.removesuffix('_s')}"
     for key in ("rate", "loop", "start_s", "duration_s", "topics", "remap", "lockstep", "wait")
@@ -47,22 +39,21 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
         "Publish what was recorded, as it was recorded. Keys: space pauses, right plays one frame, "
         "up and down change the rate, q ends."
     )
-    about = f"recording, or an address of one; or {', '.join(SCENARIOS)}"
-    parser.add_argument("file", metavar="F.mcap|NAME", help=about)
+    more = rare(parser)
+    parser.add_argument("file", metavar="F.mcap", help="recording, or an address of one")
     about = "times the recorded speed; 0: as fast as it is read"
     parser.add_argument("--rate", type=real(False), metavar="R", help=about)
     parser.add_argument("--loop", action="store_true", default=None, help="start again at the end")
     seconds: dict[str, Any] = {"type": real(False), "metavar": "S"}
     parser.add_argument("--start", dest="start_s", help="seconds to skip", **seconds)
     parser.add_argument("--duration", dest="duration_s", help="seconds to play", **seconds)
-    parser.add_argument("--topics", nargs="+", metavar="T", help="topics to play")
+    more.add_argument("--topics", nargs="+", metavar="T", help="topics to play")
     about = "other names for topics or patches"
-    parser.add_argument("--remap", nargs="+", metavar="A:=B", help=about)
+    more.add_argument("--remap", nargs="+", metavar="A:=B", help=about)
     about = "send no frame before all readers have handled the last"
-    parser.add_argument("--lockstep", action="store_true", default=None, help=about)
-    parser.add_argument("--wait", type=whole(0), metavar="K", help="wait for K readers first")
-    parser.add_argument("--pause", action="store_true", help="start paused")
-    parser.add_argument("--step", action="store_true", help="play one frame a key")
+    more.add_argument("--lockstep", action="store_true", default=None, help=about)
+    more.add_argument("--wait", type=whole(0), metavar="K", help="wait for K readers first")
+    more.add_argument("--pause", action="store_true", help="start paused")
     add_page(parser, "open a live page that shows it, again and again")
     parser.set_defaults(run=_play)
 
@@ -75,12 +66,12 @@ def _play(arguments: argparse.Namespace) -> int:
 
     if arguments.no_token and not arguments.open:
         raise SettingsError("--no-token: goes with --open: without it there is no page")
-    path = resolve_recording(arguments.file)
+    path = local_path(arguments.file)
     stated = {key: getattr(arguments, key) for key in OPTIONS}
     values: dict[str, Any] = {
         **{key: value for key, value in stated.items() if value is not None},
         "file": str(path),
-        "paused": arguments.pause or arguments.step,
+        "paused": arguments.pause,
         "verbatim": not (arguments.loop or arguments.remap),
     }
     with naming_options(OPTIONS):
@@ -88,8 +79,7 @@ def _play(arguments: argparse.Namespace) -> int:
             launch = _with_page(arguments, path, values)
         else:
             launch = replace(single_node("player", "player", values), name=path.stem)
-    keys = STEP_KEYS if arguments.step else PLAY_KEYS
-    launcher = Launcher(launch, Terminal(), keys=keys)
+    launcher = Launcher(launch, Terminal(), keys=PLAY_KEYS)
     code = launcher.run()
     print_ends(launcher.summary()["nodes"])
     return code
@@ -155,55 +145,27 @@ def shown(path: Path, by_patch: dict[str, set[str]]) -> tuple[list[str], list[st
     )
 
 
-_DATA_FOLDER = "$XDG_DATA_HOME/sparseskin or ~/.local/share/sparseskin"
-
-
 def configure_scenes(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `scenes`."""
-    about = "The scenes that can be launched, and short recordings that can be played."
-    add = add_commands(parser, about)
-    add("list", _list, "list scenes and recordings, one line each")
-    make = add("make", _make, "make short recordings of scenes")
-    make.description = f"{make.description} Scenes: {', '.join(SCENARIOS)}."
-    make.add_argument("names", metavar="NAME", nargs="*", help="which; all by default")
-    make.add_argument(
-        "--out", metavar="DIR", type=Path, help=f"folder to write to (default: {_DATA_FOLDER})"
-    )
+    parser.description = "List the graphs that launch knows by name."
+    parser.set_defaults(run=_scenes)
 
 
-def _list(arguments: argparse.Namespace) -> int:
-    """List scenes and recordings, one line each."""
-    from sparseskin.nodes.sensor.scenes.scenes import SCENES
-    from sparseskin.nodes.sensor.source import about
-
-    def row(name: str, scene: Scene, n_frames: int, period_ns: int, words: str) -> list[object]:
-        return [name, "{} x {}".format(*scene.shape), n_frames, period_ns / 1e6, words]
-
-    scenes = {name: make() for name, make in SCENES.items()}
-    for title, rows in {
-        "scenes: sparseskin launch NAME": [
-            row(name, scene, scene.n_steps, scene.dt_ns, about(SCENES[name]))
-            for name, scene in scenes.items()
-        ],
-        "recordings: sparseskin play NAME": [
-            row(name, scenes[one.scene], one.n_frames, PERIOD_NS, one.about)
-            for name, one in SCENARIOS.items()
-        ],
+def _scenes(arguments: argparse.Namespace) -> int:
+    described = {name: _description(name) for name in bundled_names()}
+    own = [name for name in described if name.startswith(("replay", "edge"))]
+    for title, abouts in {
+        "sparseskin launch NAME": {n: text for n, text in described.items() if n not in own},
+        "sparseskin launch NAME --set ..., of a recording or board of yours": {
+            name: described[name] for name in own
+        },
     }.items():
-        print("\n".join([title, *table(["NAME", "TAXELS", "FRAMES", "MS", "ABOUT"], rows, "  ")]))
+        rows = [[name, text] for name, text in abouts.items()]
+        print("\n".join([title, *table(["NAME", "ABOUT"], rows, "  "), ""]))
     return 0
 
 
-def _make(arguments: argparse.Namespace) -> int:
-    """Make short recordings of scenes."""
-    names = list(dict.fromkeys(arguments.names or SCENARIOS))
-    for name in names:
-        if name not in SCENARIOS:
-            raise unknown_scenario(name)
-    folder = arguments.out if arguments.out is not None else data_folder()
-    for name in names:
-        there = (folder / f"{name}{FILE_SUFFIX}").exists()
-        path = make_scenario(name, folder)
-        note = "is there already" if there else f"{SCENARIOS[name].n_frames} frames"
-        print(f"{path}: {note}, {size_text(path.stat().st_size)}")
-    return 0
+def _description(name: str) -> str:
+    """What a bundled launch file states of its graph."""
+    text = (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
+    return str(tomllib.loads(text)["graph"]["description"])

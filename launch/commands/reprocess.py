@@ -15,7 +15,7 @@ from sparseskin.nodes.lookup import did_you_mean, one_line
 from sparseskin.nodes.remote import check_address, file_name, is_remote, shown
 from sparseskin.nodes.tasks.executors import forms
 
-from .options import add_set, add_summary, bag_names, check_summary, write_summary
+from .options import add_set, add_summary, bag_names, check_summary, rare, write_summary
 
 if TYPE_CHECKING:
     from sparseskin.launch.offline.job import Job, Outcome
@@ -30,16 +30,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Compress and reconstruct recorded frames with other settings, faster than they were "
         "recorded; the result is a recording with the same stamps."
     )
+    more = rare(parser)
     parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings, or addresses")
     add_set(parser, "change a setting of the compressor or the reconstructor", "NODE.KEY=VALUE")
     about = "file to write; a folder for several, made if it does not exist"
     parser.add_argument("--out", metavar="G.mcap", required=True, help=about)
     about = "recorded stream to start from; auto: measurements, unless the compressor is changed"
-    parser.add_argument(
+    more.add_argument(
         "--from", dest="start_from", choices=START_POINTS, default=START_POINTS[0], help=about
     )
     about = f"where recordings are computed side by side: {forms()}"
-    parser.add_argument("--executor", metavar="WHERE", help=about)
+    more.add_argument("--executor", metavar="WHERE", help=about)
     add_summary(parser)
     parser.set_defaults(run=_reprocess)
 
@@ -67,11 +68,8 @@ def _reprocess(arguments: argparse.Namespace) -> int:
 
 def _rate(outcome: Outcome) -> str:
     """Bytes and time of a recording."""
-    n_bytes, minutes = outcome.n_bytes, outcome.seconds / 60
-    return (
-        f"{size_text(n_bytes)} in {outcome.seconds:.1f} s: {size_text(n_bytes / minutes)} per "
-        f"minute, {minutes / (n_bytes / 1e9):.3g} minutes per GB"
-    )
+    per_minute = size_text(60 * outcome.n_bytes / outcome.seconds)
+    return f"{size_text(outcome.n_bytes)} in {outcome.seconds:.1f} s: {per_minute} per minute"
 
 
 def _jobs(arguments: argparse.Namespace) -> list[Job]:

@@ -11,7 +11,7 @@ from sparseskin.launch.attach.text import facts, flowing, table
 from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.process.control import COUNTED
 
-from .options import Run, add_commands, add_graph, real, show, whole
+from .options import add_commands, add_graph, rare, real, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.messages import Message
@@ -20,25 +20,6 @@ if TYPE_CHECKING:
 WINDOW = 1000
 FEW_MESSAGES = 100
 """So many messages are over before reading them could disturb a graph."""
-OVER = "A line a second, over the last messages; at the end, or with Ctrl-C, one over all."
-MEASURES = {
-    "hz": (
-        "print the rate of messages, sent and arriving",
-        "Print the rate at which messages are sent and the interval between two, by their numbers "
-        "and stamps, the rate at which they arrive here, and how many were lost on the way.",
-    ),
-    "bw": (
-        "print the bytes a second that arrive",
-        "Print the bytes a second that arrive here, and the size of a message on the wire.",
-    ),
-    "delay": (
-        "print the age of messages as they arrive",
-        "Print the time from a message's stamp, the acquisition of its frame, to its arrival here, "
-        "on the clock of this host. It reads as a node does, and competes with the graph for the "
-        "processor as a node does.",
-    ),
-}
-"""Of each measure its line of help and its description."""
 WORDS = {
     "Integer": "whole number",
     "Real": "number",
@@ -58,27 +39,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
     listing = add("list", _list, "list the topics")
     info = add("info", _info, "describe one topic")
     echo = add("echo", _echo, "print messages")
-    rates = [add(name, _measure(name, text), help) for name, (help, text) in MEASURES.items()]
-    for one in (info, echo, *rates):
+    hz = add("hz", _hz, "measure their rate, bytes and age")
+    for one in (info, echo, hz):
         one.add_argument("topic", metavar="TOPIC", help="the topic, /PATCH/SCHEMA")
     echo.add_argument("--once", action="store_true", help="end after one message")
-    for one in rates:
-        about = f"how many messages a line is over, at most (default: {WINDOW})"
-        one.add_argument("--window", metavar="K", type=whole(2), default=WINDOW, help=about)
-    for one in (echo, *rates):
-        one.add_argument("-n", metavar="K", type=whole(1), help="end after K messages")
+    for one in (echo, hz):
         one.add_argument("--duration", metavar="S", type=real(True), help="end after S seconds")
-    echo.add_argument("--full", action="store_true", help="print all elements of arrays")
-    echo.add_argument(
-        "--field", metavar="FIELD", help="print one field; FIELD[I,J]: one element of an array"
-    )
-    echo.add_argument(
-        "--max-hz",
-        metavar="R",
-        type=real(False),
-        help="print R messages a second at most, 0: all (default: 10; all with --json or -n)",
-    )
-    for one in (listing, info, echo, *rates):
+        rare(one).add_argument("-n", metavar="K", type=whole(1), help="end after K messages")
+    about = "print one field; FIELD[I,J]: one element of an array"
+    echo.add_argument("--field", metavar="FIELD", help=about)
+    rare(echo).add_argument("--full", action="store_true", help="print all elements of arrays")
+    about = "print R messages a second at most, 0: all (default: 10; all with --json or -n)"
+    rare(echo).add_argument("--max-hz", metavar="R", type=real(False), help=about)
+    about = f"how many messages a line is over, at most (default: {WINDOW})"
+    rare(hz).add_argument("--window", metavar="K", type=whole(2), default=WINDOW, help=about)
+    for one in (listing, info, echo, hz):
         document = "one JSON document" if one in (listing, info) else "one JSON object a line"
         add_graph(one, document)
 
@@ -130,9 +105,12 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _echo(arguments: argparse.Namespace) -> int:
-    """Print the messages of a topic, of arrays a summary. Those that are not shown are counted."""
+    """Print the messages of a topic, of arrays a summary. Those that are not shown are counted;
+    contacts with an event are always shown.
+    """
     from sparseskin.launch.attach.echo import Echo, FieldPath
-    from sparseskin.launch.attach.stream import observe
+    from sparseskin.launch.attach.stream import observe, unit_of
+    from sparseskin.messages import Contacts
     from sparseskin.messages.wire import SCHEMAS
 
     graph = choose_graph(arguments.graph)
@@ -143,25 +121,27 @@ def _echo(arguments: argparse.Namespace) -> int:
     if n is None or n > FEW_MESSAGES:
         give_way()
     options = {"max_hz": arguments.max_hz, "in_json": arguments.json, "full": arguments.full}
-    return observe(graph, topic, Echo(topic, field, n=n, **options), n, arguments.duration)
+    unit = unit_of(graph, topic) if cls is Contacts else ""
+    echo = Echo(topic, field, n=n, unit=unit, **options)
+    return observe(graph, topic, echo, n, arguments.duration)
 
 
-def _measure(name: str, text: str) -> Run:
-    """The function of `topic NAME`, which `text` describes."""
+def _hz(arguments: argparse.Namespace) -> int:
+    """Print the rate at which messages are sent and at which they arrive here, by their numbers and
+    stamps; the bytes a second; their age on arrival, from the acquisition of the frame; and how
+    many were lost on the way: a line a second, over the last messages, and at the end, or with
+    Ctrl-C, one over all. It gives way to the graph, so that ages are longer than those of a node on
+    a busy host; with -n it reads as a node does.
+    """
+    from sparseskin.launch.attach.rates import Meter
+    from sparseskin.launch.attach.stream import observe
 
-    def run(arguments: argparse.Namespace) -> int:
-        from sparseskin.launch.attach.rates import Meter
-        from sparseskin.launch.attach.stream import observe
-
-        graph = choose_graph(arguments.graph)
-        topic = find_topic(graph, arguments.topic)
-        meter = Meter(graph, topic, name, window=arguments.window, in_json=arguments.json)
-        if meter.patience_s:  # the delay is that of a node, which competes with the others
-            give_way()
-        return observe(graph, topic, meter, arguments.n, arguments.duration)
-
-    run.__doc__ = f"{text} {OVER}"
-    return run
+    graph = choose_graph(arguments.graph)
+    topic = find_topic(graph, arguments.topic)
+    if arguments.n is None:
+        give_way()
+    meter = Meter(graph, topic, window=arguments.window, in_json=arguments.json)
+    return observe(graph, topic, meter, arguments.n, arguments.duration)
 
 
 def about(cls: type[Message]) -> str:

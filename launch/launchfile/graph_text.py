@@ -1,18 +1,11 @@
-"""A graph as text for a terminal, and as DOT text, of which Graphviz draws a picture."""
+"""A graph as text for a terminal."""
 
 from __future__ import annotations
 
-import json
-
 from sparseskin.launch.attach.text import table
 from sparseskin.messages.text import printable
-from sparseskin.messages.topics import split_topic
 
-from .spec import LaunchFile, NodeSpec
-
-_TELLING = {"sensor": "source", "reconstructor": "preset", "player": "file", "recorder": "out"}
-"""Of a type of node the setting whose value stands in its box."""
-_MAX_VALUE = 40
+from .spec import LaunchFile
 
 
 def graph_text(launch: LaunchFile) -> str:
@@ -44,51 +37,3 @@ def graph_text(launch: LaunchFile) -> str:
     lines += ["", *table(["HOST", "ADDRESS", "NODES"], hosts)] if hosts else []
     lines += ["", *table(["TOPIC (/PATCH/SCHEMA)", "PUBLISHER", "SUBSCRIBERS"], topics)]
     return "\n".join(map(printable, lines))
-
-
-def dot_of(launch: LaunchFile) -> str:
-    """The nodes of all hosts and their links as DOT, the language of Graphviz; a box a host."""
-    nodes = {**launch.nodes, **launch.elsewhere}
-    title = f"{launch.name}: {launch.description}".rstrip(": ")
-    lines = [
-        "digraph {",
-        "rankdir=LR; labelloc=t; ranksep=1; fontname=Helvetica; fontsize=11",
-        f"label={_quoted(title)}",
-        'node [shape=box, style="rounded,filled", fillcolor="#dbe9f6", fontname=Helvetica, '
-        "fontsize=11]",
-        'edge [color="#4a6f95", fontcolor="#4a6f95", fontname=Helvetica, fontsize=10]',
-    ]
-    for host in dict.fromkeys(spec.host for spec in nodes.values()):
-        boxes = [_box(spec) for spec in nodes.values() if spec.host == host]
-        if host:
-            name = _quoted(f"cluster_{host}")
-            boxes = [f"subgraph {name} {{", f"label={_quoted(host)}", *boxes, "}"]
-        lines += boxes
-    topics: dict[tuple[str, str], list[str]] = {}
-    for link in launch.links:
-        topics.setdefault((link.writer, link.reader), []).append(link.topic)
-    for (writer, reader), names in topics.items():
-        ends = f"{_quoted(writer)} -> {_quoted(reader)}"
-        lines.append(f"{ends} [label={_quoted(_label(names))}]")
-    return "\n".join([*lines, "}"]) + "\n"
-
-
-def _box(spec: NodeSpec) -> str:
-    """A node: its name, its type where that differs, and the setting that sets it apart."""
-    about = str(spec.values.get(_TELLING.get(spec.type_name, ""), ""))[:_MAX_VALUE]
-    kind = "" if spec.type_name == spec.name else spec.type_name
-    text = "\n".join(filter(None, (spec.name, kind, about)))
-    return f"{_quoted(spec.name)} [label={_quoted(text)}]"
-
-
-def _label(topics: list[str]) -> str:
-    """Topics, a line each patch: "/skin/ taxels, truth"."""
-    schemas: dict[str, list[str]] = {}
-    for topic in topics:
-        patch, schema = split_topic(topic)
-        schemas.setdefault(patch, []).append(schema)
-    return "\n".join(f"/{patch}/ {', '.join(names)}" for patch, names in schemas.items())
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)

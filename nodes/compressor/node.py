@@ -161,10 +161,7 @@ class Compressor(Node[CompressorSettings]):
 
     @classmethod
     def facts(cls, settings: CompressorSettings) -> Mapping[str, Any]:
-        return {
-            topic_of(settings.patch, PhiState.schema): settings.phi,
-            topic_of(settings.patch, Measurements.schema): settings.rows_and_m,
-        }
+        return {topic_of(settings.patch, PhiState.schema): settings.phi}
 
     @classmethod
     def check_inputs(cls, settings: CompressorSettings, facts: Mapping[str, Any]) -> None:

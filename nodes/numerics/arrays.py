@@ -21,6 +21,19 @@ TINY = 1e-30
 that differ from 0, so that no other quotient changes."""
 
 
+def real_floats(given: npt.ArrayLike, name: str, error: type[Exception]) -> Floats:
+    """Return an array of real numbers as contiguous float32.
+    Raises `error`, with the `name` of what was given, for complex numbers, objects and the like.
+    """
+    try:
+        array = np.asarray(given)
+    except ValueError:  # lists of several lengths
+        array = np.asarray(given, dtype=object)
+    if array.dtype.kind not in "fiu":
+        raise error(f"{name}: type {array.dtype}; allowed: real numbers, as of float32")
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
 def each_frame(
     apply: Callable[[Floats, Floats], None],
     given: Floats,
@@ -41,7 +54,7 @@ def each_frame(
     name, error
         Name of `given`, as in "sbhe: x", and what is raised if a shape or type is another.
     """
-    given = np.ascontiguousarray(given, dtype=np.float32)
+    given = real_floats(given, name, error)
     expected, made = shapes
     several = given.ndim - len(expected)
     if several not in (0, 1) or given.shape[several:] != expected:

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
+from sparseskin.nodes.errors import SolverError
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask, real_floats
 from sparseskin.nodes.numerics.compiled import ready, use_compiled
 
 NEIGHBOURS = np.ones((3, 3), dtype=np.bool_)
@@ -251,6 +252,11 @@ def find_contacts(
     Features
         Arrays with an entry for each contact: total, centre, area, peak, standard deviations.
 
+    Raises
+    ------
+    SolverError
+        If forces or error are none of these.
+
     Examples
     --------
     >>> import numpy as np, sparseskin
@@ -260,7 +266,12 @@ def find_contacts(
     >>> found.total.tolist(), found.centre.tolist(), found.area.tolist()
     ([3.0], [[5.0, 8.5]], [6])
     """
-    forces = np.asarray(forces, dtype=np.float32)
+    forces = real_floats(forces, "find_contacts: forces", SolverError)
+    if forces.ndim != 2 or not np.isfinite(forces).all() or not error > 0:
+        raise SolverError(
+            f"find_contacts: forces of shape {forces.shape} and error {error:g}; allowed: finite "
+            "forces of shape (n_rows, n_cols), and an error above 0"
+        )
     n_rows, n_cols = forces.shape
     skin = Skin(n_rows, n_cols, f_max=1.0, mask=mask)
     forces = np.where(skin.exists, forces, np.float32(0))

@@ -22,16 +22,14 @@ from sparseskin.nodes.numerics.arrays import TINY, Mask
 #: at M = N/3.
 LAMBDAS_N = {
     "fista": (0.0006, 0.015),
-    "fista_nonneg": (0.0015, 0.015),
-    "reweighted": (0.002, 0.03),
     "tv": (0.002, 0.03),
 }
 #: Solvers that return 0 for measurements below their lambda, and need a sparse basis.
-L1_SOLVERS = ("fista", "fista_nonneg")
+L1_SOLVERS = ("fista",)
 #: Solvers that do not use the basis they are given.
 OWN_BASIS = ("skin", "tv", "interpolation")
 #: Least iterations with which the first frames of a sudden contact lose less than 3 dB.
-MIN_ITERATIONS = {"fista": 15, "fista_nonneg": 10, "reweighted": 10, "tv": 10, "skin": 5}
+MIN_ITERATIONS = {"fista": 15, "tv": 10, "skin": 5}
 #: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
 MAX_STEP = 4.0 / 3.0
 N_POWER_STEPS = 30

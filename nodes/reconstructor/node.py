@@ -23,7 +23,6 @@ from sparseskin.messages import (
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, phis_for
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import block_and_rule
 from sparseskin.nodes.errors import (
     PhiError,
     RefusedError,
@@ -97,21 +96,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         kind = facts.get(topic_of(settings.patch, PhiState.schema))
         if kind is not None:
             settings.check_phi(kind)
-        n = facts.get(topic_of(settings.patch, SkinState.schema))
-        rows_and_m = facts.get(topic_of(settings.patch, Measurements.schema))
-        if n is None or rows_and_m is None:
-            return
-        with contextlib.suppress(PhiError):  # of the compressor, which reports it
-            stated = settings.stated_rows_and_m(n)
-            if stated is None:
-                return
-            keys = (("phi_rows", "rows are"), ("phi_m", "M is"))
-            for (key, made), mine, theirs in zip(keys, stated, rows_and_m(n), strict=True):
-                if mine != theirs:
-                    raise SettingsError(
-                        f"{key}: {mine}, but the compressor's {made} {theirs}; "
-                        f"state {key} = {theirs}"
-                    )
 
     @property
     def depth(self) -> int:
@@ -224,21 +208,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         for patch in self._patches:
             patch.set_noise(self._skin)
 
-    def _differences(self, announced: PhiState) -> str:
-        """Rows and M of a stated Phi and of the announced one, where they differ; else ""."""
-        stated = self.settings.stated_rows_and_m(announced.n)
-        if stated is None:
-            return ""
-        pairs = (("phi_rows", "rows", announced.rows), ("phi_m", "M", announced.m))
-        return "".join(
-            f"; {key} is {mine}, {name} of the announced Phi {theirs}"
-            for (key, name, theirs), mine in zip(pairs, stated, strict=True)
-            if mine != theirs
-        )
-
     def _phi_of(self, measurements: Measurements) -> Phi:
         """The row subset that measurements were made by, or RefusedError."""
-        if not self._subsets or self._announced is None:
+        if not self._subsets:
             raise RefusedError(f"{measurements.topic}: skin or Phi is not known yet")
         if measurements.names != self.settings.patches:
             raise RefusedError(f"{measurements.topic}: of other patches than this node serves")
@@ -249,7 +221,6 @@ class Reconstructor(Node[ReconstructorSettings]):
             raise RefusedError(
                 f"{measurements.topic}: Phi mismatch: made by Phi {measurements.phi}, "
                 f"this reconstructor inverts Phi {first}{rotating}"
-                f"{self._differences(self._announced)}"
             )
         return phi
 
@@ -381,36 +352,28 @@ def phis_to_invert(
 ) -> list[Phi]:
     """Return the matrices of the measurements: one Phi of a skin, or one for each row subset.
 
-    A Phi that is stated in the settings replaces the announced one.
+    A kind that is stated in the settings replaces the announced one, which is never imported.
 
     Raises
     ------
     RefusedError
-        If the announced Phi is not built in, is of another skin, cannot be made, or comes out as
-        another matrix here.
-    PhiError
-        If a stated Phi cannot be made.
+        If the announced Phi is not built in and not stated, is of another skin, cannot be made, or
+        comes out as another matrix here.
     """
-    s, n = settings, state.skin.n_taxels
-    of_skin = state.skin, state.sigma_end, state.clips_noise
-    stated = s.stated_rows_and_m(n)
-    if stated is not None:
-        rows, m = stated
-        chosen = block_and_rule(s.phi_rows, s.phi_block)
-        return phis_for(*of_skin, rows, kind=s.phi, m=m, seed=s.phi_seed, **chosen)
+    n = state.skin.n_taxels
     if announced.n != n:
         raise RefusedError(f"{announced.topic}: for {announced.n} taxels; the skin has {n}")
     try:
-        s.check_phi(announced.kind)
-        parameters = {
-            name: getattr(announced, name) for name in ("kind", "m", "seed", "block", "rule")
-        }
-        subsets = phis_for(*of_skin, announced.rows, **parameters)
+        settings.check_phi(announced.kind)
+        kind = settings.kind_of(announced.kind)
+        parameters = {name: getattr(announced, name) for name in ("m", "seed", "block", "rule")}
+        of_skin = state.skin, state.sigma_end, state.clips_noise
+        subsets = phis_for(*of_skin, announced.rows, kind=kind, **parameters)
     except (PhiError, SettingsError) as error:
         raise RefusedError(f"{announced.topic}: {error}") from error
     if subsets[0].fingerprint != announced.fingerprint:
         raise RefusedError(
             f"{announced.topic}: seed {announced.seed} gives Phi {subsets[0].fingerprint} here, "
-            f"not {announced.fingerprint}: the random generators differ"
+            f"not {announced.fingerprint}: its program differs"
         )
     return subsets

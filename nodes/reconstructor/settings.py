@@ -11,7 +11,6 @@ from typing import Any, Self
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import is_built_in, phi_class
-from sparseskin.nodes.compressor.phi.rotation import PAPER, ROWS, rows_and_m
 from sparseskin.nodes.errors import SettingsError, SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class, nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
@@ -175,19 +174,9 @@ class ReconstructorSettings(PatchesSettings):
         True, "exclude taxels that are stuck, dead or saturated, on a skin that states its noise"
     )
     phi: str = setting(
-        ANNOUNCED, "measurement matrix: announced (by the compressor), a kind or module:Class"
-    )
-    phi_m: int | None = setting(
-        None, "M of a stated phi; by default as the compressor's", low=1, high=2**20
-    )
-    phi_block: int | None = setting(
-        None, "block size of a stated phi; by default as the compressor's", low=1, high=2**20
-    )
-    phi_seed: int = setting(0, "seed of a stated phi", low=0, high=2**32 - 1)
-    phi_rows: str | None = setting(
-        None,
-        "rows of a stated phi: fixed, rotating or paper; by default as the compressor's",
-        choices=(*ROWS, PAPER),
+        ANNOUNCED,
+        "kind of the measurement matrix, where it is not built in: module:Class or file:PATH, as "
+        "of the compressor, which announces the rest",
     )
 
     def __post_init__(self) -> None:
@@ -215,12 +204,6 @@ class ReconstructorSettings(PatchesSettings):
         if self.phi != ANNOUNCED:
             with naming("phi"):
                 phi_class(self.phi)
-        for key in ("phi_m", "phi_block", "phi_seed", "phi_rows"):
-            if self.phi == ANNOUNCED and getattr(self, key):
-                raise SettingsError(
-                    f"{key}: has no effect on the Phi that the compressor announces; allowed: to "
-                    "leave it out, or to state phi, too"
-                )
         if self.preset not in PRESETS:
             raise SettingsError(
                 f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}; "
@@ -279,13 +262,13 @@ class ReconstructorSettings(PatchesSettings):
         """Check that measurements by an announced kind of phi can be reconstructed.
         Raises SettingsError.
         """
-        if self.phi != ANNOUNCED:
-            kind = self.phi
-        elif not is_built_in(kind):  # nothing named over the wire is ever imported
+        kind = self.kind_of(kind)
+        if self.phi == ANNOUNCED and not is_built_in(
+            kind
+        ):  # nothing named over the wire is ever imported
             raise SettingsError(
                 f"phi: the compressor's '{kind}' is not built in, and is not imported because a "
-                f"message names it; state phi = '{kind}' here too, its M as phi_m (default: "
-                "N / 3), and its rows as phi_rows where the compressor states them"
+                f"message names it; state phi = '{kind}' here too"
             )
         chosen = self.chosen()["solver"]
         solver = find_class("solver", chosen, SOLVERS, SolverError)
@@ -300,15 +283,9 @@ class ReconstructorSettings(PatchesSettings):
                         "allowed: sbhe"
                     )
 
-    def stated_rows_and_m(self, n: int) -> tuple[str, int] | None:
-        """Rows and M of a stated phi for `n` taxels, those of a compressor with the same settings.
-
-        None where the announced phi is used.
-        """
-        if self.phi == ANNOUNCED:
-            return None
-        rows, m = rows_and_m(self.phi, n, rows=self.phi_rows, m=self.phi_m)
-        return rows, self.phi_m or max(1, m)
+    def kind_of(self, announced: str) -> str:
+        """The kind of phi that is made: the stated one, or that which the compressor announces."""
+        return announced if self.phi == ANNOUNCED else self.phi
 
     def chosen(self) -> dict[str, Any]:
         """Return the preset with the settings that are stated in place of its own."""

@@ -73,7 +73,7 @@ class Recorder(Node[RecorderSettings]):
     @classmethod
     def left_behind(cls, settings: RecorderSettings) -> str:
         part = f"{settings.out}{PART_SUFFIX}"
-        how = f"sparseskin bag recover {part}"
+        how = f"sparseskin recording recover {part}"
         return f"what was recorded before it ended is in {part} ({how})" * Path(part).is_file()
 
     def step(self, message: Message) -> Iterable[Message]:

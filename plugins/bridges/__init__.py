@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 HELP = "show a running graph to Foxglove or ROS 2"
+GROUP = "Look"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

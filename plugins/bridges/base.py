@@ -85,7 +85,7 @@ def check_installed(
     for module in modules:
         if find_spec(module) is None:
             package = {"foxglove": "foxglove-sdk"}.get(module, module)
-            raise error(f'{what} needs {package}; pip install "sparseskin[{extra}]"')
+            raise error(f"{what} needs {package}; pip install 'sparseskin[{extra}]'")
 
 
 def point_columns(

@@ -6,6 +6,7 @@ import argparse
 import os
 
 HELP = "compare ways to read a skin before it is built"
+GROUP = "Build a skin"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

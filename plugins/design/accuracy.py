@@ -15,13 +15,12 @@ from scipy.stats import t as student
 from tqdm import tqdm
 
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.scenes.presses import COURSES
 from sparseskin.nodes.tasks.results import computed
 
 from .budget import Accuracy, Row
-from .simulation import FEW_SCENES, N_SCENES, contact_db, light_touch, make_reader, presses
+from .simulation import contact_db, light_touch, make_reader, presses
 from .spec import Design
-from .strategies import Strategy
+from .strategies import FEW_SCENES, N_SCENES, Strategy
 
 WITHIN = 0.9
 """Part of the scenes that lie within the band."""
@@ -42,14 +41,7 @@ def grid_of(design: Design) -> Mask:
     return cells.reshape(-1, side)
 
 
-def simulated(
-    rows: Sequence[Row],
-    design: Design,
-    seed: int,
-    *,
-    scene: str | None = None,
-    n_scenes: int = FEW_SCENES,
-) -> list[Row]:
+def simulated(rows: Sequence[Row], design: Design, n_scenes: int = FEW_SCENES) -> list[Row]:
     """Return rows with the accuracy of their strategies, each at the rate that it reaches.
 
     The strategies are simulated side by side, in a process each core. Progress is written to stderr
@@ -64,8 +56,6 @@ def simulated(
             "noise": design.noise,
             "bits": design.adc.bits if row.strategy.reads_single else design.bits,
             "rate_hz": row.reached_hz,
-            "seed": seed,
-            "scene": scene,
             "n_scenes": n_scenes,
         }
         for k, row in enumerate(rows)
@@ -92,8 +82,7 @@ def simulate(
     noise: float,
     bits: int,
     rate_hz: float,
-    seed: int,
-    scene: str | None = None,
+    seed: int = 0,
     n_scenes: int = FEW_SCENES,
 ) -> Accuracy:
     """Simulate a strategy on a skin. Raises SparseskinError if the strategy is not possible on it.
@@ -105,19 +94,17 @@ def simulate(
     rate_hz : float
     seed : int
         Of scenes, noise and Phi.
-    scene : str, optional
-        A body of `presses.BODIES`, pressed in each course. None: the first scenes of `simulation`.
     n_scenes : int
-        Number of scenes, 2..15.
+        The first so many scenes of `simulation`, 2..15.
     """
     dbs = [
         np.mean(
             contact_db(
                 make_reader(strategy, mask, noise, bits, seed * N_SCENES + k),
-                presses(k, mask, noise, rate_hz, seed, scene),
+                presses(k, mask, noise, rate_hz, seed),
             )
         )
-        for k in range(n_scenes if scene is None else len(COURSES))
+        for k in range(n_scenes)
     ]
     low, high = band(np.array(dbs))
     touch = light_touch(make_reader(strategy, mask, noise, bits, seed), mask, noise, seed)

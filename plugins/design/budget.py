@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 
 from sparseskin.messages.quantised import n_bytes
-from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.edge.description import CRC_BYTES, HEADER_BYTES
 
 from .models.costs import HOP_S, LARGEST, cost
@@ -17,7 +15,7 @@ from .strategies import STRATEGIES, Strategy
 
 STAGES = ("ADC", "edge", "bus", "host")
 """Stages that a frame passes; each works on a frame while the one before it has the next."""
-NO_GRID = ("row_local", "local")
+NO_GRID = ("N/4 sums of rows", "N/4 sums of 16 x 16")
 """Strategies that need a grid: rows of columns, or neighbourhoods of cells."""
 
 
@@ -56,7 +54,7 @@ class Row:
         Measurements of a frame.
     wires : Wires
     n_bytes : int
-        Bytes of a frame on the bus, with header and checksum of the project's edge (14 bytes).
+        Bytes of a frame on the bus, with header and checksum of the project's edge (15 bytes).
     stage_s : dict of str to float
         Time of a frame in each of `STAGES`, seconds; of the host, of one core under a dense press.
     host_calm_s : float
@@ -130,18 +128,13 @@ class Row:
         return self.reached_hz * self.stage_s["host"] * self.patches
 
 
-def budget(design: Design, only: Collection[str] | None = None) -> list[Row]:
-    """Return the row of each strategy that is possible on the skin, or of those named in `only`.
-    Raises SettingsError if only strategies are named that need a grid, and the skin has none.
-    """
-    rows = [
+def budget(design: Design) -> list[Row]:
+    """Return the row of each strategy that is possible on the skin."""
+    return [
         row_of(strategy, design)
         for name, strategy in STRATEGIES.items()
-        if (design.n_rows is not None or name not in NO_GRID) and (only is None or name in only)
+        if design.n_rows is not None or name not in NO_GRID
     ]
-    if not rows:
-        raise SettingsError(f"{', '.join(NO_GRID)} need a grid: state rows and cols")
-    return rows
 
 
 def row_of(strategy: Strategy, design: Design) -> Row:
@@ -181,7 +174,7 @@ def row_of(strategy: Strategy, design: Design) -> Row:
 def frame_bytes(strategy: Strategy, design: Design) -> int:
     """Bytes of a frame on the bus.
 
-    Header and checksum of the edge's frames, 14 bytes; M numbers without gaps, of the converter's
+    Header and checksum of the edge's frames, 15 bytes; M numbers without gaps, of the converter's
     bits if they are readings, else of the design's; of "adaptive" the choice too, at most 2 bits
     for each of the about N / 3 nodes of its tree.
     """

@@ -38,7 +38,7 @@ from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, Timing, pres
 from sparseskin.nodes.touch import in_contact
 from sparseskin.studies.evaluate import Method
 
-from .strategies import SINGLE, Strategy
+from .strategies import N_SCENES, SINGLE, Strategy
 
 F_MAX_N = PAPER_F_MAX_N
 SPEED = 20.0
@@ -52,10 +52,6 @@ N_UNTOUCHED = 16
 """Untouched frames at the begin: in as many, rotating rows of N/16 have read all rows."""
 ACTIVE = (0.03, 0.2)
 """Parts of the taxels that bodies touch. Chosen: from a fingertip to a forearm that leans on."""
-N_SCENES = len(BODIES) * len(COURSES)
-FEW_SCENES = len(BODIES)
-"""Scenes that are simulated where their number is not stated: each body once, each course at least
-once. Chosen: all strategies in some 20 s on two cores."""
 
 
 Reader: TypeAlias = "Callable[[Floats], Floats]"
@@ -122,17 +118,14 @@ def noise_model(noise: float) -> NoiseModel:
 
 
 def presses(
-    scene: int, mask: Mask, noise: float, rate_hz: float, seed: int, body: str | None = None
+    scene: int, mask: Mask, noise: float, rate_hz: float, seed: int
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Yield (truth, readings) of one of the scenes, 0..N_SCENES - 1, newtons; see the module.
-
-    `body` replaces that of the scene.
-    """
+    """Yield (truth, readings) of one of the scenes, 0..N_SCENES - 1, newtons; see the module."""
     drawn = np.random.default_rng([seed, scene, 4])
     ramp, pause, held = (max(1, round(s * rate_hz)) for s in (RAMP_S, PAUSE_S, HELD_S))
     active = math.exp(drawn.uniform(*np.log(ACTIVE)))
     return press_frames(
-        body or BODIES[scene % len(BODIES)],
+        BODIES[scene % len(BODIES)],
         (mask.shape[0], mask.shape[1]),
         N_UNTOUCHED + min(MOST_FRAMES, max(4, round(SCENE_S * rate_hz))),
         seed * N_SCENES + scene,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes.errors import SettingsError, SparseskinError
@@ -15,14 +15,15 @@ from sparseskin.nodes.lookup import did_you_mean, nearest_of
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.files.recording import shown
 from sparseskin.nodes.toml import parse_toml
-from sparseskin.plugins.points.files import EXAMPLE
-from sparseskin.plugins.points.placing import Placement, placed
 
 from .models.adc import Adc, read_adc
 from .models.buses import Bus, read_bus
 from .models.edge import Edge, read_edge
 from .models.units import FORCE, LENGTH, RATE, TIME, quantity
 from .strategies import ANALOG, DIGITAL
+
+if TYPE_CHECKING:
+    from sparseskin.plugins.points.placing import Placement
 
 MAX_SIDE, MAX_TAXELS = 1024, 65536
 MOST_CORES = 4096
@@ -31,8 +32,14 @@ Reads: TypeAlias = "Callable[[object], Any]"
 _CORES = re.compile(r"(\d{1,4})\s*cores?", re.ASCII)
 
 
+EXAMPLE = "example:"
+"""Start of a layout that comes with the package."""
+
+
 def _placement(layout: object) -> Placement:
     """The virtual grid of a layout of points; SettingsError if it cannot be used."""
+    from sparseskin.plugins.points.placing import placed  # with it SciPy's interpolation
+
     if not isinstance(layout, str):
         raise SettingsError(f"{shown(layout)}: expected a file, or example:torso")
     found = placed(layout)

@@ -20,7 +20,7 @@ class Strategy:
     Attributes
     ----------
     name : str
-        Name in tables and in `STRATEGIES`.
+        What it reads, in words: name in tables and in `STRATEGIES`.
     phi : str
         Kind of the measurement matrix, as `make_phi` takes it.
     ratio : float
@@ -60,19 +60,22 @@ class Strategy:
 
 
 _ALL = (
-    # Every taxel in every frame; single taxels, others in each; scrambled block Hadamard sums.
-    Strategy("full", "full", 1.0, FIXED, SINGLE),
-    Strategy("one_hot_rotating", "subsample", COMMON_RATIO, ROTATING, SINGLE),
+    Strategy("all taxels", "full", 1.0, FIXED, SINGLE),
+    # Single taxels, others in each frame.
+    Strategy("N/4 taxels in turn", "subsample", COMMON_RATIO, ROTATING, SINGLE),
+    # Scrambled block Hadamard sums of all taxels.
     *(
-        Strategy(f"sbhe_{ratio}_{rows}", "sbhe", float(ratio), rows, DIGITAL)
+        Strategy(f"N/{ratio} sums", "sbhe", float(ratio), ROTATING, DIGITAL)
         for ratio in (3, 4, 8, 16)
-        for rows in (FIXED, ROTATING)
     ),
     # Binary patterns of columns, summed in each row; SBHE within 16 x 16 taxels.
-    Strategy("row_local", "row_local", COMMON_RATIO, ROTATING, ANALOG),
-    Strategy("local", "local:16", COMMON_RATIO, ROTATING, ANALOG),
+    Strategy("N/4 sums of rows", "row_local", COMMON_RATIO, ROTATING, ANALOG),
+    Strategy("N/4 sums of 16 x 16", "local:16", COMMON_RATIO, ROTATING, ANALOG),
     # Sums where forces changed, chosen in each frame.
-    Strategy("adaptive", "adaptive", COMMON_RATIO, FIXED, DIGITAL),
+    Strategy("N/4 adaptive sums", "adaptive", COMMON_RATIO, FIXED, DIGITAL),
 )
 STRATEGIES: dict[str, Strategy] = {strategy.name: strategy for strategy in _ALL}
 """Strategies by name, in the order of tables."""
+FEW_SCENES, N_SCENES = 5, 15
+"""Scenes that are simulated where their number is not stated, each body once; and all of them, each
+body in each course. Chosen: all strategies in some 15 s on two cores."""

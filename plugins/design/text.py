@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Sequence
 
 from .budget import Accuracy, Row
@@ -15,35 +16,24 @@ def hertz(rate: float) -> str:
     return f"{rate:.0f}" if rate >= 10 else f"{rate:.3g}"
 
 
-def host_ms(row: Row) -> str:
-    """Time of the host for a frame, milliseconds: calm frame..dense press."""
-    return "..".join(
-        f"{ms:.{2 if ms < 1 else 1 if ms < 10 else 0}f}"
-        for ms in (1e3 * row.host_calm_s, 1e3 * row.stage_s["host"])
-    )
-
-
 def _db(text: Callable[[Accuracy], str]) -> Callable[[Row], str]:
     """Cell of a figure of accuracy; "-" where nothing was simulated."""
     return lambda row: "-" if math.isnan(row.accuracy.psnr_db) else text(row.accuracy)
 
 
 COLUMNS: dict[str, Callable[[Row], str]] = {
-    "strategy": lambda row: row.strategy.name,
+    "way to read": lambda row: row.strategy.name,
     "M": lambda row: str(row.m),
     "wires": lambda row: str(row.wires.lines),
-    "cross-\nings": lambda row: "-" if row.wires.crossings is None else str(row.wires.crossings),
-    "conver-\nsions": lambda row: str(row.wires.conversions),
     "bytes": lambda row: str(row.n_bytes),
     "Hz": lambda row: f"{hertz(row.reached_hz)}{'' if row.is_met else '!'}",
     "limit": lambda row: f"({row.limit})" if row.is_met else row.limit,
     "PSNR\ndB": _db(lambda a: f"{a.psnr_db:.1f}"),
-    "band\ndB": _db(lambda a: f"{a.low_db:.1f}..{a.high_db:.1f}"),
+    "90 % of\nscenes": _db(lambda a: f"{a.low_db:.0f}..{a.high_db:.0f}"),
     "touch\nmN": lambda row: (
         "-" if math.isnan(row.light_touch_n) else f"{1e3 * row.light_touch_n:.3g}"
     ),
     "latency\nms": lambda row: f"{row.latency_s * 1e3:.1f}",
-    "host\nms": host_ms,
     "host\ncores": lambda row: f"{row.host_cores:.2f}",
 }
 """Columns of the table of a design by their headings, of two lines in a terminal."""
@@ -78,18 +68,21 @@ def first_breaks(rows: Sequence[Row], design: Design) -> list[tuple[str, list[st
 
 
 def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
-    """Which strategies reach the rate, the most accurate of them, and that of the fewest bytes; or
-    else the fastest.
-    """
-    met = [row for row in rows if row.is_met]
+    """What to do: read all taxels, where that reaches the rate; else the strategies that do."""
+    met, full = [row for row in rows if row.is_met], rows[0]
     asked = f"{hertz(design.rate_hz)} Hz"
     if not met:
         fast = max(rows, key=lambda row: row.possible_hz)
-        return [f"No strategy reaches {asked}; the fastest is {_named(fast)}."]
-    lines = [f"{len(met)} of {len(rows)} strategies reach {asked}."]
+        return [f"No way to read reaches {asked}; the fastest is {_named(fast)}."]
+    lines = [
+        f"Read all taxels: they reach {asked}, and nothing has to be reconstructed."
+        if full.is_met
+        else f"All taxels reach {hertz(full.possible_hz)} Hz alone; "
+        f"{len(met)} of {len(rows)} ways to read reach {asked}."
+    ]
     if known := [row for row in met if not math.isnan(row.accuracy.psnr_db)]:
         best = max(known, key=lambda row: row.accuracy.psnr_db)
-        lines.append(f"The most accurate of them is {_named(best)}.")
+        lines.append(f"The most accurate of those that reach it is {_named(best)}.")
     small = min(met, key=lambda row: row.n_bytes)
     lines.append(f"The fewest bytes a frame are {small.n_bytes}, of {_named(small)}.")
     return lines
@@ -108,7 +101,7 @@ def _table(rows: Sequence[Row]) -> str:
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
         "  ".join(
-            cell.ljust(width) if name in ("strategy", "limit") else cell.rjust(width)
+            cell.ljust(width) if name in ("way to read", "limit") else cell.rjust(width)
             for name, cell, width in zip(COLUMNS, line, widths, strict=True)
         ).rstrip()
         for line in lines
@@ -118,33 +111,35 @@ def _table(rows: Sequence[Row]) -> str:
 def terminal(rows: Sequence[Row], design: Design) -> str:
     """The table of a design, what breaks first and notes, for a terminal."""
     parts = [
-        f"{design.size}, {design.pitch_m * 1e3:.4g} mm apart; ADC {design.adc.label}; "
-        f"{design.bus.label}; edge {design.edge.label}; host {design.cores} cores; asked "
-        f"{hertz(design.rate_hz)} Hz; noise {design.noise_n:g} N of {design.range_n:g} N",
+        _filled(
+            f"{design.size}, {design.pitch_m * 1e3:.4g} mm apart; ADC {design.adc.label}; "
+            f"{design.bus.label}; edge {design.edge.label}; host {design.cores} cores; asked "
+            f"{hertz(design.rate_hz)} Hz; noise {design.noise_n:g} N of {design.range_n:g} N"
+        ),
         _table(rows),
-        "\n".join(legend(rows)),
-        "\n".join(conclusions(rows, design)),
+        "\n".join(map(_filled, LEGEND)),
         "What breaks first:",
-        "\n".join(f"{', '.join(names)}\n  {text}" for text, names in first_breaks(rows, design)),
+        "\n".join(
+            f"{_filled(', '.join(names))}\n  {text}" for text, names in first_breaks(rows, design)
+        ),
+        "\n".join(conclusions(rows, design)),
     ]
     return "\n\n".join(parts)
 
 
-def legend(rows: Sequence[Row]) -> list[str]:
-    """What the marks of the table mean."""
-    lines = [
-        "!: fewer than asked for; limit in brackets: reached, and what would break first",
-        "band: of 90 % of further scenes and seeds; touch: least force a taxel at which a light "
-        "press of 3 x 3 taxels is found in 90 % of cases",
-        "host ms: calm frame..dense press; rate, limit, latency and cores are those of the dense "
-        "press",
-    ]
-    if any(row.limit == "host" for row in rows):
-        lines.append(
-            "host: a frame needs the one before it, so that a patch cannot use more than one core; "
-            "reconstructor.budget_ms bounds its time, at some accuracy"
-        )
-    return lines
+def _filled(text: str) -> str:
+    """A text in lines as wide as the table."""
+    return textwrap.fill(text, 96, subsequent_indent="  ")
+
+
+LEGEND = (
+    "!: fewer than asked for; limit in brackets: reached, and what would break first",
+    "90 % of scenes: PSNR of further scenes and seeds; touch: least force a taxel at which a light "
+    "press of 3 x 3 taxels is found in 90 % of cases",
+    "rate, limit, latency and cores are those of a dense press; a patch cannot use more than one "
+    "core of the host, as a frame needs the one before it",
+)
+"""What the marks of the table mean."""
 
 
 def record(row: Row, design: Design) -> dict[str, object]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 
 HELP = "export a compressor in C for a board"
+GROUP = "Build a skin"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from sparseskin.launch.commands.options import add_commands, naming_options
+from sparseskin.launch.commands.options import add_commands, naming_options, rare
 
 _OPTIONS = {
     "n_rows": "--rows",
@@ -28,20 +28,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     add = add_commands(parser, "A compressor in C99 for the board beside the skin.")
     make = add("export", _export, "write its program")
+    more = rare(make)
     make.add_argument("--rows", metavar="R", type=int, help="rows of taxels")
     make.add_argument("--cols", metavar="C", type=int, help="columns of taxels")
     about = f"taxels a measurement (default: {RATIO:g})"
     make.add_argument("--ratio", type=float, help=about)
-    make.add_argument("--m", metavar="M", type=int, help="number of measurements, for --ratio")
+    more.add_argument("--m", metavar="M", type=int, help="number of measurements, for --ratio")
     about = "bits of a measurement, 4..16 (default: 8)"
     make.add_argument("--bits", type=int, default=8, help=about)
     about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
-    make.add_argument("--rows-mode", choices=ROWS, help=about)
+    more.add_argument("--rows-mode", choices=ROWS, help=about)
     about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
     make.add_argument("--adc-bits", metavar="BITS", type=int, default=12, help=about)
     about = f"size of the Hadamard blocks (default: {BLOCK})"
-    make.add_argument("--block", metavar="B", type=int, default=BLOCK, help=about)
-    make.add_argument("--seed", type=int, default=0, help="seed of the matrix (default: 0)")
+    more.add_argument("--block", metavar="B", type=int, default=BLOCK, help=about)
+    more.add_argument("--seed", type=int, default=0, help="seed of the matrix (default: 0)")
     make.add_argument(
         "--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin"
     )

@@ -21,7 +21,7 @@ from .isolated import shape_in_child
 
 MUJOCO = "mujoco:"
 FORM = "mujoco:MODEL.xml#SITE"
-INSTALL = 'MuJoCo models need mujoco; pip install "sparseskin[mujoco]"'
+INSTALL = "MuJoCo models need mujoco; pip install 'sparseskin[mujoco]'"
 SUFFIXES = (".xml", ".mjb")
 LEAST_STEP_S, LONGEST_STEP_S = 1e-6, 0.1
 """Allowed time step of a model, seconds; chosen: a shorter one takes hours for a second, a longer

@@ -25,7 +25,7 @@ INLINE = re.compile(r"`(?:\.venv/bin/)?((?:sparseskin|make|python|pytest|pip) [^
 #: Programs of the host, and words of the shell, that are not run here.
 OTHERS = {"ssh", "source", "cd", "git", "."}
 #: Commands that need no running graph and take a moment: these are run.
-QUICK = ("scenes list", "bag info", "bag export", "keys make", "--version")
+QUICK = ("scenes", "recording info", "recording export", "keys make", "--version")
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 

@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bags import record_scene
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.launchfile.load import LaunchError, load
-from sparseskin.launch.offline.scenarios import make_scenario
+from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import Measurements, Message, Reconstruction, decode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.limits import OTHER_ROWS
-from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
+from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
 FIXED, ROTATING = "compressor.rows=fixed", "compressor.rows=rotating"
@@ -99,34 +98,6 @@ def test_it_can_be_switched_on_and_off_while_the_graph_runs() -> None:
     assert all(only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True))
 
 
-OWN = ["compressor.phi=sbhe", "reconstructor.phi=sbhe"]
-
-
-def test_rows_that_are_stated_otherwise_are_refused_before_the_start() -> None:
-    for stated, resolved in (("fixed", "rotating"), ("rotating", "fixed")):
-        with pytest.raises(LaunchError) as refused:
-            graph(*OWN, f"compressor.rows={resolved}", f"reconstructor.phi_rows={stated}")
-        (line,) = refused.value.lines
-        assert line == (
-            f"--set reconstructor.phi_rows={stated}: {stated}, but the compressor's rows are "
-            f"{resolved}; state phi_rows = {resolved}"
-        )
-
-
-def test_the_refusal_of_a_frame_names_rows_and_m_that_differ_from_those_announced() -> None:
-    messages = frames_of(bus := graph(ROTATING), 2)
-    settings = ReconstructorSettings(phi="sbhe", phi_rows="fixed")
-    node = Reconstructor(settings, Context("reconstructor", ManualClock(1)))
-    for state in states_of(bus):
-        list(node.step(state))
-    with pytest.raises(SparseskinError) as refused:
-        list(node.step(only(messages[1], Measurements)))
-    assert str(refused.value).endswith(
-        "; phi_rows is fixed, rows of the announced Phi rotating"
-        "; phi_m is 533, M of the announced Phi 534"
-    )
-
-
 @pytest.mark.parametrize(
     ("settings", "warned"),
     [
@@ -157,7 +128,7 @@ def test_an_untouched_skin_at_the_start_logs_no_doubt(rows: str, some_doubted: b
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of 12 bits a measurement, rows rotating."""
     folder = tmp_path_factory.mktemp("rotating")
-    source = make_scenario("tap_peg", folder)
+    source = record_scene(folder / "peg.mcap", "path_40", 310, 120, 2)
     path = folder / "rotating.mcap"
     changes = [ROTATING, "compressor.bits=12", "reconstructor.preset=skin"]
     sets = [text for change in changes for text in ("--set", change)]

@@ -100,7 +100,7 @@ def main() -> None:
         for name, strategy in STRATEGIES.items():
             found = measure(strategy, shape)
             figures = ", ".join(f"{key} = {us}" for key, us in found.items())
-            print(f"{name} = {{ {figures} }}", flush=True)
+            print(f'"{name}" = {{ {figures} }}', flush=True)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ SETTLE_S, DOMAIN = 0.5, 97
 COMMANDS = (
     ("topic", "echo", "/skin/reconstruction"),
     ("topic", "hz", "/skin/taxels"),
-    ("topic", "bw", "/skin/measurements"),
+    ("topic", "hz", "/skin/measurements"),
 )
 BRIDGES = {
     "foxglove": ("foxglove: ", ["--port", "0"]),

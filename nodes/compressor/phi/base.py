@@ -85,6 +85,8 @@ class Phi(ABC):
     kind: str
     default_block: ClassVar[int] = BLOCK
     rule: int = SPREAD
+    #: Rows and columns of the frames that it measures, where they are known.
+    grid: tuple[int, int] | None = None
     has_rules: ClassVar[bool] = False
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
@@ -94,6 +96,10 @@ class Phi(ABC):
         self.seed = int(seed)
         self.block = int(block)
         self.fingerprint = ""
+
+    def __repr__(self) -> str:
+        name, size = type(self).__name__, f"m = {self.m} of {self.n} taxels"
+        return f"<{name} {self.kind}: {size}, seed {self.seed}>"
 
     @classmethod
     def check_size(cls, n: int, m: int, seed: int, block: int) -> None:

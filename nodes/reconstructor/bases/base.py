@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.numerics.arrays import Floats, each_frame
@@ -40,11 +41,17 @@ class Basis(ABC):
         If the grid is empty.
     """
 
+    #: Its registered name, for messages.
+    label: str = ""
+
     def __init__(self, n_rows: int, n_cols: int) -> None:
-        if n_rows < 1 or n_cols < 1:
-            raise SolverError(f"basis: a grid of {n_rows} x {n_cols} has no taxels")
+        if not (is_whole(n_rows, 1) and is_whole(n_cols, 1)):
+            raise SolverError(f"basis: {n_rows!r} x {n_cols!r} is no grid; allowed: 1 x 1 or more")
         self.n_rows = int(n_rows)
         self.n_cols = int(n_cols)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.label}: {self.n_rows} x {self.n_cols}>"
 
     def analysis(self, image: Floats, out: Floats | None = None) -> Floats:
         """Return the coefficients theta = Psi^T image.
@@ -135,4 +142,6 @@ def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
     if missing:
         raise SolverError(f'basis "{name}" is no basis: it lacks {", ".join(missing)}')
     basis: Basis = made
+    if getattr(basis, "label", None) == "":
+        basis.label = name
     return basis

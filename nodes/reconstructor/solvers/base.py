@@ -16,16 +16,14 @@ from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, real_floats
 from sparseskin.nodes.numerics.compiled import check_fast
 from sparseskin.nodes.reconstructor.bases.base import Basis
 
 SOLVERS = {
     "skin": "sparseskin.nodes.reconstructor.skin.solver:SkinSolver",
     "fista": "sparseskin.nodes.reconstructor.solvers.fista:FistaSolver",
-    "fista_nonneg": "sparseskin.nodes.reconstructor.solvers.proximal:FistaNonnegSolver",
-    "reweighted": "sparseskin.nodes.reconstructor.solvers.proximal:ReweightedSolver",
-    "tv": "sparseskin.nodes.reconstructor.solvers.proximal:TvSolver",
+    "tv": "sparseskin.nodes.reconstructor.solvers.tv:TvSolver",
     "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",
 }
 #: Forms of solvers for phi "adaptive".
@@ -118,6 +116,14 @@ class Solver(ABC):
                 f"solver: phi is for n = {phi.n} taxels; "
                 f"the grid of {shape[0]} x {shape[1]} has {self.taxels.size}"
             )
+
+    def __repr__(self) -> str:
+        rows, cols = self.mask.shape
+        rotating = f", {len(self.subsets)} row subsets" if self.subsets else ""
+        return (
+            f"<{type(self).__name__} {self.name}: {rows} x {cols}, m = {self.phi.m} of "
+            f"{self.phi.n} taxels by {self.phi.kind}{rotating}>"
+        )
 
     def solve(self, y: Floats, warm: Floats | None = None) -> Floats:
         """Reconstruct one frame.
@@ -226,7 +232,7 @@ class Solver(ABC):
 
     def _shaped_y(self, y: Floats) -> Floats:
         """Return y as contiguous float32, or raise SolverError if its shape is another."""
-        y = np.ascontiguousarray(y, dtype=np.float32)
+        y = real_floats(y, "solver: y", SolverError)
         if y.shape != (self.phi.m,):
             raise SolverError(
                 f"solver: y has shape {y.shape}; expected ({self.phi.m},): m = {self.phi.m}"
@@ -251,7 +257,7 @@ class Solver(ABC):
 
     def _checked_warm(self, warm: Floats) -> Floats:
         """Return a warm start as contiguous float32, or raise SolverError."""
-        warm = np.ascontiguousarray(warm, dtype=np.float32)
+        warm = real_floats(warm, "solver: warm", SolverError)
         if warm.shape != self.mask.shape:
             raise SolverError(
                 f"solver: the warm start has shape {warm.shape}; expected {self.mask.shape}"
@@ -274,6 +280,7 @@ class RotatingSolver(Solver):
     ) -> None:
         super().__init__(phi, basis, mask)
         self._solvers = solvers
+        self.name = solvers[phi.fingerprint].name
         self._chosen = solvers[phi.fingerprint]
         self._last: Floats | None = None
         self.n_steps = self._chosen.n_steps

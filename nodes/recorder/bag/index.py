@@ -50,7 +50,7 @@ _MAX_CHANNELS = 4096
 _FOOTER_BYTES = HEAD_BYTES + 20
 _DATA_END_BYTES = HEAD_BYTES + 4
 _SUMMARY_CRC_BYTES = 4
-SOURCE_HINT = "; sparseskin bag import makes a bag of a file that a sensor reads"
+SOURCE_HINT = "; sparseskin recording import makes one of a file that a sensor reads"
 _NO_INDEX = "the index at its end is missing or damaged"
 
 

@@ -129,7 +129,7 @@ class BagReader(AbstractContextManager["BagReader"]):
     def _chunk(self, chunk: ChunkSpan) -> bytes:
         """A chunk, checked once more: time has passed since the file was opened."""
         if self._file.closed:
-            raise BagError(f"{self.path}: the bag is closed")
+            raise BagError(f"{self.path}: the recording is closed")
         try:
             return open_chunk(record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK))
         except Break as broken:
@@ -148,7 +148,7 @@ def _open(path: Path) -> BinaryIO:
         if not stat.S_ISREG(mode):
             what = "is a folder" if stat.S_ISDIR(mode) else "is no regular file"
             hint = ROS2_HINT if (path / "metadata.yaml").is_file() else ""
-            raise BagError(f"{path}: {what}; expected a bag, NAME.mcap{hint}")
+            raise BagError(f"{path}: {what}; expected a recording, NAME.mcap{hint}")
         return open(path, "rb")
     except FileNotFoundError as error:
         part = f"{path}{PART_SUFFIX}"

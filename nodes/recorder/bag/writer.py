@@ -279,7 +279,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if self._failure:
             raise BagError(self._failure)
         if self._closed:
-            raise BagError(f"{self.path}: the bag is closed")
+            raise BagError(f"{self.path}: the recording is closed")
 
     @contextlib.contextmanager
     def _disk(self) -> Iterator[None]:

@@ -22,58 +22,30 @@ FD_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
 def _serial_s(n: int, baud: float) -> float:
-    """UART with 8 data bits, no parity and one stop bit (8N1): 10 bits a byte.
-
-    Source: Microchip, ATmega328P data sheet, frame formats of the USART.
-    """
+    """UART, 8N1: 10 bits a byte. Source: Microchip, ATmega328P data sheet."""
     return 10 * n / baud
 
 
 def _can_s(n: int, bit_s: float) -> float:
-    """Classic CAN, 11-bit identifiers, 8 bytes a frame.
-
-    A frame of n bytes has 34 + 8 n bits from its start to its CRC, into which at most
-    floor((33 + 8 n) / 4) stuff bits are put, and 13 more: CRC delimiter, acknowledgement (2), end
-    of frame (7) and intermission (3). Of 8 bytes: 135 bits.
-
-    Source: ISO 11898-1:2015; bound of the stuff bits as in Davis, Burns, Bril, Lukkien, "Controller
-    Area Network (CAN) schedulability analysis", Real-Time Systems 35, 2007.
-    """
+    """Classic CAN: 34 + 8 n bits, stuff bits, 13 more. Source: ISO 11898-1; Davis et al. 2007."""
     stuffed = 34 + 8 * n
     return (stuffed + (stuffed - 1) // 4 + 13) / bit_s
 
 
 def _can_fd_s(n: int, bit_s: float, data_bit_s: float) -> float:
-    """CAN FD, 11-bit identifiers, 64 bytes a frame, data at a higher rate.
-
-    At the arbitration rate: 17 bits from the start to the bit rate switch, at most 4 stuff bits,
-    and 13 bits from the CRC delimiter to the end of the intermission. At the data rate: 5 bits
-    (error state, length), 8 n bits of data with the other stuff bits, at most
-    floor((21 + 8 n) / 4) of both phases, and the CRC with the stuff count and its fixed stuff bits:
-    27 bits to 16 bytes of data, 32 bits beyond. n is the next of `FD_LENGTHS`. Source: ISO
-    11898-1:2015.
-    """
+    """CAN FD: 34 bits at the slow rate, the others at the fast one. Source: ISO 11898-1:2015."""
     n = next(length for length in FD_LENGTHS if length >= n)
     stuff, crc = (21 + 8 * n) // 4, 27 if n <= 16 else 32
     return (17 + 4 + 13) / bit_s + (5 + 8 * n + (stuff - 4) + crc) / data_bit_s
 
 
 def _spi_s(n: int, clock: float) -> float:
-    """SPI on one data line: 8 clocks a byte, without gaps, as DMA sends.
-
-    Source: Motorola, SPI Block Guide V03.06. The bus has no framing of its own, and devices may
-    need pauses between bytes: this is a bound.
-    """
+    """SPI on one data line, no gaps: a bound. Source: Motorola, SPI Block Guide V03.06."""
     return 8 * n / clock
 
 
 def _udp_s(n: int, bit_s: float) -> float:
-    """UDP over IPv4 and Ethernet: datagrams of at most 1472 bytes, which fill an Ethernet frame:
-    1500 - 20 (IPv4) - 8 (UDP).
-
-    On the wire a datagram of n bytes is preamble 8, header 14, max(46, 28 + n), check
-    sequence 4, and a gap of 12. Source: IEEE 802.3-2018; RFC 791; RFC 768.
-    """
+    """UDP over IPv4 and Ethernet, preamble and gap too. Source: IEEE 802.3; RFC 791, 768."""
     return 8 * (8 + 14 + max(46, 28 + n) + 4 + 12) / bit_s
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sparseskin.launch.attach.echo import Echo, FieldPath, plain, text
-from sparseskin.messages import Contacts, Taxels
+from sparseskin.launch.attach.stream import Arrival
+from sparseskin.messages import Contacts, Taxels, encode
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.errors import SettingsError
 
@@ -44,12 +46,20 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty() -> None:
         **{"over": one > 0, "sliding": one < 0},
         events=np.array([[0, 7, 0]], np.int32),
     )
-    echo = Echo("/skin/contacts", None, n=1, max_hz=None, in_json=False, full=False)
+    options = {"n": None, "max_hz": None, "in_json": False, "full": False, "unit": "N"}
+    echo = Echo("/skin/contacts", None, **options)  # type: ignore[arg-type]
     lines = echo.text(contacts).split("\n")
-    about = "3 ± 0.1, peak 1; at (4 ± 0.25, 4 ± 0.25) taxels; 9 taxels, 1 s; over"
+    about = "3 ± 0.1 N; peak 1 N; at (4 ± 0.25, 4 ± 0.25) taxels; 9 taxels, 1 s; over"
     assert " ".join(line.strip() for line in lines).endswith(
         f"contact 7: {about} event of 7: begin"
     )
+    places = np.array([[5, 6, 0]], np.float32)
+    flat = replace(contacts, place_mm=places, place_sd_mm=places / 10, events=None)
+    assert "at (5 ± 0.5, 6 ± 0.6) mm" in " ".join(echo.text(flat).split())
+    # In the time between two shown messages those with an event are shown, too.
+    made = [replace(m, stamp_ns=k, seq=k) for k, m in enumerate([flat, flat, contacts])]
+    shown = [echo.take(Arrival(*encode(m), 0, "", m.seq, m.stamp_ns, ends=False)) for m in made]
+    assert shown == [True, False, True]
     assert text(one[:0], full=False) == "float32, 0"
     assert plain(one[:0], full=False)["first"] == []
 

@@ -1,4 +1,4 @@
-"""The commands `sparseskin bag ...`."""
+"""The commands `sparseskin recording ...`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ N_FRAMES = 40
 
 @pytest.fixture
 def bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bag:
-    """Runs `sparseskin bag ARGUMENTS` in an empty folder."""
+    """Runs `sparseskin recording ARGUMENTS` in an empty folder."""
     monkeypatch.chdir(tmp_path)
     return run_bag
 

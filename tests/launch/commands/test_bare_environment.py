@@ -20,7 +20,7 @@ UNKNOWN_UID = 54321
 def test_a_graph_runs_while_standard_files_are_closed(start: StartProgram, tmp_path: Path) -> None:
     program = start(
         *("launch", "path_40", "--frames", "3", "--set", "monitor.page=false"),
-        *("--summary", "summary.json", "--log-dir", "logs"),
+        *("--summary", "summary.json", "--set", "graph.log_dir=logs"),
         prefix=("bash", "-c", 'exec "$@" <&- >&- 2>&-', "-"),
     )
     assert program.finish() == (0, "", "")

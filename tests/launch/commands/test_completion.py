@@ -29,12 +29,12 @@ def no_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("line", "found"),
     [
-        ("topic ", ["list", "info", "echo", "hz", "bw", "delay"]),
+        ("topic ", ["list", "info", "echo", "hz"]),
         ("topic echo /palm/taxels --field f", ["forces"]),
         ("launch path", ["path_40", "path.toml"]),
         ("launch drag_wrench_40 --frames ", []),
         ("study stability --out ", ["a folder/"]),
-        ("bag info my", ["my\\ skin.mcap"]),
+        ("recording info my", ["my\\ skin.mcap"]),
         ("launch path_40 --set=mon", ["monitor.page="]),
     ],
 )
@@ -123,7 +123,7 @@ def shell(name: str, script: str, folder: Path) -> list[str]:
 
 LINES = {
     "node in": "info",
-    "bag info my": "my\\ skin.mcap",
+    "recording info my": "my\\ skin.mcap",
     "launch path_40 --set reconstructor.preset=pa": "paper",
     "study pap": "paper-tables",
 }

@@ -45,7 +45,7 @@ def test_graphs_are_listed_and_which_to_stop_has_to_be_said(
         assert words("stop pa") == ["path_40-7", "path_40-8"]
 
 
-@pytest.mark.parametrize("command", [[], ["bag", "info"]])
+@pytest.mark.parametrize("command", [[], ["recording", "info"]])
 def test_help_describes_a_command_as_its_option_does(
     command: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

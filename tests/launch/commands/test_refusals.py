@@ -16,7 +16,7 @@ LINES = {
     "launch path_4": "no launch file of that name (did you mean 'path_40'?)",
     "launch none.toml": "none.toml: no such launch file",
     "launch ./pipe.toml": "./pipe.toml: is no regular file",
-    "bag info 'a\nb.mcap'": "a b.mcap: no such file",
+    "recording info 'a\nb.mcap'": "a b.mcap: no such file",
     "launch replay --set sensor.source=file:all.npy --set sensor.n_rows=3": "n_rows = 3 is stated",
     "launch replay --set sensor.source=file:flat.npy": "; add --set sensor.n_rows=2 --set sensor",
     "scope file:flat.npy": "shape, rate; add --set n_rows=2 --set n_cols=3 --set rate_hz=100",
@@ -25,9 +25,7 @@ LINES = {
     "launch path_40 --summary none/out.json": "--summary none/out.json: its folder does not exist",
     "launch path_40 --summary .": "--summary .: is a folder",
     "launch path_40 --record a.bag": "--record: a.bag: expected a name that ends in .mcap",
-    "launch path_40 --log-dir old.toml": "--log-dir: old.toml: Not a directory",
-    "launch path_40 --dot g.dot": "--dot: only with --dry-run",
-    "launch path_40 --dry-run --dot no/g.dot": "--dot no/g.dot: No such file or directory",
+    "launch path_40 --set graph.log_dir=old.toml": "log_dir: old.toml: Not a directory",
     "launch path_40 --frames -4": "argument --frames",
     "launch path_40 --frame 4": "--frame (did you mean '--frames'?)",
     # What follows a misspelt option may be its value, and is not blamed.
@@ -37,7 +35,8 @@ LINES = {
     "topic hz /skin/taxels -n 0": "-n: '0': expected a whole number, 1 or more",
     "tropic": "argument COMMAND: invalid choice: 'tropic' (did you mean 'topic'?)",
     "help lanch": "(did you mean 'launch'?)",
-    "scenes make big_wrench --out old.toml": "old.toml",
+    "scenes make box": "scenes make: is now sparseskin launch NAME --record FILE",
+    "topic bw /skin/taxels": "sparseskin topic bw: is now sparseskin topic hz, which prints",
     "scope scene:path_41": "did you mean 'path_40'?",
     "scope scene:path_40 --set n_row=3": "did you mean 'n_rows'?",
     "scope scene:path_40 --set n_rows": "--set n_rows: expected KEY=VALUE",
@@ -47,7 +46,7 @@ LINES = {
     "reprocess some.mcap log.csv --out new": "log.csv: no recording (.mcap)",
     "reprocess some.mcap ./some.mcap --out new": "two of the files would become some.mcap",
     "reprocess some.mcap none.mcap --out new": "none.mcap: no such file",
-    "bag import a.csv b.csv --out c.mcap": "--out c.mcap: several files need a folder",
+    "recording import a.csv b.csv --out c.mcap": "--out c.mcap: several files need a folder",
     "calibrate scene:path_40 --out s.toml": "delivers true forces, which need no calibration",
 }
 """Of each command line what its one line holds."""

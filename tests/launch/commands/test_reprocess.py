@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
+from bags import record_scene
 from conftest import MountDisk
 from documented import check
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.offline.scenarios import Scenario, record_scenario
 from sparseskin.messages import Reconstruction, Taxels, decode
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -20,8 +20,7 @@ from sparseskin.nodes.tasks.executors import make_executor
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recording") / "box.mcap"
-    record_scenario("box", Scenario("lift_box_40", 320, 40, 4, "a cube lands"), path)
-    return path
+    return record_scene(path, "lift_box_40", 320, 40, 4)
 
 
 def maps(path: Path, kind: type[Reconstruction] | type[Taxels]) -> list[tuple[int, bytes]]:
@@ -104,7 +103,7 @@ def test_recordings_at_addresses_are_read_and_written(
     store = pytest.importorskip("fsspec").filesystem("memory")
     source, out, copy = "memory://in/a.mcap", "memory://out/b.mcap", tmp_path / "copy.mcap"
     store.put_file(str(recording), source)
-    assert main(["bag", "info", source]) == 0
+    assert main(["recording", "info", source]) == 0
     assert source in capsys.readouterr().out
     assert main(["reprocess", source, "--out", out]) == 0
     store.get_file(out, str(copy))

@@ -104,9 +104,8 @@ def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             ["compressor.phi=phi_of_check:Own"],
             [
                 f"{RECONSTRUCTOR}phi: the compressor's 'phi_of_check:Own' is not built in, and "
-                "is not imported because a message names it; state phi = 'phi_of_check:Own' here "
-                "too, its M as phi_m (default: N / 3), and its rows as phi_rows where the "
-                "compressor states them"
+                "is not imported because a message names it; "
+                "state phi = 'phi_of_check:Own' here too"
             ],
         ),
         (
@@ -303,22 +302,3 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
     end = "phi: m = 49 is not allowed; allowed: 1..48 (n = 48 taxels)"
     assert line == f"--set compressor.m=49: {end}"
     load("f.toml", ["compressor.m=48"])
-
-
-@pytest.mark.parametrize(("ratio", "m"), [(4, 400), (3, 534)])
-def test_m_of_a_stated_phi_is_that_of_the_compressor(
-    check, tmp_path: Path, ratio: int, m: int
-) -> None:
-    Path("phi_of_m.py").write_text(
-        "from sparseskin.nodes.compressor.phi.sbhe import SbhePhi as Own\n"
-    )
-    phi = [f"{node}.phi=phi_of_m:Own" for node in ("compressor", "reconstructor")]
-    Path("f.toml").write_text(GOOD)
-    load("f.toml", [*phi, f"compressor.ratio={ratio}", f"reconstructor.phi_m={m}"])
-    (line,) = check(GOOD, *phi, f"compressor.ratio={ratio}", "reconstructor.phi_m=99")
-    assert line == (
-        f"--set reconstructor.phi_m=99: 99, but the compressor's M is {m}; state phi_m = {m}"
-    )
-    if ratio != 3:  # the default of phi_m is N / 3, rounded up where rows rotate
-        (line,) = check(GOOD, *phi, f"compressor.ratio={ratio}")
-        assert line.endswith(f"phi_m: 534, but the compressor's M is {m}; state phi_m = {m}")

@@ -224,7 +224,7 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
     ).finish()
     assert code == 0
     folder = tmp_path / "state" / "sparseskin" / "log"
-    line = f"warning: no log files: {folder}: Not a directory; --log-dir states another folder"
+    line = f"warning: no log files: {folder}: Not a directory; graph.log_dir states another"
     assert line in stderr.splitlines()
     assert "the source ended after 10 of the 12 frames" in stderr
     assert (tmp_path / "closed").exists()
@@ -245,7 +245,16 @@ def test_a_run_in_which_a_node_raised_errors_is_no_success(
     text = BUNDLED / "path_40.toml"
     (tmp_path / "own.toml").write_text(text.read_text() + '\n[nodes.own]\ntype = "mine:Tap"\n')
     code, stdout, stderr = start(
-        *("launch", "own.toml", "--frames", "20", "--summary", "out.json", "--log-dir", "logs"),
+        *(
+            "launch",
+            "own.toml",
+            "--frames",
+            "20",
+            "--summary",
+            "out.json",
+            "--set",
+            "graph.log_dir=logs",
+        ),
         *("--set", "monitor.page=false"),
     ).finish()
     assert code == 1

@@ -187,7 +187,14 @@ def test_a_full_disk_keeps_neither_table_nor_summary_back(
         "        yield k, np.ones((8, 8))\n"
     )
     program = start(
-        *("launch", "replay", "--set", "sensor.source=wordy:frames", "--log-dir", str(disk)),
+        *(
+            "launch",
+            "replay",
+            "--set",
+            "sensor.source=wordy:frames",
+            "--set",
+            f"graph.log_dir={disk}",
+        ),
         *("--set", "monitor.page=false", "--summary", "summary.json"),
     )
     code, stdout, stderr = program.finish()
@@ -221,7 +228,14 @@ def test_a_run_that_fails_reports_where_its_logs_are(start: StartProgram, tmp_pa
         "    print('a word')\n    1 / 0\n"
     )
     program = start(
-        *("launch", "replay", "--set", "sensor.source=broken:frames", "--log-dir", "logs"),
+        *(
+            "launch",
+            "replay",
+            "--set",
+            "sensor.source=broken:frames",
+            "--set",
+            "graph.log_dir=logs",
+        ),
         *("--set", "monitor.page=false"),
     )
     code, stdout, stderr = program.finish()

@@ -120,7 +120,7 @@ def test_a_folder_whose_path_is_too_long_for_a_socket_is_refused(
 def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody: Run) -> None:
     with tempfile.TemporaryDirectory(prefix="ss-") as name, contextlib.ExitStack() as stack:
         os.chmod(name, 0o755)  # unlike folders of tests, every user may enter it
-        words = (*LONG, "--log-dir", "logs", "--record", "run.mcap")
+        words = (*LONG, "--set", "graph.log_dir=logs", "--record", "run.mcap")
         program = stack.enter_context(Program(*words, cwd=Path(name)))
         url = urlsplit(program.wait_for("live page: "))
         program.wait_for("[launch] ready")

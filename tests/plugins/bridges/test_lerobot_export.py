@@ -98,7 +98,7 @@ def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path: Pat
     bag, out = tmp_path / "touched.mcap", tmp_path / "touched"
     make_bag(bag, [skin_state(), *(m for k in range(N_FRAMES) for m in [*frame(k), contacts(k)])])
     options = ["--out", str(out), "--contacts", "2"]
-    assert main(["bag", "export", str(bag), "--to", "lerobot", *options]) == 0
+    assert main(["recording", "export", str(bag), "--to", "lerobot", *options]) == 0
     made = Dataset(out)
     feature = made.info["features"]["observation.state"]
     rows = made.column("observation.state")
@@ -136,7 +136,7 @@ def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "default"
-    assert main(["bag", "export", str(bag), "--to", "lerobot", "--out", str(out)]) == 0
+    assert main(["recording", "export", str(bag), "--to", "lerobot", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.split()
     assert sorted(printed) == sorted(str(path) for path in out.rglob("*") if path.is_file())
     assert Dataset(out).info["features"][KEY]["shape"] == [4, N_ROWS * N_COLS]  # 100 Hz at 30
@@ -154,7 +154,7 @@ def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(
 def test_what_makes_no_sense_is_one_line(
     bag: Path, more: list[str], fault: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["bag", "export", str(bag), *more]) == 2
+    assert main(["recording", "export", str(bag), *more]) == 2
     assert fault in capsys.readouterr().err
     assert not list(bag.parent.glob("*_lerobot"))
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bags import record_scene
 from conftest import PATIENCE_S, free_port
 from dask_processes import Cluster
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.offline.scenarios import Scenario, record_scenario
 from sparseskin.messages import Reconstruction, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.tasks import results
@@ -37,7 +37,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     folder = tmp_path_factory.mktemp("recordings")
     first = folder / NAMES[0]
-    record_scenario("box", Scenario("lift_box_40", 320, 40, 4, "a cube lands"), first)
+    record_scene(first, "lift_box_40", 320, 40, 4)
     for name in NAMES[1:]:
         (folder / name).write_bytes(first.read_bytes())
     return [str(folder / name) for name in NAMES]

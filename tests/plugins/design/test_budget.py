@@ -33,7 +33,7 @@ def row(name: str, **keys: Any) -> Row:
 
 
 def test_a_full_raster_of_a_palm_is_limited_by_its_line() -> None:
-    found = row("full")
+    found = row("all taxels")
     # 4096 readings of 10 bits and 15 bytes; 4096 conversions at 200 kS/s; 10 bits a byte at 2 Mbaud
     assert found.n_bytes == 5120 + 15
     assert found.stage_s["ADC"] == pytest.approx(4096 / 200e3)
@@ -51,7 +51,9 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
     dark sweeps are not modelled. Source: `rigs.toml`.
     """
     keys = {"taxels": 8192, "converters": 8, "adc": "16bit@140.25kS/s", "settling": "3us"}
-    found = row_of(STRATEGIES["full"], make_design({**keys, "bus": "serial:12.5M", "rate": "60"}))
+    found = row_of(
+        STRATEGIES["all taxels"], make_design({**keys, "bus": "serial:12.5M", "rate": "60"})
+    )
     assert found.is_met
     assert 60 * found.stage_s["bus"] == pytest.approx(0.80, rel=0.1)
     assert 60 * found.n_bytes == pytest.approx(1.05e6, rel=0.1)
@@ -60,8 +62,8 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
 
 def test_digital_sums_need_every_conversion_and_analog_ones_m() -> None:
     digital, analog = (
-        row("sbhe_4_rotating"),
-        row("sbhe_4_rotating", sums="analog", rows=16, cols=16),
+        row("N/4 sums"),
+        row("N/4 sums", sums="analog", rows=16, cols=16),
     )
     assert (digital.m, digital.wires.conversions) == (1024, 4096)
     assert (analog.m, analog.wires.conversions, analog.wires.lines) == (64, 64, 256)
@@ -72,9 +74,9 @@ def test_digital_sums_need_every_conversion_and_analog_ones_m() -> None:
 def test_single_taxels_are_sent_with_the_bits_of_the_converter() -> None:
     d = make_design(PALM)
     sizes = {name: frame_bytes(STRATEGIES[name], d) - 15 for name in STRATEGIES}
-    assert (sizes["full"], sizes["one_hot_rotating"]) == (4096 * 10 // 8, 1024 * 10 // 8)
-    assert (sizes["sbhe_3_rotating"], sizes["row_local"]) == (1366, 1024)
-    assert sizes["adaptive"] == 1024 + math.ceil(2 * math.ceil(4096 / 3) / 8)
+    assert (sizes["all taxels"], sizes["N/4 taxels in turn"]) == (4096 * 10 // 8, 1024 * 10 // 8)
+    assert (sizes["N/3 sums"], sizes["N/4 sums of rows"]) == (1366, 1024)
+    assert sizes["N/4 adaptive sums"] == 1024 + math.ceil(2 * math.ceil(4096 / 3) / 8)
 
 
 def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum() -> None:
@@ -88,11 +90,11 @@ def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum() -> Non
 
 
 def test_a_skin_of_several_patches_uses_several_cores() -> None:
-    one, four = row("sbhe_4_rotating", host="1cores"), row("sbhe_4_rotating", rows=128, cols=128)
+    one, four = row("N/4 sums", host="1cores"), row("N/4 sums", rows=128, cols=128)
     assert (one.patches, four.patches) == (1, 4)
     assert four.stage_s["host"] == pytest.approx(one.stage_s["host"])
     assert four.host_rate_hz == pytest.approx(one.host_rate_hz)
-    alone = row("sbhe_4_rotating", rows=128, cols=128, host="1cores")
+    alone = row("N/4 sums", rows=128, cols=128, host="1cores")
     assert alone.host_rate_hz == pytest.approx(one.host_rate_hz / 4)
 
 
@@ -121,7 +123,7 @@ def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours() -> Non
 
 @pytest.mark.slow
 def test_costs_are_measured_on_the_nodes_themselves() -> None:
-    found = measure(STRATEGIES["sbhe_4_rotating"], (8, 8))
+    found = measure(STRATEGIES["N/4 sums"], (8, 8))
     assert set(found) == set(FIGURES)
     assert min(found.values()) > 0
 
@@ -152,16 +154,18 @@ def with_db(rows: list[Row], **db: float) -> list[Row]:
 )
 def test_what_breaks_first_is_said_with_its_numbers(keys: dict[str, str], line: str) -> None:
     design = make_design({"rows": 16, "cols": 32, **keys})
-    assert text.breaks(row_of(STRATEGIES["full"], design), design) == line
+    assert text.breaks(row_of(STRATEGIES["all taxels"], design), design) == line
 
 
-def test_a_design_that_holds_names_its_most_accurate_strategy() -> None:
+def test_a_design_that_all_taxels_hold_advises_to_read_them() -> None:
     keys = {"rows": 8, "cols": 8, "bus": "udp", "adc": "10bit@1MS/s", "rate": "20"}
     design = make_design(keys)
-    rows = with_db(budget(design), full=50.0)
+    rows = with_db(budget(design), **{"N/4 sums": 50.0})
     small = min(rows, key=lambda row: row.n_bytes)
     assert text.conclusions(rows, design) == [
-        "13 of 13 strategies reach 20 Hz.",
-        "The most accurate of them is full (50.0 dB).",
+        "Read all taxels: they reach 20 Hz, and nothing has to be reconstructed.",
+        "The most accurate of those that reach it is N/4 sums (50.0 dB).",
         f"The fewest bytes a frame are {small.n_bytes}, of {small.strategy.name} (40.0 dB).",
     ]
+    slow = make_design({**keys, "bus": "serial:115200", "rate": "150"})
+    assert text.conclusions(budget(slow), slow)[0].startswith("All taxels reach 123 Hz alone; ")

@@ -24,10 +24,11 @@ def test_it_prints_a_line_for_each_strategy(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_it_prints_the_accuracy(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*PAD, "--only", "full", "--scene", "peg"]) == 0
-    assert re.search(
-        r"^full .* \d\d\.\d  \d\d\.\d\.\.\d\d\.\d ", capsys.readouterr().out, re.MULTILINE
-    )
+    assert main([*PAD, "--scenes", "2"]) == 0
+    out, error = capsys.readouterr()
+    assert re.search(r"^all taxels .* \d\d\.\d +\d\d\.\.\d\d ", out, re.MULTILINE)
+    assert max(map(len, out.splitlines())) <= 100
+    assert error == "8 x 8 taxels, 9 ways to read them in 2 simulated scenes each ...\n"
 
 
 def test_options_replace_what_a_file_states_and_a_table_is_written(
@@ -35,7 +36,7 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(
 ) -> None:
     path, table = tmp_path / "design.toml", tmp_path / "palm.csv"
     path.write_text('rows = 8\ncols = 8\nbus = "can:1M"\nrate = 50\n')
-    words = ["--rate", "20 Hz", "--taxels", "39", "--only", "full, adaptive", "--no-accuracy"]
+    words = ["--rate", "20 Hz", "--taxels", "39", "--no-accuracy"]
     assert main(["design", str(path), *words, "--csv", str(table)]) == 0
     out = capsys.readouterr().out
     assert out.startswith("39 points, 4 mm apart")
@@ -43,7 +44,7 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(
     assert "asked 20 Hz" in out
     with table.open() as file:
         written = list(csv.DictReader(file))
-    assert [row["strategy"] for row in written] == ["full", "adaptive"]
+    assert [row["strategy"] for row in written][::6] == ["all taxels", "N/4 adaptive sums"]
     # 64 bytes are 8 CAN frames of 135 bits.
     assert (written[0]["bytes"], float(written[0]["bus_s"])) == ("64", pytest.approx(8 * 135e-6))
 
@@ -52,15 +53,10 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(
     ("words", "line"),
     [
         (["design"], "--rows: is missing; state rows and cols, taxels, or points"),
-        (
-            [*PAD, "--only", "full,ful"],
-            "--only: strategy 'ful' is not known (did you mean 'full'?)",
-        ),
-        (["design", "--taxels", "99", "--only", "local"], "row_local, local need a grid: state"),
         (["design", "none.toml"], "none.toml: No such file or directory"),
         (["design", "bad.toml"], "bad.toml: 'colls': unknown key (did you mean 'cols'?)"),
         (
-            [*PAD, "--only", "full", "--no-accuracy", "--csv", "bad.toml"],
+            [*PAD, "--csv", "bad.toml"],
             "bad.toml: exists already",
         ),
     ],

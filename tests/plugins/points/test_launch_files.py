@@ -36,7 +36,7 @@ def test_a_skin_of_points_is_recorded_exported_and_reprocessed(
     assert isinstance(state, SkinState)
     assert state.points is not None
     exported, again = tmp_path / "run.npz", tmp_path / "again.mcap"
-    assert main(["bag", "export", str(bag), "--to", "npz", "--out", str(exported)]) == 0
+    assert main(["recording", "export", str(bag), "--to", "npz", "--out", str(exported)]) == 0
     assert np.array_equal(open_file(str(exported)).skin.points, state.points)
     assert main(["reprocess", str(bag), "--out", str(again), "--set", "compressor.ratio=4"]) == 0
     with BagReader(again) as reader:

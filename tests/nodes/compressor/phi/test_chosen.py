@@ -76,7 +76,6 @@ def test_interpolation_leaves_readings_unchanged() -> None:
             ("reconstructor.uncertainty=true", "reconstructor.solver=tv"),
             "uncertainty=true: is not available with solver tv, whose error is not known",
         ),
-        (("reconstructor.phi_m=100",), "phi_m=100: has no effect on the Phi that the compressor"),
     ],
 )
 def test_settings_that_do_not_go_together_are_refused_in_one_line(

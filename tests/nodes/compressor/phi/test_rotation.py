@@ -6,16 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import KINDS, Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 
 
 @pytest.mark.parametrize("kind", ["sbhe", "subsample"])
@@ -75,23 +72,6 @@ class Unmoved(Phi):
 def by_function(n: int, m: int, seed: int, block: int) -> Phi:
     """One that a function makes."""
     return make_phi("sbhe", n, m, seed, block)
-
-
-@given(
-    kind=st.sampled_from([*KINDS, f"{__name__}:Halves", f"{__name__}:Unmoved"]),
-    n=st.integers(3, 5000),
-    m=st.none() | st.integers(1, 5000),
-    rows=st.sampled_from([None, "fixed", "rotating"]),
-)
-def test_a_stated_phi_of_the_reconstructor_has_the_rows_and_m_of_a_compressor_with_its_settings(
-    kind: str, n: int, m: int | None, rows: str | None
-) -> None:
-    if kind == "full":
-        m = None  # the compressor has M = N whatever is stated, the reconstructor refuses another
-    compressor = CompressorSettings(phi=kind, m=m, rows=rows)
-    reconstructor = ReconstructorSettings(phi=kind, phi_m=m, phi_rows=rows)
-    assert reconstructor.stated_rows_and_m(n) == compressor.rows_and_m(n)
-    assert ReconstructorSettings().stated_rows_and_m(n) is None
 
 
 def test_what_cannot_rotate_is_named() -> None:

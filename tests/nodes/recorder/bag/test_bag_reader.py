@@ -249,7 +249,7 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "empty": (lambda path: path.touch(), "is empty"),
     "pipe": (os.mkfifo, "is no regular file"),
     "ROS 2": (lambda path: foreign(path, "cdr", "std_msgs/msg/String"), "ros2 bag play its folder"),
-    "folder of ROS 2": (ros2_folder, "is a folder; expected a bag, NAME.mcap; it is for ROS 2"),
+    "folder of ROS 2": (ros2_folder, "is a folder; expected a recording, NAME.mcap; it is for"),
     "Foxglove": (
         lambda path: foreign(path, "protobuf", "foxglove.Grid"),
         "Foxglove and Lichtblick open it",

@@ -86,8 +86,8 @@ def test_messages_are_those_of_the_patches_with_what_is_unchanged(bag: Path) -> 
 def test_exports_are_of_each_patch(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["bag", "export", str(bag), "--to", "npz"]) == 0
-    assert main(["bag", "export", str(bag), "--to", "csv"]) == 0
+    assert main(["recording", "export", str(bag), "--to", "npz"]) == 0
+    assert main(["recording", "export", str(bag), "--to", "csv"]) == 0
     for p, name in enumerate(NAMES):
         with np.load(tmp_path / f"body_{name}.npz") as held:
             np.testing.assert_array_equal(held["forces"], FORCES[:, p])

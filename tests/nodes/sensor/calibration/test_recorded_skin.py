@@ -60,14 +60,14 @@ def test_table_and_messages(bag: Path, capsys: pytest.CaptureFixture[str]) -> No
     with BagReader(bag) as read:
         assert read.topics["/skin/calibration"].n_messages == 1
         assert read.topics["/skin/taxels"].n_messages == 16
-    assert main(["bag", "info", str(bag)]) == 0
+    assert main(["recording", "info", str(bag)]) == 0
     table = capsys.readouterr().out
     assert "/skin/calibration" in table
     assert "palm" in table
 
 
 def test_the_skin_is_exported_with_the_tared_baseline(bag: Path) -> None:
-    assert main(["bag", "export", str(bag), "--to", "skin"]) == 0
+    assert main(["recording", "export", str(bag), "--to", "skin"]) == 0
     found = load_skin(bag.with_name("run.toml"))
     raw = np.load("counts.npy")
     assert found.baseline is not None
@@ -89,8 +89,8 @@ def test_a_recording_without_one_is_refused_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     np.save("n.npy", np.ones((3, 4, 4)))
-    assert main(["bag", "import", "n.npy", "--out", "n.mcap"]) == 0
-    assert main(["bag", "export", "n.mcap", "--to", "skin"]) == 2
+    assert main(["recording", "import", "n.npy", "--out", "n.mcap"]) == 0
+    assert main(["recording", "export", "n.mcap", "--to", "skin"]) == 2
     assert capsys.readouterr().err.endswith("n.mcap: holds no calibration of a skin\n")
 
 

@@ -1,8 +1,6 @@
-"""Proximal solvers: the iteration of the article, the optimum of each problem, and warm starts."""
+"""Solver tv: the optimum of its problem, and warm starts."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,44 +10,18 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
-from sparseskin.nodes.reconstructor.solvers.proximal import (
-    FistaNonnegSolver,
-    ReweightedSolver,
-    TvSolver,
-)
+from sparseskin.nodes.reconstructor.solvers.tv import TvSolver
 
 
-@pytest.mark.parametrize(
-    ("better", "worse", "m", "settings", "gain_db"),
-    [
-        (FistaNonnegSolver, FistaSolver, 200, {"iterations": 30, "lambda_n": 0.00625}, 0.5),
-        (ReweightedSolver, FistaNonnegSolver, 400, {"iterations": 20, "lambda_n": 0.0125}, 1),
-        (TvSolver, FistaNonnegSolver, 400, {}, 3),
-    ],
-)
-def test_a_sliding_disc_is_reconstructed_better(
-    better: type[Solver], worse: type[Solver], m: int, settings: dict[str, Any], gain_db: float
-) -> None:
-    phi = make_phi("sbhe", 1600, m, seed=0)
+def test_a_sliding_disc_is_reconstructed_better_than_by_fista() -> None:
+    phi = make_phi("sbhe", 1600, 400, seed=0)
     truth = sliding_disc((40, 40), 30)
     y = phi.forward(noisy(truth).reshape(-1, 1600))
     psnr = []
-    for cls in (better, worse):
-        solver = cls(phi, HaarBasis(40, 40), **settings)
+    for cls in (TvSolver, FistaSolver):
+        solver: Solver = cls(phi, HaarBasis(40, 40))
         psnr.append(psnr_db(np.array([solver.solve(one) for one in y])[15:], truth[15:]))
-    assert psnr[0] > psnr[1] + gain_db
-
-
-def test_a_large_coefficient_of_the_last_frame_loses_its_bias() -> None:
-    """With Phi = 1 a pressed tile is shrunk by lambda at first, and by far less afterwards."""
-    phi = make_phi("full", 64, 64, seed=0)
-    frame = np.full(64, 0.5, dtype=np.float32)
-    solver = ReweightedSolver(phi, HaarBasis(8, 8), lambda_n=0.1)
-    first = 0.5 - solver.solve(frame).mean()
-    for _ in range(10):
-        last = 0.5 - solver.solve(frame).mean()
-    assert abs(first - 0.1 / 8) < 1e-5
-    assert last < 0.15 * first
+    assert psnr[0] > psnr[1] + 3
 
 
 def test_a_step_is_shrunk_as_theory_predicts() -> None:

@@ -1,0 +1,1 @@
+../../sparseskin/__init__.py

@@ -1,0 +1,1 @@
+../../sparseskin/__main__.py

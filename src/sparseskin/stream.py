@@ -1,0 +1,1 @@
+../../sparseskin/stream.py
