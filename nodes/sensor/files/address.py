@@ -57,12 +57,15 @@ class FileAddress(Address):
     @property
     def _stated(self) -> dict[str, Any]:
         found, n_rows, n_cols = self.described, self.n_rows, self.n_cols
-        if found and found.placement is None and self.path.endswith(".csv"):
+        unit, is_table = self.unit, self.path.endswith(".csv")
+        if found and found.placement is None and is_table:
             n_rows, n_cols = n_rows or found.rows, n_cols or found.cols
+        if self.raw and self.policy.negative != REFUSE and is_table:
+            unit = unit or "raw"  # as of readings that are kept; the calibration states the unit
         return {
             "n_rows": n_rows,
             "n_cols": n_cols,
-            "unit": self.unit,
+            "unit": unit,
             "rate_hz": self.rate_hz,
             "columns": self.columns or None,
             "topic": self.topic or None,

@@ -159,6 +159,13 @@ def test_a_source_of_another_shape_is_refused(folder: Path) -> None:
         Run(skin="palm.toml", source="file:small.npy")
 
 
+def test_a_table_of_counts_needs_no_unit_however_readings_below_0_are_treated(folder: Path) -> None:
+    np.savetxt(folder / "counts.csv", np.load("counts.npy").reshape(100, -1), delimiter=",")
+    for negative in ("refuse", "zero"):
+        run = Run(source="file:counts.csv", skin="palm.toml", negative=negative)
+        np.testing.assert_allclose(run.frames(50)[-1], TRUTH * MASK, atol=1e-4)
+
+
 def test_negative_counts_of_a_driver_are_not_clipped_before_the_baseline(folder: Path) -> None:
     (folder / "signed_skin.py").write_text(
         "import numpy as np\n\n\ndef frames():\n"
