@@ -5,7 +5,7 @@
 // or taxel k as TAXELS + k.
 export const SHADES = 64, OUTSIDE = 1, INSIDE = OUTSIDE + SHADES, TAXELS = INSIDE + SHADES;
 
-const SEAM = 4; // distance in pitches beyond which neighbours on the grid are none on the surface
+const NEAREST = 3; // neighbours whose mean distance is the local spacing
 const DISC = 0.46; // radius of a taxel's disc in local spacings
 const BODY = 1; // radius of the body's discs in local spacings: no gaps in random layouts
 const CONE = 0.3; // height of a taxel's middle in its radii: where two overlap, the nearer middle wins
@@ -77,19 +77,21 @@ export class Cloud {
     this.radius = Math.sqrt(most);
   }
 
-  // Mean distance of the taxels of a part to their neighbours on its grid, without those at seams.
+  // Mean distance of the taxels of a part to the nearest of their neighbours on its grid.
   #space({ skin: { n_rows: nRows, n_cols: nCols }, cell, first, n, pitch }) {
     for (let k = first; k < first + n; k++) {
       const row = Math.floor((this.cells[k] - cell) / nCols), col = (this.cells[k] - cell) % nCols;
-      const near = [];
-      for (const [r, c] of [[row - 1, col], [row + 1, col], [row, col - 1], [row, col + 1]]) {
-        const other = r >= 0 && c >= 0 && r < nRows && c < nCols ? this.taxels[cell + r * nCols + c] : -1;
-        if (other < 0) continue;
-        const [from, to] = [this.place(k), this.place(other)];
-        near.push(Math.hypot(from[0] - to[0], from[1] - to[1], from[2] - to[2]));
+      const near = [], [x, y, z] = this.place(k);
+      for (let at = 0; at < 9; at++) {
+        const r = row + Math.floor(at / 3) - 1, c = col + (at % 3) - 1;
+        if (r < 0 || c < 0 || r >= nRows || c >= nCols) continue;
+        const other = this.taxels[cell + r * nCols + c];
+        if (other < 0 || other === k) continue;
+        const [u, v, w] = this.place(other);
+        near.push(Math.hypot(u - x, v - y, w - z));
       }
-      const beside = near.filter((distance) => distance < SEAM * pitch);
-      this.spacing[k] = beside.reduce((a, b) => a + b, 0) / beside.length || pitch;
+      const nearest = near.sort((a, b) => a - b).slice(0, NEAREST);
+      this.spacing[k] = nearest.reduce((a, b) => a + b, 0) / nearest.length || pitch;
     }
   }
 }
