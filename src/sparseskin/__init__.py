@@ -1,1 +1,0 @@
-../../sparseskin/__init__.py

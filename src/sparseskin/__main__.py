@@ -1,1 +1,0 @@
-../../sparseskin/__main__.py

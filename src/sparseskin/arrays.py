@@ -1,1 +1,0 @@
-../../sparseskin/arrays.py
