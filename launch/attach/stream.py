@@ -130,7 +130,7 @@ class TopicStream:
             node = graph.nodes[name]
             self._reader.connect(node.endpoint, node.key)
         self._least_age_ns: float = math.inf
-        self._drained = True
+        self._drained = False
         self.unreadable = 0
         self.interrupted = False
 
@@ -178,11 +178,13 @@ class TopicStream:
         `came_ns`: when the first of them came, where that is known.
         """
         found: list[Arrival] = []
-        self._drained = False
+        self._drained, woken = False, came_ns is not None
         for _ in range(BATCH):
             while (parts := self._reader.receive()) is None:
                 if not (
-                    found and self._has_waited(found[-1]) and self._reader.socket.poll(DRAIN_MS)
+                    found
+                    and (self._has_waited(found[-1]) or (woken and len(found) == 1))
+                    and self._reader.socket.poll(DRAIN_MS)
                 ):
                     self._drained = True
                     return found

@@ -101,8 +101,8 @@ def test_the_end_names_the_file_that_a_killed_recorder_has_left(
     os.kill(graph.pid_of("recorder"), signal.SIGKILL)
     graph.wait_for("[launch] recorder ended too early")
     graph.process.send_signal(signal.SIGINT)
-    left = "recorder: what was recorded before it ended is in run.mcap.part (sparseskin bag recover"
-    assert left in graph.finish()[1]
+    left = "what was recorded before it ended is in run.mcap.part (sparseskin recording recover"
+    assert f"recorder: {left}" in graph.finish()[1]
 
 
 def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(
