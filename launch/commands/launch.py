@@ -38,7 +38,7 @@ STATUS_LINE = (
 NEXT = """
 The live page:  {0} launch {1} --open
 Other scenes:   {0} scenes
-Your own file:  {0} launch replay --set sensor.source=file:F.npy"""
+Your own file:  {0} launch replay --set sensor.source=file:F"""
 """What is printed in a terminal after a bundled launch file."""
 
 
