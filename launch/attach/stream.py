@@ -166,9 +166,9 @@ class TopicStream:
                     return
             left_s = math.inf if duration_s is None else began_s + duration_s - now_s
             timeout_ms = max(1, round(min(POLL_MS, 1e3 * left_s)))
-            came_ns = None
+            came_ns, is_idle = None, self._drained and not self._reader.socket.poll(0)
             if self._reader.socket.poll(timeout_ms) and self._patience_s:
-                came_ns = self._clock.now_ns() if self._drained else None
+                came_ns = self._clock.now_ns() if is_idle else None
                 time.sleep(min(self._patience_s, left_s))
             yield self._read(came_ns)
 
