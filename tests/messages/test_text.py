@@ -34,4 +34,4 @@ def test_what_would_act_on_a_terminal_is_spelt_out(text: str, shown: str) -> Non
 
 
 def test_an_error_names_what_a_file_holds_without_acting_it_out() -> None:
-    assert str(SparseskinError("a\x1b[2J\nb\x07")) == "a\\x1b[2J\nb\\x07"
+    assert str(SparseskinError("a\x1b[2J\nb", "c\x07")) == "a\\x1b[2J b\nc\\x07"
