@@ -116,11 +116,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="accuracy: folder of recordings of real skins",
     )
     more.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
-    more.add_argument("--seed", type=whole(0), default=0, help="seed of noise and Phi (default: 0)")
+    about = "seed of noise and Phi (default: 0)"
+    more.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help=about)
     more.add_argument(
         "--seeds",
         metavar="K",
-        type=whole(1),
+        type=whole(1, 1000),
         help="accuracy: number of seeds, from --seed on (default: 1)",
     )
     more.add_argument(

@@ -229,12 +229,14 @@ def show(
     return 0
 
 
-def whole(low: int) -> Callable[[str], int]:
-    """The type of an option: a whole number of at most 15 digits, `low` or more."""
+def whole(low: int, high: int | None = None) -> Callable[[str], int]:
+    """The type of an option: a whole number of at most 15 digits, `low` or more, up to `high`."""
+    allowed = f"{low} or more" if high is None else f"{low}..{high}"
 
     def read(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < 16) or int(text) < low:
-            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {low} or more")
+        is_number = text.isascii() and text.isdigit() and len(text) < 16
+        if not is_number or int(text) < low or (high is not None and int(text) > high):
+            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {allowed}")
         return int(text)
 
     return read
