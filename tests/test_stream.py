@@ -157,3 +157,13 @@ def test_an_argument_that_is_not_allowed_is_one_line(arguments: dict[str, Any], 
         Stream(**{"shape": (8, 8), **arguments})
     assert line in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_an_even_force_stays_where_the_rows_that_see_it_are_not_read() -> None:
+    """Of 16 x 16 taxels in one block, one of three row subsets has the sum."""
+    stream = Stream((16, 16), ratio=3, noise_sd=0.003)
+    rng = np.random.default_rng(0)
+    for k in range(30):
+        taxels = (0.1 + rng.normal(0, 0.003, (16, 16))).astype(np.float32)
+        forces = stream.reconstruct(stream.compress(taxels))
+        assert k < 6 or forces.sum() == pytest.approx(taxels.sum(), rel=0.05)

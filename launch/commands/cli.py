@@ -42,7 +42,6 @@ COMMANDS = {
     "study": (MORE, "sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (MORE, ".completion", "print the completion script of a shell"),
     "help": (MORE, ".cli", "describe a command"),
-    "Data": (MORE, "record", "recording"),
 }
 """Of each command its group, the module that adds its arguments to a parser, by `configure_COMMAND`
 or `configure`, and one line of help.

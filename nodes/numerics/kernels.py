@@ -259,7 +259,7 @@ def skin_predict(
     innovation the results. numbers: ridge, motion, noise; results: the sums of squares of the
     innovation and of the last correction, and the sum of their products.
     """
-    n, largest = x.size, np.float32(0)
+    n, largest, energy = x.size, np.float32(0), 0.0
     for k in range(2):
         for p in range(n):
             slopes[k, p] = x[neighbours[k, p]] - x[neighbours[2 + k, p]]
@@ -267,6 +267,7 @@ def skin_predict(
         orthonormal(rows[k], groups, scale)
     for p in range(n):
         largest = max(largest, x[p])
+        energy += np.float64(x[p]) * np.float64(x[p])
     gram, right = np.zeros((3, 3)), np.zeros(3)
     for i in range(read.size):
         r = read[i]
@@ -276,6 +277,8 @@ def skin_predict(
             right[j] += seen[j] * e
             for k in range(3):
                 gram[j, k] += seen[j] * seen[k]
+    unseen = max(0.0, energy * read.size / n - gram[0, 0])
+    gram[0, 0] += unseen * numbers[2] / (numbers[2] + gram[0, 0] / read.size)
     least = numbers[0] ** 2 * gram[0, 0] + numbers[2]
     for j in range(3):
         gram[j, j] += numbers[0] * gram[j, j] + least

@@ -103,6 +103,9 @@ class FrameVectors:
         seen = np.stack([self._whole, *map(rows.forward, terms[1:])])[:, rows.read]
         gram = (seen @ seen.T).astype(np.float64)
         right = (seen @ (values - seen[0])).astype(np.float64)
+        # Even forces, of which these rows see hardly more than noise, they do not contradict.
+        unseen = max(0.0, float(x @ x) * rows.read.size / rows.n - gram[0, 0])
+        gram[0, 0] += unseen * noise / (noise + gram[0, 0] / rows.read.size)
         # A force grows by its own size at most: what is hardly there must not grow to anything.
         ridge = t.ridge * np.diag(gram) + t.ridge**2 * gram[0, 0] + noise
         a = np.linalg.solve(gram + np.diag(ridge), right)

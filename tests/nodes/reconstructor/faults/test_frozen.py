@@ -57,7 +57,8 @@ def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a
     assert not any(m.trusted[0] for m in hung[30 + n_subsets + FRAMES :])
     assert len([line for line in desk.lines if "does the board hang?" in line]) == 1
     # Hung noise may look like forces to the solver; a contact is as it was.
-    assert last_touch < 30 or len(desk.lines) == 1
+    of_frames = [line for line in desk.lines if "compiling" not in line]  # once on a machine
+    assert last_touch < 30 or len(of_frames) == 1
     assert desk.node.state()["left_out"].startswith("all measurements repeat exactly")
     assert "all measurements repeat exactly" in desk.node.status()
 
