@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from typing import Any
 
@@ -73,7 +74,8 @@ def find_address(source: str, **stated: Any) -> Address:
     if not (kind and colon and rest):
         from .scenes.scenes import SCENES
 
-        hint = f' (did you mean "{SCENE}{source}"?)' if source in SCENES else ""
+        meant = SCENE if source in SCENES else "file:" if os.path.exists(source) else ""
+        hint = f' (did you mean "{meant}{source}"?)' if meant else ""
         raise SourceError(f'source "{source}": expected {forms()}{hint}')
     # Plug-ins are looked up for what is no kind of the core.
     if kind in KINDS or kind in kinds():

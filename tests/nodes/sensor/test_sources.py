@@ -167,6 +167,15 @@ def test_what_is_no_address_is_refused_with_all_forms() -> None:
     assert str(refused.value).endswith('or module:callable (did you mean "scene:path_40"?)')
 
 
+def test_a_file_without_its_prefix_is_refused_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "press.csv").touch()
+    with pytest.raises(SourceError, match=r'did you mean "file:press.csv"\?'):
+        sources.find_address("press.csv")
+
+
 def test_an_address_whose_plug_in_is_missing_names_it(offering: Callable[..., None]) -> None:
     offering(extensions.ADDRESSES)
     with pytest.raises(SourceError, match="no plug-in for sources serial: is installed; expected"):
