@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.sensor.files.file_source import open_file
-from sparseskin.nodes.sensor.files.recording import KEEP, Policy
+from sparseskin.nodes.sensor.files.recording import Policy
 from sparseskin.nodes.sensor.source import Skin, Source
 from sparseskin.nodes.sensor.sources import open_source
 
@@ -58,7 +58,7 @@ def file_frames(path: str, n_rows: int | None = None, n_cols: int | None = None)
     SparseskinError
         If it cannot be read.
     """
-    return open_file(path, n_rows=n_rows, n_cols=n_cols, policy=Policy(negative=KEEP)).frames
+    return open_file(path, n_rows=n_rows, n_cols=n_cols, policy=Policy(raw=True)).frames
 
 
 class Recorded:

@@ -12,7 +12,6 @@ from sparseskin.nodes.sensor.source import Address, Listing, Source
 
 from .file_source import EXAMPLES, n_taxels, open_file
 from .format import suffixes
-from .recording import KEEP, REFUSE, Policy
 
 MAX_LISTED = 20
 """Most recordings of the current folder that are listed; chosen."""
@@ -57,25 +56,17 @@ class FileAddress(Address):
     @property
     def _stated(self) -> dict[str, Any]:
         found, n_rows, n_cols = self.described, self.n_rows, self.n_cols
-        unit, is_table = self.unit, self.path.endswith(".csv")
-        if found and found.placement is None and is_table:
+        if found and found.placement is None and self.path.endswith(".csv"):
             n_rows, n_cols = n_rows or found.rows, n_cols or found.cols
-        if self.raw and self.policy.negative != REFUSE and is_table:
-            unit = unit or "raw"  # as of readings that are kept; the calibration states the unit
         return {
             "n_rows": n_rows,
             "n_cols": n_cols,
-            "unit": unit,
+            "unit": self.unit,
             "rate_hz": self.rate_hz,
             "columns": self.columns or None,
             "topic": self.topic or None,
-            "policy": self._policy,
+            "policy": replace(self.policy, raw=self.raw),
         }
-
-    @property
-    def _policy(self) -> Policy:
-        keeps = self.raw and self.policy.negative == REFUSE
-        return replace(self.policy, negative=KEEP) if keeps else self.policy
 
 
 class ExampleAddress(FileAddress):

@@ -6,7 +6,7 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 
-from .recording import KEEP, File, Parsed, Recording, choose, rising
+from .recording import File, Parsed, Recording, choose, rising
 
 
 def is_bag(begin: bytes) -> bool:
@@ -36,7 +36,7 @@ class BagRecording(Recording):
         from sparseskin.nodes.recorder.bag.patches import split_bag
         from sparseskin.nodes.recorder.bag.reader import BagReader
 
-        name, wants_raw = self._file.name, self._file.policy.negative == KEEP
+        name, wants_raw = self._file.name, self._file.policy.raw
         try:
             with BagReader(name) as whole:
                 bag = split_bag(whole)

@@ -30,7 +30,6 @@ from .recording import (
     ADD,
     COUNTS,
     DEFAULT_POLICY,
-    KEEP,
     MAX_READING,
     REFUSE,
     File,
@@ -162,7 +161,7 @@ def open_file(
     if n_frames == 0:
         raise SourceError(f"{name}: the recording holds no frame")
     timed = (rate_hz, parsed.rate_hz, parsed.stamp_ns) != (None, None, None)
-    keeps = policy.negative == KEEP
+    keeps = policy.raw
     head = Head(tuple(cells), None, parsed.unit, timed)
     shape = _checked_shape(head, file, needs_unit=not (unit or keeps))
     stated_mask, is_whole_numbers = parsed.mask, parsed.forces.dtype.kind in "iu"
@@ -230,7 +229,7 @@ def n_taxels(
             _HEADS[key] = recording.head()
         head = _HEADS[key]
     head = head._replace(is_timed=head.is_timed or rate_hz is not None)
-    _checked_shape(head, file, not (unit or policy.negative == KEEP))
+    _checked_shape(head, file, not (unit or policy.raw))
     # No taxel: refused as it is read.
     return None if policy.masks else head.n_taxels or None
 

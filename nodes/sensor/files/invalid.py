@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .recording import FILLED, KEEP, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
+from .recording import FILLED, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ def treat(parsed: Parsed, policy: Policy) -> tuple[Parsed, Treated]:
     become NaN, for `MissingReadings`; a taxel of which all are is masked with `nan` "mask". Cells
     without a taxel are not looked at.
     """
-    allowed = policy.nan == REFUSE and policy.negative in (REFUSE, KEEP)
+    allowed = policy.nan == policy.negative == REFUSE
     if allowed or not len(parsed.forces):
         return parsed, Treated()
     forces = np.array(parsed.forces, dtype=np.result_type(parsed.forces.dtype, np.float32))
     finite = np.isfinite(forces)
     is_nan = ~finite & (policy.nan != REFUSE)
-    is_negative = finite & (forces < 0) & (policy.negative not in (REFUSE, KEEP))
+    is_negative = finite & (forces < 0) & (policy.negative != REFUSE)
     exists = np.ones(forces.shape[1:], np.bool_) if parsed.mask is None else parsed.mask
     gone = np.zeros_like(exists)
     if policy.nan == MASK:

@@ -48,16 +48,17 @@ FILLED = {
 NEGATIVE_WAYS = (REFUSE, ZERO, OFFSET, MASK)
 """Readings below 0: the file is refused; they become 0; the lowest reading is subtracted from all;
 or their taxels are masked."""
-KEEP = "keep"
-"""Readings below 0 of a skin that is calibrated: they remain, as a baseline is subtracted."""
 
 
 @dataclass(frozen=True)
 class Policy:
-    """Ways to treat invalid readings, one of `NAN_WAYS` and one of `NEGATIVE_WAYS` or `KEEP`."""
+    """Ways to treat invalid readings, one of `NAN_WAYS` and one of `NEGATIVE_WAYS`. `raw`: a
+    calibration converts the readings, which are of any unit, and below 0 where that is refused.
+    """
 
     nan: str = REFUSE
     negative: str = REFUSE
+    raw: bool = False
 
     @property
     def masks(self) -> bool:

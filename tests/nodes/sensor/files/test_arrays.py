@@ -16,7 +16,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.files.file_source import UNTIMED_PERIOD_NS, RecordedSource, open_file
-from sparseskin.nodes.sensor.files.recording import KEEP, ZERO, Policy
+from sparseskin.nodes.sensor.files.recording import ZERO, Policy
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import find_address
 
@@ -231,7 +231,7 @@ def test_readings_of_cells_without_a_taxel_are_not_checked(tmp_path: Path) -> No
     path.write_bytes(npz_bytes(forces=forces, mask=mask, more=1))
     with pytest.raises(SourceError, match="frame 1, row 0, column 0: -1 is below 0"):
         open_file(path)
-    open_file(path, policy=Policy(negative=KEEP))
+    open_file(path, policy=Policy(raw=True))
 
 
 def test_an_npz_may_hold_the_points_of_its_taxels(tmp_path: Path) -> None:
