@@ -10,6 +10,7 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 # Neither compiles: modules are when they are first imported, and most of these packages' never are.
 install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(PIP) $(1)
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
+ALL_TESTS = SPARSESKIN_EXAMPLES=100 $(ONE_THREAD) $(CURDIR)/$(BIN)/python -m pytest -q $(PARALLEL) --durations=20
 
 .PHONY: dist demo shots charts charts-quick stress stress-quick
 .PHONY: test test-all test-dist test-core coverage test-kernels check mutants docs hooks clean
@@ -35,7 +36,7 @@ test: .venv/installed-dev
 
 # All tests, those that are slow by nature too (kills, soak, browser, network namespaces).
 test-all: .venv/installed-dev
-	SPARSESKIN_EXAMPLES=100 $(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) --durations=20
+	$(ALL_TESTS)
 
 # The distribution in dist/; and all tests as its sdist holds them, with its wheel installed.
 dist: .venv/installed-dev
@@ -46,8 +47,7 @@ test-dist: dist
 	$(call install,--no-deps dist/*.whl)
 	rm .venv/installed*  # of the repository itself, which the wheel has replaced
 	tar --extract --gzip --file dist/*.tar.gz --directory dist
-	cd dist/sparseskin-*/ && SPARSESKIN_EXAMPLES=100 PYTHONSAFEPATH=1 $(ONE_THREAD) \
-	    $(CURDIR)/$(BIN)/python -m pytest -q $(PARALLEL) --durations=20 $(TESTS)
+	cd dist/sparseskin-*/ && PYTHONSAFEPATH=1 $(ALL_TESTS) $(TESTS)
 
 # All tests of the core, in a copy of the repository without the plug-ins.
 test-core: .venv/installed-dev
