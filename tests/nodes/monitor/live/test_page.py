@@ -258,7 +258,7 @@ def test_the_axis_of_a_chart_has_room_for_latencies_below_0(page: Any) -> None:
         assert page.execute_async_script(script, [3, 5]) == [0, 6]
 
 
-def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any) -> None:
+def test_the_marks_of_frames_in_doubt_and_of_old_frames_move_nothing(page: Any) -> None:
     graph = Graph()
     graph.skin()
     places = (  # a notice above them moves them all
@@ -285,6 +285,9 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_and_moves_nothing(page: Any
         )
         graph.summarise()
         wait_until(lambda: "50 % trusted" in text(page, shares), "the share")
+        assert page.execute_script(places) == before
+        old = "return [...document.querySelectorAll('#maps h2')].every((h) => h.dataset.age);"
+        wait_until(lambda: page.execute_script(old), "the age of each map")
         assert page.execute_script(places) == before
         graph.frame(error=0.1)
         wait_until(
