@@ -113,8 +113,8 @@ def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     if counts["error"]:
         rotate = "" if all(p["rows"] == "rotating" for p in every) else " or rotating rows"
         advice = f"; if that lasts, more measurements{rotate} may help"
-    are = "frame is" if n == 1 else "frames are"
-    text = f"{n} of {total} {are} in doubt, and marked on the page: {reasons}{advice}."
+    are = "is" if n == 1 else "are"
+    text = f"{n} of {total} frames {are} in doubt, and marked on the page: {reasons}{advice}."
     return textwrap.fill(text, WIDTH)
 
 

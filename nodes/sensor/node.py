@@ -22,6 +22,7 @@ from .files.recording import MASK, REFUSE
 from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
+from .rest import Rest
 from .saturation import clipped_text
 from .settings import SensorSettings
 from .source import DEFAULT_RATE_HZ, Skin
@@ -68,6 +69,8 @@ class Sensor(SourceNode[SensorSettings]):
         skin = self._stage.skin if self._stage else self._source_skin
         learns = settings.nan == MASK and self._source.is_live
         self._readings = MissingReadings(settings.nan, skin, learns)
+        has_level = self._source.delivers == "taxels" and not settings.tare
+        self._rest = Rest(skin) if has_level else None
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._clock = self._source.clock if settings.clock == "source" else None
@@ -185,6 +188,7 @@ class Sensor(SourceNode[SensorSettings]):
             stamp_ns = self._stamp_ns
         if self._stage is not None and self._stage.is_news:
             yield from self._calibration()
+            self._readings.is_news |= self._readings.is_known
         if self._next is None:
             return
         if self._readings.is_news:
@@ -222,7 +226,10 @@ class Sensor(SourceNode[SensorSettings]):
 
     def report(self) -> dict[str, Any]:
         clock = self._clock.state() if self._clock is not None else {}
-        return {**self._clipped(), **clock, **self._source.report(), **self._readings.report()}
+        found = {**self._clipped(), **clock, **self._source.report(), **self._readings.report()}
+        if self._rest is not None and self._rest.line:
+            found["lines"] = [*found.get("lines", ()), self._rest.line]
+        return found
 
     @property
     def _f_min(self) -> float:
@@ -299,6 +306,8 @@ class Sensor(SourceNode[SensorSettings]):
                 return None
             forces, missing = filled
         if source.delivers == "taxels":
+            if self._rest is not None and self._rest.update(forces):
+                self.context.log(self._rest.line)
             return forces, None, missing
         return (*self._measured(forces), missing)
 

@@ -14,6 +14,7 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.sensor.saturation import Clipped
+from sparseskin.nodes.touch import touch_level
 
 from .description import SkinDescription
 from .drift import DRIFT_RATE, Drift
@@ -25,6 +26,12 @@ TARE_FRAMES = 30
 MAX_TARE_FRAMES = 10_000
 MAX_TARE_READINGS = 1 << 26
 """Most readings of a tare, chosen: 256 MiB."""
+LEAST_FRAMES, MOST_FRAMES = 10, 100
+"""Frames of a tare that its noise is measured on, where none is stated. Chosen: the median over
+the taxels of its deviation."""
+CLIPPED_SIGMAS = 6.0
+"""Standard deviations of noise below the range that are not reported as clipped; chosen: noise
+passes them once in 10^9 readings."""
 
 
 class Chain:
@@ -129,7 +136,8 @@ class Chain:
         found -= self.drift.value
         if not hangs:
             self.drift.update(np.nan_to_num(found), stamp_ns)
-        self.clipped.add(found, d.f_min - self.drift.threshold, d.f_max)
+        below = touch_level(d.noise or 0.0, d.f_max, CLIPPED_SIGMAS)
+        self.clipped.add(found, d.f_min - below, d.f_max)
         return np.clip(found, d.f_min, d.f_max, out=found).astype(np.float32)
 
     def start_tare(self, value: Any) -> str:
@@ -155,7 +163,8 @@ class Chain:
     def tare(self, frames: Sequence[npt.NDArray[Any]]) -> None:
         """Take the median of one or more untouched frames for the baseline, forget the drift, and
         log how much the forces of the untouched skin changed. A taxel whose reading is missing in
-        all of them has no baseline, and no force until the next tare.
+        all of them has no baseline, and no force until the next tare. Noise that is not stated is
+        that of these frames.
         """
         readings = np.array(frames)
         missing = np.isnan(readings)
@@ -167,12 +176,22 @@ class Chain:
         moved = np.abs(self.description.forces(baseline) - self.drift.value)[self.skin.exists]
         self.description = replace(self.description, baseline=baseline)
         self.drift.reset()
+        if self.description.noise is None and len(frames) >= LEAST_FRAMES:
+            self._measure_noise(readings[:MOST_FRAMES])
         line = f"forces changed by at most {moved.max():.3g} {self.skin.unit}"
         if n_moved := np.count_nonzero(moved > MOVED * self.skin.f_max):
             line += f", of {n_moved} taxels by more than {100 * MOVED:g} % of the range"
             line += ": a touch while taring, or a baseline that was old"
         self._tared, self.is_news = line, True
         self._log(f"tared: {line}")
+
+    def _measure_noise(self, readings: npt.NDArray[Any]) -> None:
+        works = self.skin.exists & ~self._untared
+        forces = np.stack([self.description.forces(frame)[works] for frame in readings])
+        noise = float(np.median(forces.std(axis=0, ddof=1))) if works.any() else 0.0
+        if 0 < noise < MOVED * self.skin.f_max:
+            d = self.description = replace(self.description, noise=float(f"{noise:.3g}"))
+            self.drift = Drift(d.shape, d.f_max, noise, self.drift.rate)
 
     def state(self) -> dict[str, Any]:
         """State for the operator: frames that a tare waits for, largest drift, last tare."""

@@ -54,6 +54,17 @@ def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the
     assert (chain.apply(np.full(SHAPE, 9.0), 0) == 2.0).all()
 
 
+def test_a_tare_measures_the_noise_that_no_file_states() -> None:
+    rng = np.random.default_rng(0)
+    chain, stated = Chain(skin()), Chain(skin(noise=0.02))
+    frames = [rng.normal(3.0, 0.01, SHAPE) for _ in range(1000)]
+    for one in (chain, stated):
+        one.tare(frames)
+    # The deviation of 100 frames is off by 1 / sqrt(200) of itself, the median of 12 by a third.
+    assert chain.description.sigmas == pytest.approx((0.01, 0.01), rel=0.1)
+    assert stated.description.sigmas == (0.02, 0.02)
+
+
 def test_masked_cells_are_0_whatever_they_read() -> None:
     mask = np.ones(SHAPE, dtype=np.bool_)
     mask[1, 2] = False
@@ -69,10 +80,10 @@ def test_masked_cells_are_0_whatever_they_read() -> None:
 def test_readings_beyond_the_range_are_clipped_and_counted_noise_below_0_is_not() -> None:
     chain = still(skin(noise=0.01))
     raw = np.zeros(SHAPE)
-    raw[0, :3] = 3.0, -0.03, -0.05
+    raw[0, :3] = 3.0, -0.05, -0.07
     forces = chain.apply(raw, 0)
     assert list(forces[0]) == [2.5, 0, 0, 0]
-    assert chain.clipped == Clipped(n_below=1, n_above=1, lowest=-0.05, highest=3.0)
+    assert chain.clipped == Clipped(n_below=1, n_above=1, lowest=-0.07, highest=3.0)
 
 
 def test_a_lower_end_below_0_keeps_the_mean_of_noise_centred_on_0() -> None:

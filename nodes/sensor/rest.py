@@ -1,0 +1,54 @@
+"""Rest: what an untouched skin reads where nothing takes its baseline away."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sparseskin.messages.text import printable
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.touch import MeasuredNoise, touch_level
+
+from .calibration.chain import TARE_FRAMES
+from .source import Skin
+
+SHARE = 0.9
+"""Part of the taxels that a level at rest lifts. Chosen: of an insole that is stood on, the arch
+and the rim read nothing."""
+
+
+class Rest:
+    """Notices a level at rest: nearly all taxels read more than a touch in each of the first
+    `TARE_FRAMES` frames.
+
+    Attributes
+    ----------
+    line : str
+        What was found, and its remedy; empty where there is none.
+    """
+
+    def __init__(self, skin: Skin) -> None:
+        self.line = ""
+        self._skin = skin
+        self._noise = MeasuredNoise()
+        self._least: Floats | None = None
+        self._n_left = TARE_FRAMES
+
+    def update(self, forces: Floats) -> bool:
+        """Add a frame, float32 (rows, cols); return True once, where a level is found."""
+        if not self._n_left:
+            return False
+        self._n_left -= 1
+        self._least = forces if self._least is None else np.fmin(self._least, forces)
+        noise, skin = self._noise.update(forces), self._skin
+        if self._n_left:
+            return False
+        least = self._least[skin.exists]
+        n_lifted = np.count_nonzero(least > touch_level(noise, skin.f_max))
+        if n_lifted < SHARE * least.size:
+            return False
+        self.line = (
+            f"{n_lifted} of {least.size} taxels read {least.min():.2g} to {least.max():.2g} "
+            f"{printable(skin.unit)} at first; if nothing touched them, sensor.tare={TARE_FRAMES} "
+            "subtracts it"
+        )
+        return True
