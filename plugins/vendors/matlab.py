@@ -25,7 +25,8 @@ _MOST = 4096
 
 
 class ArraysRecording(Recording):
-    """The array of the stated topic, its name or path in the file, or `forces`, or the only one of
+    """The array of the stated topic, its name or path in the file (log.left.forces of structures of
+    MATLAB), or `forces`, or the only one of
     three dimensions. MATLAB's have the frames last, as forces(:, :, k), unless only the first
     dimension leaves the stated shape; those of two dimensions have a row a frame, as all of HDF5.
 
@@ -74,14 +75,17 @@ class ArraysRecording(Recording):
         from scipy.io import loadmat, whosmat
 
         plain = io.BytesIO(b"".join(_inflated(raw, max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw)))))
-        numbers = {
-            key: shape
-            for key, shape, kind in whosmat(plain)
-            if kind[:3] in ("dou", "sin", "int", "uin")
-        }
-        key = frames_name(
-            {key: len(shape) for key, shape in numbers.items()}, self._file.topic, self._file.name
-        )
+        listed = whosmat(plain)
+        numbers = {key: n for key, n, kind in listed if kind[:3] in ("dou", "sin", "int", "uin")}
+        structs = [key for key, _, kind in listed if kind == "struct"]
+        plain.seek(0)
+        found = loadmat(plain, variable_names=structs) if structs else {}
+        fields = dict(pair for key in structs for pair in _fields(key, found[key]))
+        sizes = {key: len(shape) for key, shape in numbers.items()}
+        sizes |= {key: field.ndim for key, field in fields.items()}
+        key = frames_name(sizes, self._file.topic, self._file.name)
+        if key in fields:
+            return key, fields[key]
         self._check_size(key, 8 * prod(numbers[key]), len(raw))
         plain.seek(0)
         return key, loadmat(plain, variable_names=[key])[key]
@@ -113,6 +117,15 @@ class ArraysRecording(Recording):
             found = file[key]
             self._check_size(key, found.size * found.dtype.itemsize, self._file.file.seek(0, 2))
             return key, found[()]
+
+
+def _fields(key: str, one: npt.NDArray[Any]) -> Iterator[tuple[str, npt.NDArray[Any]]]:
+    """The arrays of numbers in a structure, by their paths, as log.left.forces."""
+    if one.dtype.names and one.size == 1:
+        for name in one.dtype.names:
+            yield from _fields(f"{key}.{name}", np.asarray(one.flat[0][name]))
+    elif one.dtype.kind in "iuf":
+        yield key, one
 
 
 def _inflated(raw: bytes, most: int) -> Iterator[bytes]:

@@ -44,6 +44,8 @@ def read(folder: Path, name: str, raw: bytes, **stated: Any) -> Any:
     [
         ("a.mat", mat(forces=LAST, a=LAST, text="x", cell=np.array([1, "a"], object)), {}),
         ("a.mat", mat(False, a=LAST, b=LAST), {"topic": "b"}),
+        ("a.mat", mat(log={"rate": 9.0, "left": {"pad": LAST}}), {}),
+        ("a.mat", mat(a=LAST + 1, log={"left": {"pad": LAST}}), {"topic": "log.left.pad"}),
         ("a.mat", mat(a=FRAMES), {"n_rows": 3, "n_cols": 4}),
         ("a.mat", mat(a=FRAMES.reshape(2, 12)), {"n_rows": 3}),
         ("a.mat", hdf5(a=LAST.T), {}),
