@@ -6,6 +6,7 @@ import bz2
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,6 +33,7 @@ from sparseskin.nodes.sensor.files.recording import (
     Parsed,
     Recording,
     choose,
+    reading,
     rising,
     shape_text,
 )
@@ -65,7 +67,6 @@ class RosRecording(Recording):
     def __init__(self, file: File) -> None:
         check_installed(file.name, "ros", "rosbags", error=SourceError)
         self._file, self._ros = file, 1 if file.name.lower().endswith(".bag") else 2
-        self._messages = READERS[Path(file.name).suffix.lower()]
 
     def read(self) -> Parsed:
         name = self._file.name
@@ -92,12 +93,16 @@ class RosRecording(Recording):
 
     def _all(self) -> Iterator[Recorded]:
         """All messages; SourceError once they are larger than any recording of that size is."""
-        left = max(MAX_GROWN_BYTES, MAX_GROWTH * Path(self._file.name).stat().st_size)
-        for one in self._messages(self._file):
-            left -= len(one.data)
-            if left < 0:
-                raise SourceError(f"{self._file.name}: its messages are far larger than the file")
-            yield one
+        names = self._file.name, *self._file.parts
+        left = max(MAX_GROWN_BYTES, MAX_GROWTH * sum(Path(name).stat().st_size for name in names))
+        for name in names:
+            with reading(name) as opened:
+                read = READERS[Path(name).suffix.lower()]
+                for one in read(replace(self._file, file=opened, name=name)):
+                    left -= len(one.data)
+                    if left < 0:
+                        raise SourceError(f"{name}: its messages are far larger than the file")
+                    yield one
 
     def _frame(self, one: Recorded) -> Received:
         try:

@@ -238,17 +238,18 @@ def n_taxels(
 def _opened(
     path: str, policy: Policy, stated: Mapping[str, Any]
 ) -> Iterator[tuple[File, Recording]]:
-    """The recording of a file, or an example; of the folder of a bag of ROS 2, of its only file."""
-    folder, (kind, _, example) = Path(path), path.partition(":")
+    """The recording of a file, or an example; of the folder of a bag of ROS 2, of its files."""
+    folder, (kind, _, example), parts = Path(path), path.partition(":"), list[str]()
     if kind == "example" and not folder.exists():
         if example not in EXAMPLES:
             raise SourceError(f"{path}: there is no such{nearest_of(example, EXAMPLES)}")
         path = str(Path(__file__).with_name("examples") / f"{example}.npz")
     elif (folder / "metadata.yaml").is_file():
-        found = [file for file in sorted(folder.iterdir()) if file.suffix in (".mcap", ".db3")]
-        path = str(found[0]) if len(found) == 1 else path
+        found = [str(file) for file in folder.iterdir() if file.suffix in (".mcap", ".db3")]
+        found.sort(key=lambda name: (len(name), name))  # bag_2 before bag_10
+        path, *parts = found or [path]
     with reading(path) as opened:
-        file = File(opened, path, policy=policy, **stated)
+        file = File(opened, path, tuple(parts), policy=policy, **stated)
         yield file, recording_of(file)
 
 

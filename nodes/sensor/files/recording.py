@@ -235,10 +235,13 @@ def text_lines(raw: bytes) -> list[str]:
 
 @dataclass(frozen=True)
 class File:
-    """An open file of a recording, and what is stated of it, as in `open_file`."""
+    """An open file of a recording, the names of those that go on with it, and what is stated of it,
+    as in `open_file`.
+    """
 
     file: IO[bytes]
     name: str
+    parts: tuple[str, ...] = ()
     n_rows: int | None = None
     n_cols: int | None = None
     columns: str | None = None

@@ -63,7 +63,7 @@ def messages(ros: int, frame: np.ndarray, stamp_ns: int) -> dict[str, tuple[str,
     )
 
 
-def write(folder: Path, kind: str, topics: tuple[str, ...]) -> Path:
+def write(folder: Path, kind: str, topics: tuple[str, ...], begin_ns: int = BEGIN_NS) -> Path:
     """A recording of some topics, as a file or the folder of a bag of ROS 2."""
     ros = 1 if kind == "bag" else 2
     store = cdr.types(ros)
@@ -78,12 +78,25 @@ def write(folder: Path, kind: str, topics: tuple[str, ...]) -> Path:
     with writer:
         found = {}
         for k, frame in enumerate(COUNTS):
-            for topic, (name, message) in messages(ros, frame, BEGIN_NS + k * PERIOD_NS).items():
+            for topic, (name, message) in messages(ros, frame, begin_ns + k * PERIOD_NS).items():
                 if topic in topics:
                     if topic not in found:
                         found[topic] = writer.add_connection(topic, name, typestore=store)
-                    writer.write(found[topic], BEGIN_NS + k * PERIOD_NS, encode(message, name))
+                    writer.write(found[topic], begin_ns + k * PERIOD_NS, encode(message, name))
     return path
+
+
+@pytest.mark.parametrize("kind", ["db3", "mcap"])
+def test_the_files_of_a_bag_of_ros_2_follow_each_other(tmp_path: Path, kind: str) -> None:
+    for k, name in enumerate(("bag_10", "bag_9")):
+        (tmp_path / name).mkdir()
+        begin_ns = BEGIN_NS + 2 * (1 - k) * PERIOD_NS
+        (part,) = write(tmp_path / name, kind, ("/image",), begin_ns).glob(f"*.{kind}")
+        part.rename(tmp_path / f"{name}.{kind}")
+    (tmp_path / "metadata.yaml").touch()
+    source = open_file(tmp_path)
+    np.testing.assert_array_equal(source.frames, [*COUNTS, *COUNTS])
+    assert source.stamp_ns == tuple(k * PERIOD_NS for k in range(4))
 
 
 @pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
