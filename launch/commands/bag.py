@@ -78,7 +78,7 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     more = rare(parser)
     formats = "; ".join(f"{suffix}: {what}" for suffix, what in suffixes().items())
     parser.description = f"{parser.description} Formats: {formats}."
-    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="the recording")
+    parser.add_argument("files", metavar="FILE", nargs="+", type=_path, help="the recording")
     about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
     parser.add_argument("--out", metavar="PATH", required=True, help=about)
     add_shape(parser)
@@ -91,6 +91,11 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     more.add_argument("--nan", choices=NAN_WAYS, default=REFUSE, help=about)
     about = "readings below 0 (default: refuse)"
     more.add_argument("--negative", choices=NEGATIVE_WAYS, default=REFUSE, help=about)
+
+
+def _path(text: str) -> Path:
+    """The path of a file, or of a source as a sensor names it."""
+    return Path(text.removeprefix("file:"))
 
 
 def _info(arguments: argparse.Namespace) -> int:

@@ -24,7 +24,7 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.files.recording import spelled
+from sparseskin.nodes.sensor.files.recording import Policy, spelled
 from sparseskin.nodes.sensor.settings import SensorSettings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
 from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
@@ -42,7 +42,7 @@ LEAST_TOP = 0.02
 """Least share of the range that the brightest colour stands for; chosen: noise alone stays dark."""
 PEAK_S = 5.0
 """Time in which the scale of the colours follows a falling peak, seconds; chosen."""
-KEYS = ("n_rows", "n_cols", "unit", "f_max", "columns", "topic")
+KEYS = ("n_rows", "n_cols", "unit", "f_max", "columns", "topic", "nan", "negative")
 
 
 def configure_sources(parser: argparse.ArgumentParser) -> None:
@@ -141,8 +141,11 @@ def _stated(words: list[str]) -> dict[str, Any]:
     entries = [entry for entry in SensorSettings.described() if entry["key"] in KEYS]
     values = stated_values(words, entries)
     with naming_options({key: f"--set {key}" for key in KEYS}):
-        SensorSettings.from_mapping(values)  # checks types and ranges
-    return values
+        checked = SensorSettings.from_mapping(values)
+    policy = Policy(checked.nan, checked.negative)
+    return {key: v for key, v in values.items() if key not in ("nan", "negative")} | {
+        "policy": policy
+    }
 
 
 def _frames(source: Source) -> Iterator[Floats | None]:

@@ -43,14 +43,12 @@ class FileAddress(Address):
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
-        """Recordings in the current folder by their suffixes, the newest first."""
+        """Recordings in the current folder by their suffixes, and bags of ROS 2, the newest first."""
         about = suffixes()
-        found = (p for p in Path().iterdir() if p.suffix.lower() in about and p.is_file())
-        newest = sorted(found, key=lambda p: -p.stat().st_mtime_ns)[:MAX_LISTED]
-        entries = [
-            {"source": f"file:{printable(p.name)}", "about": about[p.suffix.lower()]}
-            for p in newest
-        ]
+        found = {p: about.get(p.suffix.lower(), "") for p in Path().iterdir() if p.is_file()}
+        found |= {p.parent: "bag of ROS 2" for p in Path().glob("*/metadata.yaml")}
+        newest = sorted(filter(found.get, found), key=lambda p: -p.stat().st_mtime_ns)[:MAX_LISTED]
+        entries = [{"source": f"file:{printable(p.name)}", "about": found[p]} for p in newest]
         return (Listing("files", "recordings in this folder", entries),)
 
     @property
