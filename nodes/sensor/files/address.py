@@ -43,7 +43,7 @@ class FileAddress(Address):
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
-        """Recordings in the current folder by their suffixes, and bags of ROS 2, the newest first."""
+        """Recordings in the current folder, and bags of ROS 2, the newest first."""
         about = suffixes()
         found = {p: about.get(p.suffix.lower(), "") for p in Path().iterdir() if p.is_file()}
         found |= {p.parent: "bag of ROS 2" for p in Path().glob("*/metadata.yaml")}
