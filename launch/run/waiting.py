@@ -25,7 +25,7 @@ def waits_for(node: NodeProcess, launch: LaunchFile) -> str:
     if node.ready:
         return _lacks_readers(node, launch.name)
     if not node.endpoint:
-        return f"{node.name} has not started: it imports, or opens its device"
+        return f"{node.name} has not started: it imports, compiles, or opens its device"
     if not node.lacks:
         return f"{node.name} has not answered yet"
     hosts: dict[str, list[str]] = {}

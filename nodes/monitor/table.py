@@ -29,6 +29,9 @@ DOUBTS = {
     "uniform": "all taxels rose together: drift, hum, or a pressure on the whole skin",
 }
 """What the reasons of frames that are not to be trusted mean."""
+LATE_MS = 200.0
+"""Median latency that stands before everything but the frames, milliseconds; chosen: a graph that
+falls behind shows, and no other does."""
 FEW = 4
 """Most patches that are shown with all their figures; of more, each has one row."""
 
@@ -56,13 +59,16 @@ def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     trust = [m.trust.contact for m in every if m.trust.contact.count]
     share = sum(t.total for t in trust) / sum(t.count for t in trust) if trust else 0.0
     to_taxels = "" if noisy else " to taxels"
+    latency, p50_ms = _latency(every)
+    is_late = p50_ms >= LATE_MS
     parts = [
         f"{name}: {n} frames, {rate}, lost {lost}",
+        *(latency if is_late else ()),
         *_contacts(every),
         *idle,
         *([f"PSNR{to_taxels} {sum(psnr) / len(psnr):.1f} dB"] if psnr else ()),
         *([f"trusted {share_of(share)}"] if trust else ()),
-        *_latency(every),
+        *(() if is_late else latency),
         *([f"taxels {sum(noisy) / len(noisy):.1f} dB"] if noisy else ()),
     ]
     since = _since(every[0].since_ns).strip()
@@ -80,14 +86,15 @@ def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
     return [f"{sum(loads):.3g} {units[0]}" if any(loads) else "no contact"] if loads else []
 
 
-def _latency(patches: Sequence[PatchMetrics]) -> list[str]:
-    """Latency of the slowest patch; none where it is unknown."""
+def _latency(patches: Sequence[PatchMetrics]) -> tuple[list[str], float]:
+    """Latency of the slowest patch as text and its median; none where it is unknown."""
     known = [(q["p50"], q["p99"], m) for m in patches if (q := m.latency.summary())]
     if not known:
-        return []
+        return [], 0.0
     p50, p99, slowest = max(known, key=lambda found: found[:2])
     within = slowest.latency_uncertainty_ns / 1e6
-    return [f"latency p50 {p50:.1f}, p99 {p99:.1f} ms" + (f" ± {within:.1f}" if within else "")]
+    text = f"latency p50 {p50:.1f}, p99 {p99:.1f} ms" + (f" ± {within:.1f}" if within else "")
+    return [text], p50
 
 
 def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:

@@ -29,7 +29,7 @@ MAX_PLACES = 2**16
 REMEDY = "pip install 'sparseskin[fast]'"
 NOT_INSTALLED = f"compiled loops: none without numba, several times slower; {REMEDY}"
 NOT_IMPORTED = "compiled loops: numba cannot be imported; numpy is used"
-COMPILING = "compiled loops: compiling, once on this machine; some 20 s"
+COMPILING = "compiled loops: compiling, once on this machine; some 20 s, more where it is busy"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -50,7 +50,7 @@ def test_each_node_that_is_not_ready_reports_what_it_waits_for() -> None:
         FakeNode("player", failed=True),
     )
     assert [waits_for(node, PART) for node in made] == [
-        "sensor has not started: it imports, or opens its device",
+        "sensor has not started: it imports, compiles, or opens its device",
         "compressor waits for a subscription from echo on desk, monitor, reconstructor",
         "recorder has not answered yet",
         "",

@@ -275,6 +275,9 @@ def test_the_status_line_counts_what_is_missing_so_far() -> None:
         "skin: 2 frames, 200 Hz, lost 2 | 20 N | PSNR 100.0 dB | latency p50 3.0, p99 3.0 ms | "
         "taxels 100.0 dB"
     )
+    messages[-1] = dataclasses.replace(messages[-1], seq=3, done_ns=250 * MS)
+    late = status_line({"skin": metrics_of(skin(), *messages)}, 200.0)
+    assert "lost 0 | latency p50 250" in late
     untouched = metrics_of(skin(), *estimated(0, 0.0, trusted=True))
     assert status_line({"skin": untouched}, 9.0).startswith(
         "skin: 1 frames, 9 Hz, lost 0 | no contact | latency"
