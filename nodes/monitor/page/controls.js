@@ -9,7 +9,7 @@ const SETTINGS = [
   ["reconstructor", "solver", "Solver"],
   ["reconstructor", "basis", "Basis"],
   ["reconstructor", "iterations", "Iterations"],
-  ["reconstructor", "lambda_n", "λ (N)"],
+  ["reconstructor", "lambda_n", "λ (N; range 2.5 N)"],
   ["reconstructor", "budget_ms", "Time budget (ms/frame)"],
   ["reconstructor", "contact_force", "Least force of a contact"],
   ["reconstructor", "contact_over", "Force of the event ◆ over"],
