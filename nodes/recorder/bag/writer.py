@@ -17,7 +17,6 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 from sparseskin.messages import Message, MessageError, encode
-from sparseskin.messages.jsonschema import json_schema
 from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
@@ -40,6 +39,7 @@ from .format import (
     TopicInfo,
     check_new_bag,
 )
+from .json_schema import json_schema
 
 CHUNK_BYTES = 1 << 20
 """A chunk is ended and compressed when its records exceed this many bytes."""

@@ -11,9 +11,9 @@ from conftest import MountDisk
 
 from sparseskin.messages import End, encode
 from sparseskin.messages.base import omitted_fields
-from sparseskin.messages.jsonschema import json_schema
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.recorder.bag.format import BagError, BagMessage
+from sparseskin.nodes.recorder.bag.json_schema import json_schema
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 

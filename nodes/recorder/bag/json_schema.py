@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from .base import Message, omitted_fields, wire_fields
-from .fields import Each, FieldKind, Flag, Integer, Names, Real, Text, Words
+from sparseskin.messages.base import Message, omitted_fields, wire_fields
+from sparseskin.messages.fields import Each, FieldKind, Flag, Integer, Names, Real, Text, Words
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _TYPES: dict[type[FieldKind], str] = {
