@@ -31,8 +31,6 @@ POINTS = "sparseskin_points"
 """Skins of points, by the name `points`: a `sparseskin.nodes.sensor.points.PointSkins`."""
 EXPORTS = "sparseskin_exports"
 """Kinds of export of a bag: each a `sparseskin.nodes.recorder.convert.export.Export`."""
-EXECUTORS = "sparseskin_executors"
-"""Executors of tasks: each a `sparseskin.nodes.tasks.executors.Factory`."""
 STUDIES = "sparseskin_studies"
 """Studies: each a `sparseskin.studies.command.Study`."""
 

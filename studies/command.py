@@ -14,7 +14,7 @@ from sparseskin.nodes.extensions import STUDIES as GROUP
 from sparseskin.nodes.extensions import failures, loaded
 from sparseskin.nodes.lookup import find_callable, nearest_of
 from sparseskin.nodes.numerics.compiled import ENVIRONMENT
-from sparseskin.nodes.tasks.executors import forms
+from sparseskin.nodes.tasks.executors import FORMS
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--executor",
         metavar="HOW",
         default=f"process:{len(os.sched_getaffinity(0))}",
-        help=f"where points are computed: {forms()} (default: %(default)s)",
+        help=f"where points are computed: {FORMS} (default: %(default)s)",
     )
     more.add_argument(
         "--recordings",

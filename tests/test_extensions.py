@@ -17,16 +17,13 @@ from sparseskin.nodes.registry import node_class
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.points import point_skins
-from sparseskin.nodes.tasks.executors import forms, make_executor
 
 BROUGHT = """
 import numpy as np
-from concurrent.futures import ThreadPoolExecutor
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.recorder.convert.export import Export
 from sparseskin.nodes.sensor.files.format import Format
 from sparseskin.nodes.sensor.files.recording import Head, Parsed, Recording
-from sparseskin.nodes.tasks.executors import Factory
 
 
 class Counted(Recording):
@@ -46,7 +43,6 @@ class Own(Node):
 
 COUNTED = Format({".csv": "counts"}, Counted, lambda begin: begin.startswith(b"counts"))
 TEXT = Export(".txt", "brought:write")
-POOL = Factory("pool:N", lambda spec: ThreadPoolExecutor(int(spec.partition(":")[2])))
 """
 
 
@@ -62,7 +58,6 @@ def brought(
         (extensions.NODES, "Own"),
         (extensions.FILES, "COUNTED"),
         (extensions.EXPORTS, "TEXT"),
-        (extensions.EXECUTORS, "POOL"),
         (extensions.POINTS, ""),
     ):
         one = {name.lower(): f"brought:{name}"} if name else {"points": "absent:POINTS"}
@@ -81,9 +76,6 @@ def test_what_another_package_brings_is_used(tmp_path: Path) -> None:
     assert suffixes()[".csv"].endswith(" or counts")
     assert find_export("text").ending == ".txt"
     assert "text" in export_names()
-    assert "pool:N" in forms()
-    with make_executor("pool:2") as executor:
-        assert executor.submit(abs, -1).result() == 1
 
 
 @pytest.mark.usefixtures("brought")
@@ -95,8 +87,6 @@ def test_what_cannot_be_imported_is_named_in_one_line_and_stops_no_other(tmp_pat
         open_file(tmp_path / "own.xyz")
     with pytest.raises(BagError, match=r"--to broken: plug-in absent:THING: ModuleNotFoundError"):
         find_export("broken")
-    with pytest.raises(SettingsError, match=r"--executor broken:1: plug-in absent:THING"):
-        make_executor("broken:1")
     with pytest.raises(SourceError, match=r"points: plug-in absent:POINTS: ModuleNotFoundError"):
         point_skins()
 

@@ -13,7 +13,7 @@ from sparseskin.launch.attach.text import size_text
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean, one_line
 from sparseskin.nodes.remote import check_address, file_name, is_remote, shown
-from sparseskin.nodes.tasks.executors import forms
+from sparseskin.nodes.tasks.executors import FORMS
 
 from .options import add_set, add_summary, bag_names, check_summary, rare, write_summary
 
@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     more.add_argument(
         "--from", dest="start_from", choices=START_POINTS, default=START_POINTS[0], help=about
     )
-    about = f"where recordings are computed side by side: {forms()}"
+    about = f"where recordings are computed side by side: {FORMS}"
     more.add_argument("--executor", metavar="WHERE", help=about)
     add_summary(parser)
     parser.set_defaults(run=_reprocess)

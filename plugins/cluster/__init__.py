@@ -1,1 +1,0 @@
-"""Plug-in `cluster`: the workers of a Dask cluster as an executor."""
