@@ -15,11 +15,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-ENVIRONMENT = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "SPARSESKIN_FAST": "off",
-}
+ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "SPARSESKIN_FAST": "off"}
 #: First frame and number of frames of each scene: contact, from before its beginning in some.
 WINDOWS = {
     "lift_box_40": (315, 80),

@@ -19,10 +19,7 @@ def searched(code: str, folder: Path) -> bool:
 
 @pytest.mark.parametrize(
     ("name", "found"),
-    [
-        ("sparseskin.nodes.compressor.node:Compressor", False),
-        ("own_package.node:Own", True),
-    ],
+    [("sparseskin.nodes.compressor.node:Compressor", False), ("own_package.node:Own", True)],
 )
 def test_the_current_directory_is_searched_for_a_module_that_is_not_installed_alone(
     name: str, found: bool, tmp_path: Path
@@ -35,8 +32,7 @@ def test_the_current_directory_is_searched_for_a_module_that_is_not_installed_al
 
 
 @pytest.mark.parametrize(
-    ("source", "found"),
-    [("sparseskin.studies.looped:path_40", False), ("own_driver:frames", True)],
+    ("source", "found"), [("sparseskin.studies.looped:path_40", False), ("own_driver:frames", True)]
 )
 def test_a_driver_is_looked_for_in_the_current_directory_where_it_is_not_installed(
     source: str, found: bool, tmp_path: Path

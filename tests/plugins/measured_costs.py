@@ -66,10 +66,7 @@ def _measure(
     spent: dict[str, list[float]] = {"edge": [], "host": []}
     before = WARM_UP + N_CALM
     frames = press_frames(
-        *(body, shape, before + N_PRESSED, seed),
-        active=DENSE,
-        noise=noise,
-        timing=Timing(before),
+        *(body, shape, before + N_PRESSED, seed), active=DENSE, noise=noise, timing=Timing(before)
     )
     for k, (_, forces) in enumerate(frames):
         taxels = Taxels(stamp_ns=1_000_000 * (k + 1), patch="skin", forces=forces)

@@ -7,10 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 # A platform of 4 rows x 3 columns; columns 2, 3 and rows 2..4 were touched. 0.25 cm2: x 0.025.
-EMED_KPA = [
-    [[0.0, 10.0], [20.0, 40.0], [0.0, 0.0]],
-    [[0.0, 15.0], [100.0, 0.0], [5.0, 0.0]],
-]
+EMED_KPA = [[[0.0, 10.0], [20.0, 40.0], [0.0, 0.0]], [[0.0, 15.0], [100.0, 0.0], [5.0, 0.0]]]
 
 
 def emed_page(number: str, table: list[list[float]] | None) -> str:
@@ -36,11 +33,7 @@ def emed_text() -> str:
     return frames + emed_page("MVP", peaks) + "\n\t\t\t\tPage 4\n\nno frame\n"
 
 
-TEKSCAN_ROWS = [
-    ["B,1,2", "0,3,B"],
-    ["B,0,5", "7,0,B"],
-    ["B,0,0", "0,9,B"],
-]
+TEKSCAN_ROWS = [["B,1,2", "0,3,B"], ["B,0,5", "7,0,B"], ["B,0,0", "0,9,B"]]
 
 
 def tekscan_text(unit: str = "raw", times: tuple[str, ...] = ("0", "0.1", "0.21")) -> str:

@@ -11,12 +11,7 @@ from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
-from sparseskin.studies.evaluate import (
-    Reading,
-    evaluate,
-    make_method,
-    phis_at,
-)
+from sparseskin.studies.evaluate import Reading, evaluate, make_method, phis_at
 
 SHAPE = (8, 8)
 RNG = np.random.default_rng(0)

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
-from sparseskin.studies.needs import (
-    Variant,
-    measure,
-    variants,
-    verdict,
-)
+from sparseskin.studies.needs import Variant, measure, variants, verdict
 
 
 def compared(scene: str, variant: str, n_steps: int = 420) -> dict[str, Any]:

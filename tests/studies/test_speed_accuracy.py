@@ -11,13 +11,7 @@ from sparseskin.nodes.reconstructor.bases.base import BASES
 from sparseskin.studies.baselines.libraries import PEERS, Bpdn, TotalVariation
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.speed_accuracy.charts import front
-from sparseskin.studies.speed_accuracy.experiments import (
-    SCENES,
-    WITHIN,
-    parts,
-    race,
-    solvers,
-)
+from sparseskin.studies.speed_accuracy.experiments import SCENES, WITHIN, parts, race, solvers
 
 
 @pytest.mark.parametrize("quick", [True, False])

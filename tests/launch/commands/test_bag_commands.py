@@ -8,26 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import (
-    PERIOD_NS,
-    Bag,
-    M,
-    frame,
-    frames,
-    make_bag,
-    of_kind,
-    run_bag,
-    skin_state,
-)
+from bags import PERIOD_NS, Bag, M, frame, frames, make_bag, of_kind, run_bag, skin_state
 
-from sparseskin.messages import (
-    Message,
-    Reconstruction,
-    SkinState,
-    Taxels,
-    Truth,
-    decode,
-)
+from sparseskin.messages import Message, Reconstruction, SkinState, Taxels, Truth, decode
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader

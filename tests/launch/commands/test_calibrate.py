@@ -76,10 +76,7 @@ def test_a_person_is_asked_and_wrong_answers_are_asked_again(
 
 @pytest.mark.parametrize("answers", ["", "24N\nall\n5.2-6.8s\n"])
 def test_the_end_of_the_input_is_no_answer(
-    folder: Path,
-    answers: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    folder: Path, answers: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = sorted(folder.iterdir())
     monkeypatch.setattr("sys.stdin", io.StringIO(answers))

@@ -207,11 +207,7 @@ class Own(FistaSolver):
 
 
 def test_options_of_the_solver_are_set_one_by_one(
-    start: StartProgram,
-    run: Run,
-    refused: Run,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    start: StartProgram, run: Run, refused: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "solver_of_user.py").write_text(OWN_SOLVER)
     settings = (

@@ -61,7 +61,7 @@ def test_equal_patches_are_one_batch_of_four_nodes() -> None:
     assert sensor.rate_hz == 20
     assert launch.nodes["monitor"].settings.all_patches == sensor.patches
     assert {link.topic for link in launch.links if link.reader == "reconstructor"} == {
-        *("/body/skin", "/body/phi", "/body/measurements"),
+        *("/body/skin", "/body/phi", "/body/measurements")
     }
 
 

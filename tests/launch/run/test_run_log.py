@@ -66,11 +66,7 @@ def test_a_status_is_drawn_where_its_text_changes_and_leaves_out_what_does_not_f
     terminal = Terminal()
     for line in ("one | two", "one | two", "first part | second | third", "x" * 30):
         terminal.status(line)
-    assert screen.getvalue().split("\r\x1b[J") == [
-        "one | two",
-        "first part | second",
-        "x" * 19,
-    ]
+    assert screen.getvalue().split("\r\x1b[J") == ["one | two", "first part | second", "x" * 19]
 
 
 def test_a_full_file_makes_room_and_one_before_it_is_kept(

@@ -58,11 +58,7 @@ def test_each_restart_waits_twice_as_long_up_to_the_longest() -> None:
     assert list(restarts.failures) == [*"0123456"]
 
 
-@given(
-    st.integers(1, 5),
-    st.floats(1.0, 100.0),
-    st.lists(st.floats(0.0, 50.0), max_size=40),
-)
+@given(st.integers(1, 5), st.floats(1.0, 100.0), st.lists(st.floats(0.0, 50.0), max_size=40))
 def test_no_window_holds_more_restarts_than_are_allowed(
     max_restarts: int, window_s: float, gaps_s: list[float]
 ) -> None:

@@ -131,7 +131,7 @@ def test_events_come_at_their_frames_once_and_again_after_half_the_force() -> No
     forces = [0.1, 0.3, 0.6, 0.4, 0.6, 0.2, 0.6, 0.1, 0.05, 0.0]
     seen = [stream(boxes((4, 4), force=force)) for force in forces]
     assert [[event for _, event in one.named_events] for one in seen] == [
-        *([], ["begin"], ["over"], [], [], [], ["over"], [], ["end"], []),
+        *([], ["begin"], ["over"], [], [], [], ["over"], [], ["end"], [])
     ]
     assert [one.over.tolist() for one in seen[2:6]] == [[True], [True], [True], [False]]
 
@@ -141,7 +141,7 @@ def test_a_weak_contact_begins_in_its_second_frame_in_a_row_and_a_strong_one_at_
     weak, gone, strong = (boxes((8, 8), force=times * NOISE_N) for times in (5, 0, 7))
     seen = [stream(one) for one in (weak, gone, weak, weak, weak, gone, strong)]
     assert [one.named_events for one in seen] == [
-        *([], [], [], [(1, "begin")], [], [(1, "end")], [(2, "begin")]),
+        *([], [], [], [(1, "begin")], [], [(1, "end")], [(2, "begin")])
     ]
     elsewhere = boxes((20, 20), force=5 * NOISE_N)
     assert [stream(one).id.size for one in (gone, weak, elsewhere, weak)] == [0, 0, 0, 0]

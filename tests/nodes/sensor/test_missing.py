@@ -24,9 +24,7 @@ NAN = float("nan")
 
 @given(
     frames=arrays(
-        np.float32,
-        (4, 5, 6),
-        elements=st.sampled_from([0.0, 0.5, 2.0, NAN, np.inf, -np.inf]),
+        np.float32, (4, 5, 6), elements=st.sampled_from([0.0, 0.5, 2.0, NAN, np.inf, -np.inf])
     ),
     exists=arrays(np.bool_, (5, 6)).filter(np.any),
     way=st.sampled_from(["mask", "hold", "zero"]),

@@ -156,7 +156,7 @@ def test_a_recording_that_loops_begins_again_and_its_stamps_go_on() -> None:
     source.loops, source.period_s = True, 1e-8
     read = [source.next_frame(0.0) for _ in range(5)]
     assert [(ns, forces[0, 0]) for ns, forces in filter(None, read)] == [
-        *((0, 0), (10, 2), (20, 0), (30, 2), (40, 0)),
+        *((0, 0), (10, 2), (20, 0), (30, 2), (40, 0))
     ]
 
 

@@ -30,12 +30,7 @@ def cut(frames: list[bytes], size: int, numbered: bool) -> list[Frame]:
     ]
 
 
-@given(
-    n=st.integers(1, 40),
-    size=st.integers(1, N),
-    numbered=st.booleans(),
-    data=st.data(),
-)
+@given(n=st.integers(1, 40), size=st.integers(1, N), numbered=st.booleans(), data=st.data())
 def test_frames_are_whole_or_counted_whatever_pieces_are_lost(
     n: int, size: int, numbered: bool, data: st.DataObject
 ) -> None:

@@ -61,10 +61,7 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
 
 
 def test_digital_sums_need_every_conversion_and_analog_ones_m() -> None:
-    digital, analog = (
-        row("N/4 sums"),
-        row("N/4 sums", sums="analog", rows=16, cols=16),
-    )
+    digital, analog = (row("N/4 sums"), row("N/4 sums", sums="analog", rows=16, cols=16))
     assert (digital.m, digital.wires.conversions) == (1024, 4096)
     assert (analog.m, analog.wires.conversions, analog.wires.lines) == (64, 64, 256)
     # 24 * 4096 + 72 * 1024 + 16 * 1039 + 550 instructions of 2 cycles
@@ -142,10 +139,7 @@ def with_db(rows: list[Row], **db: float) -> list[Row]:
     [
         # 512 readings of 10 bits: 655 bytes are 3.28 ms; 512 conversions 2.56 ms
         ({}, "bus: 655 bytes take 3.28 ms (UART at 2 Mbaud): 305 Hz"),
-        (
-            {"bus": "udp"},
-            "ADC: 512 conversions take 2.56 ms (10 bit at 200 kS/s): 391 Hz",
-        ),
+        ({"bus": "udp"}, "ADC: 512 conversions take 2.56 ms (10 bit at 200 kS/s): 391 Hz"),
         (
             {"bus": "udp", "edge": "cortex-m4@1MHz"},
             "edge: 23,318 instructions take 46.6 ms (Cortex-M4 at 1 MHz): 21 Hz",

@@ -55,10 +55,7 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(
         (["design"], "--rows: is missing; state rows and cols, taxels, or points"),
         (["design", "none.toml"], "none.toml: No such file or directory"),
         (["design", "bad.toml"], "bad.toml: 'colls': unknown key (did you mean 'cols'?)"),
-        (
-            [*PAD, "--csv", "bad.toml"],
-            "bad.toml: exists already",
-        ),
+        ([*PAD, "--csv", "bad.toml"], "bad.toml: exists already"),
     ],
 )
 def test_bad_options_are_refused_in_one_line(

@@ -19,11 +19,7 @@ from sparseskin.nodes.sensor.sources import find_address, open_source
 
 mujoco = pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
 
-from sparseskin.plugins.simulators.model import (  # noqa: E402
-    check_model,
-    find_pad,
-    load_model,
-)
+from sparseskin.plugins.simulators.model import check_model, find_pad, load_model  # noqa: E402
 from sparseskin.plugins.simulators.source import MujocoSource  # noqa: E402
 from sparseskin.plugins.simulators.touch import Touch  # noqa: E402
 
@@ -234,12 +230,7 @@ def test_a_simulation_that_diverges_is_reported(tmp_path: Path) -> None:
     ],
 )
 def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    bodies: str,
-    site: str,
-    more: str,
-    text: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bodies: str, site: str, more: str, text: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     address = model_of(bodies, tmp_path, site, more)

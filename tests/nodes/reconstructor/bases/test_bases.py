@@ -41,10 +41,7 @@ def haar_by_definition(image: npt.NDArray[np.float32]) -> Doubles:
     return pyramid
 
 
-@given(
-    name=st.sampled_from(sorted(BASES)),
-    shape=st.tuples(st.integers(1, 40), st.integers(1, 40)),
-)
+@given(name=st.sampled_from(sorted(BASES)), shape=st.tuples(st.integers(1, 40), st.integers(1, 40)))
 def test_every_basis_of_any_size_is_orthonormal(name: str, shape: tuple[int, int]) -> None:
     check_basis(make_basis(name, *shape))
 
