@@ -1,7 +1,5 @@
 """Small bags for tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

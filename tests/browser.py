@@ -1,7 +1,5 @@
 """A real browser without a window, for what a person looks at."""
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Skins of points for tests of the page: a torso, open above and below, pressed at a place."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,7 +1,5 @@
 """Fixtures of several tests: real processes, and waiting for them without guessing how long."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.metadata
 import os

@@ -1,7 +1,5 @@
 """Damaged files, and the line that refuses them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from sparseskin.nodes.errors import SparseskinError

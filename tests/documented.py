@@ -1,7 +1,5 @@
 """What docs/reference/json.toml documents of the JSON that commands print and write."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A solver with a scripted estimate of its own error."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

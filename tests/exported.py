@@ -1,7 +1,5 @@
 """Bags with all that exports must keep."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A node's process as the parts of a launcher see it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

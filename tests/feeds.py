@@ -1,7 +1,5 @@
 """Feeds with made-up frames for tests, a clock for them, and what a page reads of their streams."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import struct

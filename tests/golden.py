@@ -4,8 +4,6 @@ The hashes hold for one version of numpy, scipy and OpenBLAS and for one of its 
 are computed in a process of their own that asks for a kernel which every x86-64-v3 host has.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Any grid of taxels."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import strategies as st
 

@@ -1,7 +1,5 @@
 """Messages of every class with any values, for properties of their wire forms."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

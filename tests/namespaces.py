@@ -1,7 +1,5 @@
 """Two hosts, made of network namespaces, joined by one wire."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

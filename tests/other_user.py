@@ -1,7 +1,5 @@
 """Another user of the host, for tests that root runs."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -4,8 +4,6 @@ The limits on the start and the end of nodes and on their answers are for a user
 that state these limits run the command itself.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

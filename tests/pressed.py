@@ -1,7 +1,5 @@
 """Frames of a skin under a moving contact, with the noise of a real one: what the tests restore."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 

@@ -1,7 +1,5 @@
 """Runs of the command `sparseskin`: their processes, and waiting for them without guessing."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

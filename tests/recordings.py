@@ -1,7 +1,5 @@
 """Recordings of real skins, for the tests that need them; they are not part of the repository."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The candidates of a word, as a shell asks for them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -4,8 +4,6 @@ They are of real graphs, in a real browser, and are written to docs/pictures/.
 `make shots SHOTS="hero contact"` takes some of them.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import io

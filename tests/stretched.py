@@ -1,7 +1,5 @@
 """A measurement matrix whose rows differ in length, as those of real wiring do."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi

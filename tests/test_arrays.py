@@ -1,7 +1,5 @@
 """The names that `import sparseskin` gives, on arrays and without processes."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import subprocess

@@ -1,7 +1,5 @@
 """Checks of a user's own matrix, basis and solver: what is wrong is found and named."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

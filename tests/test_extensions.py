@@ -1,7 +1,5 @@
 """What plug-ins bring: found by entry points, and named where it cannot be imported."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path

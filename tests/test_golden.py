@@ -1,7 +1,5 @@
 """Reconstructions do not change by accident: their bits where these can be compared, their PSNR."""
 
-from __future__ import annotations
-
 import json
 import platform
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The graph of imports between modules: one way, and without circles."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator, Mapping
 from graphlib import TopologicalSorter

@@ -1,7 +1,5 @@
 """The package: what is installed, and that it is all of it."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

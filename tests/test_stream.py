@@ -1,7 +1,5 @@
 """Compression and reconstruction one frame a call, with the defaults of a graph."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The current directory is searched for modules that are not installed, alone."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

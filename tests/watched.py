@@ -1,7 +1,5 @@
 """A reconstructor and a skin under the watch for faults: what their tests share."""
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Contexts of ZeroMQ for tests, and writers that wait for their readers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

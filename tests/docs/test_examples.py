@@ -1,7 +1,5 @@
 """Every file in examples/ runs as it stands."""
 
-from __future__ import annotations
-
 import os
 import re
 import runpy

@@ -1,7 +1,5 @@
 """The table of what works with what, found by running the nodes."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 other: tests of these commands check their documents by it.
 """
 
-from __future__ import annotations
-
 import pytest
 from documented import check, documented
 

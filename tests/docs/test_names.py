@@ -1,7 +1,5 @@
 """Paths, modules and tests that the pages and docstrings of examples name are there."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -2,8 +2,6 @@
 searched and fits a phone when it is opened as files.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

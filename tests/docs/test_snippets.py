@@ -1,7 +1,5 @@
 """Every snippet of README and docs/ runs, or is accepted by the parser that would run it."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shlex

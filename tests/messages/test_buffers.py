@@ -1,7 +1,5 @@
 """Frames as one buffer: what goes in comes out, and nothing else comes in."""
 
-from __future__ import annotations
-
 import math
 import struct
 

@@ -1,7 +1,5 @@
 """Messages of frames of several patches, and of one patch as one of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Measurements of few bits: their size, their error, and the same numbers at the other end."""
 
-from __future__ import annotations
-
 import msgpack
 import numpy as np
 import pytest

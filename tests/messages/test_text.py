@@ -1,7 +1,5 @@
 """Text of others: printable, and otherwise as it was."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The wire form: what goes in comes out, and nothing else comes in."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The graph in one process."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The offset of another clock: within its stated uncertainty, whatever the delays and the drift."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,7 +1,5 @@
 """Files that are written: no link of another user chooses which."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Links of a graph: one writer a topic, a writer for each reader."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Settings that change while the graph runs: between two frames, whole, or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Counters of a node: sequence numbers, gaps, repeats, refusals, ends."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from typing import Any

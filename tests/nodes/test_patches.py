@@ -1,7 +1,5 @@
 """Nodes that serve several equal patches, with one message each way."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Recordings at addresses: read through a copy, stored, and refused in one line."""
 
-from __future__ import annotations
-
 import socket
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Rotating rows through the stations: live, with losses, replayed and reprocessed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any

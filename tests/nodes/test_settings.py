@@ -1,7 +1,5 @@
 """Settings: typed, ranged, and every fault named."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import pytest

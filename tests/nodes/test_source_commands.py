@@ -1,7 +1,5 @@
 """A source that is paused, goes on, and changes its pace: when its next frame is due."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Emulated boards: a pseudo terminal that can be unplugged, and packets to a UDP port."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

@@ -1,7 +1,5 @@
 """Exported edges, compiled for this computer."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 import subprocess

@@ -4,8 +4,6 @@ r"""Measures the processor time of edge and host for every strategy: `costs.toml
         python tests/plugins/measured_costs.py > plugins/design/models/costs.toml
 """
 
-from __future__ import annotations
-
 import os
 import platform
 from importlib.util import find_spec

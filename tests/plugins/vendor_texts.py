@@ -1,7 +1,5 @@
 """Texts of vendors' exports, small ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 It reads all that is sent; a line on stdout once it has read the first.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from typing import Any

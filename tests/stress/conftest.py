@@ -1,7 +1,5 @@
 """Sizes of stress tests, small with all other tests and large with `make stress`; figures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

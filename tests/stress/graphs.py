@@ -1,7 +1,5 @@
 """A graph launched as its user launches it, observed from outside: processes, files, frames."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

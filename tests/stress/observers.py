@@ -1,7 +1,5 @@
 """What looks at a graph from beside it: commands and bridges; and the latency meanwhile."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -3,8 +3,6 @@
 At full size 10,000 half-open connections, and 1,000 pages three times.
 """
 
-from __future__ import annotations
-
 import contextlib
 import resource
 import select

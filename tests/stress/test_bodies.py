@@ -1,7 +1,5 @@
 """The rate that a graph of a body of many patches holds while its page is open."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

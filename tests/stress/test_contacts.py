@@ -3,8 +3,6 @@
 The table of the documents is computed at full size.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from pathlib import Path

@@ -6,8 +6,6 @@ round has the same scenes, so that a solver that drifts, or is locked in to its 
 in its mean PSNR. A skin that nothing has touched for as long is touched as on its first day.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from typing import Any

@@ -3,8 +3,6 @@
 At full size each signal is sent to each node 3 times, in 7 graphs (25 minutes).
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math

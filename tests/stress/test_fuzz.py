@@ -4,8 +4,6 @@ Sound messages, mutated, on the sockets of nodes that run, and sound ones after.
 200,000 messages to each node.
 """
 
-from __future__ import annotations
-
 import contextlib
 import selectors
 from collections.abc import Iterable, Iterator, Sequence

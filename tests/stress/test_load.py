@@ -3,8 +3,6 @@
 At full size half an hour, for the figures of the documents.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

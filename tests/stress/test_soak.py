@@ -4,8 +4,6 @@
 12 hours at 50 Hz.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import time

@@ -1,7 +1,5 @@
 """Charts of studies are drawn, but not laid out, which takes longer than all else."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """What a user would try first: single taxels, a filter of all taxels, packed frames."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command `sparseskin study`: what it refuses, in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Constants of the default solver, halved and doubled: their values, and what they change."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

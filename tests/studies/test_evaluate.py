@@ -1,7 +1,5 @@
 """Evaluation of solvers: the same frames for all, errors against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Frames of scenes, presses and recordings, as studies take them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

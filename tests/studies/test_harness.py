@@ -1,7 +1,5 @@
 """Experiments: their points, candidates side by side on the same frames, and their scores."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stages of a frame from acquisition to reconstruction: their arithmetic by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

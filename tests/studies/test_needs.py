@@ -1,7 +1,5 @@
 """The study of what scenes need: its variants, its figures, its verdicts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The paper's tables again: bases, points and the page."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The points of a study: kept as they are computed, and never computed twice."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

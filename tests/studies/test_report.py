@@ -1,7 +1,5 @@
 """Output of studies: tables, CSV files, charts and pages."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One run of each study, as small as it can be: its page, tables and charts are there."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Speed against accuracy: its experiments, the problem given to libraries, and its fronts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

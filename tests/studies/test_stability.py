@@ -1,7 +1,5 @@
 """The stability study of solvers: theory, wrong matrices, faults, and its figures."""
 
-from __future__ import annotations
-
 import math
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """The integrators of the stability study against their theory and the exact motion."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Study `train`: its presses, and the network in PyTorch beside the gates in numpy."""
 
-from __future__ import annotations
-
 from io import BytesIO
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Fields of messages as text and as JSON."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

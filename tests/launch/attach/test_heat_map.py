@@ -1,7 +1,5 @@
 """A map of readings as lines of a terminal."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

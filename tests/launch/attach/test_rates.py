@@ -1,7 +1,5 @@
 """Rates, sizes and ages of messages that came at known times."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

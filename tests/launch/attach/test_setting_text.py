@@ -1,7 +1,5 @@
 """Settings as a person reads and types them, and tables that fit the terminal."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """An observer of a topic: it reads the messages, and no node waits for it."""
 
-from __future__ import annotations
-
 import time
 import uuid
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The command where the environment lacks what it takes for granted."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The commands calibrate and tare: scripted, guided, on recordings and on running graphs."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Completion of commands, options and values in a shell, without a running graph."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The entry point: an interrupt at any moment ends in no traceback."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The commands `graph list`, `stop` and `help`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Nodes, settings and topics of one running graph, looked at from outside."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

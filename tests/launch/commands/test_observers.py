@@ -1,7 +1,5 @@
 """The commands `monitor` and `record` beside a running graph."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

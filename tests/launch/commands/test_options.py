@@ -1,7 +1,5 @@
 """What commands share: the lines at the end of a run."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

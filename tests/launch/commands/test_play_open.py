@@ -1,7 +1,5 @@
 """`sparseskin play --open`: what is played, what is computed anew, and the page."""
 
-from __future__ import annotations
-
 import json
 import signal
 import urllib.request

@@ -1,7 +1,5 @@
 """Commands of plug-ins: found by their entry points, in this package or another."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a command refuses: exit code 2, one line that names the fault, and no file."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from pathlib import Path

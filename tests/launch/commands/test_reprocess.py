@@ -1,7 +1,5 @@
 """Reprocessing: the same settings give the same bits, whatever the way and the executor."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The command `scenes`."""
 
-from __future__ import annotations
-
 import pytest
 
 from sparseskin.launch.commands.cli import main

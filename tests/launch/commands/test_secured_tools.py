@@ -1,7 +1,5 @@
 """Tools beside a graph that is secured with keys: they find its key by themselves."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import signal

@@ -1,7 +1,5 @@
 """Bodies: patches of a body file or equal ones, checked whole, and the nodes that serve them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

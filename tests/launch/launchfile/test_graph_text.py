@@ -1,7 +1,5 @@
 """A graph as text."""
 
-from __future__ import annotations
-
 import pytest
 
 from sparseskin.launch.commands.cli import main

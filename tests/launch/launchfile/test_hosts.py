@@ -1,7 +1,5 @@
 """Launch files of several hosts: checked whole, and safe unless stated otherwise."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

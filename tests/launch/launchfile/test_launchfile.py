@@ -1,7 +1,5 @@
 """Launch files: checked whole, each fault one line with its place."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

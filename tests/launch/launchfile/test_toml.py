@@ -1,7 +1,5 @@
 """Launch files of hostile size and content: a few lines, soon."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The control socket, both ends over a real socket."""
 
-from __future__ import annotations
-
 import json
 import selectors
 import socket

@@ -1,7 +1,5 @@
 """Nodes that are late as a graph starts or ends, and what each one waits for."""
 
-from __future__ import annotations
-
 import os
 import signal
 from types import SimpleNamespace

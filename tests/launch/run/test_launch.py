@@ -1,7 +1,5 @@
 """Graphs of real processes: complete from the first frame, and gone at the end."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

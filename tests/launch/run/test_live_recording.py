@@ -1,7 +1,5 @@
 """A recording begun and ended while the graph runs: what is on, and what each request is told."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the launcher reads of a node: in bounded parts, so that a flood makes it deaf to nothing."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """Requests: each reaches the node it is meant for, and is answered once."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

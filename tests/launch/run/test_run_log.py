@@ -1,7 +1,5 @@
 """Log lines of the nodes of a run: with name and time on the terminal, and in files."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """Notes of running graphs: there while the graph is, and no longer."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

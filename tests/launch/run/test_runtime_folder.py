@@ -1,7 +1,5 @@
 """The runtime folder: closed to other users, and nothing that others wrote is removed from it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

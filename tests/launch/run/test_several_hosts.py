@@ -1,7 +1,5 @@
 """A graph in two parts, each under a launcher of its own, joined by TCP with keys."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

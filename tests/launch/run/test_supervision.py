@@ -1,7 +1,5 @@
 """Nodes that fail and are started again: when, how often, and what becomes of the graph."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

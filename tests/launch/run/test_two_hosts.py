@@ -3,14 +3,12 @@
 SPARSESKIN_LINK_CUT_S states for how many seconds the wire is cut (5 by default).
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +17,7 @@ from namespaces import ADDRESSES, TwoHosts, two_hosts
 
 from sparseskin.nodes.network.keys import make_key_files
 
+Record = Callable[[str, object], None]
 CUT_S = float(os.environ.get("SPARSESKIN_LINK_CUT_S", "5"))
 STATIONS = Path(__file__).parent / "stations.py"
 HOSTS = """\
@@ -106,7 +105,7 @@ def finish(folder: Path, edge: Program, desk: Program) -> tuple[dict[str, int], 
 
 @pytest.mark.slow
 def test_after_a_cut_the_stream_is_back_and_what_was_lost_is_counted(
-    hosts: TwoHosts, start: StartProgram, tmp_path: Path, record_property: pytest.RecordProperty
+    hosts: TwoHosts, start: StartProgram, tmp_path: Path, record_property: Record
 ) -> None:
     edge, desk = part(start, hosts, "edge"), part(start, hosts, "desk")
     desk.wait_for("[echo] connected: sensor on edge")

@@ -1,7 +1,5 @@
 """Warnings about settings of the compressor that are valid but reconstruct badly."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Figures of the monitor, against values computed by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Statistics of streams: exact means, quantiles within their bin width, the last minute."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

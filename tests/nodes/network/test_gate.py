@@ -1,7 +1,5 @@
 """The gate of a writer: who is let in, who is not, and that it is said who that was."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import time

@@ -1,7 +1,5 @@
 """Key files: private or refused, and never written over."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Other hosts: their clocks by topic, who is asked for them, access control, and the end."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

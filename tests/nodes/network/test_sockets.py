@@ -1,7 +1,5 @@
 """The sockets: nothing is lost for want of a subscription, what is latched reaches all."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Arrays of files from elsewhere: read as NumPy wrote them, or refused before memory is used."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import tracemalloc

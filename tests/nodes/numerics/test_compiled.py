@@ -1,7 +1,5 @@
 """Compiled loops: used where numba is installed, else refused in one line; compiled once."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Recordings in which a setting was changed while they were made: states come when they came."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings and descriptions of version 0.1, which state no rule of rows: it is rule 1."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

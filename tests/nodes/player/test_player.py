@@ -1,7 +1,5 @@
 """The player: what it publishes, in what order, under which names and stamps."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

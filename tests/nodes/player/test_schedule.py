@@ -1,7 +1,5 @@
 """Times at which recorded messages are due: no accumulated error, no jump at a pause."""
 
-from __future__ import annotations
-
 from sparseskin.nodes.player.schedule import Schedule
 
 MS = 1_000_000

@@ -1,7 +1,5 @@
 """A player at the controls: seek, rate, step and pause."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Of what waits for a node that is behind, the newest frames are taken in; all are counted."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """When freed memory is returned to the system."""
 
-from __future__ import annotations
-
 import resource
 
 import pytest

@@ -1,7 +1,5 @@
 """Figures of processes, read from /proc."""
 
-from __future__ import annotations
-
 import os
 import resource
 

@@ -1,7 +1,5 @@
 """The loop of a node's process."""
 
-from __future__ import annotations
-
 import pytest
 
 from sparseskin.nodes.process import runner

@@ -1,7 +1,5 @@
 """CPUs and priority of a node: what a launch file may state, and what a process then has."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

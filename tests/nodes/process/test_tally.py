@@ -1,7 +1,5 @@
 """What a node has counted when it is killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 

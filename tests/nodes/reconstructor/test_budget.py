@@ -1,7 +1,5 @@
 """The time of a frame is bounded: the number of iterations is chosen when the graph begins."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

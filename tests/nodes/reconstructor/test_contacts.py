@@ -1,7 +1,5 @@
 """Contacts: closed forms of what is found, ids from frame to frame, events, messages, a graph."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The first frame of a graph waits for nothing that could be ready before it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

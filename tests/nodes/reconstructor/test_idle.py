@@ -1,7 +1,5 @@
 """Idle patches: false alarms as stated, contacts noticed, forces as if all had been solved."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Settings that a reconstructor refuses, and warnings about settings that reconstruct little."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

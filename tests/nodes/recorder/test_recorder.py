@@ -1,7 +1,5 @@
 """The recorder node: the time until messages reach the disk."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recording and playing with real processes."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

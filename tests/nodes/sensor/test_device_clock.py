@@ -1,7 +1,5 @@
 """Stamps of a source on the graph's clock, against delays and drifts that are known."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A user's own driver: found by name, checked frame by frame, its faults named."""
 
-from __future__ import annotations
-
 import sys
 import textwrap
 from collections.abc import Callable

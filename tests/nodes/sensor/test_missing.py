@@ -1,7 +1,5 @@
 """Readings that are missing: filled, marked, counted, and nowhere taken for measurements."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The noise model of the paper, and its effect on an untouched skin."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

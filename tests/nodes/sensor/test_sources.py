@@ -1,7 +1,5 @@
 """Sources by their addresses: kinds of this package, and those that another package brings."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames of a skin spread over CAN frames: put together, or counted as incomplete."""
 
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 

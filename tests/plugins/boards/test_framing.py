@@ -1,7 +1,5 @@
 """Frames in a stream of bytes: found whatever is lost, extra or wrong, and however it is cut."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Sequence as Items
 from itertools import pairwise

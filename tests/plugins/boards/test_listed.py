@@ -1,7 +1,5 @@
 """Boards in the commands `sources` and `scope`, in shells and in launch files."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

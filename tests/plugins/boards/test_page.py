@@ -1,7 +1,5 @@
 """The page on boards: its profile and its firmware."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

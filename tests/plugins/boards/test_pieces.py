@@ -2,8 +2,6 @@
 their programs do.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 from binascii import crc_hqx

@@ -2,8 +2,6 @@
 graph of real processes whose sensor reads one.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import socket

@@ -1,7 +1,5 @@
 """Settings of boards: queries, profiles, and one line for each fault."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Contacts as other tools take them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

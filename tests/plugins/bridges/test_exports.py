@@ -1,7 +1,5 @@
 """Exports of bags to Foxglove and ROS 2: readers that are not ours find every number."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The bridge to ROS 2 and its source against Fast DDS, by which ROS 2 talks by default."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

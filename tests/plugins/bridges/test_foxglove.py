@@ -1,7 +1,5 @@
 """The bridge to Foxglove, seen by a client of its protocol that shares no code with its SDK."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The newest frame of a running graph, read beside it."""
 
-from __future__ import annotations
-
 import time
 import uuid
 from collections.abc import Iterator

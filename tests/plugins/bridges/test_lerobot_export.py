@@ -1,7 +1,5 @@
 """The export to LeRobot, read by the rules of its layout v3.0 alone, with pandas and pyarrow."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A bridge observes: whatever becomes of it, the graph runs as without it."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

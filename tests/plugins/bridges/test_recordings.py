@@ -1,7 +1,5 @@
 """Recordings of ROS 1 and ROS 2, written by rosbags, as files of readings."""
 
-from __future__ import annotations
-
 import sqlite3
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Accuracy of a design: scenes, readers, the light touch, and bands."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Budgets: times of the stages against numbers worked by hand, limits and words."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The command `sparseskin design`: what it prints and writes, and how it refuses."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

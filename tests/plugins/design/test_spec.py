@@ -1,7 +1,5 @@
 """Designs from options and files: what is allowed, and the line of what is not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The description of an edge: what is refused, and that its file is read back as it was."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

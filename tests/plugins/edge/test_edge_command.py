@@ -1,7 +1,5 @@
 """The command `sparseskin edge`: what it writes, and how it refuses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A graph whose edge is the exported program in C: a process on a pseudo terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

@@ -1,7 +1,5 @@
 """The exported program in C sends what the compressor in Python measures, bit for bit."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

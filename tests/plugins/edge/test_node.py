@@ -1,7 +1,5 @@
 """The edge node: frames from a wire that loses, damages and invents bytes."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Readers of layouts: what they read, and what they refuse in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

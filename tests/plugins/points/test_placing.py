@@ -1,7 +1,5 @@
 """Points on a virtual grid: each has a cell of its own, and neighbours remain neighbours."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest

@@ -1,7 +1,5 @@
 """Scenes on points: forces in balance with the push, where the body touches, and in the sensor."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 from typing import Any

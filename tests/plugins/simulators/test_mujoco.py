@@ -1,7 +1,5 @@
 """MuJoCo models as sources: what the taxels read, and which models are refused."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 from typing import Any

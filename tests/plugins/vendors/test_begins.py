@@ -1,7 +1,5 @@
 """Vendors' exports: what shows at their begin, and what becomes of damaged ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

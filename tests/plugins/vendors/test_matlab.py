@@ -1,7 +1,5 @@
 """Arrays in files of MATLAB and HDF5: which one is taken, in which order, and what is refused."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Recordings of vendors' formats: what the parsers read, and what they refuse."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Wires by their formulas, against cases that are counted by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Study `wiring`: its points and its page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Adaptive sampling: the choice of taxels, and how it travels with their readings."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

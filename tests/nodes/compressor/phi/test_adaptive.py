@@ -1,7 +1,5 @@
 """Rows that are chosen anew in each frame: what is chosen, how it travels, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

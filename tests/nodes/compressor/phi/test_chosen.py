@@ -1,7 +1,5 @@
 """Kinds whose taxels or rows are chosen anew in each frame, in a graph: acts and adaptive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

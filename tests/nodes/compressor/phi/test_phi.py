@@ -1,7 +1,5 @@
 """Measurement matrices: the fast forms agree with the dense matrices; fingerprints differ."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

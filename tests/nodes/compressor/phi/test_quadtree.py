@@ -1,7 +1,5 @@
 """W of a quad tree: orthonormal on any grid, and the code of its nodes."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest

@@ -1,7 +1,5 @@
 """Rotating rows: each row subset is a matrix of its own; together they hold every row."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows of the scrambled block Hadamard ensemble: spread over the blocks, or drawn at random."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

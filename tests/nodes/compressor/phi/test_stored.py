@@ -1,7 +1,5 @@
 """A sparse matrix from a file: its operators, and what is refused of a hostile file."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

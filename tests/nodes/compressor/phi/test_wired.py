@@ -1,7 +1,5 @@
 """Matrices for short wires: their operators, and that sums stay where their wires are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

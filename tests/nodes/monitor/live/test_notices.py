@@ -1,7 +1,5 @@
 """Notices: shown while a fault lasts, and no longer."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

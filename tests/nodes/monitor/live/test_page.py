@@ -1,7 +1,5 @@
 """The live page in a real browser, on a real graph."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

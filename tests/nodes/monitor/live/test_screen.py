@@ -1,7 +1,5 @@
 """The monitor as text: every figure, in lines that fit a terminal of 80 columns."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page's server over real sockets: its own files, its own page's requests, and no others."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

@@ -1,7 +1,5 @@
 """Skins of points on the live page, in a real browser: turned, zoomed, pointed at."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace

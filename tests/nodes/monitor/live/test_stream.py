@@ -1,7 +1,5 @@
 """The stream to a page: whole frames, every figure, and nothing twice."""
 
-from __future__ import annotations
-
 import io
 import math
 import queue

@@ -1,7 +1,5 @@
 """Bases: orthonormal at any size, and what their definitions, PyWavelets and SciPy say."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest

@@ -1,7 +1,5 @@
 """Total force and centre of pressure, published before the frame, with their deviations."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A solver's estimate of its own error is published with each frame."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

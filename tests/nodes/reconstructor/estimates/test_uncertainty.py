@@ -1,7 +1,5 @@
 """Bands of 1.645 deviations hold nine tenths of the true forces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pressed import noisy

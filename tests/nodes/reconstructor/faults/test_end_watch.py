@@ -1,7 +1,5 @@
 """Dead and saturated taxels are found by what stays while contacts move; holes are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from watched import SKIN_SHAPE as SHAPE

@@ -1,7 +1,5 @@
 """Faults of single frames: outliers, offsets, dropouts, forces beyond the range."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

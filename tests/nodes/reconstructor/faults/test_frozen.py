@@ -1,7 +1,5 @@
 """A board that hangs: all measurements repeat exactly, on a skin with noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pressed import noisy as readings

@@ -1,7 +1,5 @@
 """Faulty measurements are found, excluded and logged; working ones are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pressed import noisy, psnr_db, sliding_disc

@@ -1,7 +1,5 @@
 """Stuck taxels are found and left out; sharp contacts are not taken for them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from watched import NOISE, Skin, pad

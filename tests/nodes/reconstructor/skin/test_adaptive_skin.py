@@ -1,7 +1,5 @@
 """The default solver on rows that are chosen anew in each frame."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Denoisers of tiles: learned gates and their file, Haar shrinkage by a formula."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from io import BytesIO
 

@@ -1,7 +1,5 @@
 """Orthonormal rows of any Phi."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from stretched import Stretched

@@ -1,7 +1,5 @@
 """Solver `skin`: accuracy, constant work, no amplified rounding, an error that means something."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

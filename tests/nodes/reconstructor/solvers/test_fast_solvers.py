@@ -1,7 +1,5 @@
 """Solvers in compiled loops: the forces that numpy finds, on any skin, and never compiled late."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import numpy as np

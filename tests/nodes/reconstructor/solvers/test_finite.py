@@ -1,7 +1,5 @@
 """No solver returns what is not finite, whatever finite measurements it has had before."""
 
-from __future__ import annotations
-
 import math
 from importlib.util import find_spec
 

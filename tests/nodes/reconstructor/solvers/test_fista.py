@@ -1,7 +1,5 @@
 """FISTA: the article's iteration, the optimum of basis pursuit denoising, and what is refused."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

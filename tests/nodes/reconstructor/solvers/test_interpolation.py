@@ -1,7 +1,5 @@
 """Interpolation between taxels: exact where a force is linear, on any grid and any sampling."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

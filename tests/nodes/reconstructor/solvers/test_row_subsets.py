@@ -1,7 +1,5 @@
 """Solvers under rotating rows: each reconstructs frames of all row subsets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pressed import noisy, psnr_db, sliding_disc

@@ -1,7 +1,5 @@
 """Facts that hold for every registered solver, whatever its method."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

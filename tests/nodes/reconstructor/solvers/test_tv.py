@@ -1,7 +1,5 @@
 """Solver tv: the optimum of its problem, and warm starts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pressed import noisy, psnr_db, sliding_disc

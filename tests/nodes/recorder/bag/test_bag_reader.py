@@ -1,7 +1,5 @@
 """The reader: whole, cut, damaged and foreign files; never a force that was not recorded."""
 
-from __future__ import annotations
-
 import os
 import random
 import re

@@ -1,7 +1,5 @@
 """The writer: what reaches the disk, when, and what happens if it does not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mcap.reader

@@ -1,7 +1,5 @@
 """Bags whose checksums are right and whose content is wrong: never believed, never a traceback."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections.abc import Callable

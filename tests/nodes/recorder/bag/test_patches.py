@@ -1,7 +1,5 @@
 """Bags of several patches in a message, read as those of single patches."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

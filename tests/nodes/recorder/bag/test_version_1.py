@@ -1,7 +1,5 @@
 """Recordings of version 1 of the messages are read as those of today."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import msgpack

@@ -1,7 +1,5 @@
 """Exports of bags: nothing is lost, and other programs' readers find every number."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bags made of other files: complete, or absent."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From counts to newtons: each step in closed form."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

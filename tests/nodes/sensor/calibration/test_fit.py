@@ -1,7 +1,5 @@
 """Gains, curves, noise and faulty taxels from presses, against the skin that made the readings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A recording carries the calibration of its skin: metadata, table, export, reprocessing."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The sensor node with the file of a skin: what it publishes, tares and refuses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """skin.toml: what is written is read again, and what is not as stated is refused in one line."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plain arrays: what .npy, .npz and .csv files must hold, and what is refused."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Readings of recordings that are not valid: refused, or treated as settings say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

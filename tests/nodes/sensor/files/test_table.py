@@ -1,7 +1,5 @@
 """Tables of text: separators, headers, times, the choice of columns, and what is asked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

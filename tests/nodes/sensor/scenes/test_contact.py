@@ -1,7 +1,5 @@
 """The bed of spring-dampers and its integrator against closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

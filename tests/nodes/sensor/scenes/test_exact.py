@@ -4,8 +4,6 @@ The accuracy that docs/explanation/scenes.md and the docstrings of `contact`, `s
 state is asserted here to its digits.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace

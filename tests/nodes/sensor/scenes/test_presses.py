@@ -1,7 +1,5 @@
 """Analytic presses: their size, speed, course and their noise."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

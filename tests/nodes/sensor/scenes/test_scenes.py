@@ -1,7 +1,5 @@
 """The six scenes: their table, their physics, and the bodies in them."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The cells under a body that can tilt about both axes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Scenes of a body: which patches are pressed, when, and with what force."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

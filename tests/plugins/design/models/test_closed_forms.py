@@ -2,8 +2,6 @@
 predict for rigs that were built.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
