@@ -6,7 +6,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 @pytest.fixture(autouse=True)
-def forget_user_modules(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def forget_user_modules(tmp_path_factory):
     """Remove what a test imports from its folder or the examples, and restore `sys.path`."""
     path, modules = list(sys.path), set(sys.modules)
     folders = EXAMPLES, tmp_path_factory.getbasetemp()
@@ -91,7 +91,7 @@ StartProgram = Callable[..., Program]
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[StartProgram]:
+def start(tmp_path):
     """Start `sparseskin ARGUMENTS` in an empty folder; nothing outlives the test."""
     with contextlib.ExitStack() as stack:
         yield lambda *arguments, **options: stack.enter_context(
@@ -103,7 +103,7 @@ MountDisk = Callable[[str], Path]
 
 
 @pytest.fixture
-def mount_disk(tmp_path: Path) -> Iterator[MountDisk]:
+def mount_disk(tmp_path):
     """Mount a disk of a stated size ("400k", "1m"); the test is skipped where that is forbidden."""
     folders: list[Path] = []
 
@@ -127,7 +127,7 @@ def mount_disk(tmp_path: Path) -> Iterator[MountDisk]:
 
 
 @pytest.fixture
-def offering(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+def offering(monkeypatch):
     """Install plug-ins for a test alone: called with a group, and targets by name."""
     offers: dict[str, list[EntryPoint]] = {}
 

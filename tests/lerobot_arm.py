@@ -32,7 +32,7 @@ class OneJointConfig(RobotConfig):
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
 
-class OneJoint(_Device, Robot):  # type: ignore[misc]
+class OneJoint(_Device, Robot):
     config_class = OneJointConfig
     name = "one_joint"
 
@@ -67,7 +67,7 @@ class OneJointLeaderConfig(TeleoperatorConfig):
     pass
 
 
-class OneJointLeader(_Device, Teleoperator):  # type: ignore[misc]
+class OneJointLeader(_Device, Teleoperator):
     config_class = OneJointLeaderConfig
     name = "one_joint_leader"
     feedback_features: dict[str, Any] = {}  # noqa: RUF012

@@ -119,7 +119,6 @@ class Program:
 
     def wait_for(self, token: str) -> str:
         """Read stderr until a line holds the token; return what follows it there."""
-        assert self.process.stderr is not None
         for line in self.process.stderr:
             self._stderr += line
             if token in line:

@@ -45,7 +45,7 @@ def growing(self: Any, x: Any, out: Any) -> None:
         ({"dense": lambda self: np.zeros((9, 24))}, "forward: a relative error of .* dense"),
     ],
 )
-def test_a_wrong_matrix_is_named(methods: Any, text: str) -> None:
+def test_a_wrong_matrix_is_named(methods, text):
     assert check_phi(phi())["dot"] < 1e-6
     if "_adjoint" in methods:  # the dense form is that of `_adjoint` else
         matrix = phi().dense()
@@ -54,7 +54,7 @@ def test_a_wrong_matrix_is_named(methods: Any, text: str) -> None:
         check_phi(phi(**methods))
 
 
-def test_a_basis_that_is_not_orthonormal_is_named() -> None:
+def test_a_basis_that_is_not_orthonormal_is_named():
     def twice(self: Any, image: Any, out: Any) -> None:
         out[:] = 2 * image
 
@@ -76,7 +76,7 @@ def forces(value: float) -> Any:
         ({"reset": lambda self: None}, "a second run after reset"),
     ],
 )
-def test_a_wrong_solver_is_named(methods: Any, text: str) -> None:
+def test_a_wrong_solver_is_named(methods, text):
     assert check_solver(solver())["solve_s"] > 0
     with pytest.raises(SolverError, match=f"solver fista: (?:{text})"):
         check_solver(solver(**methods))

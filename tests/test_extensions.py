@@ -1,8 +1,6 @@
 """What plug-ins bring: found by entry points, and named where it cannot be imported."""
 
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,9 +43,7 @@ TEXT = Export(".txt", "brought:write")
 
 
 @pytest.fixture
-def brought(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, offering: Callable[..., None]
-) -> Iterator[None]:
+def brought(monkeypatch, tmp_path, offering):
     """A package that brings one of each, and in each group one that cannot be imported."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "brought.py").write_text(BROUGHT)
@@ -66,7 +62,7 @@ def brought(
 
 
 @pytest.mark.usefixtures("brought")
-def test_what_another_package_brings_is_used(tmp_path: Path) -> None:
+def test_what_another_package_brings_is_used(tmp_path):
     assert node_class("own").__module__ == "brought"
     (tmp_path / "own.csv").write_text("counts\n1 2 3\n4 5 6\n")
     read = open_file(tmp_path / "own.csv")
@@ -77,7 +73,7 @@ def test_what_another_package_brings_is_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("brought")
-def test_what_cannot_be_imported_is_named_in_one_line_and_stops_no_other(tmp_path: Path) -> None:
+def test_what_cannot_be_imported_is_named_in_one_line_and_stops_no_other(tmp_path):
     with pytest.raises(SettingsError, match="there is no module 'absent'"):
         node_class("broken")
     (tmp_path / "own.xyz").write_text("1")
@@ -89,7 +85,7 @@ def test_what_cannot_be_imported_is_named_in_one_line_and_stops_no_other(tmp_pat
         point_skins()
 
 
-def test_without_the_plug_in_skins_of_points_are_refused(offering: Callable[..., None]) -> None:
+def test_without_the_plug_in_skins_of_points_are_refused(offering):
     offering(extensions.POINTS)
     with pytest.raises(SourceError, match="need the plug-in points, which is not installed"):
         point_skins()

@@ -16,7 +16,7 @@ PSNR_TOLERANCE_DB = 0.05
     [["path_40"], pytest.param(sorted({*golden.WINDOWS} - {"path_40"}), marks=pytest.mark.slow)],
     ids=["path_40", "others"],
 )
-def test_reconstructions_have_the_recorded_bits_or_their_psnr(scenes: list[str]) -> None:
+def test_reconstructions_have_the_recorded_bits_or_their_psnr(scenes):
     """Bits where versions and processor are those that they were recorded with, else the PSNR."""
     expected = {
         kind: {name: value for name, value in EXPECTED[kind].items() if name.split()[0] in scenes}

@@ -38,7 +38,7 @@ def graph(known: Mapping[str, Path]) -> dict[str, set[str]]:
     return {name: set(imports(name, known)) & known.keys() - {name} for name in known}
 
 
-def test_no_imports_form_a_circle() -> None:
+def test_no_imports_form_a_circle():
     known = modules()
     edges = graph(known)
     assert len(known) > 200
@@ -46,7 +46,7 @@ def test_no_imports_form_a_circle() -> None:
     TopologicalSorter(edges).prepare()  # raises CycleError with the modules of a circle
 
 
-def test_no_layer_imports_one_above_it() -> None:
+def test_no_layer_imports_one_above_it():
     upward = [
         f"{name} imports {other}"
         for name, others in graph(modules()).items()

@@ -17,7 +17,7 @@ STATIONS = [
 ]
 
 
-def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path: Path) -> None:
+def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
     source = tmp_path / "source"
     source.mkdir()
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", *FOLDERS):
@@ -49,7 +49,7 @@ def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path: Path) -> Non
     assert [link for link in links if not re.match(r"https://|#", link)] == []
 
 
-def test_a_citation_states_the_version() -> None:
+def test_a_citation_states_the_version():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     citation = (ROOT / "CITATION.cff").read_text()
     assert f"version: {project['version']}\n" in citation
@@ -68,7 +68,7 @@ def test_a_citation_states_the_version() -> None:
         ("sparseskin.nodes.process.run_node", ["scipy", "numba", "asyncio", *STATIONS]),
     ],
 )
-def test_imports_run_one_way(module: str, strangers: list[str]) -> None:
+def test_imports_run_one_way(module, strangers):
     code = (
         f"import sys, {module}\n"
         f"print([m for m in sys.modules for s in {strangers!r} if (m + '.').startswith(s + '.')])"
@@ -77,7 +77,7 @@ def test_imports_run_one_way(module: str, strangers: list[str]) -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_nothing_in_the_package_unpickles_or_evaluates() -> None:
+def test_nothing_in_the_package_unpickles_or_evaluates():
     """Beside what ruff refuses (S, TID251): arrays of objects, and built-in functions."""
     unsafe = r"allow_pickle=(?!False)|(?<![.\w])(?<!def )(eval|exec|compile|__import__)\("
     found = [

@@ -1,8 +1,5 @@
 """Compression and reconstruction one frame a call, with the defaults of a graph."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from doubting import DOUBTING
@@ -39,9 +36,7 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
         ),
     ],
 )
-def test_a_stream_has_the_bits_and_defaults_of_a_graph(
-    settings: list[str], chosen: dict[str, Any], tmp_path: Path
-) -> None:
+def test_a_stream_has_the_bits_and_defaults_of_a_graph(settings, chosen, tmp_path):
     if chosen:
         np.save(tmp_path / "log.npy", FRAMES)
         name, shape, noise_sd = "replay", (8, 8), 0.0
@@ -58,7 +53,7 @@ def test_a_stream_has_the_bits_and_defaults_of_a_graph(
     assert (stream.n, stream.m) == (shape[0] * shape[1], y.size)
 
 
-def test_lambda_is_scaled_with_the_range_as_in_a_graph(tmp_path: Path) -> None:
+def test_lambda_is_scaled_with_the_range_as_in_a_graph(tmp_path):
     np.save(tmp_path / "log.npy", 40 * FRAMES)
     sensor = [f"source=file:{tmp_path}/log.npy", "rate_hz=100", "unit=N", "f_max=40"]
     settings = [f"sensor.{one}" for one in sensor] + ["reconstructor.preset=paper"]
@@ -68,7 +63,7 @@ def test_lambda_is_scaled_with_the_range_as_in_a_graph(tmp_path: Path) -> None:
         np.testing.assert_array_equal(forces, frame.forces)
 
 
-def test_a_masked_skin_is_that_of_the_arrays() -> None:
+def test_a_masked_skin_is_that_of_the_arrays():
     mask = np.ones((8, 8), np.bool_)
     mask[:2, 3:] = False
     stream = Stream((8, 8), mask=mask, m=18, rows="rotating", preset="paper")
@@ -88,7 +83,7 @@ def test_a_masked_skin_is_that_of_the_arrays() -> None:
 
 
 @pytest.mark.parametrize("preset", ["skin", "paper"])
-def test_frames_that_are_lost_do_not_mix_up_row_subsets(preset: str) -> None:
+def test_frames_that_are_lost_do_not_mix_up_row_subsets(preset):
     """An edge and a host, which lose frames 2, 3 and 5."""
     edge, host = Stream((8, 8), preset=preset), Stream((8, 8), preset=preset)
     y = [edge.compress(frame) for frame in FRAMES]
@@ -113,7 +108,7 @@ def test_frames_that_are_lost_do_not_mix_up_row_subsets(preset: str) -> None:
     np.testing.assert_array_equal(again, expected)
 
 
-def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does_not() -> None:
+def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does_not():
     stream, other = Stream((8, 8)), Stream((8, 8))
     y = [other.compress(frame) for frame in FRAMES]
     with pytest.raises(SparseskinError, match=r"^stream: the frame has shape \(7, 8, 8\); exp"):
@@ -133,7 +128,7 @@ def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does
 
 
 @pytest.mark.parametrize("k", [-1, 2.0])
-def test_a_number_of_a_frame_that_is_none_is_refused(k: Any) -> None:
+def test_a_number_of_a_frame_that_is_none_is_refused(k):
     with pytest.raises(SolverError, match=r"^stream: k = .* is not allowed; allowed: a whole"):
         Stream((8, 8)).reconstruct(np.zeros(22, np.float32), k)
 
@@ -150,14 +145,14 @@ def test_a_number_of_a_frame_that_is_none_is_refused(k: Any) -> None:
         ({"solver": DOUBTING, "perod": 9}, "options.perod: is no option of solver doubting:D"),
     ],
 )
-def test_an_argument_that_is_not_allowed_is_one_line(arguments: dict[str, Any], line: str) -> None:
+def test_an_argument_that_is_not_allowed_is_one_line(arguments, line):
     with pytest.raises(SparseskinError) as refused:
         Stream(**{"shape": (8, 8), **arguments})
     assert line in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
-def test_an_even_force_stays_where_the_rows_that_see_it_are_not_read() -> None:
+def test_an_even_force_stays_where_the_rows_that_see_it_are_not_read():
     """Of 16 x 16 taxels in one block, one of three row subsets has the sum."""
     stream = Stream((16, 16), ratio=3, noise_sd=0.003)
     rng = np.random.default_rng(0)

@@ -20,8 +20,8 @@ def searched(code: str, folder: Path) -> bool:
     [("sparseskin.nodes.compressor.node:Compressor", False), ("own_package.node:Own", True)],
 )
 def test_the_current_directory_is_searched_for_a_module_that_is_not_installed_alone(
-    name: str, found: bool, tmp_path: Path
-) -> None:
+    name, found, tmp_path
+):
     text = "from sparseskin.nodes.node import Node\nclass Own(Node): pass\n"
     (tmp_path / "own_package").mkdir()
     (tmp_path / "own_package/node.py").write_text(text)
@@ -33,8 +33,8 @@ def test_the_current_directory_is_searched_for_a_module_that_is_not_installed_al
     ("source", "found"), [("sparseskin.studies.looped:path_40", False), ("own_driver:frames", True)]
 )
 def test_a_driver_is_looked_for_in_the_current_directory_where_it_is_not_installed(
-    source: str, found: bool, tmp_path: Path
-) -> None:
+    source, found, tmp_path
+):
     (tmp_path / "own_driver.py").write_text("def frames(): yield\n")
     code = "from sparseskin.nodes.sensor.sources import find_address; "
     code += f"find_address({source!r}).check()"

@@ -1,17 +1,13 @@
 """Contexts of ZeroMQ for tests, and writers that wait for their readers."""
 
-from collections.abc import Iterator
-from typing import Any
-
 import pytest
-import zmq
 from conftest import wait_until
 
 from sparseskin.nodes.network.sockets import Writer, make_context
 
 
 @pytest.fixture
-def context() -> Iterator[zmq.Context[Any]]:
+def context():
     made = make_context()
     yield made
     made.destroy(linger=0)

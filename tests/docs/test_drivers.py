@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -28,7 +28,7 @@ Open = Callable[..., DriverSource]
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Open]:
+def opened(monkeypatch):
     """Open one of the examples, with some of its constants changed."""
     monkeypatch.syspath_prepend(str(EXAMPLES))
     made: list[DriverSource] = []
@@ -79,7 +79,7 @@ def taken(source: DriverSource, n: int) -> list[np.ndarray[Any, Any]]:
     return [forces for _, (_, forces) in zip(range(n), source, strict=False)]
 
 
-def test_packets_become_frames_in_newtons(opened: Open) -> None:
+def test_packets_become_frames_in_newtons(opened):
     skin = UdpSkin(udp_frame(0), udp_frame(65535))
     source = opened("udp_skin", PORT=skin.port)
     assert (source.skin.shape, source.skin.f_max) == (UDP_SHAPE, 2.5)
@@ -89,7 +89,7 @@ def test_packets_become_frames_in_newtons(opened: Open) -> None:
     assert all(np.ptp(frame) == 0 for frame in frames)
 
 
-def test_a_udp_skin_that_falls_silent_is_named(opened: Open) -> None:
+def test_a_udp_skin_that_falls_silent_is_named(opened):
     skin = UdpSkin(udp_frame(1))
     source = opened("udp_skin", PORT=skin.port, SILENT_S=0.2)
     skin.stop()
@@ -97,9 +97,7 @@ def test_a_udp_skin_that_falls_silent_is_named(opened: Open) -> None:
         taken(source, 10**9)
 
 
-def test_packets_of_a_wrong_size_are_counted_and_left_out(
-    opened: Open, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_packets_of_a_wrong_size_are_counted_and_left_out(opened, capsys):
     garbage = [os.urandom(n) for n in (0, 1, 3199, 3201, 60_000)]
     skin = UdpSkin(*garbage, udp_frame(7))
     frames = taken(opened("udp_skin", PORT=skin.port), 5)
@@ -109,7 +107,7 @@ def test_packets_of_a_wrong_size_are_counted_and_left_out(
 
 
 @pytest.fixture
-def line() -> Iterator[tuple[int, str]]:
+def line():
     """The skin's end of a serial line, and the name of the other."""
     skin, host = pty.openpty()
     tty.setraw(host)  # as the driver will: nothing is changed that came before
@@ -118,7 +116,7 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(host)
 
 
-def test_a_serial_line_becomes_frames_in_newtons(opened: Open, line: tuple[int, str]) -> None:
+def test_a_serial_line_becomes_frames_in_newtons(opened, line):
     skin, device = line
     writer = threading.Thread(
         target=lambda: [os.write(skin, serial_frame(k)) for k in (51, 102, 255)], daemon=True
@@ -132,8 +130,8 @@ def test_a_serial_line_becomes_frames_in_newtons(opened: Open, line: tuple[int, 
 
 
 def test_garbage_between_the_frames_of_a_serial_line_is_passed_over_and_counted(
-    opened: Open, line: tuple[int, str], capsys: pytest.CaptureFixture[str]
-) -> None:
+    opened, line, capsys
+):
     skin, device = line
     cut = serial_frame(9)[:200]  # as after an overrun: the rest never came
     wrong = serial_frame(9)[:-1] + b"\0"
@@ -148,7 +146,7 @@ def test_garbage_between_the_frames_of_a_serial_line_is_passed_over_and_counted(
     assert f"{device}: 1 frames with a wrong sum" in capsys.readouterr().out
 
 
-def test_a_serial_skin_that_falls_silent_is_named(opened: Open, line: tuple[int, str]) -> None:
+def test_a_serial_skin_that_falls_silent_is_named(opened, line):
     skin, device = line
     os.write(skin, serial_frame(1))
     source = opened("serial_skin", DEVICE=device, SILENT_S=0.2)
@@ -156,12 +154,12 @@ def test_a_serial_skin_that_falls_silent_is_named(opened: Open, line: tuple[int,
         taken(source, 10**9)
 
 
-def test_a_device_that_is_not_there_is_named(opened: Open) -> None:
+def test_a_device_that_is_not_there_is_named(opened):
     with pytest.raises(SourceError, match="No such file or directory: '/dev/no-skin'"):
         opened("serial_skin", DEVICE="/dev/no-skin")
 
 
-def test_taxels_that_the_glove_of_wuji_lacks_are_masked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_taxels_that_the_glove_of_wuji_lacks_are_masked(monkeypatch):
     pressure = np.where(np.arange(768).reshape(24, 32) % 5, 0.5, np.nan).astype(np.float32)
 
     class Glove:  # the part of `wujihandpy` that the driver uses

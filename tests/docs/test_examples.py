@@ -58,9 +58,7 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: st
 
 
 @pytest.mark.parametrize("name", names())
-def test_an_example_runs_and_prints_its_result(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_example_runs_and_prints_its_result(name, tmp_path, monkeypatch, capsys):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name], reason=f"{NEEDS[name]} is not installed")
     if name == "choosing_m":
@@ -72,14 +70,14 @@ def test_an_example_runs_and_prints_its_result(
         assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_each_example_begins_with_a_line_on_what_it_shows() -> None:
+def test_each_example_begins_with_a_line_on_what_it_shows():
     for path in EXAMPLES.glob("*.py"):
         first = path.read_text(encoding="utf-8").splitlines()[0]
         assert re.fullmatch(r'"""[A-Z].*[.:]', first), path.name
 
 
 @pytest.mark.slow
-def test_tasks_are_shared_by_the_processes_of_an_mpi_job(tmp_path: Path) -> None:
+def test_tasks_are_shared_by_the_processes_of_an_mpi_job(tmp_path):
     pytest.importorskip("mpi4py")
     mpiexec = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     if mpiexec is None or subprocess.run([sys.executable, "-c", "import mpi4py.MPI"]).returncode:

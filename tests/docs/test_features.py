@@ -71,7 +71,7 @@ def works(phi: str, solver: str, feature: str = "") -> bool:
 
 
 @pytest.mark.slow
-def test_the_table_of_features_is_what_the_nodes_do() -> None:
+def test_the_table_of_features_is_what_the_nodes_do():
     rows = []
     for phi in PHIS:
         marks = {

@@ -22,7 +22,7 @@ LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 FORMER = {"docs/examples/"}
 
 
-def test_every_path_of_a_page_is_there() -> None:
+def test_every_path_of_a_page_is_there():
     modules = {path.stem for top in TOP.split("|") for path in (ROOT / top).rglob("*.py")}
     for page, text in PAGES.items():
         missing = [p for p in PATH.findall(text) if p not in FORMER and not (ROOT / p).exists()]
@@ -36,7 +36,7 @@ def test_every_path_of_a_page_is_there() -> None:
         assert not missing, page
 
 
-def test_every_module_and_name_of_a_page_can_be_found() -> None:
+def test_every_module_and_name_of_a_page_can_be_found():
     for dotted in DOTTED.findall("\n".join(PAGES.values())):
         parts = dotted.split(".")[1:]
         while parts and not found(parts):
@@ -55,7 +55,7 @@ def found(parts: list[str]) -> bool:
     return path.is_dir() or path.with_suffix(".py").is_file()
 
 
-def test_every_test_and_link_of_a_page_is_there_and_no_path_of_a_machine() -> None:
+def test_every_test_and_link_of_a_page_is_there_and_no_path_of_a_machine():
     tests = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
     for page, text in PAGES.items():
         assert set(TEST.findall(text)) <= tests, page
@@ -64,13 +64,13 @@ def test_every_test_and_link_of_a_page_is_there_and_no_path_of_a_machine() -> No
         assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text), page
 
 
-def test_the_citation_states_the_version_of_the_package() -> None:
+def test_the_citation_states_the_version_of_the_package():
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert f"\nversion: {project['version']}\n" in citation
 
 
-def test_every_picture_has_the_command_that_makes_it_beside_it() -> None:
+def test_every_picture_has_the_command_that_makes_it_beside_it():
     command = re.compile(r"(?:`|^ {4})(sparseskin|make|python|\.venv/bin/python) ", re.M)
     for page, text in PAGES.items():
         lines = [line for line in text.splitlines() if line]

@@ -20,7 +20,7 @@ FAULTS = """
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """The site, built."""
     pytest.importorskip("mkdocs")
     pytest.importorskip("mkdocstrings")
@@ -38,7 +38,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_site_needs_no_other_host_and_has_no_formula_as_text(site: Path) -> None:
+def test_the_site_needs_no_other_host_and_has_no_formula_as_text(site):
     pages = list(site.rglob("*.html"))
     assert {"index.html", "paper.html", "api.html", "contributing.html"} <= {p.name for p in pages}
     for page in pages:
@@ -53,7 +53,7 @@ def test_the_site_needs_no_other_host_and_has_no_formula_as_text(site: Path) -> 
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(lack()), reason=lack())
-def test_pages_opened_as_files_fit_a_phone_and_are_searched(site: Path, tmp_path: Path) -> None:
+def test_pages_opened_as_files_fit_a_phone_and_are_searched(site, tmp_path):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.support.wait import WebDriverWait
 

@@ -62,7 +62,7 @@ def page_ids(page: Path) -> str:
 
 
 @pytest.fixture
-def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def workplace(tmp_path, monkeypatch):
     """An empty folder with the files that the pages name, as far as a command opens them."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -85,7 +85,7 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(tmp_path_factory):
     """A short recording of a graph."""
     path = tmp_path_factory.mktemp("bag") / "drag.mcap"
     launch = sparseskin.load_launch("drag_wrench_40", record=str(path))
@@ -94,7 +94,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if fenced(p, "python")], ids=page_ids)
-def test_python_blocks_of_a_page_run_one_after_the_other(page: Path, workplace: Path) -> None:
+def test_python_blocks_of_a_page_run_one_after_the_other(page, workplace):
     names: dict[str, object] = {"__name__": "__main__"}
     for number, block in enumerate(fenced(page, "python"), 1):
         if file := re.match(r"# (\w+)\.py\b", block):
@@ -105,7 +105,7 @@ def test_python_blocks_of_a_page_run_one_after_the_other(page: Path, workplace: 
             exec(compile(block, f"{page.name}, block {number}", "exec"), names)
 
 
-def test_the_driver_of_the_pages_delivers_frames(workplace: Path) -> None:
+def test_the_driver_of_the_pages_delivers_frames(workplace):
     (block,) = (
         b for b in fenced(ROOT / "docs" / "howto" / "drivers.md", "python") if "my_skin.py" in b
     )
@@ -115,7 +115,7 @@ def test_the_driver_of_the_pages_delivers_frames(workplace: Path) -> None:
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if fenced(p, "toml")], ids=page_ids)
-def test_launch_files_of_a_page_are_accepted(page: Path, workplace: Path) -> None:
+def test_launch_files_of_a_page_are_accepted(page, workplace):
     for name in ("arm", "desk"):
         assert cli.main(["keys", "make", name]) == 0
     for number, block in enumerate(fenced(page, "toml")):
@@ -125,9 +125,7 @@ def test_launch_files_of_a_page_are_accepted(page: Path, workplace: Path) -> Non
 
 
 @pytest.mark.parametrize("words", stated("sparseskin", INDENTED), ids=" ".join)
-def test_a_command_of_the_pages_is_accepted(
-    words: list[str], workplace: Path, bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_of_the_pages_is_accepted(words, workplace, bag, capsys):
     arguments = list(words[1:])
     if "--record" not in arguments:
         (workplace / "drag.mcap").write_bytes(bag.read_bytes())
@@ -141,7 +139,7 @@ def test_a_command_of_the_pages_is_accepted(
         assert "\nNODE " in capsys.readouterr().out
 
 
-def test_commands_named_in_the_text_have_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_named_in_the_text_have_help(capsys):
     for words in stated("sparseskin", INLINE):
         with pytest.raises(SystemExit) as done:
             cli.main([*words[1:], "--help"])
@@ -154,13 +152,13 @@ def runnable(arguments: list[str]) -> bool:
     return not any(part in " ".join(arguments) for part in readers)
 
 
-def test_targets_of_the_pages_are_in_the_makefile() -> None:
+def test_targets_of_the_pages_are_in_the_makefile():
     targets = {word for words in stated("make") for word in words[1:] if "=" not in word}
     done = subprocess.run(["make", "-n", *targets], cwd=ROOT, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
-def test_scripts_and_tests_of_the_pages_are_there() -> None:
+def test_scripts_and_tests_of_the_pages_are_there():
     for words in [*stated("python"), *stated("pytest")]:
         target = next(word for word in words[1:] if "/" in word or not word.startswith("-"))
         if words[1:3] == ["-m", "pytest"]:
@@ -171,14 +169,14 @@ def test_scripts_and_tests_of_the_pages_are_there() -> None:
             assert (ROOT / target).exists()
 
 
-def test_extras_of_the_pages_are_those_of_the_package() -> None:
+def test_extras_of_the_pages_are_those_of_the_package():
     known = set(PYPROJECT["project"]["optional-dependencies"])
     for words in stated("pip"):
         for extras in re.findall(r"\.\[([\w,]+)\]", " ".join(words)):
             assert set(extras.split(",")) <= known
 
 
-def test_indented_blocks_hold_commands_of_known_programs_alone() -> None:
+def test_indented_blocks_hold_commands_of_known_programs_alone():
     known = {"sparseskin", "make", "python", "pip", *OTHERS}
     for first in {words[0] for page in PAGES for words in commands(page, INDENTED)} - known:
         assert (ROOT / first).exists(), first

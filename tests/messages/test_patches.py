@@ -32,7 +32,7 @@ def reconstruction(*unchanged: bool, **changes: Any) -> Reconstruction:
     return Reconstruction(**{**HEAD, **fields, **changes})
 
 
-def test_a_message_is_split_into_those_of_its_patches() -> None:
+def test_a_message_is_split_into_those_of_its_patches():
     for message in (
         Taxels(**HEAD, forces=MAPS),
         Measurements(**HEAD, y=MAPS[:, 0], phi="0" * 16),
@@ -48,7 +48,7 @@ def test_a_message_is_split_into_those_of_its_patches() -> None:
             assert part.split() == [part]
 
 
-def test_one_patch_needs_no_axis_where_its_message_is_made() -> None:
+def test_one_patch_needs_no_axis_where_its_message_is_made():
     made = Taxels(stamp_ns=5, patch="arm", forces=MAPS[1])
     assert made == Taxels(**HEAD, forces=MAPS).split()[1]
     assert made.forces.shape == (1, 2, 3)
@@ -57,7 +57,7 @@ def test_one_patch_needs_no_axis_where_its_message_is_made() -> None:
     assert (found["iterations"], found["error"], found["trusted"]) == (3, 0.25, True)
 
 
-def test_forces_of_an_unchanged_patch_are_not_sent_and_are_those_of_its_last_frame() -> None:
+def test_forces_of_an_unchanged_patch_are_not_sent_and_are_those_of_its_last_frame():
     held: dict[str, Any] = {}
     before = reconstruction().split(held)
     now = reconstruction(False, True, False)
@@ -84,7 +84,7 @@ def test_forces_of_an_unchanged_patch_are_not_sent_and_are_those_of_its_last_fra
         ({"names": tuple(f"p{k:030d}" for k in range(256))}, OversizedError),
     ],
 )
-def test_names_that_do_not_fit_are_refused(changes: Any, error: type[Exception]) -> None:
+def test_names_that_do_not_fit_are_refused(changes, error):
     with pytest.raises(error):
         Truth(**{**HEAD, "forces": MAPS, **changes})
 
@@ -100,12 +100,12 @@ def test_names_that_do_not_fit_are_refused(changes: Any, error: type[Exception])
         ({"trusted": True}, ShapeError, "trusted: 1 rows for 3 patches"),
     ],
 )
-def test_something_of_each_patch_is_needed(changes: Any, error: type[Exception], line: str) -> None:
+def test_something_of_each_patch_is_needed(changes, error, line):
     with pytest.raises(error, match=line):
         reconstruction(**changes)
 
 
-def test_places_are_those_of_one_patch() -> None:
+def test_places_are_those_of_one_patch():
     made: dict[str, Any] = {"phi": "0" * 16, "places": np.array([0b11000000], np.uint8)}
     assert Measurements(stamp_ns=1, patch="arm", y=MAPS[0, 0, :2], **made).places is not None
     with pytest.raises(FieldError, match="of one patch"):

@@ -10,7 +10,7 @@ from sparseskin.nodes.errors import SparseskinError
 
 @given(st.text())
 @example("".join(map(chr, range(0x110000))))
-def test_every_text_becomes_one_printable_line_and_stays_it(text: str) -> None:
+def test_every_text_becomes_one_printable_line_and_stays_it(text):
     shown = printable(text)
     assert shown.isprintable()
     assert printable(shown) == shown
@@ -27,9 +27,9 @@ def test_every_text_becomes_one_printable_line_and_stays_it(text: str) -> None:
         ("\ud800 \U000e0001", r"\ud800 \U000e0001"),
     ],
 )
-def test_what_would_act_on_a_terminal_is_spelt_out(text: str, shown: str) -> None:
+def test_what_would_act_on_a_terminal_is_spelt_out(text, shown):
     assert printable(text) == shown
 
 
-def test_an_error_names_what_a_file_holds_without_acting_it_out() -> None:
+def test_an_error_names_what_a_file_holds_without_acting_it_out():
     assert str(SparseskinError("a\x1b[2J\nb", "c\x07")) == "a\\x1b[2J b\nc\\x07"

@@ -46,7 +46,7 @@ def taxels(**changes: object) -> Taxels:
         "patch": "skin",
         "forces": np.arange(6, dtype=np.float32).reshape(2, 3),
     }
-    return Taxels(**(fields | changes))  # type: ignore[arg-type]
+    return Taxels(**(fields | changes))
 
 
 def body_of(message: Message) -> dict[str, object]:
@@ -58,7 +58,7 @@ def decode_body(body: object, topic: bytes = b"/skin/taxels") -> Message:
 
 
 @given(messages)
-def test_decoding_undoes_encoding(message: Message) -> None:
+def test_decoding_undoes_encoding(message):
     topic, payload = encode(message)
     twin = decode(topic, payload)
     assert twin == message
@@ -66,7 +66,7 @@ def test_decoding_undoes_encoding(message: Message) -> None:
 
 
 @given(messages)
-def test_an_end_is_recognised_by_its_payload(message: Message) -> None:
+def test_an_end_is_recognised_by_its_payload(message):
     assert is_end(encode(message)[1]) is isinstance(message, End)
 
 
@@ -75,7 +75,7 @@ FORMS = pytest.mark.parametrize("form", [encode, sent])
 
 @FORMS
 @given(message=messages, data=st.data())
-def test_a_message_cut_short_is_refused(form: Form, message: Message, data: st.DataObject) -> None:
+def test_a_message_cut_short_is_refused(form, message, data):
     topic, payload = form(message)
     n_bytes = data.draw(st.integers(0, len(payload) - 1))
     with pytest.raises(TruncatedError):
@@ -84,9 +84,7 @@ def test_a_message_cut_short_is_refused(form: Form, message: Message, data: st.D
 
 @FORMS
 @given(message=messages, data=st.data())
-def test_mutated_bytes_decode_or_raise_a_message_error(
-    form: Form, message: Message, data: st.DataObject
-) -> None:
+def test_mutated_bytes_decode_or_raise_a_message_error(form, message, data):
     topic, payload = form(message)
     mutated = bytearray(payload)
     n_head = min(43 + int.from_bytes(mutated[1:3], "little"), len(mutated))
@@ -98,34 +96,34 @@ def test_mutated_bytes_decode_or_raise_a_message_error(
 
 
 @given(st.sampled_from((b"", bytes([MARK]))), st.binary(max_size=400), st.binary(max_size=200))
-def test_random_bytes_raise_a_message_error(begin: bytes, topic: bytes, payload: bytes) -> None:
+def test_random_bytes_raise_a_message_error(begin, topic, payload):
     for place in (topic, b"/skin/taxels"):
         with pytest.raises(MessageError):
             decode(place, begin + payload)
 
 
-def test_messages_are_immutable_and_compare_by_value() -> None:
+def test_messages_are_immutable_and_compare_by_value():
     message = taxels()
     with pytest.raises(dataclasses.FrozenInstanceError):
-        message.seq = 5  # type: ignore[misc]
+        message.seq = 5
     assert message == taxels()
     assert message != taxels(forces=np.ones((2, 3), np.float32))
     assert message != Truth(stamp_ns=7, patch="skin", forces=message.forces)
 
 
-def test_forces_that_are_not_finite_are_refused_and_the_cell_is_named() -> None:
+def test_forces_that_are_not_finite_are_refused_and_the_cell_is_named():
     forces = np.zeros((2, 3), np.float32)
     forces[1, 2] = -np.inf
     with pytest.raises(NotFiniteError, match=r"forces\[1, 2\]"):
         taxels(forces=forces)
     body = body_of(taxels())
-    body["forces"]["data"] = forces.tobytes()  # type: ignore[index]
+    body["forces"]["data"] = forces.tobytes()
     with pytest.raises(NotFiniteError, match=r"forces\[1, 2\]"):
         decode_body(body)
 
 
 @pytest.mark.filterwarnings("error")
-def test_the_largest_finite_forces_are_taken() -> None:
+def test_the_largest_finite_forces_are_taken():
     forces = np.full((40, 40), np.finfo(np.float32).max)
     assert decode(*encode(taxels(forces=forces))) == taxels(forces=forces)
 
@@ -145,7 +143,7 @@ def test_the_largest_finite_forces_are_taken() -> None:
         ({"forces": [0.0]}, MalformedError),
     ],
 )
-def test_wrong_fields_are_refused(change: dict[str, object], error: type[MessageError]) -> None:
+def test_wrong_fields_are_refused(change, error):
     body = body_of(taxels()) | change
     left = {name: value for name, value in body.items() if value is not MISSING}
     with pytest.raises(error):
@@ -164,26 +162,26 @@ def test_wrong_fields_are_refused(change: dict[str, object], error: type[Message
         ({"more": 1}, MalformedError),
     ],
 )
-def test_wrong_array_maps_are_refused(change: dict[str, object], error: type[MessageError]) -> None:
+def test_wrong_array_maps_are_refused(change, error):
     body = body_of(taxels())
-    body["forces"] = body["forces"] | change  # type: ignore[operator]
+    body["forces"] = body["forces"] | change
     with pytest.raises(error):
         decode_body(body)
 
 
-def test_a_field_that_an_older_message_has_not_is_its_default_and_costs_no_bytes() -> None:
+def test_a_field_that_an_older_message_has_not_is_its_default_and_costs_no_bytes():
     told = {"stamp_ns": 1, "patch": "skin", "kind": "sbhe", "n": 9, "m": 3, "block": 8, "seed": 0}
-    fixed = PhiState(**told, fingerprint="0" * 16)  # type: ignore[arg-type]
+    fixed = PhiState(**told, fingerprint="0" * 16)
     assert "rows" not in body_of(fixed)
-    assert decode(*encode(fixed)).rows == "fixed"  # type: ignore[attr-defined]
-    rotating = PhiState(**told, fingerprint="0" * 16, rows="rotating")  # type: ignore[arg-type]
+    assert decode(*encode(fixed)).rows == "fixed"
+    rotating = PhiState(**told, fingerprint="0" * 16, rows="rotating")
     assert body_of(rotating)["rows"] == "rotating"
     assert decode(*encode(rotating)) == rotating
     with pytest.raises(FieldError, match="rows"):
         decode_body(body_of(rotating) | {"rows": "spinning"}, b"/skin/phi")
 
 
-def test_whole_numbers_are_allowed_up_to_the_largest_of_64_bits_with_a_sign() -> None:
+def test_whole_numbers_are_allowed_up_to_the_largest_of_64_bits_with_a_sign():
     largest = taxels(stamp_ns=2**63 - 1, seq=0)
     assert decode(*encode(largest)).stamp_ns == 2**63 - 1
     assert taxels(stamp_ns=np.int64(2**63 - 1)) == largest
@@ -205,7 +203,7 @@ def test_whole_numbers_are_allowed_up_to_the_largest_of_64_bits_with_a_sign() ->
         (10**400, FieldError),
     ],
 )
-def test_numbers_are_finite_and_in_range(value: Any, error: type[MessageError] | None) -> None:
+def test_numbers_are_finite_and_in_range(value, error):
     field = Real(0.0, 1e30)
     if error is None:
         assert field.check("f", value) == float(value)
@@ -214,7 +212,7 @@ def test_numbers_are_finite_and_in_range(value: Any, error: type[MessageError] |
         field.check("f", value)
 
 
-def test_two_objects_in_one_payload_and_another_topic_are_refused() -> None:
+def test_two_objects_in_one_payload_and_another_topic_are_refused():
     topic, payload = encode(taxels())
     with pytest.raises(MalformedError, match="more than one"):
         decode(topic, payload + b"\x00")
@@ -230,34 +228,34 @@ def test_two_objects_in_one_payload_and_another_topic_are_refused() -> None:
         ([[0.0]], FieldError),
     ],
 )
-def test_wrong_arrays_are_refused_by_name(forces: object, error: type[MessageError]) -> None:
+def test_wrong_arrays_are_refused_by_name(forces, error):
     with pytest.raises(error, match=r"^forces: "):
         taxels(forces=forces)
 
 
-def test_oversized_parts_are_refused_before_they_are_read() -> None:
+def test_oversized_parts_are_refused_before_they_are_read():
     with pytest.raises(OversizedError):
         decode(b"/skin/taxels", bytes(MAX_MESSAGE_BYTES + 1))
     with pytest.raises(OversizedError):
         decode(b"/" * 10_000, b"\x80")
 
 
-def test_the_largest_array_fits_the_largest_message() -> None:
+def test_the_largest_array_fits_the_largest_message():
     largest = taxels(forces=np.ones((1024, 1024), np.float32))
     assert decode(*encode(largest)) == largest
     with pytest.raises(OversizedError):
         taxels(forces=np.ones((1025, 1024), np.float32))
 
 
-def test_a_mask_must_fit_the_grid_and_hold_booleans() -> None:
+def test_a_mask_must_fit_the_grid_and_hold_booleans():
     state = on_points(None, np.array([[True, False], [True, True]]))
     assert state.skin.n_taxels == 3
     body = body_of(state)
     for change, error in (
         ({"n_rows": 3}, ShapeError),
         ({"f_max": 0.0}, FieldError),
-        ({"mask": body["mask"] | {"data": b"\x01\x02\x00\x01"}}, MalformedError),  # type: ignore[operator]
-        ({"mask": body["mask"] | {"data": b"\x00\x00\x00\x00"}}, FieldError),  # type: ignore[operator]
+        ({"mask": body["mask"] | {"data": b"\x01\x02\x00\x01"}}, MalformedError),
+        ({"mask": body["mask"] | {"data": b"\x00\x00\x00\x00"}}, FieldError),
     ):
         with pytest.raises(error):
             decode_body(body | change, b"/skin/skin")
@@ -270,7 +268,7 @@ def on_points(points: np.ndarray | None, mask: np.ndarray | None = None) -> Skin
     return SkinState(**numbers, **grid, **texts, has_truth=False, mask=mask, points=points)
 
 
-def test_points_are_those_of_the_cells_that_exist() -> None:
+def test_points_are_those_of_the_cells_that_exist():
     points = np.zeros((3, 6), np.float32)
     points[:, 0], points[:, 5] = (-1, 0, 1000), 1
     mask = np.array([[True, False], [True, True]])
@@ -310,9 +308,7 @@ def test_points_are_those_of_the_cells_that_exist() -> None:
         ({"response_reading": np.ones((2, 3, 2), np.float32)}, "expected one shape"),
     ],
 )
-def test_a_calibration_whose_parts_do_not_fit_is_refused(
-    changes: dict[str, object], what: str
-) -> None:
+def test_a_calibration_whose_parts_do_not_fit_is_refused(changes, what):
     fields: dict[str, object] = {
         "name": "palm",
         "baseline": np.zeros((2, 3), np.float32),
@@ -320,6 +316,6 @@ def test_a_calibration_whose_parts_do_not_fit_is_refused(
         "response_reading": np.ones((2, 1, 1), np.float32),
         "response_force": np.ones(2, np.float32),
     }
-    Calibration(stamp_ns=0, patch="skin", **fields)  # type: ignore[arg-type]
+    Calibration(stamp_ns=0, patch="skin", **fields)
     with pytest.raises(ShapeError, match=what):
-        Calibration(stamp_ns=0, patch="skin", **(fields | changes))  # type: ignore[arg-type]
+        Calibration(stamp_ns=0, patch="skin", **(fields | changes))

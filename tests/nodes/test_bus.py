@@ -29,7 +29,7 @@ def graph(scene: str = "path_40", **reconstructor: Any) -> dict[str, tuple[Any, 
     }
 
 
-def test_a_frame_passes_all_stations_with_one_stamp() -> None:
+def test_a_frame_passes_all_stations_with_one_stamp():
     clock = ManualClock(1_000)
     bus = Bus(graph(), clock)
     for messages in bus.frames(3):
@@ -42,12 +42,12 @@ def test_a_frame_passes_all_stations_with_one_stamp() -> None:
     assert frames == {"sensed": 3, "reconstructed": 3, "skipped": 0, "lost": 0, "unpaired": 0}
 
 
-def test_stamps_differ_even_on_a_clock_that_stands_still() -> None:
+def test_stamps_differ_even_on_a_clock_that_stands_still():
     stamps = [messages[0].stamp_ns for messages in Bus(graph(), ManualClock(7)).frames(4)]
     assert stamps == [7, 8, 9, 10]
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not() -> None:
+def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not():
     def restored(seed: int) -> bytes:
         nodes = graph()
         nodes["sensor"] = (Sensor, Sensor.Settings(source="scene:path_40", seed=seed))
@@ -58,7 +58,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not() -> None:
     assert restored(3) != restored(4)
 
 
-def test_measurements_of_another_phi_are_refused_by_name() -> None:
+def test_measurements_of_another_phi_are_refused_by_name():
     bus = Bus(graph())
     measured = [m for m in next(bus.frames(1)) if isinstance(m, Measurements)]
     other = replace(measured[0], phi="0" * 16)
@@ -68,21 +68,21 @@ def test_measurements_of_another_phi_are_refused_by_name() -> None:
     assert str(refused.value).endswith("and 2 other row subsets")
 
 
-def test_an_announced_phi_is_proved_by_its_fingerprint() -> None:
+def test_an_announced_phi_is_proved_by_its_fingerprint():
     bus = Bus(graph())
     host = bus.hosts["reconstructor"]
     fields = {"run_id": "f" * 16, "kind": "sbhe", "n": 1600, "m": 533, "block": 32, "seed": 1}
-    announced = PhiState(stamp_ns=0, patch="skin", fingerprint="0" * 16, **fields)  # type: ignore[arg-type]
+    announced = PhiState(stamp_ns=0, patch="skin", fingerprint="0" * 16, **fields)
     assert list(host.receive(announced)) == []
     assert "its program differs" in bus.lines[-1]
     for change in ({"kind": "os:system"}, {"n": 1599}, {"m": 1601}, {"block": 7}):
         seq = host.counts.inputs["/skin/phi"].expected
-        assert list(host.receive(replace(announced, seq=seq, **change))) == []  # type: ignore[arg-type]
+        assert list(host.receive(replace(announced, seq=seq, **change))) == []
     assert host.counts.refused == {"refused": 5}
     assert host.failure == ""
 
 
-def test_the_full_matrix_and_no_shrinkage_give_back_the_taxels() -> None:
+def test_the_full_matrix_and_no_shrinkage_give_back_the_taxels():
     nodes = graph(preset="paper", lambda_n=0.0)
     nodes["compressor"] = (Compressor, Compressor.Settings(phi="full"))
     for messages in Bus(nodes).frames(3):
@@ -92,7 +92,7 @@ def test_the_full_matrix_and_no_shrinkage_give_back_the_taxels() -> None:
         )
 
 
-def test_a_source_runs_to_its_end_and_ends_every_stream() -> None:
+def test_a_source_runs_to_its_end_and_ends_every_stream():
     bus = Bus(graph("lift_box_40", preset="paper", iterations=1))
     kinds = Counter(type(m) for messages in bus.frames() for m in messages)
     assert kinds[Taxels] == kinds[Reconstruction] == 700
@@ -100,7 +100,7 @@ def test_a_source_runs_to_its_end_and_ends_every_stream() -> None:
     assert all(host.finished for host in bus.hosts.values())
 
 
-def test_forces_of_a_shape_that_the_skin_does_not_have_are_refused() -> None:
+def test_forces_of_a_shape_that_the_skin_does_not_have_are_refused():
     bus = Bus(graph())
     host = bus.hosts["compressor"]
     wrong = Taxels(stamp_ns=0, patch="skin", run_id="f" * 16, forces=np.ones((40, 39), np.float32))

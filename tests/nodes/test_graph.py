@@ -32,7 +32,7 @@ def links_of(**topics: tuple[list[str], list[str], list[str]]) -> list[Link]:
 SENSOR: tuple[list[str], list[str], list[str]] = (["/a/skin", "/a/taxels"], [], [])
 
 
-def test_each_reader_has_a_link_from_each_of_its_writers() -> None:
+def test_each_reader_has_a_link_from_each_of_its_writers():
     assert links_of(
         sensor=SENSOR,
         other=(["/b/taxels"], ["/a/skin"], ["/a/taxels", "/c/taxels"]),
@@ -54,12 +54,12 @@ def test_each_reader_has_a_link_from_each_of_its_writers() -> None:
         ("*/phi", "*/phi, which matches no written topic"),
     ],
 )
-def test_a_topic_that_no_node_writes_is_named_with_those_written(reads: str, said: str) -> None:
+def test_a_topic_that_no_node_writes_is_named_with_those_written(reads, said):
     with pytest.raises(SettingsError) as caught:
         links_of(sensor=SENSOR, desk=([], [reads], []))
     assert str(caught.value) == f"desk: reads {said}"
 
 
-def test_two_writers_of_a_topic_are_both_named() -> None:
+def test_two_writers_of_a_topic_are_both_named():
     with pytest.raises(SettingsError, match=r"^two: writes /a/taxels, which sensor writes too$"):
         links_of(sensor=SENSOR, two=(["/a/taxels"], [], []))

@@ -25,7 +25,7 @@ def taxels(seq: int, run_id: str = RUN, value: float = 1.0) -> Taxels:
 
 def phi() -> PhiState:
     fields = {"kind": "sbhe", "n": 4, "m": 1, "block": 2, "seed": 0, "fingerprint": "0" * 16}
-    return PhiState(stamp_ns=0, patch="skin", run_id=RUN, **fields)  # type: ignore[arg-type]
+    return PhiState(stamp_ns=0, patch="skin", run_id=RUN, **fields)
 
 
 def end(n: int) -> End:
@@ -77,7 +77,7 @@ def make(cls: type[Node[Any]]) -> tuple[NodeHost, list[str]]:
     return NodeHost(cls(Settings(), Context("n", ManualClock())), RUN, lines.append), lines
 
 
-def test_what_goes_out_is_numbered_and_signed() -> None:
+def test_what_goes_out_is_numbered_and_signed():
     host, _ = make(Summer)
     out = [m for k in range(3) for m in host.receive(taxels(k))]
     assert [(m.run_id, m.seq, m.stamp_ns) for m in out] == [(RUN, k, 100 + k) for k in range(3)]
@@ -86,9 +86,7 @@ def test_what_goes_out_is_numbered_and_signed() -> None:
 @pytest.mark.parametrize(
     ("numbers", "n_sent", "lost"), [([0, 1, 2], 3, 0), ([2, 3], 4, 2), ([], 4, 4), ([0, 5], 9, 7)]
 )
-def test_gaps_are_losses_at_the_start_between_and_at_the_end(
-    numbers: list[int], n_sent: int, lost: int
-) -> None:
+def test_gaps_are_losses_at_the_start_between_and_at_the_end(numbers, n_sent, lost):
     host, _ = make(Summer)
     for seq in numbers:
         list(host.receive(taxels(seq)))
@@ -98,15 +96,15 @@ def test_gaps_are_losses_at_the_start_between_and_at_the_end(
     assert count.received + count.lost == n_sent
 
 
-def test_a_repeated_message_is_taken_once() -> None:
+def test_a_repeated_message_is_taken_once():
     host, _ = make(Summer)
     for message in (phi(), phi(), taxels(0), taxels(0), taxels(1)):
         list(host.receive(message))
-    assert host.node.steps == 3  # type: ignore[attr-defined]
+    assert host.node.steps == 3
     assert host.counts.inputs["/skin/phi"].received == 1
 
 
-def test_a_publisher_that_starts_again_is_no_loss() -> None:
+def test_a_publisher_that_starts_again_is_no_loss():
     host, _ = make(Summer)
     for message in (taxels(0), taxels(1), taxels(0, OTHER_RUN), taxels(1, OTHER_RUN)):
         list(host.receive(message))
@@ -114,7 +112,7 @@ def test_a_publisher_that_starts_again_is_no_loss() -> None:
     assert (count.received, count.lost) == (4, 0)
 
 
-def test_refused_and_failed_messages_end_no_node() -> None:
+def test_refused_and_failed_messages_end_no_node():
     host, lines = make(Summer)
     assert list(host.receive(taxels(0, value=100.0))) == []
     assert list(host.receive(taxels(1, value=8.0))) == []
@@ -126,7 +124,7 @@ def test_refused_and_failed_messages_end_no_node() -> None:
     assert re.fullmatch(text, failure)
 
 
-def test_a_message_that_cannot_be_made_is_an_error_of_its_node() -> None:
+def test_a_message_that_cannot_be_made_is_an_error_of_its_node():
     class Short(Summer):
         def step(self, message: Message) -> Iterable[Message]:
             yield Measurements(stamp_ns=-1, patch="skin", y=np.ones(1, np.float32), phi="0" * 16)
@@ -139,7 +137,7 @@ def test_a_message_that_cannot_be_made_is_an_error_of_its_node() -> None:
     assert "not published" in lines[0]
 
 
-def test_a_flood_of_refusals_is_counted_whole_but_said_seldom() -> None:
+def test_a_flood_of_refusals_is_counted_whole_but_said_seldom():
     host, lines = make(Summer)
     for seq in range(1000):
         list(host.receive(taxels(seq, value=100.0)))
@@ -147,7 +145,7 @@ def test_a_flood_of_refusals_is_counted_whole_but_said_seldom() -> None:
     assert len(lines) == 4  # the 1st, 10th, 100th and 1000th
 
 
-def test_what_is_no_message_of_an_input_is_counted_by_reason() -> None:
+def test_what_is_no_message_of_an_input_is_counted_by_reason():
     host, _ = make(Summer)
     topic, payload = encode(taxels(0))
     for wrong in (payload[:-1], b"", b"\x01", payload + b"\0"):
@@ -158,27 +156,26 @@ def test_what_is_no_message_of_an_input_is_counted_by_reason() -> None:
     assert host.counts.refused == {"truncated": 2, "malformed": 2, "unknown topic": 1}
 
 
-def test_the_end_of_all_streams_is_passed_on_once_with_the_count() -> None:
+def test_the_end_of_all_streams_is_passed_on_once_with_the_count():
     host, _ = make(Summer)
     for seq in range(3):
         list(host.receive(taxels(seq)))
     (last,) = host.receive(end(3))
-    assert isinstance(last, End)
     assert (last.topic, last.n_messages) == ("/skin/measurements", 3)
     assert host.finished
     assert list(host.receive(end(3))) == []
 
 
-def test_a_source_ends_with_its_last_frame() -> None:
+def test_a_source_ends_with_its_last_frame():
     host, _ = make(Counter)
     out = [m for k in range(3) for m in host.tick(Tick(k, k))]
     assert [type(m) for m in out] == [Taxels, Taxels, Taxels, End]
     assert [m.seq for m in out] == [0, 1, 2, 3]
 
 
-def test_a_source_that_fails_ends_its_stream_and_reports_why() -> None:
+def test_a_source_that_fails_ends_its_stream_and_reports_why():
     host, lines = make(Counter)
-    host.node.fails_at = 1  # type: ignore[attr-defined]
+    host.node.fails_at = 1
     out = [m for k in range(2) for m in host.tick(Tick(k, k))]
     assert [type(m) for m in out] == [Taxels, End]
     assert host.failure == "the driver hung up"
@@ -192,7 +189,7 @@ class Impossible(Summer):
         raise SparseskinError(f"frame {message.seq} cannot be measured")
 
 
-def test_the_first_failure_of_a_node_is_its_reason() -> None:
+def test_the_first_failure_of_a_node_is_its_reason():
     host, lines = make(Impossible)
     assert host.failure == ""
     for seq in range(2):

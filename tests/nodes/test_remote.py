@@ -2,7 +2,6 @@
 
 import socket
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,7 @@ fsspec = pytest.importorskip("fsspec")
 
 
 @pytest.fixture(autouse=True)
-def store() -> Iterator[None]:
+def store():
     yield
     fsspec.filesystem("memory").store.clear()
 
@@ -26,7 +25,7 @@ def put(address: str, data: bytes) -> None:
         file.write(data)
 
 
-def test_paths_stay_paths() -> None:
+def test_paths_stay_paths():
     for path in ("drag.mcap", "a/b:c.mcap", "C:/drag.mcap", "/tmp/x"):
         assert not is_remote(path)
         assert local_path(path) == Path(path)
@@ -34,7 +33,7 @@ def test_paths_stay_paths() -> None:
     assert file_name("https://host/a/b.mcap?version=3") == "b.mcap"
 
 
-def test_an_address_is_copied_once_a_process() -> None:
+def test_an_address_is_copied_once_a_process():
     put("memory://bucket/a.mcap", b"first")
     path = local_path("memory://bucket/a.mcap")
     assert path.read_bytes() == b"first"
@@ -43,7 +42,7 @@ def test_an_address_is_copied_once_a_process() -> None:
     assert local_path("memory://bucket/a.mcap") == path
 
 
-def test_a_file_is_stored_and_none_is_written_over(tmp_path: Path) -> None:
+def test_a_file_is_stored_and_none_is_written_over(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"forces")
     remote.store(path, "memory://out/a.mcap")
@@ -61,14 +60,14 @@ def test_a_file_is_stored_and_none_is_written_over(tmp_path: Path) -> None:
         ("simplecache::s3://bucket/a.mcap", "a chained address is not allowed"),
     ],
 )
-def test_an_address_that_is_not_allowed_is_one_line(address: str, text: str) -> None:
+def test_an_address_that_is_not_allowed_is_one_line(address, text):
     with pytest.raises(SettingsError) as raised:
         check_address(address)
     assert text in str(raised.value)
     assert "\n" not in str(raised.value)
 
 
-def test_an_address_is_reached_with_its_password_and_no_error_shows_it() -> None:
+def test_an_address_is_reached_with_its_password_and_no_error_shows_it():
     password, port = "hunter2@:tiger", free_port()
     for address in (
         f"ftp://alice:{password}@127.0.0.1:{port}/a.mcap",
@@ -85,9 +84,7 @@ def test_an_address_is_reached_with_its_password_and_no_error_shows_it() -> None
             assert "ConnectionRefusedError" in str(raised.value)
 
 
-def test_a_file_that_is_too_large_or_comes_too_slowly_is_given_up(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_file_that_is_too_large_or_comes_too_slowly_is_given_up(monkeypatch):
     put("memory://bucket/large.mcap", bytes(100))
     monkeypatch.setattr(remote, "MAX_BYTES", 99)
     with pytest.raises(RemoteError, match="more than 99 bytes"):
@@ -99,7 +96,7 @@ def test_a_file_that_is_too_large_or_comes_too_slowly_is_given_up(
             local_path(address)
 
 
-def test_a_missing_package_and_a_missing_file_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_and_a_missing_file_are_named(monkeypatch):
     with pytest.raises(RemoteError, match=r"memory://none/a.mcap: no such file"):
         local_path("memory://none/a.mcap")
     with monkeypatch.context() as patch:
@@ -111,6 +108,6 @@ def test_a_missing_package_and_a_missing_file_are_named(monkeypatch: pytest.Monk
         check_address("s3://bucket/a.mcap")
 
 
-def test_no_error_shows_a_password() -> None:
+def test_no_error_shows_a_password():
     error = SparseskinError("--set source=http://me:key@h/x.npy: http:/me:key@h/x.npy: none")
     assert str(error) == "--set source=http://***@h/x.npy: http:/***@h/x.npy: none"

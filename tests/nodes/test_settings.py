@@ -19,7 +19,7 @@ class Example(Settings):
     loud: bool = setting(False, "whether")
 
 
-def test_values_take_their_declared_type() -> None:
+def test_values_take_their_declared_type():
     made = Example.from_mapping({"rate_hz": 5, "names": ["a", "b"], "unit": "N", "loud": True})
     assert made == Example(rate_hz=5.0, names=("a", "b"), unit="N", loud=True)
     assert isinstance(made.rate_hz, float)
@@ -39,18 +39,18 @@ def test_values_take_their_declared_type() -> None:
         ({"loud": 1}, "loud: expected true or false, got 1"),
     ],
 )
-def test_a_wrong_value_is_named_with_what_is_allowed(values: dict[str, object], text: str) -> None:
+def test_a_wrong_value_is_named_with_what_is_allowed(values, text):
     with pytest.raises(SettingsError, match=text):
         Example.from_mapping(values)
 
 
 @pytest.mark.parametrize("patch", ["", "Left", "left hand", "9", "a" * 33])
-def test_a_patch_needs_a_name(patch: str) -> None:
+def test_a_patch_needs_a_name(patch):
     with pytest.raises(SettingsError, match="patch"):
         PatchSettings(patch=patch)
 
 
-def test_a_near_miss_is_proposed_and_anything_else_gets_the_list() -> None:
+def test_a_near_miss_is_proposed_and_anything_else_gets_the_list():
     assert did_you_mean("fist", ["fista", "omp"]) == " (did you mean 'fista'?)"
     assert did_you_mean("xyz", ["fista", "omp"]) == " (known: fista, omp)"
     assert did_you_mean("xyz", []) == ""

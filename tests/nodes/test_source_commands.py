@@ -1,7 +1,6 @@
 """A source that is paused, goes on, and changes its pace: when its next frame is due."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -17,7 +16,7 @@ def sensor(clock: ManualClock) -> Sensor:
     return made
 
 
-def test_a_pause_holds_the_source_until_it_is_resumed() -> None:
+def test_a_pause_holds_the_source_until_it_is_resumed():
     clock = ManualClock(5_000)
     source = sensor(clock)
     assert source.next_tick_ns() == 10_005_000
@@ -33,9 +32,7 @@ def test_a_pause_holds_the_source_until_it_is_resumed() -> None:
         source.command("pause", 1)
 
 
-def test_a_driver_has_its_own_pace_and_no_rate_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_driver_has_its_own_pace_and_no_rate_is_reported(tmp_path, monkeypatch):
     (tmp_path / "paced_skin.py").write_text(
         "import numpy as np\n\n\ndef frames():\n    yield 1, np.zeros((4, 4))\n"
     )
@@ -46,21 +43,21 @@ def test_a_driver_has_its_own_pace_and_no_rate_is_reported(
     assert Sensor(replace(settings, rate_hz=20.0), made.context).state()["rate_hz"] == 20.0
 
 
-def test_a_new_rate_counts_from_the_moment_of_the_change() -> None:
+def test_a_new_rate_counts_from_the_moment_of_the_change():
     clock = ManualClock()
     source = sensor(clock)
     for k in range(7):
         list(source.acquire(Tick(k, k)))
     clock.advance(75_000_000)
     (state,) = source.change(source.settings.changed({"rate_hz": 20.0}))
-    assert state.rate_hz == 20.0  # type: ignore[attr-defined]
+    assert state.rate_hz == 20.0
     assert source.next_tick_ns() == 125_000_000
     list(source.change(source.settings.changed({"noise": 0.5})))
     assert source.next_tick_ns() == 125_000_000
 
 
 @pytest.mark.parametrize(("reached_hz", "n_lines"), [(100.0, 0), (91.0, 0), (60.0, 1)])
-def test_a_rate_that_is_not_reached_is_logged_once(reached_hz: float, n_lines: int) -> None:
+def test_a_rate_that_is_not_reached_is_logged_once(reached_hz, n_lines):
     clock, lines = ManualClock(5_000), list[str]()
     settings = Sensor.Settings(source="scene:path_40", rate_hz=100.0)
     source = Sensor(settings, Context("s", clock, lines.append))

@@ -7,9 +7,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,7 +38,7 @@ def solved(k: int) -> Reconstruction:
 
 
 @pytest.fixture
-def graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def graph(tmp_path, monkeypatch):
     """A graph that publishes frames 0 to 254 again and again."""
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("HF_HOME", str(tmp_path / "hf"))
@@ -71,7 +69,7 @@ def camera(**settings: Any) -> Any:
     return camera_package.SparseskinCamera(config)
 
 
-def test_images_are_the_taxels_in_grey_and_each_is_read_once(graph: None) -> None:
+def test_images_are_the_taxels_in_grey_and_each_is_read_once(graph):
     assert camera().find_cameras() == [{"type": "sparseskin", "id": "skin", "graph": "touched-1"}]
     with camera() as one:
         levels = []
@@ -95,23 +93,19 @@ def test_images_are_the_taxels_in_grey_and_each_is_read_once(graph: None) -> Non
         ({"width": 3}, r"less than the \(5, 7\) taxels"),
     ],
 )
-def test_what_a_graph_does_not_have_is_one_line(
-    graph: None, settings: dict[str, Any], fault: str
-) -> None:
+def test_what_a_graph_does_not_have_is_one_line(graph, settings, fault):
     config = camera_package.SparseskinCameraConfig(**{"height": 50, **settings})
     with pytest.raises(ConnectionError, match=fault):
         camera_package.SparseskinCamera(config).connect()
 
 
 @pytest.mark.parametrize("settings", [{"width": 0}, {"contacts": -1}, {"f_max": 0.0}])
-def test_settings_out_of_range_are_refused(settings: dict[str, Any]) -> None:
+def test_settings_out_of_range_are_refused(settings):
     with pytest.raises(ValueError, match=next(iter(settings))):
         camera_package.SparseskinCameraConfig(**settings)
 
 
-def test_lerobot_records_images_and_the_contacts_of_the_same_frames(
-    graph: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lerobot_records_images_and_the_contacts_of_the_same_frames(graph, tmp_path, monkeypatch):
     import av
     import lerobot_arm  # noqa: F401
     from lerobot.datasets.lerobot_dataset import LeRobotDataset

@@ -33,7 +33,7 @@ class FoxgloveClient:
 
     def __init__(self, url: str) -> None:
         self._stack = contextlib.ExitStack()
-        connecting = connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None)  # type: ignore[list-item]
+        connecting = connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None)
         self._socket = self._stack.enter_context(connecting)
         self.channels: dict[str, dict[str, Any]] = {}
         self._topics: dict[int, str] = {}

@@ -1,6 +1,5 @@
 """Sizes of stress tests, small with all other tests and large with `make stress`; figures."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -14,13 +13,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(scope="session")
-def full() -> bool:
+def full():
     """True if the tests run at the sizes whose figures stand in the documents."""
     return FULL
 
 
 @pytest.fixture
-def note(request: pytest.FixtureRequest) -> Callable[..., None]:
+def note(request):
     """Note a line of figures, under the name of the test module; all are printed at the end."""
     rows = request.config.stash[_FIGURES].setdefault(request.path.stem, [])
     return lambda **figures: rows.append(figures)

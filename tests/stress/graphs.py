@@ -141,7 +141,6 @@ class GraphRun(Program):
     def ask(self, node: str, command: str, value: Any) -> None:
         """Send a node a command, as the terminal of the graph does."""
         self.state()
-        assert self._client is not None
         self._n_requests += 1
         number = str(self._n_requests)
         self._client.send({"id": number, "node": node, "command": command, "value": value})

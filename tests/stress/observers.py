@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from stress.graphs import GraphRun
 
-from sparseskin.messages import Message, Reconstruction
+from sparseskin.messages import Message
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.process.proc import cpu_s
 from sparseskin.nodes.settings import PatchSettings, setting
@@ -56,7 +56,6 @@ class Latencies(Node[LatenciesSettings]):
         return (f"/{settings.patch}/reconstruction",)
 
     def step(self, message: Message) -> Iterable[Message]:
-        assert isinstance(message, Reconstruction)
         self._times.extend((message.stamp_ns, message.done_ns))
         return ()
 
@@ -125,7 +124,6 @@ def commands(graph: GraphRun) -> Iterator[list[int]]:
     with contextlib.ExitStack() as stack:
         for command in COMMANDS:
             process = graph.start(*command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-            assert process.stdout is not None
             process.stdout.readline()
             # Their output is read, as by a terminal; that costs the graph nothing.
             drain = subprocess.Popen(["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL)
@@ -145,7 +143,6 @@ def bridge(graph: GraphRun, kind: str) -> Iterator[tuple[list[int], int]]:
     made = graph.start("bridge", kind, *stated, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     client = None
     try:
-        assert made.stderr is not None
         lines = (line.decode(errors="replace") for line in made.stderr)
         line = next((line for line in lines if token in line), "")
         if not line:
@@ -157,7 +154,6 @@ def bridge(graph: GraphRun, kind: str) -> Iterator[tuple[list[int], int]]:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        assert client.stdout is not None
         if client.stdout.readline().strip() != b"reads":
             raise AssertionError(f"the client of {kind} read nothing")
         found = {pid: line for pid, line in graph.survivors().items() if pid not in own}

@@ -148,9 +148,7 @@ def join(graph: ObservedGraph) -> float:
 
 
 @pytest.mark.parametrize("files", [None, 64])
-def test_half_open_connections_cost_a_graph_with_keys_nothing(
-    files: int | None, full: bool, note: Any, tmp_path: Path
-) -> None:
+def test_half_open_connections_cost_a_graph_with_keys_nothing(files, full, note, tmp_path):
     n, n_wave, rate_hz = (10_000, 10_000, 50.0) if full else (900, 500, 20.0)
     n_wave = min(n_wave, resource.getrlimit(resource.RLIMIT_NOFILE)[0] - SPARE_FILES)
     make_key_files("edge", tmp_path / "keys")
@@ -251,9 +249,7 @@ class Pages:
                             poller.unregister(fd)  # it never reads again
 
 
-def test_open_pages_cost_a_graph_nothing_and_are_refused_in_order(
-    full: bool, note: Any, tmp_path: Path
-) -> None:
+def test_open_pages_cost_a_graph_nothing_and_are_refused_in_order(full, note, tmp_path):
     n, reading, held_s, times, rate_hz = (
         (1000, 60, 3.0, 3, 50.0) if full else (300, 30, 0.5, 2, 20.0)
     )
@@ -268,7 +264,7 @@ def test_open_pages_cost_a_graph_nothing_and_are_refused_in_order(
         n_bytes = 0
         for _ in range(times):
             with Pages(url, n, reading) as pages:
-                wait_until(lambda pages=pages: "" not in pages.statuses(), "all answers")  # type: ignore[misc]
+                wait_until(lambda pages=pages: "" not in pages.statuses(), "all answers")
                 until_s = time.monotonic() + held_s
                 while time.monotonic() < until_s:
                     watched.look()

@@ -81,9 +81,7 @@ def run_at(
     ("patches", "active", "first_hz"),
     [(16, 0.25, 100.0), (16, 0.1, 150.0), (244, 0.25, 8.0)] if FULL else [(3, 0.25, 2.0)],
 )
-def test_a_body_loses_no_frame_at_a_rate_that_it_holds(
-    patches: int, active: float, first_hz: float, full: bool, note: Any
-) -> None:
+def test_a_body_loses_no_frame_at_a_rate_that_it_holds(patches, active, first_hz, full, note):
     rate_hz, seconds = first_hz, 10.0 if full else 2.0
     warm_up_s = WARM_UP_S + WARM_UP_PATCH_S * patches if full else 4.0
     for _ in range(MAX_TRIALS):

@@ -5,8 +5,6 @@ The table of the documents is computed at full size.
 
 import itertools
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -77,7 +75,7 @@ def missed(contact: int, sigmas: float, n_patches: int) -> list[float]:
     return shares
 
 
-def test_strong_contacts_are_noticed_and_alarms_are_rare(full: bool, note: Any) -> None:
+def test_strong_contacts_are_noticed_and_alarms_are_rare(full, note):
     n_patches, n_frames = (200, 640) if full else (20, 64)
     for contact in (4, 8, 16) if full else (8,):
         for sigmas in (1.0, 2.0, 3.0):
@@ -103,9 +101,7 @@ def noise() -> Iterator[tuple[int, Floats]]:
 
 @pytest.mark.parametrize("stated", [NOISE.sigma_end, NOISE.sigma_end / 2, None])
 @pytest.mark.parametrize("ratio", [3, 4, 8, 16])
-def test_an_untouched_skin_has_no_contact(
-    ratio: float, stated: float | None, full: bool, note: Any, tmp_path: Path
-) -> None:
+def test_an_untouched_skin_has_no_contact(ratio, stated, full, note, tmp_path):
     skin = tmp_path / "skin.toml"
     of_noise = "" if stated is None else f"noise = {stated}\nnoise_mid = {stated}\n"
     skin.write_text(f"name = 'noisy'\nrows = 40\ncols = 40\nunit = 'N'\nf_max = 2.5\n{of_noise}")

@@ -8,7 +8,6 @@ in its mean PSNR. A skin that nothing has touched for as long is touched as on i
 
 import itertools
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -46,9 +45,7 @@ def one_round(side: int) -> Iterator[Floats | None]:
 
 
 @pytest.mark.parametrize(("side", "ratio", "rows"), STREAMS if FULL else STREAMS[:2])
-def test_over_jumps_and_losses_the_psnr_stays_as_it_was(
-    side: int, ratio: int, rows: str, note: Any
-) -> None:
+def test_over_jumps_and_losses_the_psnr_stays_as_it_was(side, ratio, rows, note):
     method = make_method({"solver": "skin"}, (side, side), ratio, 1, rows=rows)
     noise, rng = NoiseModel.for_range(PAPER_F_MAX_N), np.random.default_rng(1)
     frames = list(one_round(side))
@@ -73,8 +70,8 @@ def test_over_jumps_and_losses_the_psnr_stays_as_it_was(
 
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
 def test_a_skin_left_alone_is_reconstructed_as_a_fresh_one_once_it_is_touched(
-    rows: str, note: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    rows, note, monkeypatch
+):
     shape, disc = (20, 20), sliding_disc((20, 20), TOUCH, touch_at=0)
     monkeypatch.setattr(watched, "DESK_SHAPE", shape)
     errors, lines = [], []

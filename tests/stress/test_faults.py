@@ -12,7 +12,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -118,8 +118,8 @@ def not_recorded(folder: Path, sensed: set[int]) -> int:
     [("SIGKILL", None), ("SIGKILL", "tcp"), ("SIGSEGV", None), ("SIGSTOP", None)],
 )
 def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
-    name: str, transport: str | None, full: bool, note: Any, tmp_path: Path
-) -> None:
+    name, transport, full, note, tmp_path
+):
     n_graphs, repeats, stop_s, rate_hz = (7, 3, 5.0, 100.0) if full else (1, 1, 1.0, 20.0)
     dies = name != "SIGSTOP"
     struck: dict[str, list[dict[str, Any]]] = {node: [] for node in NODES}
@@ -154,7 +154,7 @@ def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
 
 
 @pytest.fixture
-def begun(tmp_path: Path) -> Iterator[Callable[..., ObservedGraph]]:
+def begun(tmp_path):
     """Start and observe a graph in an empty folder, from its first reconstruction on."""
     with contextlib.ExitStack() as stack:
 
@@ -169,7 +169,7 @@ def begun(tmp_path: Path) -> Iterator[Callable[..., ObservedGraph]]:
 
 
 @pytest.fixture
-def ended(note: Any) -> Callable[..., Outcome]:
+def ended(note):
     """End a graph, note its figures by the fault: no other node ended, nothing is left behind."""
 
     def end(graph: ObservedGraph, fault: str, *but: str, **figures: Any) -> Outcome:
@@ -183,12 +183,12 @@ def ended(note: Any) -> Callable[..., Outcome]:
 
 
 @pytest.fixture
-def held_s(full: bool) -> float:
+def held_s(full):
     """Time for which a fault lasts."""
     return 10.0 if full else 0.5
 
 
-def test_nothing_outlives_a_launcher_that_is_killed(begun: Any, note: Any) -> None:
+def test_nothing_outlives_a_launcher_that_is_killed(begun, note):
     graph = begun(graph_text(), "--record", "run.mcap")
     graph.process.kill()
     graph.process.wait()
@@ -222,9 +222,7 @@ def kill_again_and_again(graph: GraphRun) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-def test_a_node_that_is_killed_twenty_times_in_a_row_comes_back(
-    begun: Any, ended: Any, full: bool
-) -> None:
+def test_a_node_that_is_killed_twenty_times_in_a_row_comes_back(begun, ended, full):
     first_s, longest_s = (0.25, 2) if full else (0, 0.05)
     delays = {"restart_delay_s": first_s, "restart_max_delay_s": longest_s}
     graph = begun(graph_text({"max_restarts": 100, "restart_window_s": None, **delays}))
@@ -241,9 +239,7 @@ def test_a_node_that_is_killed_twenty_times_in_a_row_comes_back(
     )
 
 
-def test_a_full_disk_costs_the_stream_no_frame(
-    begun: Any, ended: Any, held_s: float, mount_disk: Any
-) -> None:
+def test_a_full_disk_costs_the_stream_no_frame(begun, ended, held_s, mount_disk):
     out = mount_disk("1m") / "run.mcap"
     graph = begun(graph_text(), "--record", str(out))
     line = graph.wait_for("No space left on device")
@@ -255,9 +251,7 @@ def test_a_full_disk_costs_the_stream_no_frame(
     assert "No space left on device; recording ended" in line
 
 
-def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(
-    begun: Any, ended: Any, full: bool
-) -> None:
+def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(begun, ended, full):
     slow = {"preset": "paper", "iterations": 40, "fast": "off"}
     rate_hz = RATE_HZ if full else 20.0  # slow enough for the solver on a busy host
     graph = begun(graph_text(sensor={"rate_hz": rate_hz}, reconstructor=slow))
@@ -272,9 +266,7 @@ def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(
     assert graph.summary()["patches"]["skin"]["frames"]["lost"] == found.lost
 
 
-def test_a_clock_that_steps_back_is_not_noticed(
-    begun: Any, ended: Any, held_s: float, tmp_path: Path
-) -> None:
+def test_a_clock_that_steps_back_is_not_noticed(begun, ended, held_s, tmp_path):
     modules, switch = tmp_path / "modules", tmp_path / "stepped"
     modules.mkdir()
     loaded = str(modules / "loaded-by-")
@@ -298,7 +290,6 @@ def stalled(endpoint: str) -> Iterator[None]:
     command = [sys.executable, "-c", STALLED, str(N_STALLED), endpoint]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
     try:
-        assert process.stdout is not None
         process.stdout.readline()
         yield
     finally:
@@ -306,9 +297,7 @@ def stalled(endpoint: str) -> Iterator[None]:
         process.communicate()
 
 
-def test_subscribers_that_never_read_cost_the_stream_no_frame(
-    begun: Any, ended: Any, held_s: float
-) -> None:
+def test_subscribers_that_never_read_cost_the_stream_no_frame(begun, ended, held_s):
     graph = begun(graph_text())
     nodes = graph.nodes()
     before = {name: own_bytes(pid) for name, pid in nodes.items()}

@@ -3,9 +3,6 @@
 At full size half an hour, for the figures of the documents.
 """
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from stress.graphs import GraphRun, launch_text
@@ -30,7 +27,7 @@ def graph_text(scene: str, rate_hz: float) -> str:
     )
 
 
-def test_commands_beside_a_graph_do_not_make_its_frames_wait(full: bool, note: Any) -> None:
+def test_commands_beside_a_graph_do_not_make_its_frames_wait(full, note):
     turns = (60, TURN_S) if full else (2, 0.5)
     with GraphRun(graph_text("path_40", 1000.0 if full else 50.0)) as graph:
         own = [graph.process.pid, *graph.nodes().values()]
@@ -43,9 +40,7 @@ def test_commands_beside_a_graph_do_not_make_its_frames_wait(full: bool, note: A
 
 
 @pytest.mark.parametrize("kind", BRIDGES)
-def test_a_bridge_beside_a_graph_does_not_make_its_frames_wait(
-    kind: str, full: bool, note: Any
-) -> None:
+def test_a_bridge_beside_a_graph_does_not_make_its_frames_wait(kind, full, note):
     pytest.importorskip({"foxglove": "foxglove", "ros2": "cyclonedds"}.get(kind, "zmq"))
     turns = (N_TURNS, TURN_S) if full else (2, 0.5)
     text = graph_text("drag_wrench_64", 200.0 if full else 50.0)
@@ -58,9 +53,7 @@ def test_a_bridge_beside_a_graph_does_not_make_its_frames_wait(
 
 
 @pytest.mark.parametrize(("rate_hz", "speed"), [(100, 1.0), (100, 10.0), (1000, 0.1), (1000, 1.0)])
-def test_a_replay_keeps_its_rate(
-    rate_hz: int, speed: float, full: bool, note: Any, tmp_path: Path
-) -> None:
+def test_a_replay_keeps_its_rate(rate_hz, speed, full, note, tmp_path):
     n_frames = round(rate_hz * speed * (60.0 if full else 1.0)) + 1
     forces = np.zeros((8, 8), np.float32)
     with BagWriter(tmp_path / "in.mcap", {"scene": "timing"}) as bag:

@@ -117,9 +117,7 @@ def verdict(samples: dict[str, Any], name: str) -> dict[str, Any]:
     }
 
 
-def test_a_graph_that_runs_for_a_while_leaks_nothing_and_loses_nothing(
-    full: bool, note: Any
-) -> None:
+def test_a_graph_that_runs_for_a_while_leaks_nothing_and_loses_nothing(full, note):
     minutes = float(os.environ.get("SPARSESKIN_SOAK_MINUTES", "30" if full else "0.4"))
     rate_hz = float(os.environ.get("SPARSESKIN_SOAK_HZ", "1000" if full else "100"))
     found = measure(60 * minutes, rate_hz, 40)
@@ -142,7 +140,7 @@ def test_a_graph_that_runs_for_a_while_leaks_nothing_and_loses_nothing(
         assert set(found["lost"].values()) == {0}
 
 
-def test_a_looped_source_repeats_its_frames_with_stamps_that_go_on() -> None:
+def test_a_looped_source_repeats_its_frames_with_stamps_that_go_on():
     first, n = 60, 5
     pairs = list(scene_frames("lift_box_40", 0, first, first + n))
     for delivers in ("truth", "taxels"):

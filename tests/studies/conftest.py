@@ -1,12 +1,10 @@
 """Charts of studies are drawn, but not laid out, which takes longer than all else."""
 
-from collections.abc import Iterator
-
 import pytest
 
 
 @pytest.fixture(autouse=True)
-def plain_layout(request: pytest.FixtureRequest) -> Iterator[None]:
+def plain_layout(request):
     """Leave out the layout of charts, but in the tests of charts themselves."""
     with pytest.MonkeyPatch.context() as patch:
         if request.path.stem != "test_report":

@@ -40,9 +40,7 @@ def still(force_n: float, n: int = 40) -> list[np.ndarray[Any, Any]]:
 
 @pytest.mark.parametrize("k", [2, 3, 16])
 @pytest.mark.parametrize("shape", [(1, 16), (31, 11)])
-def test_classes_hold_every_taxel_once_and_are_of_equal_density(
-    shape: tuple[int, int], k: int
-) -> None:
+def test_classes_hold_every_taxel_once_and_are_of_equal_density(shape, k):
     mask = np.ones(shape, dtype=np.bool_)
     mask[0, :2] = False
     members = classes(mask, k)
@@ -51,7 +49,7 @@ def test_classes_hold_every_taxel_once_and_are_of_equal_density(
     assert max(one.size for one in members) <= mask.size / k + max(shape)
 
 
-def test_the_lattice_reproduces_a_plane_between_its_taxels_with_its_share_of_values() -> None:
+def test_the_lattice_reproduces_a_plane_between_its_taxels_with_its_share_of_values():
     i, j = np.indices((16, 16))
     plane = (1 + 2 * i + 3 * j).astype(np.float32)
     solved = Lattice(np.ones((16, 16), dtype=np.bool_), 4).reconstruct(plane)
@@ -59,7 +57,7 @@ def test_the_lattice_reproduces_a_plane_between_its_taxels_with_its_share_of_val
     assert np.abs((solved.forces - plane)[3:-3, 3:-3]).max() < 1e-3
 
 
-def test_the_lattice_reads_no_cell_without_a_taxel_even_if_few_exist() -> None:
+def test_the_lattice_reads_no_cell_without_a_taxel_even_if_few_exist():
     mask = np.zeros((8, 8), dtype=np.bool_)
     mask[::2, ::2] = True
     taxels = np.where(mask, np.float32(3), np.float32(np.nan))
@@ -69,7 +67,7 @@ def test_the_lattice_reads_no_cell_without_a_taxel_even_if_few_exist() -> None:
         assert (solved.forces == np.where(mask, 3, 0)).all()
 
 
-def test_the_filter_halves_the_noise_of_a_still_force() -> None:
+def test_the_filter_halves_the_noise_of_a_still_force():
     frames, kept = still(1.25), Filtered(NoiseModel())
     last = [kept.reconstruct(frame).forces for frame in frames][-1]
     # Of a running mean of weight w, the variance is w / (2 - w).
@@ -77,7 +75,7 @@ def test_the_filter_halves_the_noise_of_a_still_force() -> None:
     assert np.std(last) == pytest.approx(expected, rel=0.3)
 
 
-def test_the_filter_follows_a_jump_at_once_and_leaves_its_input_as_it_is() -> None:
+def test_the_filter_follows_a_jump_at_once_and_leaves_its_input_as_it_is():
     kept = Filtered(NoiseModel())
     for frame in still(0.0):
         assert kept.reconstruct(frame).forces.max() < 0.1
@@ -88,7 +86,7 @@ def test_the_filter_follows_a_jump_at_once_and_leaves_its_input_as_it_is() -> No
 
 
 @pytest.mark.parametrize("kind", CODECS)
-def test_codecs_keep_eight_bits_and_state_their_size(kind: str) -> None:
+def test_codecs_keep_eight_bits_and_state_their_size(kind):
     codec = Codec(EVERY, 50.0, kind)
     for frame in (press(5), press(5.5), np.zeros(SHAPE, np.float32)):
         solved = codec.reconstruct(frame)
@@ -97,7 +95,7 @@ def test_codecs_keep_eight_bits_and_state_their_size(kind: str) -> None:
     assert codec.reconstruct(np.zeros(SHAPE, np.float32)).n_bytes < 30
 
 
-def test_touched_taxels_cost_a_byte_each_and_a_bit_a_taxel() -> None:
+def test_touched_taxels_cost_a_byte_each_and_a_bit_a_taxel():
     codec = Codec(np.ones((8, 8), dtype=np.bool_), 1.0, "touched")
     frame = np.zeros((8, 8), dtype=np.float32)
     assert codec.reconstruct(frame).n_bytes == 0
@@ -106,9 +104,7 @@ def test_touched_taxels_cost_a_byte_each_and_a_bit_a_taxel() -> None:
 
 
 @pytest.mark.parametrize(("n", "ratio"), [(16, 3), (228, 4), (4096, 8)])
-def test_single_taxels_with_addresses_fill_the_bytes_of_the_measurements(
-    n: int, ratio: int
-) -> None:
+def test_single_taxels_with_addresses_fill_the_bytes_of_the_measurements(n, ratio):
     m = n // ratio
     values = acts_values(n, m)
     assert VALUE_BYTES * values + address_bytes(n, values) <= VALUE_BYTES * m
@@ -116,9 +112,7 @@ def test_single_taxels_with_addresses_fill_the_bytes_of_the_measurements(
 
 
 @pytest.mark.parametrize(("shape", "ratio"), [((4, 8), 3), ((19, 12), 8), ((64, 64), 8)])
-def test_adaptive_rows_and_their_code_fit_into_the_bytes_of_the_measurements(
-    shape: tuple[int, int], ratio: int
-) -> None:
+def test_adaptive_rows_and_their_code_fit_into_the_bytes_of_the_measurements(shape, ratio):
     mask = np.ones(shape, dtype=np.bool_)
     m = mask.size // ratio
     values = adaptive_values(mask, m)

@@ -1,7 +1,5 @@
 """Constants of the default solver, halved and doubled: their values, and what they change."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from sparseskin.studies.accuracy import constants, experiments
 from sparseskin.studies.accuracy.experiments import Runs
 
 
-def test_every_constant_has_a_candidate_halved_and_doubled() -> None:
+def test_every_constant_has_a_candidate_halved_and_doubled():
     assert set(constants.PARTS + constants.GROWTHS) <= set(constants.VALUES)
     tunings = [one.settings.get("tuning", {}) for one in constants.candidates().values()]
     for name in vars(SkinTuning()):
@@ -20,9 +18,7 @@ def test_every_constant_has_a_candidate_halved_and_doubled() -> None:
         assert low < getattr(SkinTuning(), name) < high
 
 
-def test_a_changed_constant_changes_the_scores_and_has_a_row(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_changed_constant_changes_the_scores_and_has_a_row(monkeypatch, tmp_path):
     values = {"damping": 0.5, "averaged": 3}
     monkeypatch.setattr(constants, "VALUES", values)
     for name, value in {"SIDES": (12,), "QUICK_BODIES": ("peg",), "PRESS_FRAMES": 30}.items():

@@ -18,7 +18,7 @@ TRUTHS[1][2:4, 2:4] = 1.0
 FRAMES = [(truth, truth + np.float32(0.02)) for truth in TRUTHS]
 
 
-def test_a_reading_is_scored_against_the_closed_form() -> None:
+def test_a_reading_is_scored_against_the_closed_form():
     scores = evaluate({"raw": Reading(), "zone": Reading(0.1)}, FRAMES)
     raw, zone = scores["raw"], scores["zone"]
     every_db = 20 * np.log10(2.5 / 0.02)
@@ -30,7 +30,7 @@ def test_a_reading_is_scored_against_the_closed_form() -> None:
     assert zone.psnr_db == pytest.approx([100.0, every_db + 20 * np.log10(4)], abs=1e-4)
 
 
-def test_a_method_is_the_solver_on_its_own_measurements() -> None:
+def test_a_method_is_the_solver_on_its_own_measurements():
     chosen = {"solver": "fista", "iterations": 5, "lambda_n": 0.01}
     method = make_method(chosen, SHAPE, 2, seed=3, rows=FIXED)
     phi = make_phi("sbhe", n=64, m=32, seed=3)
@@ -45,7 +45,7 @@ def test_a_method_is_the_solver_on_its_own_measurements() -> None:
     np.testing.assert_array_equal(method.reconstruct(FRAMES[0][1]).forces, expected[0])
 
 
-def test_rotating_row_subsets_together_hold_every_row() -> None:
+def test_rotating_row_subsets_together_hold_every_row():
     phis = phis_at(64, 3, ROTATING, seed=0)
     assert [phi.m for phi in phis] == [22, 22, 22]
     method = make_method(PRESETS["skin"], SHAPE, 3, seed=0, rows=ROTATING)
@@ -60,7 +60,7 @@ def test_rotating_row_subsets_together_hold_every_row() -> None:
     assert used[3] == used[0]
 
 
-def test_missing_taxels_are_not_measured() -> None:
+def test_missing_taxels_are_not_measured():
     mask = np.ones(SHAPE, np.bool_)
     mask[0] = False
     method = make_method(PRESETS["paper"], SHAPE, 2, seed=0, rows=FIXED, mask=mask)

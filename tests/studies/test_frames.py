@@ -1,6 +1,5 @@
 """Frames of scenes, presses and recordings, as studies take them."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ SHAPE = (12, 10)
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """A folder with a recording of a press that comes and goes, masked in a corner."""
     i, j = np.indices(SHAPE)
     frames = np.zeros((40, *SHAPE), dtype=np.float32)
@@ -39,7 +38,7 @@ def pairs_of(frames: Any, seed: int = 0) -> list[Any]:
     return [pair for part in frames.open(seed).parts() for pair in part]
 
 
-def test_noise_of_a_frame_does_not_depend_on_which_frames_are_asked_for() -> None:
+def test_noise_of_a_frame_does_not_depend_on_which_frames_are_asked_for():
     every = list(scene_frames("lift_box_40", 3, stop=335))
     some = list(scene_frames("lift_box_40", 3, first=315, stop=335, every=5))
     assert len(some) == 4
@@ -48,7 +47,7 @@ def test_noise_of_a_frame_does_not_depend_on_which_frames_are_asked_for() -> Non
         np.testing.assert_array_equal(taxels, taxels_again)
 
 
-def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_on() -> None:
+def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_on():
     frames = SceneFrames("path_40", -4, 6, 2, later=3)
     contact = first_contact("path_40", 0)
     truths = [truth.max() for truth, _ in scene_frames("path_40", 0, stop=contact + 1)]
@@ -60,7 +59,7 @@ def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_
     assert [len(list(part)) for part in frames.open(0).parts()] == [5, 3]
 
 
-def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path: Path) -> None:
+def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path):
     frames = np.zeros((100, 4, 4), dtype=np.float32)
     frames[20:40] = 1
     np.save(tmp_path / "a.npy", frames)
@@ -70,7 +69,7 @@ def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path: 
     assert (whole.first, whole.norm, whole.total) == (0, 4, 16)
 
 
-def test_a_bag_of_a_recording_is_the_same_as_its_file(folder: Path) -> None:
+def test_a_bag_of_a_recording_is_the_same_as_its_file(folder):
     import_file(folder / "press.npz", folder / "copy.mcap")
     assert [path.name for path in readable(files_in(folder), 60)] == ["copy.mcap", "press.npz"]
     bag, file = (
@@ -84,9 +83,7 @@ def test_a_bag_of_a_recording_is_the_same_as_its_file(folder: Path) -> None:
     assert (file.n, file.unscored) == (114, 8)
 
 
-def test_unusable_files_get_one_line_each_and_are_skipped(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unusable_files_get_one_line_each_and_are_skipped(folder, capsys):
     (folder / "README.md").write_text("no recording")
     (folder / "numbers.csv").write_text("1,2\n3,4\n")
     (folder / "broken.mcap").write_bytes(b"\x89MCAP0\r\n")
@@ -99,7 +96,7 @@ def test_unusable_files_get_one_line_each_and_are_skipped(
         part_of(str(folder / "zeros.npz"), 60)
 
 
-def test_a_folder_without_a_usable_recording_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_a_usable_recording_is_refused(tmp_path):
     with pytest.raises(StudyError, match=r"no recording; allowed are .*\.mcap"):
         files_in(tmp_path)
     with pytest.raises(StudyError, match="No such file"):

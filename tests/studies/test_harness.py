@@ -1,7 +1,5 @@
 """Experiments: their points, candidates side by side on the same frames, and their scores."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -24,7 +22,7 @@ PRESS = PressFrames("gaussian", (12, 10), 20, "sudden")
 PAPER = Candidate(PRESETS["paper"])
 
 
-def test_points_are_the_product_and_what_is_timed_is_run_by_itself() -> None:
+def test_points_are_the_product_and_what_is_timed_is_run_by_itself():
     parts = {
         "frames": [PRESS, UntouchedFrames(8, 3)],
         "measurements": [Measurement(3), Measurement(4)],
@@ -32,15 +30,15 @@ def test_points_are_the_product_and_what_is_timed_is_run_by_itself() -> None:
         "scores": ("mean_db",),
         "seeds": (0, 1, 2),
     }
-    together = Experiment("some", **parts)  # type: ignore[arg-type]
+    together = Experiment("some", **parts)
     assert len(together.points()) == 2 * 2 * 3
     assert all(set(point["candidates"]) == {"a", "raw"} for point in together.points())
-    alone = Experiment("some", timed=True, **parts)  # type: ignore[arg-type]
+    alone = Experiment("some", timed=True, **parts)
     assert len(alone.points()) == 2 * 2 * 2 * 3
     assert TIMED_ON == "process:1"
 
 
-def test_all_estimators_of_a_ratio_send_the_same_bytes_to_within_rounding(tmp_path: Path) -> None:
+def test_all_estimators_of_a_ratio_send_the_same_bytes_to_within_rounding(tmp_path):
     scores = ("n_bytes", "n_contact", "mean_db")
     run = Experiment("all", [PRESS], [Measurement(3)], CANDIDATES, scores).run(tmp_path, "serial")
     rows = unrefused(run).set_index("method")
@@ -54,7 +52,7 @@ def test_all_estimators_of_a_ratio_send_the_same_bytes_to_within_rounding(tmp_pa
     assert (unrefused(read)["mean_db"] > 30).all()
 
 
-def test_a_seed_changes_what_is_random_and_nothing_else(tmp_path: Path) -> None:
+def test_a_seed_changes_what_is_random_and_nothing_else(tmp_path):
     chosen = {name: CANDIDATES[name] for name in ("subsample", "lattice")}
     frames = [PressFrames("gaussian", (12, 10), 20, "sudden")]
     rows = Experiment("seeds", frames, [Measurement(4)], chosen, ("psnr_db",), (0, 1)).run(
@@ -64,9 +62,7 @@ def test_a_seed_changes_what_is_random_and_nothing_else(tmp_path: Path) -> None:
     assert len({str(db) for db in rows["psnr_db"]}) == 4
 
 
-def test_what_does_not_go_together_is_refused_by_name_and_the_others_are_run(
-    tmp_path: Path,
-) -> None:
+def test_what_does_not_go_together_is_refused_by_name_and_the_others_are_run(tmp_path):
     chosen = {"good": PAPER, "bad": Candidate({**PRESETS["paper"], "iterations": 0})}
     rows = Experiment("some", [PRESS], [Measurement(3)], chosen, ("mean_db",)).run(
         tmp_path, "serial"
@@ -89,7 +85,7 @@ def constant(value: float) -> Scores:
     return scores
 
 
-def test_an_estimate_of_nothing_loses_every_contact_and_has_no_ghost() -> None:
+def test_an_estimate_of_nothing_loses_every_contact_and_has_no_ghost():
     found = {name: SCORES[name](constant(0)) for name in SCORES if name != "cpu_share"}
     assert (found["median"], found["vanished"], found["ghosts"]) == (100, 100, 0)
     assert (found["n_contact"], found["n_untouched"]) == (10, 5)
@@ -98,7 +94,7 @@ def test_an_estimate_of_nothing_loses_every_contact_and_has_no_ghost() -> None:
     assert found["estimate_median"] is None
 
 
-def test_marks_and_estimates_are_compared_with_the_true_errors() -> None:
+def test_marks_and_estimates_are_compared_with_the_true_errors():
     scores, truth = Scores(), np.ones((4, 4), np.float32)
     for k in range(20):
         # Right by 5 % in even frames, wrong by 60 % in odd ones; estimated twice that in each 10th.
@@ -114,7 +110,7 @@ def test_marks_and_estimates_are_compared_with_the_true_errors() -> None:
     assert found["estimate_high"] == pytest.approx(2, abs=0.06)
 
 
-def test_first_frames_of_contacts_are_those_without_one_before() -> None:
+def test_first_frames_of_contacts_are_those_without_one_before():
     scores, zeros = Scores(), np.zeros((4, 4), np.float32)
     for force in (0.0, 1.0, 2.0, 0.0, 2.0):
         scores.add(Solved(zeros), zeros + np.float32(force))

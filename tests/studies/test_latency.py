@@ -9,7 +9,7 @@ from sparseskin.studies.frames import scene_frames
 from sparseskin.studies.speed.latency import QUANTILES, SCENES, STAGES, figures, stages_ns
 
 
-def test_the_stages_of_a_frame_add_up_to_its_age() -> None:
+def test_the_stages_of_a_frame_add_up_to_its_age():
     # Two frames 1000 ns apart; the second finds edge and host busy with the first.
     sensor = np.array([[0, 100], [1000, 110]])
     edge = np.array([[0, 150, 1300], [1000, 320, 400]])
@@ -22,7 +22,7 @@ def test_the_stages_of_a_frame_add_up_to_its_age() -> None:
     assert [sum(first), sum(second)] == [1700, 1500]
 
 
-def test_quantiles_and_the_stages_around_them() -> None:
+def test_quantiles_and_the_stages_around_them():
     stages = np.random.default_rng(1).uniform(0, 1, (4000, len(STAGES)))
     found, total = figures(stages), stages.sum(axis=1)
     for name, q in QUANTILES.items():
@@ -33,7 +33,7 @@ def test_quantiles_and_the_stages_around_them() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES.values())
-def test_the_skin_is_touched_in_the_frames_that_are_timed(scene: str) -> None:
+def test_the_skin_is_touched_in_the_frames_that_are_timed(scene):
     name, first, n, _ = getattr(looped, scene).args
     assert name == scene
     frames = scene_frames(scene, 0, first, first + n, n // 8)

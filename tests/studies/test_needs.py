@@ -13,7 +13,7 @@ def compared(scene: str, variant: str, n_steps: int = 420) -> dict[str, Any]:
     return measure({"scene": scene, "variant": variant, "n_steps": n_steps, "seed": 0})
 
 
-def test_a_scene_that_is_not_changed_gives_its_own_frames() -> None:
+def test_a_scene_that_is_not_changed_gives_its_own_frames():
     scene = SCENES["lift_box_40"]()
     ours = Variant(True, scene).frames()
     for (_, expected), frame in zip(open_scene("lift_box_40", 0), ours, strict=True):
@@ -21,7 +21,7 @@ def test_a_scene_that_is_not_changed_gives_its_own_frames() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_each_degree_of_freedom_and_each_term_is_taken_away_or_added(name: str) -> None:
+def test_each_degree_of_freedom_and_each_term_is_taken_away_or_added(name):
     scene = SCENES[name]()
     found = variants(scene)
     assert found["pitch"].carried == ("pitch" in scene.dof)
@@ -37,7 +37,7 @@ def test_each_degree_of_freedom_and_each_term_is_taken_away_or_added(name: str) 
     assert finer.scene.n_steps * finer.scene.dt_ns == scene.n_steps * scene.dt_ns
 
 
-def test_what_a_scene_carries_changes_its_frames_by_more_than_the_noise() -> None:
+def test_what_a_scene_carries_changes_its_frames_by_more_than_the_noise():
     for variant in ("damping of the skin", "moving average"):
         figures = compared("lift_box_40", variant)
         assert figures["carried"]
@@ -45,7 +45,7 @@ def test_what_a_scene_carries_changes_its_frames_by_more_than_the_noise() -> Non
         assert figures["worst_db"] < figures["change_db"]
 
 
-def test_frames_do_not_hang_on_the_time_step() -> None:
+def test_frames_do_not_hang_on_the_time_step():
     for scene in ("lift_box_40", "lift_wrench_40"):
         figures = compared(scene, "steps a tenth as long", n_steps=620)
         assert figures["change_db"] > figures["noise_db"] + 3.0
@@ -62,8 +62,6 @@ def test_frames_do_not_hang_on_the_time_step() -> None:
         (False, 40.0, 0.04, "pitch", "path_40", "left out"),
     ],
 )
-def test_verdicts(
-    carried: bool, change_db: float, above: float, variant: str, scene: str, said: str
-) -> None:
+def test_verdicts(carried, change_db, above, variant, scene, said):
     row = {"carried": carried, "change_db": change_db, "above_noise": above}
     assert verdict({**row, "variant": variant, "scene": scene, "noise_db": 47.0}) == said

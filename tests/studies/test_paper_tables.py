@@ -17,7 +17,7 @@ from sparseskin.studies.paper.numbers import ITERATIONS, PAPER, RATIOS
 from sparseskin.studies.paper.results import FITTED, Results
 
 
-def test_it_stops_where_a_side_gets_odd_and_is_haar_where_none_does() -> None:
+def test_it_stops_where_a_side_gets_odd_and_is_haar_where_none_does():
     for shape, n_left in (((40, 40), 5 * 5), ((40, 64), 5 * 8)):
         even = FewLevelsHaarBasis(*shape).analysis(np.ones(shape, np.float32))
         assert np.count_nonzero(np.abs(even) > 1e-4) == n_left
@@ -27,14 +27,14 @@ def test_it_stops_where_a_side_gets_odd_and_is_haar_where_none_does() -> None:
 
 
 @pytest.mark.parametrize("scene", PAPER)
-def test_the_papers_tables_agree_with_each_other_and_with_the_scenes(scene: str) -> None:
+def test_the_papers_tables_agree_with_each_other_and_with_the_scenes(scene):
     paper, ours = PAPER[scene], SCENES[scene]()
     assert paper.by_ratio[3] == paper.by_iterations[30]
     assert paper.n == ours.shape[0] * ours.shape[1]
     assert paper.steps == ours.n_steps
 
 
-def test_a_peg_of_fourteen_taxels_has_few_coefficients_and_d4_has_more() -> None:
+def test_a_peg_of_fourteen_taxels_has_few_coefficients_and_d4_has_more():
     frames = asdict(SceneFrames("path_40", -5, 20))
     figures = tables.scene_figures({"frames": frames, "seed": 0})
     assert len(figures["contact"]) == 25
@@ -66,7 +66,7 @@ def made_up() -> Results:
     )
 
 
-def test_reasons_state_what_the_text_of_the_page_asks_for() -> None:
+def test_reasons_state_what_the_text_of_the_page_asks_for():
     highest = {
         (side, few, ratio): [51.0, 52.0]
         for side, few in ((40, False), (40, True), (64, True))

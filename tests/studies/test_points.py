@@ -84,7 +84,7 @@ def calls(folder: Path) -> Counter[int]:
 
 
 @pytest.mark.slow
-def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path):
     points = tmp_path / "out" / "squares" / POINTS_FILE
     first = Run(tmp_path, "process:2")
     wait_until(lambda: n_lines(points) == 4, "four points")
@@ -109,7 +109,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_it_without_a_traceback_and_without_workers(tmp_path: Path) -> None:
+def test_ctrl_c_ends_it_without_a_traceback_and_without_workers(tmp_path):
     points = tmp_path / "out" / "squares" / POINTS_FILE
     run = Run(tmp_path, "process:2")
     wait_until(lambda: n_lines(points) == 4, "four points")
@@ -131,7 +131,7 @@ def fail_on_two(point: dict[str, Any]) -> dict[str, Any]:
     return double(point)
 
 
-def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path: Path) -> None:
+def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path):
     points = [{"k": k} for k in (3, 1, 3, 2)]
     fresh = compute(double, points, tmp_path, "thread:3", "doubles")
     assert [figures["double"] for figures in fresh] == [6, 2, 6, 4]
@@ -141,8 +141,8 @@ def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path:
 
 
 def test_points_that_are_known_and_those_of_other_code_are_reported_until_they_are_forgotten(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
     compute(double, [{"k": 1}, {"k": 2}], tmp_path, "serial", "doubles")
     assert "1 of 2 points are known from an earlier run (--anew" in capsys.readouterr().err
@@ -155,7 +155,7 @@ def test_points_that_are_known_and_those_of_other_code_are_reported_until_they_a
     assert "known from an earlier run" not in capsys.readouterr().err
 
 
-def test_a_line_without_its_end_is_cut_off(tmp_path: Path) -> None:
+def test_a_line_without_its_end_is_cut_off(tmp_path):
     compute(double, [{"k": k} for k in range(2)], tmp_path, "serial", "doubles")
     path = tmp_path / POINTS_FILE
     path.write_bytes(path.read_bytes()[:-1])
@@ -163,13 +163,13 @@ def test_a_line_without_its_end_is_cut_off(tmp_path: Path) -> None:
     assert len([json.loads(line) for line in path.read_text().splitlines()]) == 2
 
 
-def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path: Path) -> None:
+def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path):
     with pytest.raises(StudyError, match=r"point k = 2: ValueError: two is not allowed"):
         compute(fail_on_two, [{"k": k} for k in range(3)], tmp_path, "serial", "some")
     assert n_lines(tmp_path / POINTS_FILE) == 2
 
 
-def test_a_second_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
+def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
     def compute_again(point: dict[str, Any]) -> dict[str, Any]:
         with pytest.raises(StudyError, match="another run of a study uses it"):
             compute(double, [{"k": 0}], tmp_path, "serial", "doubles")

@@ -12,7 +12,7 @@ from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
 FRAME = pd.DataFrame({"solver": ["a", "b"], "n": [3, 4], "mean dB": [41.256, None]})
 
 
-def test_a_table_formats_columns_and_leaves_missing_values_empty() -> None:
+def test_a_table_formats_columns_and_leaves_missing_values_empty():
     assert markdown(FRAME, {"mean dB": ".1f"}).splitlines() == [
         "| solver | n | mean dB |",
         "| --- | --- | --- |",
@@ -26,7 +26,7 @@ NOTES = "# Some page\n\nOf {n} points.\n\n## Second\n\nText.\n"
 
 
 @pytest.mark.parametrize("quick", [False, True])
-def test_a_page_is_notes_with_values_tables_and_links(quick: bool, tmp_path: Path) -> None:
+def test_a_page_is_notes_with_values_tables_and_links(quick, tmp_path):
     (tmp_path / "notes.md").write_text(NOTES)
     page = Page(tmp_path, "some", tmp_path / "notes.md", quick)
     page.csv("rows", [{"n": 3, "x": 0.1 + 0.2}, {"n": None, "x": 1e-30}])
@@ -61,13 +61,13 @@ def draw(out: Path) -> str:
     return chart.markdown
 
 
-def test_a_chart_is_saved_as_png_and_svg_and_is_the_same_again(tmp_path: Path) -> None:
+def test_a_chart_is_saved_as_png_and_svg_and_is_the_same_again(tmp_path):
     assert "![Two lines](lines.png)" in draw(tmp_path / "a") == draw(tmp_path / "b")
     for name in ("lines.png", "lines.svg"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_a_folder_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
     out = tmp_path / "no_such"
     with pytest.raises(StudyError, match=r"no_such.*No such file"), Chart(out, "chart", "A chart"):
         pass

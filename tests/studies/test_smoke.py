@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,7 +66,7 @@ LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "tra
 
 
 @pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
+def small(monkeypatch):
     """Make all sizes small, and let studies see few frames around the first contact of a scene."""
     for module, sizes in SIZES:
         for name, value in sizes.items():
@@ -97,7 +96,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def recordings(tmp_path: Path) -> Path:
+def recordings(tmp_path):
     """A folder with a recording of a press that comes and goes, and one of five taxels."""
     folder = tmp_path / "recordings"
     folder.mkdir()
@@ -118,9 +117,7 @@ def recordings(tmp_path: Path) -> Path:
         for name in command.STUDIES
     ],
 )
-def test_a_study_writes_its_page_with_all_tables_and_charts(
-    name: str, tmp_path: Path, recordings: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, recordings, capsys):
     if name == "train":
         pytest.importorskip("torch")
     out, options = tmp_path / "out", []

@@ -13,7 +13,7 @@ from sparseskin.studies.speed_accuracy.experiments import SCENES, WITHIN, parts,
 
 
 @pytest.mark.parametrize("quick", [True, False])
-def test_every_solver_basis_and_phi_is_tried_and_no_point_twice(quick: bool) -> None:
+def test_every_solver_basis_and_phi_is_tried_and_no_point_twice(quick):
     points = [p for of in (solvers, parts) for one in of(quick, 0) for p in one.points()]
     tried = [chosen for point in points for chosen in point["candidates"].values()]
     assert {chosen["settings"]["solver"] for chosen in tried} == set(SUM_SOLVERS)
@@ -24,7 +24,7 @@ def test_every_solver_basis_and_phi_is_tried_and_no_point_twice(quick: bool) -> 
     assert all(len(point["candidates"]) == 1 for point in points)
 
 
-def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest() -> None:
+def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest():
     problem = Bpdn((12, 20), 3, 0, 0.01)
     rng = np.random.default_rng(0)
     theta = rng.standard_normal(problem.n).astype(np.float32)
@@ -40,7 +40,7 @@ def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest() -> None:
 
 
 @pytest.mark.parametrize("peer", PEERS)
-def test_a_library_comes_within_one_percent_of_the_same_minimum(peer: str) -> None:
+def test_a_library_comes_within_one_percent_of_the_same_minimum(peer):
     pytest.importorskip(PEERS[peer].module)
     point = {"scene": "lift_box_40", "seed": 0, "short": True}
     point |= {"peer": peer, "lambda_n": 0.1 / 32, "n_frames": 1}
@@ -50,7 +50,7 @@ def test_a_library_comes_within_one_percent_of_the_same_minimum(peer: str) -> No
     assert figures["mean_db"] > 40
 
 
-def test_the_front_is_of_rows_that_none_beats() -> None:
+def test_the_front_is_of_rows_that_none_beats():
     rows = pd.DataFrame(
         [(3, 47), (1, 40), (2, 39), (1, 38), (2, 45), (4, 47)], columns=["median_ms", "mean_db"]
     )
@@ -58,7 +58,7 @@ def test_the_front_is_of_rows_that_none_beats() -> None:
     assert [*best.itertuples(index=False, name=None)] == [(1, 40), (2, 45), (3, 47)]
 
 
-def test_total_variation_of_sigpy_finds_an_even_box() -> None:
+def test_total_variation_of_sigpy_finds_an_even_box():
     pytest.importorskip("sigpy")
     mask = np.ones((16, 16), np.bool_)
     mask[0] = False

@@ -14,9 +14,7 @@ from sparseskin.studies.stability.sweeps import Sweep, failing
 
 
 @pytest.mark.parametrize("delta", [0.1, 0.3, 0.5, 0.9])
-def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measurements(
-    delta: float,
-) -> None:
+def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measurements(delta):
     # Amelunxen, Lotz, McCoy, Tropp (2014), Proposition 4.5, computed in its own way.
     share = weak_threshold(delta) * delta
 
@@ -29,9 +27,7 @@ def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measur
 
 
 @pytest.mark.parametrize("solver", SUM_SOLVERS)
-def test_every_solver_can_be_put_through_every_kind_of_point(
-    solver: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_solver_can_be_put_through_every_kind_of_point(solver, monkeypatch):
     monkeypatch.setattr(excerpts, "EXCERPTS", excerpts.EXCERPTS[:1])
     point = {"sweep": "bits", "value": 12, "solver": solver, "ratio": 3, "seed": 0}
     assert sweeps.measure(point)["psnr_db"] > 30.0
@@ -40,14 +36,14 @@ def test_every_solver_can_be_put_through_every_kind_of_point(
     assert swept >= {"step", "noise", "block", "bits"}
 
 
-def test_a_solver_that_diverges_is_a_figure_and_no_error() -> None:
+def test_a_solver_that_diverges_is_a_figure_and_no_error():
     point = {"sweep": "step", "value": 2.5, "solver": "fista", "ratio": 3, "seed": 0}
     figures = sweeps.measure(point)
     assert figures["blown_up"] > 0.0
     assert figures["psnr_db"] < 0.0
 
 
-def test_failing_is_said_on_both_sides_of_the_best_value() -> None:
+def test_failing_is_said_on_both_sides_of_the_best_value():
     heights = {1: 40.0, 2: 44.0, 3: 45.0, 4: 43.0, 5: 41.9, 6: 30.0}
     rows = pd.DataFrame(
         {"value": v, "psnr_db": h, "touched_db": 10.0, "noisy_psnr_db": 40.0, "noisy_touched_db": 9}

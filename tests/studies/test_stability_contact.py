@@ -24,9 +24,7 @@ decades = st.floats(-2.0, 1.4).map(lambda exponent: 10.0**exponent)
 
 @pytest.mark.parametrize("method", INTEGRATORS)
 @given(omega_dt=decades, c_dt_over_m=decades, angle=st.floats(0.0, 6.3))
-def test_a_step_does_what_its_amplification_matrix_predicts(
-    method: str, omega_dt: float, c_dt_over_m: float, angle: float
-) -> None:
+def test_a_step_does_what_its_amplification_matrix_predicts(method, omega_dt, c_dt_over_m, angle):
     mass = Mass(omega_dt / DT_S, c_dt_over_m / DT_S, unilateral=False)
     # Near the balance, so that the bed of the scenes' integrator stays loaded.
     scale = 1e-3 * mass.static_depth
@@ -43,8 +41,8 @@ def test_a_step_does_what_its_amplification_matrix_predicts(
 @pytest.mark.parametrize("method", ["explicit Euler", "semi-implicit Euler"])
 @given(omega_dt=decades, c_dt_over_m=decades)
 def test_the_boundary_that_is_drawn_is_where_amplitudes_begin_to_grow(
-    method: str, omega_dt: float, c_dt_over_m: float
-) -> None:
+    method, omega_dt, c_dt_over_m
+):
     margin = stability_margin(method, np.array(omega_dt), np.array(c_dt_over_m))
     assert margin is not None
     assume(abs(float(margin)) > 1e-3)
@@ -53,22 +51,20 @@ def test_the_boundary_that_is_drawn_is_where_amplitudes_begin_to_grow(
 
 @pytest.mark.parametrize("method", ["implicit Euler", "SDIRK2 (the scenes)"])
 @given(omega_dt=decades, c_dt_over_m=decades)
-def test_implicit_methods_are_stable_everywhere(
-    method: str, omega_dt: float, c_dt_over_m: float
-) -> None:
+def test_implicit_methods_are_stable_everywhere(method, omega_dt, c_dt_over_m):
     assert growth(method, omega_dt, c_dt_over_m) < 1.0
     assert stability_margin(method, np.array(1.0), np.array(1.0)) is None
 
 
 @pytest.mark.parametrize("omega_dt", [0.3, 1.5, 6.0])
-def test_on_a_bed_that_only_pushes_implicit_methods_make_no_energy(omega_dt: float) -> None:
+def test_on_a_bed_that_only_pushes_implicit_methods_make_no_energy(omega_dt):
     mass = Mass(omega_dt / DT_S, 0.0, unilateral=True)
     assert rebound("implicit Euler", mass) <= 1.0 + 1e-9
     assert rebound("SDIRK2 (the scenes)", mass) <= 1.0 + 1e-9
     assert rebound("explicit Euler", mass) > 1.5
 
 
-def test_the_box_has_the_frequency_and_damping_of_its_400_taxels() -> None:
+def test_the_box_has_the_frequency_and_damping_of_its_400_taxels():
     scene = SCENES["lift_box_40"]()
     place = place_of_scene(scene)
     omega = math.sqrt(400 * scene.surface.stiffness / scene.body.mass_kg)

@@ -1,7 +1,6 @@
 """Study `train`: its presses, and the network in PyTorch beside the gates in numpy."""
 
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from sparseskin.studies.training import train
 from sparseskin.studies.training.presses import N_FRAMES, SIDE, masks, presses
 
 
-def test_presses_of_a_seed_have_a_peak_of_1_move_and_leave_most_taxels_untouched() -> None:
+def test_presses_of_a_seed_have_a_peak_of_1_move_and_leave_most_taxels_untouched():
     made = presses(200, 0)
     assert made.shape == (200, N_FRAMES, SIDE, SIDE)
     assert made.min() >= 0
@@ -29,15 +28,13 @@ def test_presses_of_a_seed_have_a_peak_of_1_move_and_leave_most_taxels_untouched
     assert 0.1 < np.mean(exist.mean(axis=(1, 2)) < 1) < 0.3
 
 
-def test_without_pytorch_the_study_names_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_pytorch_the_study_names_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setattr(train, "find_spec", lambda name: None)
     with pytest.raises(StudyError, match=r"sparseskin\[train\]"):
         train.run(tmp_path, quick=True, seed=0, executor="")
 
 
-def test_network_and_gates_are_the_same() -> None:
+def test_network_and_gates_are_the_same():
     torch = pytest.importorskip("torch")
     from sparseskin.studies.training.network import denoise_windows, first_network, weights
 

@@ -16,7 +16,7 @@ FORCES = np.arange(12, dtype=np.float32).reshape(3, 4)
 TAXELS = Taxels(stamp_ns=1, patch="skin", forces=FORCES)
 
 
-def test_an_array_is_its_shape_extent_and_first_numbers() -> None:
+def test_an_array_is_its_shape_extent_and_first_numbers():
     assert text(FORCES, full=False) == ("float32, 3 x 4: min 0, mean 5.5, max 11 [0 1 2 3 4 5 ...]")
     assert plain(FORCES, full=False) == {
         "dtype": "float32",
@@ -28,14 +28,14 @@ def test_an_array_is_its_shape_extent_and_first_numbers() -> None:
     }
 
 
-def test_an_array_in_full_has_every_element(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_array_in_full_has_every_element(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     big = np.arange(6400, dtype=np.float32).reshape(80, 80)
     assert len(text(big, full=True).replace("[", " ").replace("]", " ").split()) == 4 + 6400
     assert json.loads(json.dumps(plain(big, full=True)))["data"] == big.tolist()
 
 
-def test_contacts_are_a_line_each_and_an_array_may_be_empty() -> None:
+def test_contacts_are_a_line_each_and_an_array_may_be_empty():
     one, two = np.ones(1, np.float32), np.ones((1, 2), np.float32)
     contacts = Contacts(
         **{"stamp_ns": 1, "patch": "skin", "done_ns": 2, "id": np.array([7], np.int32)},
@@ -45,7 +45,7 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty() -> None:
         events=np.array([[0, 7, 0]], np.int32),
     )
     options = {"n": None, "max_hz": None, "in_json": False, "full": False, "unit": "N"}
-    echo = Echo("/skin/contacts", None, **options)  # type: ignore[arg-type]
+    echo = Echo("/skin/contacts", None, **options)
     lines = echo.text(contacts).split("\n")
     about = "3 ± 0.1 N; peak 1 N; at (4 ± 0.25, 4 ± 0.25) taxels; 9 taxels, 1 s; over"
     assert " ".join(line.strip() for line in lines).endswith(
@@ -72,11 +72,11 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty() -> None:
         (Quantised.of(np.array([250, 255, 260]), 9, 0.5), "float32 of 9 bits, 3: min "),
     ],
 )
-def test_other_values_are_one_line(value: object, shown: str) -> None:
+def test_other_values_are_one_line(value, shown):
     assert text(value, full=False).startswith(shown)
 
 
-def test_a_field_or_one_element_is_found_by_its_path() -> None:
+def test_a_field_or_one_element_is_found_by_its_path():
     assert FieldPath("patch", Taxels).of(TAXELS) == "skin"
     assert FieldPath("forces[2,1]", Taxels).of(TAXELS) == 9
     assert plain(FieldPath("forces[2,1]", Taxels).of(TAXELS), full=False) == 9
@@ -91,6 +91,6 @@ def test_a_field_or_one_element_is_found_by_its_path() -> None:
         ("seq[0]", "is no array"),
     ],
 )
-def test_what_is_no_field_or_element_is_refused(path: str, fault: str) -> None:
+def test_what_is_no_field_or_element_is_refused(path, fault):
     with pytest.raises(SettingsError, match=fault):
         FieldPath(path, Taxels).of(TAXELS)

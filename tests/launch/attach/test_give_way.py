@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,7 +22,7 @@ Begin = Callable[[str], subprocess.Popen[str]]
 
 
 @pytest.fixture
-def begin() -> Iterator[Begin]:
+def begin():
     """Run some lines of Python in a process of their own."""
     processes = []
 
@@ -39,14 +39,11 @@ def begin() -> Iterator[Begin]:
 
 def worker_of(process: subprocess.Popen[str]) -> int:
     """The process that does the work: it printed its number."""
-    assert process.stdout is not None
     return int(process.stdout.readline())
 
 
 @weighs_sessions
-def test_its_work_has_a_session_of_its_own_that_alone_gives_way_and_ends_with_it(
-    begin: Begin,
-) -> None:
+def test_its_work_has_a_session_of_its_own_that_alone_gives_way_and_ends_with_it(begin):
     before = Path("/proc/self/autogroup").read_text()
     process = begin(WAIT)
     worker = worker_of(process)
@@ -58,9 +55,7 @@ def test_its_work_has_a_session_of_its_own_that_alone_gives_way_and_ends_with_it
     wait_until(lambda: not Path(f"/proc/{worker}").exists() or proc.state(worker) == "Z", "its end")
 
 
-def test_where_sessions_are_not_weighed_the_process_itself_gives_way(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_where_sessions_are_not_weighed_the_process_itself_gives_way(monkeypatch, tmp_path):
     nices: list[int] = []
     monkeypatch.setattr("os.nice", nices.append)
     monkeypatch.setattr(module, "AUTOGROUP_ENABLED", tmp_path / "none")
@@ -71,13 +66,13 @@ def test_where_sessions_are_not_weighed_the_process_itself_gives_way(
 
 
 @weighs_sessions
-def test_it_ends_with_the_code_of_a_signal_that_ended_its_work(begin: Begin) -> None:
+def test_it_ends_with_the_code_of_a_signal_that_ended_its_work(begin):
     process = begin(WAIT)
     os.kill(worker_of(process), signal.SIGKILL)
     assert process.wait() == 128 + signal.SIGKILL
 
 
-def test_signals_reach_what_does_the_work(begin: Begin) -> None:
+def test_signals_reach_what_does_the_work(begin):
     process = begin("signal.signal(signal.SIGHUP, lambda *_: sys.exit(7)); " + WAIT)
     both = {process.pid, worker_of(process)}
     process.send_signal(signal.SIGTSTP)

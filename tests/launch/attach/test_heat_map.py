@@ -26,7 +26,7 @@ def pixels(lines: list[str]) -> np.ndarray[tuple[int, ...], np.dtype[np.int_]]:
     return np.array(rows)
 
 
-def test_a_taxel_is_as_large_a_square_as_fits_and_the_brightest_is_the_top() -> None:
+def test_a_taxel_is_as_large_a_square_as_fits_and_the_brightest_is_the_top():
     forces = np.zeros((2, 3), np.float32)
     forces[0, 2], forces[1, 0] = 1.0, 0.5
     shown = pixels(heat_map(forces, 1.0, 12, 5))
@@ -36,7 +36,7 @@ def test_a_taxel_is_as_large_a_square_as_fits_and_the_brightest_is_the_top() -> 
     np.testing.assert_array_equal(shown, np.kron(expected, np.ones((4, 4))))
 
 
-def test_of_more_taxels_than_places_the_largest_is_shown() -> None:
+def test_of_more_taxels_than_places_the_largest_is_shown():
     forces = np.zeros((64, 64), np.float32)
     forces[37, 61] = 1.0
     shown = pixels(heat_map(forces, 1.0, 16, 8))
@@ -51,7 +51,7 @@ def test_of_more_taxels_than_places_the_largest_is_shown() -> None:
     height=st.integers(1, 40),
     coloured=st.booleans(),
 )
-def test_the_map_fits(rows: int, cols: int, width: int, height: int, coloured: bool) -> None:
+def test_the_map_fits(rows, cols, width, height, coloured):
     lines = heat_map(np.ones((rows, cols), np.float32), 1.0, width, height, coloured)
     assert 1 <= len(lines) <= height
     widths = {len(CODE.sub("", line)) for line in lines}
@@ -59,7 +59,7 @@ def test_the_map_fits(rows: int, cols: int, width: int, height: int, coloured: b
     assert 1 <= widths.pop() <= max(width, 1 if coloured else 2)
 
 
-def test_without_colours_letters_stand_for_the_readings() -> None:
+def test_without_colours_letters_stand_for_the_readings():
     forces = np.linspace(0, 1, len(LETTERS), dtype=np.float32)[None]
     (line,) = heat_map(forces, 1.0, 2 * len(LETTERS), 1, coloured=False)
     assert line == "".join(2 * letter for letter in LETTERS)

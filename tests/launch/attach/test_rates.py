@@ -30,7 +30,7 @@ def samples(*arrivals: Arrival) -> Samples:
     return made
 
 
-def test_rates_are_those_of_the_numbers_and_of_the_arrivals() -> None:
+def test_rates_are_those_of_the_numbers_and_of_the_arrivals():
     # 100 Hz sent, two of three messages lost.
     made = samples(*(arrival(3 * k, 30 * k) for k in range(11)))
     figures = figures_of(made.last(1000))
@@ -41,7 +41,7 @@ def test_rates_are_those_of_the_numbers_and_of_the_arrivals() -> None:
     assert text_of(figures) == "100 Hz, 33.33 here | 3.33 kB/s | p50 2.00, p99 2.00 ms old"
 
 
-def test_intervals_are_between_messages_with_none_lost_between() -> None:
+def test_intervals_are_between_messages_with_none_lost_between():
     stamps_ms = {0: 0, 1: 10, 2: 22, 5: 50, 6: 58}
     made = samples(*(arrival(seq, 99 * seq, stamp_ms=ms) for seq, ms in stamps_ms.items()))
     figures = figures_of(made.last(1000))
@@ -51,7 +51,7 @@ def test_intervals_are_between_messages_with_none_lost_between() -> None:
     assert between["std"] == pytest.approx(np.sqrt(8 / 3))
 
 
-def test_rates_are_the_same_however_late_messages_are_read() -> None:
+def test_rates_are_the_same_however_late_messages_are_read():
     # 1 kHz, every 50 ms what has come since, but for half a second in which nothing is taken in.
     at_ms = [50 * (k // 50 + 1) if not 400 <= k < 900 else 900 for k in range(1000)]
     made = samples(*(arrival(k, at_ms[k], stamp_ms=k) for k in range(1000)))
@@ -61,14 +61,14 @@ def test_rates_are_the_same_however_late_messages_are_read() -> None:
         assert figures["bytes_per_s"] == pytest.approx(100_000)
 
 
-def test_bytes_a_second_leave_out_what_came_before_the_first_interval() -> None:
+def test_bytes_a_second_leave_out_what_came_before_the_first_interval():
     made = samples(arrival(0, 0, n=9_992), arrival(1, 500), arrival(2, 1000, n=192))
     figures = figures_of(made.last(1000))
     assert figures["bytes_per_s"] == pytest.approx(300)
     assert figures["size_bytes"]["max"] == 10_000
 
 
-def test_a_delay_is_from_stamp_to_arrival() -> None:
+def test_a_delay_is_from_stamp_to_arrival():
     made = samples(*(arrival(k, 10 * k, stamp_ms=9 * k) for k in range(101)))
     figures = figures_of(made.last(1000))["delay_ms"]
     assert (figures["p50"], figures["p99"], figures["max"]) == pytest.approx((50, 99, 100))
@@ -77,7 +77,7 @@ def test_a_delay_is_from_stamp_to_arrival() -> None:
     assert figures_of(late)["delay_ms"]["max"] == 0
 
 
-def test_where_too_few_came_there_is_no_figure() -> None:
+def test_where_too_few_came_there_is_no_figure():
     assert text_of(figures_of(samples().last(9))) == ""
     assert text_of(figures_of(samples(arrival(0, 1)).last(9))) == "p50 2.00, p99 2.00 ms old"
 
@@ -97,15 +97,13 @@ B = {"run": "b"}
         ([arrival(8, 1), arrival(9, 2), arrival(0, 3), arrival(1, 4)], 0, [0, 1]),
     ],
 )
-def test_gaps_in_the_numbers_of_one_run_are_losses(
-    arrivals: list[Arrival], lost: int, kept: list[int]
-) -> None:
+def test_gaps_in_the_numbers_of_one_run_are_losses(arrivals, lost, kept):
     made = samples(*arrivals)
     assert made.lost == lost
     assert made.last(1000)[:, 2].tolist() == kept
 
 
-def test_a_long_run_is_bounded_and_its_last_messages_are_kept() -> None:
+def test_a_long_run_is_bounded_and_its_last_messages_are_kept():
     made = samples(*(arrival(k, k) for k in range(MAX_KEPT + 10)))
     seqs = made.last(2 * MAX_KEPT)[:, 2]
     assert made.n == MAX_KEPT + 10

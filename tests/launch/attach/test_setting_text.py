@@ -29,7 +29,7 @@ def entry(type_: str, **stated: Any) -> dict[str, Any]:
         (entry("str | None", known=["a", "b"]), "a, b, none"),
     ],
 )
-def test_what_a_setting_may_be_is_said_in_words(described: dict[str, Any], allowed: str) -> None:
+def test_what_a_setting_may_be_is_said_in_words(described, allowed):
     assert allowed_text(described) == allowed
 
 
@@ -45,18 +45,18 @@ def test_what_a_setting_may_be_is_said_in_words(described: dict[str, Any], allow
         ("1\nb = 2", "int", 1),
     ],
 )
-def test_what_is_typed_is_toml_or_a_text(text: str, type_: str, value: object) -> None:
+def test_what_is_typed_is_toml_or_a_text(text, type_, value):
     assert typed_value(text, entry(type_)) == value
     assert type(typed_value(text, entry(type_))) is type(value)
 
 
 @given(st.integers(-(10**12), 10**12) | st.booleans() | st.floats(-1e9, 1e9))
-def test_a_number_that_is_shown_can_be_typed_again(value: float) -> None:
+def test_a_number_that_is_shown_can_be_typed_again(value):
     assert typed_value(shown_value(value), entry(type(value).__name__)) == value
 
 
 @given(st.text(max_size=50))
-def test_any_text_is_shown_on_one_line_and_can_be_typed_again(value: str) -> None:
+def test_any_text_is_shown_on_one_line_and_can_be_typed_again(value):
     shown = shown_value(value)
     assert len(shown.splitlines()) == 1
     if value.isprintable() and '"' not in value and "'" not in value:
@@ -71,19 +71,17 @@ def test_any_text_is_shown_on_one_line_and_can_be_typed_again(value: str) -> Non
         ("fista", "fista", "skin", ""),
     ],
 )
-def test_of_a_setting_that_is_not_stated_it_is_said_what_holds(
-    value: object, in_force: object, preset: str | None, text: str
-) -> None:
+def test_of_a_setting_that_is_not_stated_it_is_said_what_holds(value, in_force, preset, text):
     assert in_force_text({"value": value, "in_force": in_force}, preset) == text
 
 
-def test_a_long_text_is_cut_and_of_one_of_many_lines_their_number_is_shown() -> None:
+def test_a_long_text_is_cut_and_of_one_of_many_lines_their_number_is_shown():
     assert len(shown_value("x" * 5000)) == MAX_SHOWN
     assert shown_value(None) == "none"
     assert shown_value("a\nb\nc\n") == "(3 lines: param get prints them)"
 
 
-def test_columns_are_as_wide_as_what_stands_in_them_and_numbers_flush_right() -> None:
+def test_columns_are_as_wide_as_what_stands_in_them_and_numbers_flush_right():
     rows = [["sensor", 5, "a"], ["compressor", 12345, "bb"]]
     assert table(["NODE", "SENT", "READ BY"], rows) == [
         "NODE         SENT  READ BY",
@@ -92,7 +90,7 @@ def test_columns_are_as_wide_as_what_stands_in_them_and_numbers_flush_right() ->
     ]
 
 
-def test_the_last_column_is_wrapped_under_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_column_is_wrapped_under_itself(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     lines = table(["KEY", "WHAT"], [["key", "many words " * 20]])
     assert all(len(line) <= 80 for line in lines)

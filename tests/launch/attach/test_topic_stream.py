@@ -2,7 +2,6 @@
 
 import time
 import uuid
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -62,7 +61,7 @@ class Publisher:
 
 
 @pytest.fixture
-def publisher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Publisher]:
+def publisher(tmp_path, monkeypatch):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
     made = Publisher()
     with announced(made.graph):
@@ -80,7 +79,7 @@ def take(stream: TopicStream, n: int) -> list[Arrival]:
     return found
 
 
-def test_it_sees_the_messages_as_they_are_sent_and_when(publisher: Publisher) -> None:
+def test_it_sees_the_messages_as_they_are_sent_and_when(publisher):
     with TopicStream(publisher.graph, TOPIC) as stream:
         publisher.wait_for_subscription()
         assert publisher.writer.present == set()  # no writer waits for it
@@ -97,9 +96,7 @@ def test_it_sees_the_messages_as_they_are_sent_and_when(publisher: Publisher) ->
         assert one.n_bytes == size_bytes(decode(one.topic, one.payload))
 
 
-def test_one_that_does_not_read_holds_up_nobody_and_learns_what_it_lost(
-    publisher: Publisher,
-) -> None:
+def test_one_that_does_not_read_holds_up_nobody_and_learns_what_it_lost(publisher):
     n = 6 * QUEUE_FRAMES
     losses = Losses()
     with TopicStream(publisher.graph, TOPIC) as stream:
@@ -118,7 +115,7 @@ def test_one_that_does_not_read_holds_up_nobody_and_learns_what_it_lost(
     assert 0 < losses.n == n + 1 - len(found)
 
 
-def test_a_patient_reader_receives_what_is_queued_at_the_writer(publisher: Publisher) -> None:
+def test_a_patient_reader_receives_what_is_queued_at_the_writer(publisher):
     with TopicStream(publisher.graph, TOPIC, patience_s=0.01) as stream:
         publisher.wait_for_subscription()
         publisher.send(1)
@@ -128,7 +125,7 @@ def test_a_patient_reader_receives_what_is_queued_at_the_writer(publisher: Publi
     assert [one.seq for one in found] == list(range(QUEUE_FRAMES // 2 + 1))
 
 
-def test_invalid_messages_are_counted_and_skipped(publisher: Publisher) -> None:
+def test_invalid_messages_are_counted_and_skipped(publisher):
     with TopicStream(publisher.graph, TOPIC) as stream:
         publisher.wait_for_subscription()
         for payload in (b"", b"nonsense", b"\x81\xa6schema\xa3end"):
@@ -138,9 +135,7 @@ def test_invalid_messages_are_counted_and_skipped(publisher: Publisher) -> None:
         assert stream.unreadable == 3
 
 
-def test_where_keys_are_asked_for_it_has_that_of_the_graph(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_keys_are_asked_for_it_has_that_of_the_graph(tmp_path, monkeypatch):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
     key_file, _ = make_key_files("own", tmp_path)
     guarded = Publisher(key_file)
@@ -154,7 +149,7 @@ def test_where_keys_are_asked_for_it_has_that_of_the_graph(
         TopicStream(guarded.graph, TOPIC)
 
 
-def test_it_ends_with_its_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_ends_with_its_graph(tmp_path, monkeypatch):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
     gone = Publisher()
     with TopicStream(gone.graph, TOPIC) as stream:
@@ -162,9 +157,7 @@ def test_it_ends_with_its_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     gone.context.destroy(linger=0)
 
 
-def test_echo_for_a_person_shows_some_and_counts_the_others(
-    publisher: Publisher, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_echo_for_a_person_shows_some_and_counts_the_others(publisher, monkeypatch, capsys):
     monkeypatch.setattr("sparseskin.launch.commands.topic.give_way", lambda: None)
 
     def publish() -> None:

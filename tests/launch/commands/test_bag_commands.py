@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import PERIOD_NS, Bag, M, frame, frames, make_bag, of_kind, run_bag, skin_state
+from bags import PERIOD_NS, M, frame, frames, make_bag, of_kind, run_bag, skin_state
 
-from sparseskin.messages import Message, Reconstruction, SkinState, Taxels, Truth, decode
+from sparseskin.messages import Message, Reconstruction, Taxels, Truth, decode
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -18,7 +18,7 @@ N_FRAMES = 40
 
 
 @pytest.fixture
-def bag(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bag:
+def bag(monkeypatch, tmp_path):
     """Runs `sparseskin recording ARGUMENTS` in an empty folder."""
     monkeypatch.chdir(tmp_path)
     return run_bag
@@ -40,9 +40,7 @@ def make_half_a_bag(name: str) -> list[bytes]:
 # --- info ------------------------------------------------------------------------------------
 
 
-def test_info_shows_topics_counts_rates_and_metadata_in_80_columns(
-    bag: Bag, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_shows_topics_counts_rates_and_metadata_in_80_columns(bag, capsys):
     long_name = "a" * 24
     make_bag(Path("a.mcap"), [*frames(N_FRAMES), *frames(2, long_name)])
     assert bag("info", "a.mcap") == 0
@@ -56,9 +54,7 @@ def test_info_shows_topics_counts_rates_and_metadata_in_80_columns(
     assert any(line.split() == ["state", "whole"] for line in lines)
 
 
-def test_info_as_json_holds_the_same_whatever_the_age_of_a_state(
-    bag: Bag, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_as_json_holds_the_same_whatever_the_age_of_a_state(bag, capsys):
     state, *streams = frames(N_FRAMES)
     make_bag(Path("a.mcap"), [state, *(message.moved(10**10) for message in streams)])
     assert bag("info", "a.mcap", "--json") == 0
@@ -74,9 +70,7 @@ def test_info_as_json_holds_the_same_whatever_the_age_of_a_state(
 # --- recover ---------------------------------------------------------------------------------
 
 
-def test_recover_makes_a_whole_bag_of_what_survived(
-    bag: Bag, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recover_makes_a_whole_bag_of_what_survived(bag, capsys):
     payloads = make_half_a_bag("b.mcap.part")
     assert bag("recover", "b.mcap.part") == 0
     with BagReader("b.mcap.part") as broken, BagReader("b_recovered.mcap") as saved:
@@ -94,12 +88,11 @@ def test_recover_makes_a_whole_bag_of_what_survived(
 # --- import ----------------------------------------------------------------------------------
 
 
-def test_a_plain_csv_is_imported_with_what_is_stated(bag: Bag) -> None:
+def test_a_plain_csv_is_imported_with_what_is_stated(bag):
     Path("a.csv").write_text("1,2,3,4,5,6\n6,5,4,3,2,1\n")
     stated = ("--n-rows", 2, "--n-cols", 3, "--unit", "N", "--rate-hz", 50)
     assert bag("import", "a.csv", "--out", "a.mcap", *stated) == 0
     state, first, second = decoded(Path("a.mcap"))
-    assert isinstance(state, SkinState)
     assert (state.skin.shape, state.unit, state.rate_hz) == ((2, 3), "N", 50.0)
     assert (first.stamp_ns, second.stamp_ns) == (0, 20_000_000)
 
@@ -115,8 +108,8 @@ def test_a_plain_csv_is_imported_with_what_is_stated(bag: Bag) -> None:
     ],
 )
 def test_an_import_that_is_refused_names_its_options_and_leaves_nothing_behind(
-    bag: Bag, name: str, content: str, options: tuple[object, ...], text: str
-) -> None:
+    bag, name, content, options, text
+):
     Path(name).write_text(content)
     with pytest.raises(SparseskinError, match=text):
         bag("import", name, "--out", "out.mcap", *options)
@@ -126,7 +119,7 @@ def test_an_import_that_is_refused_names_its_options_and_leaves_nothing_behind(
 # --- export ----------------------------------------------------------------------------------
 
 
-def test_an_exported_npz_holds_every_array(bag: Bag) -> None:
+def test_an_exported_npz_holds_every_array(bag):
     messages = frames(N_FRAMES)
     make_bag(Path("a.mcap"), messages)
     assert bag("export", "a.mcap", "--to", "npz") == 0
@@ -139,7 +132,7 @@ def test_an_exported_npz_holds_every_array(bag: Bag) -> None:
         assert list(arrays["measurements_stamp_ns"]) == [k * PERIOD_NS for k in range(N_FRAMES)]
 
 
-def test_only_the_topics_asked_for_are_exported(bag: Bag) -> None:
+def test_only_the_topics_asked_for_are_exported(bag):
     make_bag(Path("a.mcap"), frames(3))
     assert bag("export", "a.mcap", "--to", "csv", "--topics", "/skin/truth") == 0
     assert sorted(path.name for path in Path("a_csv").iterdir()) == ["skin_truth.csv"]
@@ -152,7 +145,7 @@ def test_only_the_topics_asked_for_are_exported(bag: Bag) -> None:
         bag("export", "b.mcap", "--to", "npz")
 
 
-def test_an_export_overwrites_nothing(bag: Bag) -> None:
+def test_an_export_overwrites_nothing(bag):
     make_bag(Path("a.mcap"), frames(1))
     Path("taken").write_bytes(b"precious")
     with pytest.raises(SparseskinError, match="taken: exists already"):
@@ -163,7 +156,7 @@ def test_an_export_overwrites_nothing(bag: Bag) -> None:
     assert sorted(path.name for path in Path().iterdir()) == ["a.mcap", "taken"]
 
 
-def test_frames_of_two_shapes_are_refused_by_npz_and_leave_nothing(bag: Bag) -> None:
+def test_frames_of_two_shapes_are_refused_by_npz_and_leave_nothing(bag):
     small: Any = np.zeros((2, 2), np.float32)
     other = Taxels(stamp_ns=5, patch="skin", forces=small)
     make_bag(Path("a.mcap"), [frame(0)[0], other])
@@ -172,9 +165,7 @@ def test_frames_of_two_shapes_are_refused_by_npz_and_leave_nothing(bag: Bag) -> 
     assert [path.name for path in Path().iterdir()] == ["a.mcap"]
 
 
-def test_a_broken_bag_is_exported_as_far_as_it_goes_and_reports_it(
-    bag: Bag, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_bag_is_exported_as_far_as_it_goes_and_reports_it(bag, capsys):
     make_half_a_bag("b.mcap")
     assert bag("export", "b.mcap", "--to", "npz") == 0
     assert "messages recovered, up to byte" in capsys.readouterr().err

@@ -4,10 +4,8 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from conftest import StartProgram
 
 from sparseskin.launch.commands.cli import main
 
@@ -15,7 +13,7 @@ ENTRY = (sys.executable, "-P", "-m", "sparseskin.launch.commands.entry")
 UNKNOWN_UID = 54321
 
 
-def test_a_graph_runs_while_standard_files_are_closed(start: StartProgram, tmp_path: Path) -> None:
+def test_a_graph_runs_while_standard_files_are_closed(start, tmp_path):
     program = start(
         *("launch", "path_40", "--frames", "3", "--set", "monitor.page=false"),
         *("--summary", "summary.json", "--set", "graph.log_dir=logs"),
@@ -27,7 +25,7 @@ def test_a_graph_runs_while_standard_files_are_closed(start: StartProgram, tmp_p
     assert "ready" in (folder / "launch.log").read_text()
 
 
-def test_a_user_without_name_and_home_gets_no_traceback() -> None:
+def test_a_user_without_name_and_home_gets_no_traceback():
     if os.geteuid() != 0 or shutil.which("setpriv") is None:
         pytest.skip("only root, with setpriv (util-linux), can act as an unknown user")
     become = ("setpriv", f"--reuid={UNKNOWN_UID}", f"--regid={UNKNOWN_UID}", "--clear-groups")
@@ -50,9 +48,7 @@ def test_a_user_without_name_and_home_gets_no_traceback() -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_a_dry_run_names_the_modules_whose_code_it_ran(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_dry_run_names_the_modules_whose_code_it_ran(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "node_of_dry_run.py").write_text(

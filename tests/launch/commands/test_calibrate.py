@@ -2,12 +2,11 @@
 
 import io
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import PATIENCE_S, StartProgram, wait_until
+from conftest import PATIENCE_S, wait_until
 
 from sparseskin.launch.commands import calibrate
 from sparseskin.launch.commands.cli import main
@@ -26,7 +25,7 @@ def counts(force: float, n: int) -> np.ndarray:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """A recording at 100 Hz: 3 s untouched, 2 s at 0.5 N and 2 s at 1 N a taxel."""
     monkeypatch.chdir(tmp_path)
     parts = [counts(0, 300), counts(0.5, 200), counts(1.0, 200)]
@@ -38,16 +37,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def assert_calibrated(path: str) -> None:
     """Newtons within 3 %: of 200 frames, noise of 1 in 50 counts leaves 0.2 %."""
     skin = load_skin(path)
-    assert skin.gains is not None
     slope = 1.0 if skin.response is None else skin.response.slopes[-1]
     np.testing.assert_allclose(skin.gains * slope * GAIN, 1.0, rtol=0.03)
     assert skin.baseline is not None
     np.testing.assert_allclose(skin.baseline, BASELINE, atol=0.5)
 
 
-def test_options_alone_calibrate_a_recording(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_alone_calibrate_a_recording(folder, capsys):
     loads = ("--press", "12N@all:3.2-4.8s", "--press", "24N@all:more.npy")
     done = main(["calibrate", "file:all.npy", "--out", "palm.toml", *loads, "--pitch-mm", "2.5"])
     printed = capsys.readouterr().out
@@ -59,9 +55,7 @@ def test_options_alone_calibrate_a_recording(
     assert "--set sensor.source=file:all.npy --set sensor.skin=palm.toml" in printed
 
 
-def test_a_person_is_asked_and_wrong_answers_are_asked_again(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_person_is_asked_and_wrong_answers_are_asked_again(folder, capsys, monkeypatch):
     answers = ["heavy", "24N", "everywhere", "all", "9-8s", "5.2-6.8s", ""]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     assert main(["calibrate", "file:all.npy", "--out", "palm.toml"]) == 0
@@ -73,9 +67,7 @@ def test_a_person_is_asked_and_wrong_answers_are_asked_again(
 
 
 @pytest.mark.parametrize("answers", ["", "24N\nall\n5.2-6.8s\n"])
-def test_the_end_of_the_input_is_no_answer(
-    folder: Path, answers: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_end_of_the_input_is_no_answer(folder, answers, capsys, monkeypatch):
     before = sorted(folder.iterdir())
     monkeypatch.setattr("sys.stdin", io.StringIO(answers))
     assert main(["calibrate", "file:all.npy", "--out", "palm.toml"]) == 2
@@ -84,9 +76,7 @@ def test_the_end_of_the_input_is_no_answer(
     assert sorted(folder.iterdir()) == before
 
 
-def test_without_presses_readings_keep_their_unit(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_presses_readings_keep_their_unit(folder, capsys):
     options = ("--no-questions", "--f-max", "200", "--keep-noise")
     assert main(["calibrate", "file:all.npy", "--out", "raw.toml", *options]) == 0
     skin = load_skin("raw.toml")
@@ -109,9 +99,7 @@ def frames():
 
 
 @pytest.mark.slow
-def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(
-    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(start, tmp_path, monkeypatch):
     (tmp_path / "live_skin.py").write_text(LIVE_SKIN)
     words = ("--untouched", "0.2s", "--no-questions", "--f-max", "50")
     code, out, err = start("calibrate", "live_skin:frames", "--out", "p.toml", *words).finish()
@@ -150,9 +138,7 @@ def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(
     )
 
 
-def test_a_graph_without_a_calibration_is_not_tared(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_graph_without_a_calibration_is_not_tared(monkeypatch, capsys):
     nodes = [{"name": "sensor", "type": "sensor", "state": {"paused": False}}]
     monkeypatch.setattr(calibrate, "choose_graph", lambda name: SimpleNamespace(label="a (7)"))
     monkeypatch.setattr(calibrate, "describe", lambda graph: {"nodes": nodes})

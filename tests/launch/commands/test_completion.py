@@ -19,7 +19,7 @@ SHELLS = ("bash", "zsh", "fish")
 
 
 @pytest.fixture(autouse=True)
-def no_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def no_graph(tmp_path, monkeypatch):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
     monkeypatch.chdir(tmp_path)
 
@@ -36,7 +36,7 @@ def no_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("launch path_40 --set=mon", ["monitor.page="]),
     ],
 )
-def test_a_line_is_completed(tmp_path: Path, line: str, found: list[str]) -> None:
+def test_a_line_is_completed(tmp_path, line, found):
     for name in ("path.toml", "my skin.mcap", ".hidden"):
         (tmp_path / name).touch()
     (tmp_path / "a folder").mkdir()
@@ -69,30 +69,28 @@ def overrides(launch: str | None, begun: str) -> list[str]:
     ],
 )
 def test_after_set_come_nodes_of_the_launch_file_their_settings_and_values(
-    tmp_path: Path, launch: str | None, begun: str, found: list[str]
-) -> None:
+    tmp_path, launch, begun, found
+):
     own = '[nodes.camera]\ntype = "sensor"\n[nodes.mine]\ntype = "no_module:Node"\n'
     (tmp_path / "own.toml").write_text(own)
     assert overrides(launch, begun) == found
 
 
-def test_a_key_press_imports_no_numpy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_key_press_imports_no_numpy(tmp_path, monkeypatch):
     (tmp_path / "numpy.py").write_text("raise SystemExit('numpy is imported')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     assert words("launch path")
 
 
 @pytest.mark.parametrize("text", ["[nodes", "[nodes]\nsensor = 3", "\udcff"])
-def test_of_a_launch_file_that_cannot_be_read_nothing_is_offered(tmp_path: Path, text: str) -> None:
+def test_of_a_launch_file_that_cannot_be_read_nothing_is_offered(tmp_path, text):
     path = tmp_path / "f.toml"
     path.write_bytes(text.encode(errors="surrogateescape"))
     assert overrides(str(path), "") == []
 
 
 @pytest.fixture
-def shell_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Path:
+def shell_folder(tmp_path, monkeypatch, capsys):
     """A folder with a completion script for each shell, the program itself, and a recording."""
     for shell in SHELLS:
         assert main(["completion", shell]) == 0
@@ -127,7 +125,7 @@ LINES = {
 }
 
 
-def test_bash_itself_completes(shell_folder: Path) -> None:
+def test_bash_itself_completes(shell_folder):
     asked = "".join(
         f"COMP_LINE='sparseskin {line}'; COMP_POINT=${{#COMP_LINE}}\n"
         '_python_argcomplete sparseskin; (IFS=,; echo "${COMPREPLY[*]}")\n'
@@ -139,7 +137,7 @@ def test_bash_itself_completes(shell_folder: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
-def test_fish_itself_completes(shell_folder: Path) -> None:
+def test_fish_itself_completes(shell_folder):
     asked = "".join(f"complete -C 'sparseskin {line}'\n" for line in LINES)
     found = shell("fish", asked, shell_folder)
     assert [word.partition("\t")[0] for word in found] == [
@@ -148,7 +146,7 @@ def test_fish_itself_completes(shell_folder: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
-def test_zsh_takes_the_script_and_completes(shell_folder: Path) -> None:
+def test_zsh_takes_the_script_and_completes(shell_folder):
     # Words go to _describe, which works at a prompt alone: a function of its name prints them.
     stand_in = "compdef() {}\n_describe() { print -l -- ${(P)2} }\n"
     (shell_folder / "c.zsh").write_text(stand_in + (shell_folder / "c.zsh").read_text())

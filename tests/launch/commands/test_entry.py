@@ -4,15 +4,12 @@ import os
 import subprocess
 import sys
 import textwrap
-from pathlib import Path
 
 import pytest
 
 
 @pytest.mark.parametrize("module", ["argparse", "sparseskin.launch.commands.cli"])
-def test_an_interrupt_of_the_imports_ends_with_130_and_no_traceback(
-    module: str, tmp_path: Path
-) -> None:
+def test_an_interrupt_of_the_imports_ends_with_130_and_no_traceback(module, tmp_path):
     # Importing the module interrupts, as Ctrl-C would at that moment.
     (tmp_path / "sitecustomize.py").write_text(
         textwrap.dedent(f"""
@@ -39,7 +36,7 @@ def test_an_interrupt_of_the_imports_ends_with_130_and_no_traceback(
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
-def test_next_to_nothing_is_imported_before_an_interrupt_is_handled() -> None:
+def test_next_to_nothing_is_imported_before_an_interrupt_is_handled():
     code = (
         "import sys; before = set(sys.modules); import sparseskin.launch.commands.entry; "
         "print(*set(sys.modules) - before)"

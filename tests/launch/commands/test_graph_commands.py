@@ -1,7 +1,6 @@
 """The commands `graph list`, `stop` and `help`."""
 
 import json
-from pathlib import Path
 
 import pytest
 from conftest import PATIENCE_S
@@ -15,14 +14,12 @@ NODES = {"sensor": RunningNode("sensor", "ipc://none", ["/skin/skin"])}
 
 
 @pytest.fixture(autouse=True)
-def runtime_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def runtime_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
     monkeypatch.setattr("sparseskin.launch.attach.client.PATIENCE_S", PATIENCE_S)
 
 
-def test_graphs_are_listed_and_which_to_stop_has_to_be_said(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_graphs_are_listed_and_which_to_stop_has_to_be_said(capsys):
     assert main(["graph", "list"]) == 0
     assert capsys.readouterr().out == "no graph runs on this host\n"
     one, other = (RunningGraph("path_40", pid, 0, "", NODES) for pid in (7, 8))
@@ -44,9 +41,7 @@ def test_graphs_are_listed_and_which_to_stop_has_to_be_said(
 
 
 @pytest.mark.parametrize("command", [[], ["recording", "info"]])
-def test_help_describes_a_command_as_its_option_does(
-    command: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_help_describes_a_command_as_its_option_does(command, capsys):
     texts = []
     for line in (["help", *command], [*command, "--help"]):
         with pytest.raises(SystemExit) as ended:
@@ -56,6 +51,6 @@ def test_help_describes_a_command_as_its_option_does(
     assert texts[0] == texts[1]
 
 
-def test_help_completes_commands() -> None:
+def test_help_completes_commands():
     assert sorted(words("help ")) == sorted((*COMMANDS, *plugins()))
     assert words("help st") == ["stop", "study"]

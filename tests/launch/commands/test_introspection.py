@@ -6,12 +6,11 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import pytest
-from conftest import PATIENCE_S, PATIENT_COMMAND, Program, StartProgram, wait_until
+from conftest import PATIENCE_S, PATIENT_COMMAND, Program, wait_until
 from documented import check
 from processes import LOOP, note_of_graph
 from shells import words
@@ -34,7 +33,7 @@ RunJson = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
+def graph(tmp_path_factory):
     """A graph of 40 x 40 taxels without an end that records all messages into run.mcap."""
     words = ("--set", "sensor.rate_hz=25", "--set", "reconstructor.iterations=3")
     folder = tmp_path_factory.mktemp("graph")
@@ -51,7 +50,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
 
 
 @pytest.fixture
-def folder(graph: Program, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(graph, monkeypatch):
     """Where the graph runs; commands of this process find that graph, and no other."""
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(graph.cwd / "graphs"))
     monkeypatch.setenv("COLUMNS", "80")
@@ -62,7 +61,7 @@ def folder(graph: Program, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def run(folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+def run(folder, capsys):
     """Run a command that has to succeed; what it printed."""
 
     def done(*arguments: str) -> str:
@@ -74,7 +73,7 @@ def run(folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 @pytest.fixture
-def refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+def refused(folder, capsys):
     """Run a command that has to be refused in one line; that line."""
 
     def done(*arguments: str) -> str:
@@ -89,7 +88,7 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 @pytest.fixture
-def run_json(run: Run) -> RunJson:
+def run_json(run):
     """Run a command with --json; the document, or one a line, as it is documented."""
 
     def done(*arguments: str, lines: bool = False) -> Any:
@@ -103,9 +102,7 @@ def run_json(run: Run) -> RunJson:
     return done
 
 
-def test_node_list_reports_condition_and_process_of_every_node(
-    graph: Program, run: Run, run_json: RunJson
-) -> None:
+def test_node_list_reports_condition_and_process_of_every_node(graph, run, run_json):
     nodes: list[dict[str, Any]] = []
 
     def all_run() -> bool:
@@ -122,9 +119,7 @@ def test_node_list_reports_condition_and_process_of_every_node(
     assert [line.split()[0] for line in lines] == NODES
 
 
-def test_node_info_reports_topics_counts_settings_and_what_it_costs(
-    run: Run, run_json: RunJson
-) -> None:
+def test_node_info_reports_topics_counts_settings_and_what_it_costs(run, run_json):
     node = run_json("node", "info", "compressor")
     assert [(one["topic"], one["publisher"]) for one in node["inputs"]] == [
         ("/skin/skin", "sensor"),
@@ -142,9 +137,7 @@ def test_node_info_reports_topics_counts_settings_and_what_it_costs(
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_param_list_reports_value_range_meaning_and_what_is_in_force(
-    run: Run, run_json: RunJson
-) -> None:
+def test_param_list_reports_value_range_meaning_and_what_is_in_force(run, run_json):
     nodes = run_json("param", "list")["nodes"]
     assert list(nodes) == NODES
     rate = {entry["key"]: entry for entry in nodes["sensor"]}["rate_hz"]
@@ -159,9 +152,7 @@ def test_param_list_reports_value_range_meaning_and_what_is_in_force(
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(
-    run: Run, folder: Path, run_json: RunJson
-) -> None:
+def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(run, folder, run_json):
     assert run("param", "set", "compressor", "ratio", "5") == "compressor: ratio = 5\n"
     assert run("param", "get", "compressor", "ratio") == "5.0\n"
     assert run_json("param", "get", "compressor", "ratio")["value"] == 5
@@ -177,7 +168,7 @@ def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(
     wait_until(recorded, "the change in the recording")
 
 
-def test_settings_of_one_command_are_changed_all_or_none(run: Run, refused: Run) -> None:
+def test_settings_of_one_command_are_changed_all_or_none(run, refused):
     before = run("param", "get", "sensor", "noise")
     line = refused("param", "set", "sensor", "noise", "0.25", "rate_hz", "-1")
     assert line.startswith("sensor: rate_hz: -1.0 is outside 0")
@@ -204,9 +195,7 @@ class Own(FistaSolver):
 """
 
 
-def test_options_of_the_solver_are_set_one_by_one(
-    start: StartProgram, run: Run, refused: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_options_of_the_solver_are_set_one_by_one(start, run, refused, tmp_path, monkeypatch):
     (tmp_path / "solver_of_user.py").write_text(OWN_SOLVER)
     settings = (
         "reconstructor.solver=solver_of_user:Own",
@@ -248,11 +237,11 @@ def test_options_of_the_solver_are_set_one_by_one(
         ("node list --graph drag", "--graph drag: no such graph runs"),
     ],
 )
-def test_what_is_not_there_is_refused_in_one_line(refused: Run, arguments: str, line: str) -> None:
+def test_what_is_not_there_is_refused_in_one_line(refused, arguments, line):
     assert line in refused(*arguments.split())
 
 
-def test_topic_list_reports_publishers_and_subscribers(run: Run, run_json: RunJson) -> None:
+def test_topic_list_reports_publishers_and_subscribers(run, run_json):
     topics = {topic["topic"]: topic for topic in run_json("topic", "list")["topics"]}
     assert list(topics) == TOPICS
     assert [name for name, one in topics.items() if one["latched"]] == [
@@ -264,9 +253,7 @@ def test_topic_list_reports_publishers_and_subscribers(run: Run, run_json: RunJs
     assert max(map(len, run("topic", "list").splitlines())) <= 80
 
 
-def test_topic_info_reports_fields_and_what_each_subscriber_received(
-    run: Run, run_json: RunJson
-) -> None:
+def test_topic_info_reports_fields_and_what_each_subscriber_received(run, run_json):
     topic = run_json("topic", "info", "skin/taxels")
     assert list(topic["fields"]) == [
         *("stamp_ns", "patch", "run_id", "seq", "names", "missing", "forces")
@@ -276,9 +263,7 @@ def test_topic_info_reports_fields_and_what_each_subscriber_received(
     assert max(map(len, run("topic", "info", "/skin/taxels").splitlines())) <= 80
 
 
-def test_echo_summarises_arrays_and_prints_them_in_full_where_asked(
-    run: Run, run_json: RunJson
-) -> None:
+def test_echo_summarises_arrays_and_prints_them_in_full_where_asked(run, run_json):
     (brief,) = run_json("topic", "echo", "/skin/taxels", "--once", lines=True)
     assert brief["forces"]["shape"] == [40, 40]
     assert brief["forces"]["min"] <= brief["forces"]["mean"] <= brief["forces"]["max"]
@@ -291,16 +276,16 @@ def test_echo_summarises_arrays_and_prints_them_in_full_where_asked(
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_echo_in_json_leaves_no_message_out(run_json: RunJson) -> None:
+def test_echo_in_json_leaves_no_message_out(run_json):
     seqs = run_json("topic", "echo", "/skin/taxels", "-n", "20", "--field", "seq", lines=True)
     assert seqs == list(range(seqs[0], seqs[0] + 20))
 
 
-def test_echo_of_a_latched_topic_shows_its_last_message_at_once(run: Run) -> None:
+def test_echo_of_a_latched_topic_shows_its_last_message_at_once(run):
     assert run("topic", "echo", "/skin/skin", "--once", "--field", "n_rows") == "40\n"
 
 
-def test_hz_reports_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
+def test_hz_reports_what_is_sent_and_what_arrives(run_json):
     last = run_json("topic", "hz", "/skin/taxels", "-n", "20", lines=True)[-1]
     assert last["final"]
     assert (last["messages"], last["over"], last["lost"]) == (20, 20, 0)
@@ -313,9 +298,7 @@ def test_hz_reports_what_is_sent_and_what_arrives(run_json: RunJson) -> None:
     assert 0 < age["min"] <= age["p50"] <= age["p99"] <= age["max"]
 
 
-def test_where_nothing_comes_it_reports_why(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_nothing_comes_it_reports_why(folder, capsys):
     graph = choose_graph(None)
     assert ask_node(graph, "sensor", "pause", True) == Answer(True, "paused")
     try:
@@ -327,11 +310,10 @@ def test_where_nothing_comes_it_reports_why(
         ask_node(graph, "sensor", "pause", False)
 
 
-def test_an_interrupt_ends_with_a_summary(folder: Path) -> None:
+def test_an_interrupt_ends_with_a_summary(folder):
     command = [sys.executable, *PATIENT_COMMAND, "topic", "hz", "/skin/taxels"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        assert process.stdout is not None
         assert " ms old | lost " in process.stdout.readline()
         process.send_signal(signal.SIGTERM)
         out, error = process.communicate(timeout=PATIENCE_S)
@@ -343,7 +325,7 @@ def test_an_interrupt_ends_with_a_summary(folder: Path) -> None:
     assert out.splitlines()[-1].startswith("all ")
 
 
-def test_a_pipe_that_closes_is_no_matter(folder: Path) -> None:
+def test_a_pipe_that_closes_is_no_matter(folder):
     tool = shlex.join([sys.executable, *PATIENT_COMMAND])
     command = f"{tool} topic hz /skin/taxels --json | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
@@ -351,7 +333,7 @@ def test_a_pipe_that_closes_is_no_matter(folder: Path) -> None:
     assert json.loads(done.stdout)["topic"] == "/skin/taxels"
 
 
-def test_a_shell_completes_names_of_the_running_graph(folder: Path) -> None:
+def test_a_shell_completes_names_of_the_running_graph(folder):
     assert words("node info ") == NODES
     assert words("topic hz --window 50 /skin/ta") == ["/skin/taxels"]
     assert words("param set sensor ") == ["rate_hz", "noise", "drift"]
@@ -359,16 +341,14 @@ def test_a_shell_completes_names_of_the_running_graph(folder: Path) -> None:
     assert words("topic hz --graph=pa") == ["path_40"]
 
 
-def test_other_documents_have_the_documented_fields(run_json: RunJson) -> None:
+def test_other_documents_have_the_documented_fields(run_json):
     (found,) = run_json("graph", "list")["graphs"]
     assert (found["name"], found["nodes"]) == ("path_40", NODES)
     assert run_json("param", "set", "compressor", "ratio", "4")["set"] == {"ratio": 4}
     assert run_json("sources")["scenes"]
 
 
-def test_stop_ends_the_graph_as_ctrl_c_does(
-    graph: Program, run: Run, run_json: RunJson, refused: Run, folder: Path
-) -> None:
+def test_stop_ends_the_graph_as_ctrl_c_does(graph, run, run_json, refused, folder):
     label = f"path_40-{graph.process.pid}"
     assert run("stop") == f"{label} has ended: {', '.join(NODES)}\n"
     code, stdout, _ = graph.finish()

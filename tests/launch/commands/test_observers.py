@@ -3,14 +3,10 @@
 from types import SimpleNamespace
 from typing import Any
 
-import pytest
-
 from sparseskin.launch.commands import observers
 
 
-def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(monkeypatch):
     writers = {
         "/body/skin": "sensor",
         "/body/taxels": "sensor",

@@ -2,14 +2,10 @@
 
 from typing import Any
 
-import pytest
-
 from sparseskin.launch.commands.options import print_ends
 
 
-def test_the_end_of_a_run_states_what_was_clipped_restarted_recorded_and_played(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_end_of_a_run_states_what_was_clipped_restarted_recorded_and_played(capsys):
     extremes = {"lowest": -0.5, "highest": 7.25, "f_min": -0.1, "f_max": 2.5, "unit": "N\x1b"}
     counts = {"clipped": 12, "clipped_below": 9, "clipped_above": 3}
     nodes: dict[str, dict[str, Any]] = {

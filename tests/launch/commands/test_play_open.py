@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from bags import frames, make_bag
-from conftest import StartProgram
 
 from sparseskin.launch.commands.play import shown
 from sparseskin.nodes.errors import SettingsError
@@ -32,22 +31,18 @@ TAXELS = {"skin", "taxels", "truth"}
         ([FRAME | STATES, TAXELS], TAXELS, ["compressor", "reconstructor"]),
     ],
 )
-def test_what_was_recorded_is_played_and_the_rest_computed(
-    by_patch: list[set[str]], played: set[str], made: list[str]
-) -> None:
+def test_what_was_recorded_is_played_and_the_rest_computed(by_patch, played, made):
     found = shown(Path("a.mcap"), {f"p{k}": each for k, each in enumerate(by_patch)})
     assert (set(found[0]), found[1]) == (played, made)
 
 
 @pytest.mark.parametrize("has", [set(), {"taxels"}, {"skin", "truth"}, {"skin", "measurements"}])
-def test_too_little_to_show_is_one_line(has: set[str]) -> None:
+def test_too_little_to_show_is_one_line(has):
     with pytest.raises(SettingsError, match="--open: has neither taxels nor measurements"):
         shown(Path("a.mcap"), {"skin": has})
 
 
-def test_the_page_shows_a_recording_of_taxels_again_and_again(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_the_page_shows_a_recording_of_taxels_again_and_again(start, tmp_path):
     messages = [m for m in frames(20) if m.schema in ("skin", "taxels")]
     make_bag(tmp_path / "some.mcap", messages)
     play = start("play", "some.mcap", "--open")

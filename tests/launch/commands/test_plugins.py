@@ -1,8 +1,6 @@
 """Commands of plug-ins: found by their entry points, in this package or another."""
 
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
@@ -11,9 +9,7 @@ from sparseskin.nodes import extensions
 
 
 @pytest.fixture
-def plugged(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, offering: Callable[..., None]
-) -> Iterator[Path]:
+def plugged(monkeypatch, tmp_path, offering):
     """A folder of modules that are plug-ins `greet`, `broken` and, by another name, `launch`."""
     monkeypatch.syspath_prepend(tmp_path)
     greet = "greeting_plugin"
@@ -29,15 +25,13 @@ def plugged(
 
 
 @pytest.mark.usefixtures("plugged")
-def test_a_command_of_another_package_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_of_another_package_runs(capsys):
     assert cli.main(["greet", "--name", "you"]) == 0
     assert capsys.readouterr().out == "hello you\n"
 
 
 @pytest.mark.usefixtures("plugged")
-def test_a_plugin_that_cannot_be_imported_is_named_and_stops_no_other_command(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_plugin_that_cannot_be_imported_is_named_and_stops_no_other_command(capsys):
     assert cli.main(["broken"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("broken: plug-in no_such_plugin: ModuleNotFoundError")
@@ -51,6 +45,6 @@ def test_a_plugin_that_cannot_be_imported_is_named_and_stops_no_other_command(
 
 
 @pytest.mark.usefixtures("plugged")
-def test_a_plugin_does_not_replace_a_command_of_the_core() -> None:
+def test_a_plugin_does_not_replace_a_command_of_the_core():
     assert sorted(cli.plugins()) == ["broken", "greet"]
     assert cli.about("launch") == cli.COMMANDS["launch"][::2]

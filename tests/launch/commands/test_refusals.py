@@ -2,7 +2,6 @@
 
 import os
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,7 +75,7 @@ FAULTS = {
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     make_bag(folder / "some.mcap", frames(12))
     counts = 40 + np.random.default_rng(0).normal(0, 1, (700, 4, 6))
@@ -96,12 +95,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_a_command_is_refused_in_one_line_and_writes_nothing(
-    line: str,
-    fault: str,
-    files: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    line, fault, files, monkeypatch, capsys
+):
     monkeypatch.chdir(files)
     before = sorted(files.iterdir())
     try:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 from bags import record_scene
-from conftest import MountDisk
 from documented import check
 
 from sparseskin.launch.commands.cli import main
@@ -16,7 +15,7 @@ from sparseskin.nodes.tasks.executors import make_executor
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "box.mcap"
     return record_scene(path, "lift_box_40", 320, 40, 4)
 
@@ -28,15 +27,12 @@ def maps(path: Path, kind: type[Reconstruction] | type[Taxels]) -> list[tuple[in
         found = []
         for recorded in bag.messages([f"/skin/{kind.schema}"]):
             message = decode(recorded.topic.encode(), recorded.payload)
-            assert isinstance(message, kind)
             found.append((message.stamp_ns, message.forces.tobytes()))
         return found
 
 
 @pytest.mark.parametrize("start_from", ["auto", "taxels"])
-def test_the_same_settings_give_the_same_bits_and_stamps(
-    recording: Path, tmp_path: Path, start_from: str
-) -> None:
+def test_the_same_settings_give_the_same_bits_and_stamps(recording, tmp_path, start_from):
     out, summary = tmp_path / "out.mcap", tmp_path / "out.json"
     more = ["--from", start_from, "--summary", str(summary)]
     assert main(["reprocess", str(recording), "--out", str(out), *more]) == 0
@@ -46,9 +42,7 @@ def test_the_same_settings_give_the_same_bits_and_stamps(
 
 
 @pytest.mark.parametrize("change", ["reconstructor.iterations=5", "compressor.ratio=4"])
-def test_other_settings_give_another_reconstruction_of_the_same_frames(
-    recording: Path, tmp_path: Path, change: str
-) -> None:
+def test_other_settings_give_another_reconstruction_of_the_same_frames(recording, tmp_path, change):
     out = tmp_path / "out.mcap"
     assert main(["reprocess", str(recording), "--out", str(out), "--set", change]) == 0
     old, new = maps(recording, Reconstruction), maps(out, Reconstruction)
@@ -57,9 +51,7 @@ def test_other_settings_give_another_reconstruction_of_the_same_frames(
     assert maps(out, Taxels) == maps(recording, Taxels)
 
 
-def test_iterations_that_followed_from_a_host_are_those_of_the_recording(
-    recording: Path, tmp_path: Path
-) -> None:
+def test_iterations_that_followed_from_a_host_are_those_of_the_recording(recording, tmp_path):
     """A budget that nothing fits into leaves three iterations on any host."""
     few, again = tmp_path / "few.mcap", tmp_path / "again.mcap"
     budget = ["--set", "reconstructor.budget_ms=0.05"]
@@ -70,7 +62,7 @@ def test_iterations_that_followed_from_a_host_are_those_of_the_recording(
 
 
 @pytest.mark.slow
-def test_in_several_processes_the_bits_are_the_same(recording: Path, tmp_path: Path) -> None:
+def test_in_several_processes_the_bits_are_the_same(recording, tmp_path):
     twin = tmp_path / "twin.mcap"
     twin.write_bytes(recording.read_bytes())
     out = tmp_path / "out"
@@ -81,9 +73,7 @@ def test_in_several_processes_the_bits_are_the_same(recording: Path, tmp_path: P
         assert maps(out / name, Reconstruction) == maps(recording, Reconstruction)
 
 
-def test_of_several_recordings_the_sound_ones_are_finished(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_several_recordings_the_sound_ones_are_finished(recording, tmp_path, capsys):
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"no recording")
     out = tmp_path / "out"
@@ -95,9 +85,7 @@ def test_of_several_recordings_the_sound_ones_are_finished(
     assert [path.name for path in out.iterdir()] == ["box.mcap"]
 
 
-def test_recordings_at_addresses_are_read_and_written(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recordings_at_addresses_are_read_and_written(recording, tmp_path, capsys):
     store = pytest.importorskip("fsspec").filesystem("memory")
     source, out, copy = "memory://in/a.mcap", "memory://out/b.mcap", tmp_path / "copy.mcap"
     store.put_file(str(recording), source)
@@ -114,9 +102,7 @@ def test_recordings_at_addresses_are_read_and_written(
     store.store.clear()
 
 
-def test_a_full_disk_is_one_line_that_names_the_output(
-    recording: Path, mount_disk: MountDisk, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_is_one_line_that_names_the_output(recording, mount_disk, capsys):
     out = mount_disk("80k") / "q.mcap"
     assert main(["reprocess", str(recording), "--out", str(out)]) == 2
     expected = f"{out}: No space left on device; nothing was written\n"
@@ -124,7 +110,7 @@ def test_a_full_disk_is_one_line_that_names_the_output(
     assert list(out.parent.iterdir()) == []
 
 
-def test_executors_by_text(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_executors_by_text(monkeypatch, tmp_path):
     (tmp_path / "my_pool.py").write_text(
         "from concurrent.futures import ThreadPoolExecutor\n"
         "def make(): return ThreadPoolExecutor(1)\n"

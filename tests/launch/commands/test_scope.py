@@ -1,22 +1,15 @@
 """The commands `sources` and `scope`."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes import extensions
 
 
-def test_sources_lists_what_there_is(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    offering: Callable[..., None],
-) -> None:
+def test_sources_lists_what_there_is(tmp_path, monkeypatch, capsys, offering):
     monkeypatch.chdir(tmp_path)
     np.save("step.npy", np.zeros((2, 3, 4)))
     Path("notes.txt").touch()
@@ -32,9 +25,7 @@ def test_sources_lists_what_there_is(
         assert word in text
 
 
-def test_scope_prints_figures_where_the_output_is_no_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_scope_prints_figures_where_the_output_is_no_terminal(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     np.save("step.npy", np.arange(24, dtype=np.float32).reshape(2, 3, 4))
     assert main(["scope", "file:step.npy", "--set", "unit=kPa"]) == 0

@@ -3,7 +3,6 @@
 import contextlib
 import re
 import signal
-from pathlib import Path
 
 from conftest import Program, free_port, note_of_graph, wait_until
 from processes import LOOP
@@ -39,7 +38,7 @@ host = "desk"
 N_BYTES = 50_000
 
 
-def test_every_tool_beside_a_secured_graph_is_served(tmp_path: Path) -> None:
+def test_every_tool_beside_a_secured_graph_is_served(tmp_path):
     for name in ("edge", "desk"):
         make_key_files(name, tmp_path / "keys")
         (tmp_path / name).mkdir()

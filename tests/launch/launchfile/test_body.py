@@ -37,7 +37,7 @@ SOLE = "rows = 6\ncols = 10\nf_max = 5.0\npitch_mm = 8.0\n"
 
 
 @pytest.fixture
-def body(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def body(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sole.toml").write_text(SOLE)
     (tmp_path / "body.toml").write_text(GOOD)
@@ -50,7 +50,7 @@ def lines_of(*overrides: str) -> list[str]:
     return caught.value.lines
 
 
-def test_equal_patches_are_one_batch_of_four_nodes() -> None:
+def test_equal_patches_are_one_batch_of_four_nodes():
     launch = load("body", ["skin.patches=3", "skin.rows=12", "sensor.rate_hz=20"])
     assert list(launch.nodes) == ["sensor", "compressor", "reconstructor", "monitor"]
     sensor = launch.nodes["sensor"].settings
@@ -63,7 +63,7 @@ def test_equal_patches_are_one_batch_of_four_nodes() -> None:
     }
 
 
-def test_patches_of_a_body_file_are_served_in_batches_of_equal_ones(body: Path) -> None:
+def test_patches_of_a_body_file_are_served_in_batches_of_equal_ones(body):
     launch = load("body", ["skin.body=body.toml"])
     patches = {n: s.settings.patches for n, s in launch.nodes.items() if s.type_name != "monitor"}
     assert patches == {
@@ -82,7 +82,7 @@ def test_patches_of_a_body_file_are_served_in_batches_of_equal_ones(body: Path) 
     )
 
 
-def test_frames_of_all_patches_reach_the_monitor(body: Path) -> None:
+def test_frames_of_all_patches_reach_the_monitor(body):
     launch = load("body", ["skin.body=body.toml"])
     bus = Bus({name: (spec.cls, spec.settings) for name, spec in launch.nodes.items()})
     bus.run(12)
@@ -94,7 +94,7 @@ def test_frames_of_all_patches_reach_the_monitor(body: Path) -> None:
     assert patches["forearm"]["n"] == 69
 
 
-def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() -> None:
+def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds():
     def sizes(**table: int) -> list[int]:
         batches = read_skin(table, Path(), lambda place, what: pytest.fail(what))
         return [len(batch.patches) for batch in batches]
@@ -121,9 +121,7 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds() 
         ("[[patches]]", "[patches]", "body.toml: cannot be read"),
     ],
 )  # fmt: skip
-def test_a_fault_of_a_body_file_is_one_line_with_its_place(
-    body: Path, before: str, after: str, line: str
-) -> None:
+def test_a_fault_of_a_body_file_is_one_line_with_its_place(body, before, after, line):
     body.write_text(GOOD.replace(before, after))
     (found,) = lines_of("skin.body=body.toml")
     assert found.startswith("--set skin.body=body.toml: ")
@@ -139,11 +137,11 @@ def test_a_fault_of_a_body_file_is_one_line_with_its_place(
         (["sensor.source=scene:hugs"], "no scene is called 'hugs' (did you mean 'hug'?)"),
     ],
 )
-def test_a_fault_of_the_table_or_of_a_node_is_one_line(overrides: list[str], line: str) -> None:
+def test_a_fault_of_the_table_or_of_a_node_is_one_line(overrides, line):
     (found,) = lines_of(*overrides)
     assert line in found
 
 
-def test_a_fault_of_a_node_that_is_made_for_each_batch_names_its_table(body: Path) -> None:
+def test_a_fault_of_a_node_that_is_made_for_each_batch_names_its_table(body):
     found = lines_of("skin.body=body.toml", "reconstructor.iterations=0")
     assert set(found) == {"--set reconstructor.iterations=0: 0 is outside 1..1000"}

@@ -1,13 +1,11 @@
 """A graph as text."""
 
-import pytest
-
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.graph_text import graph_text
 from sparseskin.launch.launchfile.load import load
 
 
-def test_a_dry_run_shows_the_graph(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dry_run_shows_the_graph(capsys):
     assert main(["launch", "path_40", "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert out.rstrip() == graph_text(load("path_40"))
@@ -15,7 +13,7 @@ def test_a_dry_run_shows_the_graph(capsys: pytest.CaptureFixture[str]) -> None:
     assert line.split() == ["/skin/measurements", "compressor", "reconstructor,", "monitor"]
 
 
-def test_a_graph_states_its_transport_and_how_its_nodes_are_scheduled() -> None:
+def test_a_graph_states_its_transport_and_how_its_nodes_are_scheduled():
     assert "\ntransport ipc\n" in graph_text(load("path_40"))
     changes = ["graph.transport=tcp", "graph.cpus=[1, 0]", "sensor.priority=7"]
     text = " ".join(graph_text(load("path_40", changes)).split())

@@ -44,7 +44,7 @@ NO_KEYS = TWO.replace('[security]\nkeys = "keys"\n', "")
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("edge", "desk"):
         make_key_files(name, tmp_path / "keys")
@@ -61,9 +61,7 @@ def faults(text: str, host: str | None = None) -> list[str]:
     return caught.value.lines
 
 
-def test_each_publishing_node_has_an_endpoint_that_a_recorder_more_on_one_host_does_not_move() -> (
-    None
-):
+def test_each_publishing_node_has_an_endpoint_that_a_recorder_more_on_one_host_does_not_move():
     nodes = load(write(TWO)).nodes
     assert {name: node.public for name, node in nodes.items()} == {
         "sensor": "tcp://192.168.1.10:5700",
@@ -75,7 +73,7 @@ def test_each_publishing_node_has_an_endpoint_that_a_recorder_more_on_one_host_d
     assert all(recorded[name].public == node.public for name, node in nodes.items())
 
 
-def test_a_part_has_its_own_nodes_and_knows_of_the_others() -> None:
+def test_a_part_has_its_own_nodes_and_knows_of_the_others():
     launch = load(write(TWO))
     edge, desk = launch.part("edge"), launch.part("desk")
     assert list(edge.nodes) == ["sensor", "compressor"] == list(desk.elsewhere)
@@ -89,19 +87,15 @@ def test_a_part_has_its_own_nodes_and_knows_of_the_others() -> None:
     }
 
 
-def test_each_host_lets_in_the_others_by_default_and_else_those_on_the_list() -> None:
+def test_each_host_lets_in_the_others_by_default_and_else_those_on_the_list():
     keys = load(write(TWO)).part("edge").credentials
-    assert keys is not None
     assert sorted(keys.allowed.values()) == ["desk", "edge"]
     listed = TWO.replace('keys = "keys"', 'keys = "keys"\nallow = ["edge"]')
     keys = load(write(listed)).part("edge").credentials
-    assert keys is not None
     assert list(keys.allowed.values()) == ["edge"]
 
 
-def test_without_a_host_the_command_names_them_and_starts_nothing(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_without_a_host_the_command_names_them_and_starts_nothing(capsys):
     assert main(["launch", write(TWO)]) == 2
     assert capsys.readouterr().err == "f: several hosts: choose one with --host (edge, desk)\n"
     assert main(["launch", "f.toml", "--host", "egde"]) == 2
@@ -112,9 +106,7 @@ def test_without_a_host_the_command_names_them_and_starts_nothing(
     assert "compressor at tcp://192.168.1.10:5999" in " ".join(capsys.readouterr().out.split())
 
 
-def test_an_address_that_others_reach_is_refused_without_keys(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_address_that_others_reach_is_refused_without_keys(capsys):
     assert main(["launch", write(NO_KEYS), "--host", "edge"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert [line.partition(" can be")[0] for line in lines] == [
@@ -143,14 +135,12 @@ def test_an_address_that_others_reach_is_refused_without_keys(
         ('"keys"', '"keys"\nkey = "edge"', "13: security.key: with several hosts each"),
     ],
 )
-def test_each_fault_has_its_place(old: str, new: str, line: str) -> None:
+def test_each_fault_has_its_place(old, new, line):
     assert TWO.count(old) == 1
     assert faults(TWO.replace(old, new))[0].startswith(f"f.toml:{line}")
 
 
-def test_a_key_that_is_missing_or_open_to_others_starts_nothing(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_key_that_is_missing_or_open_to_others_starts_nothing(capsys):
     Path("keys/edge.key").chmod(0o644)
     assert main(["launch", write(TWO), "--host", "edge"]) == 2
     assert capsys.readouterr().err.startswith("keys/edge.key: mode 0644 lets other users read")
@@ -162,9 +152,8 @@ def test_a_key_that_is_missing_or_open_to_others_starts_nothing(
     assert "keys/edge.pub: No such file" in capsys.readouterr().err
 
 
-def test_a_graph_of_one_host_names_its_key() -> None:
+def test_a_graph_of_one_host_names_its_key():
     one = '[security]\nkeys = "keys"\n[nodes.sensor]\ntype = "sensor"\nsource = "scene:path_40"\n'
     assert faults(one) == ["f.toml:1: security.key: expected the name of this graph's key, a text"]
     launch = load(write(one.replace('"keys"', '"keys"\nkey = "edge"'))).part(None)
-    assert launch.credentials is not None
     assert list(launch.credentials.allowed.values()) == ["edge"]

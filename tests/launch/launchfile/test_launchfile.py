@@ -35,7 +35,7 @@ type = "monitor"
 
 
 @pytest.fixture
-def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def check(tmp_path, monkeypatch):
     """The error lines of a launch file."""
     monkeypatch.chdir(tmp_path)
 
@@ -48,12 +48,12 @@ def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return lines_of
 
 
-def test_every_scene_has_a_launch_file_that_checks() -> None:
+def test_every_scene_has_a_launch_file_that_checks():
     for name in SCENES:
         assert load(name).nodes["sensor"].settings.source == f"scene:{name}"
 
 
-def test_all_faults_are_reported_at_once_each_in_one_line_with_its_place(check) -> None:
+def test_all_faults_are_reported_at_once_each_in_one_line_with_its_place(check):
     text = GOOD + "[nodes.other]\n"
     for old, new in {
         "[graph]": "[grap]",
@@ -82,7 +82,7 @@ RECONSTRUCTOR = "f.toml:11: nodes.reconstructor: "
 
 
 @pytest.fixture
-def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def own_modules(tmp_path, monkeypatch):
     """A driver that must not be imported, and a Phi."""
     (tmp_path / "driver_of_check.py").write_text("def frames(): yield\nraise SystemExit\n")
     phi = "from sparseskin.nodes.compressor.phi.sbhe import SbhePhi\nclass Own(SbhePhi): pass\n"
@@ -116,11 +116,11 @@ def own_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ),
     ],
 )
-def test_faults_between_nodes_are_found_before_any_starts(check, overrides, lines) -> None:
+def test_faults_between_nodes_are_found_before_any_starts(check, overrides, lines):
     assert check(GOOD, *overrides) == [line.format(f"--set {overrides[0]}") for line in lines]
 
 
-def test_all_faults_of_a_node_are_reported_but_none_that_follows_from_another(check) -> None:
+def test_all_faults_of_a_node_are_reported_but_none_that_follows_from_another(check):
     text = GOOD.replace("iterations = 20", 'depth = -1\nlambda_n = 1\npreset = "papr"\nfast = "no"')
     assert check(text, "compressor.ratio=2000", "compressor.block=33", "sensor.noise=-1") == [
         "--set sensor.noise=-1: -1.0 is outside 0.0..100.0",
@@ -146,14 +146,14 @@ WITH_OPTION = GOOD.replace(
 
 
 @pytest.fixture
-def own_solver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def own_solver(tmp_path, monkeypatch):
     """A solver of the user's own, with options, in the folder where launch files are checked."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "solver_of_user.py").write_text(OWN_SOLVER)
 
 
 @pytest.mark.usefixtures("own_solver")
-def test_options_are_those_that_the_solver_has(check) -> None:
+def test_options_are_those_that_the_solver_has(check):
     text = WITH_OPTION.replace("n_rounds = 30", "n_rounds = []")
     options = {"n_round": "3", "lambda_n": "3", "seed": "[3]"}
     stated = [f"reconstructor.options.{key}={value}" for key, value in options.items()]
@@ -172,7 +172,7 @@ def test_options_are_those_that_the_solver_has(check) -> None:
     assert reconstructor.settings.chosen() == chosen
 
 
-def test_a_topic_has_one_writer_and_every_reader_has_one(check) -> None:
+def test_a_topic_has_one_writer_and_every_reader_has_one(check):
     twice = GOOD + '\n[nodes.second]\ntype = "sensor"\n'
     assert check(twice) == ["f.toml: second: writes /skin/skin, which sensor writes too"]
     (line,) = check(GOOD.replace('type = "compressor"', 'type = "compressor"\npatch = "left"'))
@@ -180,9 +180,7 @@ def test_a_topic_has_one_writer_and_every_reader_has_one(check) -> None:
 
 
 @given(st.data())
-def test_a_mutated_launch_file_is_used_or_refused_in_lines(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_a_mutated_launch_file_is_used_or_refused_in_lines(tmp_path_factory, data):
     text = list(GOOD)
     for _ in range(data.draw(st.integers(1, 6))):
         place = data.draw(st.integers(0, len(text) - 1))
@@ -200,8 +198,8 @@ def test_a_mutated_launch_file_is_used_or_refused_in_lines(
 
 
 def test_a_recording_in_a_read_only_folder_is_refused_before_the_start(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    capsys, tmp_path, monkeypatch
+):
     out = tmp_path / "a.mcap"
     monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)  # root may write anywhere
     assert main(["launch", "path_40", "--record", str(out)]) == 2
@@ -215,7 +213,7 @@ def test_a_recording_in_a_read_only_folder_is_refused_before_the_start(
         ("replay_measurements", "--set player.file=PATH.mcap"),
     ],
 )
-def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name: str, hint: str) -> None:
+def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name, hint):
     with pytest.raises(LaunchError) as refused:
         load(name)
     (line,) = refused.value.lines
@@ -231,14 +229,14 @@ def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name: str, h
 
 
 @pytest.mark.parametrize("name", ["launch", "live_recorder_1"])
-def test_names_of_the_launchers_own_are_refused(tmp_path: Path, name: str) -> None:
+def test_names_of_the_launchers_own_are_refused(tmp_path, name):
     path = tmp_path / "g.toml"
     path.write_text(f'[nodes.{name}]\ntype = "sensor"\n')
     with pytest.raises(LaunchError, match=rf"g.toml:1: nodes.{name}: 'launch' and 'live_recorder_"):
         load(str(path))
 
 
-def test_set_states_the_keys_of_the_graph(tmp_path: Path) -> None:
+def test_set_states_the_keys_of_the_graph(tmp_path):
     changes = ["transport=tcp", "insecure=true", "log_dir=logs", "restart=on-failure"]
     changes += ["max_restarts=2", "hang_s=3", "restart_delay_s=1", "description=two words"]
     (tmp_path / "f.toml").write_text(GOOD.partition("\n\n")[2])
@@ -258,11 +256,11 @@ def test_set_states_the_keys_of_the_graph(tmp_path: Path) -> None:
         ("cpus=0", "expected a list of whole numbers, got 0"),
     ],
 )
-def test_a_wrong_set_of_the_graph_is_refused(check, change: str, what: str) -> None:
+def test_a_wrong_set_of_the_graph_is_refused(check, change, what):
     assert check(GOOD, f"graph.{change}") == [f"--set graph.{change}: {what}"]
 
 
-def test_cpus_and_priority_are_of_the_graph_or_of_a_node(tmp_path: Path) -> None:
+def test_cpus_and_priority_are_of_the_graph_or_of_a_node(tmp_path):
     path = tmp_path / "f.toml"
     path.write_text(GOOD)
     changes = ["graph.cpus=[0]", "graph.priority=5", "sensor.priority=0", "monitor.cpus=[1, 0]"]
@@ -274,8 +272,8 @@ def test_cpus_and_priority_are_of_the_graph_or_of_a_node(tmp_path: Path) -> None
 
 
 def test_nodes_that_may_not_be_scheduled_as_stated_are_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     monkeypatch.chdir(tmp_path)
     Path("f.toml").write_text(GOOD)
@@ -289,9 +287,7 @@ def test_nodes_that_may_not_be_scheduled_as_stated_are_refused_in_one_line(
 @pytest.mark.parametrize(
     "source", ['file:whole.npy"\n#"', 'file:plain.csv"\nn_rows = 6\nunit = "N']
 )
-def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
-    check, source: str
-) -> None:
+def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(check, source):
     frames = np.full((2, 6, 8), 0.5, np.float32)
     np.save("whole.npy", frames)
     np.savetxt("plain.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")

@@ -1,7 +1,5 @@
 """Launch files of hostile size and content: a few lines, soon."""
 
-from pathlib import Path
-
 import pytest
 
 from sparseskin.launch.launchfile.check import MAX_ERROR, MAX_ERRORS, MAX_NODES
@@ -23,9 +21,7 @@ from sparseskin.nodes.toml import MAX_CHARS
         ("[nodes.n]\ntype = '\\u001b[2J'".replace("'", '"'), r"\x1b[2J"),
     ],
 )
-def test_a_hostile_file_is_refused_in_lines_that_name_the_place(
-    tmp_path: Path, text: str, line: str
-) -> None:
+def test_a_hostile_file_is_refused_in_lines_that_name_the_place(tmp_path, text, line):
     path = tmp_path / "g.toml"
     path.write_text(text)
     with pytest.raises(LaunchError) as raised:
@@ -35,7 +31,7 @@ def test_a_hostile_file_is_refused_in_lines_that_name_the_place(
     assert len(raised.value.lines) <= MAX_ERRORS + 1
 
 
-def test_of_many_errors_the_first_are_named(tmp_path: Path) -> None:
+def test_of_many_errors_the_first_are_named(tmp_path):
     path = tmp_path / "g.toml"
     path.write_text("".join(f"a{k} = 1\n" for k in range(6000)))
     with pytest.raises(LaunchError) as raised:

@@ -4,7 +4,7 @@ import json
 import selectors
 import socket
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,7 @@ class Line:
         self._selector = selectors.DefaultSelector()
         self.unwatch = self._selector.unregister
         self.taken: list[Mapping[str, Any]] = []
-        self.server = ControlServer(
-            *(self.path, self),  # type: ignore[arg-type]
-            *(self._take, lambda node: {"of": node}),
-        )
+        self.server = ControlServer(*(self.path, self), *(self._take, lambda node: {"of": node}))
         self._clients: list[ControlClient] = []
 
     def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
@@ -72,13 +69,13 @@ class Line:
 
 
 @pytest.fixture
-def line(tmp_path: Path) -> Iterator[Line]:
+def line(tmp_path):
     line = Line(tmp_path / "graph.sock")
     yield line
     line.close()
 
 
-def test_a_request_may_come_in_pieces(line: Line) -> None:
+def test_a_request_may_come_in_pieces(line):
     client = line.client()
     data = json.dumps({"id": "ä"}, ensure_ascii=False).encode() + b"\n"
     for k in range(len(data)):
@@ -87,7 +84,7 @@ def test_a_request_may_come_in_pieces(line: Line) -> None:
     assert line.receive(client) == [{"answer": {"id": "ä"}}]
 
 
-def test_only_watchers_receive_the_state_of_the_graph(line: Line) -> None:
+def test_only_watchers_receive_the_state_of_the_graph(line):
     watcher, other = line.client(), line.client()
     assert not line.server.watched
     watcher.send({"watch": True})
@@ -102,7 +99,7 @@ def test_only_watchers_receive_the_state_of_the_graph(line: Line) -> None:
 
 
 @pytest.mark.parametrize("bad", [b"{", b"[1, 2]", b"", b"\xff\xfe", b"[" * 5000])
-def test_a_line_that_is_no_request_is_refused_and_the_next_is_taken(line: Line, bad: bytes) -> None:
+def test_a_line_that_is_no_request_is_refused_and_the_next_is_taken(line, bad):
     client = line.client()
     client.connection.sendall(bad + b'\n{"id": "2"}\n')
     refused, answered = line.receive(client, 2)
@@ -111,7 +108,7 @@ def test_a_line_that_is_no_request_is_refused_and_the_next_is_taken(line: Line, 
     assert line.taken == [{"id": "2"}]
 
 
-def test_a_line_without_end_is_cut_off(line: Line) -> None:
+def test_a_line_without_end_is_cut_off(line):
     client, other = line.client(), line.client()
     client.connection.sendall(b"x" * (MAX_LINE_BYTES + 1))
     wait_until(lambda: line.is_left(client), "the client to be left")
@@ -119,7 +116,7 @@ def test_a_line_without_end_is_cut_off(line: Line) -> None:
     assert line.receive(other) == [{"answer": {"id": "1"}}]
 
 
-def test_a_watcher_that_does_not_read_holds_up_nobody(line: Line) -> None:
+def test_a_watcher_that_does_not_read_holds_up_nobody(line):
     deaf, good = line.client(), line.client()
     for client in (deaf, good):
         client.send({"watch": True})
@@ -137,7 +134,7 @@ def test_a_watcher_that_does_not_read_holds_up_nobody(line: Line) -> None:
     assert len(found) < n
 
 
-def test_one_client_too_many_is_turned_away_until_another_leaves(line: Line) -> None:
+def test_one_client_too_many_is_turned_away_until_another_leaves(line):
     clients = [line.client() for _ in range(MAX_CLIENTS)]
     for client in clients:
         client.send({"id": "1"})
@@ -151,7 +148,7 @@ def test_one_client_too_many_is_turned_away_until_another_leaves(line: Line) -> 
     assert line.receive(client) == [{"answer": {"id": "1"}}]
 
 
-def test_the_user_alone_may_connect_and_a_client_learns_that_the_graph_is_gone(line: Line) -> None:
+def test_the_user_alone_may_connect_and_a_client_learns_that_the_graph_is_gone(line):
     client = line.client()
     assert stat.S_IMODE(Path(line.path).stat().st_mode) == 0o600
     client.send({"id": "1"})
@@ -162,13 +159,13 @@ def test_the_user_alone_may_connect_and_a_client_learns_that_the_graph_is_gone(l
     assert not Path(line.path).exists()
 
 
-def test_two_graphs_with_one_number_do_not_share_a_socket(line: Line) -> None:
+def test_two_graphs_with_one_number_do_not_share_a_socket(line):
     with pytest.raises(GraphError, match="a graph listens there; SPARSESKIN_RUNTIME_DIR names"):
         Line(Path(line.path))
 
 
 @pytest.mark.parametrize("name", ["none.sock", "file", "left.sock"])
-def test_where_nobody_listens_an_error_is_reported(tmp_path: Path, name: str) -> None:
+def test_where_nobody_listens_an_error_is_reported(tmp_path, name):
     (tmp_path / "file").touch()
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(tmp_path / "left.sock"))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import wait_until
 from fake_node import FakeNode
 
 from sparseskin.launch.launchfile.hosts import Host
@@ -39,7 +39,7 @@ def nodes(*made: FakeNode) -> Any:
     return list(made)
 
 
-def test_each_node_that_is_not_ready_reports_what_it_waits_for() -> None:
+def test_each_node_that_is_not_ready_reports_what_it_waits_for():
     made = nodes(
         FakeNode("sensor", endpoint=""),
         FakeNode("compressor", lacks=["echo", "monitor", "reconstructor"]),
@@ -56,9 +56,7 @@ def test_each_node_that_is_not_ready_reports_what_it_waits_for() -> None:
     ]
 
 
-def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_clock_is_reported() -> (
-    None
-):
+def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_clock_is_reported():
     desk, wall = hosts_state(
         PART,
         nodes(
@@ -73,7 +71,7 @@ def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_cloc
     assert wall["clock_offset_ms"] is None
 
 
-def test_who_has_not_ended_waits_for_those_before_it() -> None:
+def test_who_has_not_ended_waits_for_those_before_it():
     sensor, compressor, monitor = FakeNode("sensor"), FakeNode("compressor"), FakeNode("monitor")
     assert late_at_end(nodes(sensor, compressor, monitor), LINKS) == [
         "sensor (has not ended its stream)",
@@ -87,7 +85,7 @@ def test_who_has_not_ended_waits_for_those_before_it() -> None:
     ]
 
 
-def test_what_is_late_is_logged_after_a_while_and_again_now_and_then() -> None:
+def test_what_is_late_is_logged_after_a_while_and_again_now_and_then():
     now_s, logged, late = [100.0], list[str](), ["a"]
     log = LateLog(lambda: list(late), logged.append, now_s=lambda: now_s[0])
     for step_s, changed, n in (
@@ -121,16 +119,14 @@ WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin r
         ({}, {}, ""),
     ],
 )
-def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(
-    stated: dict[str, Any], fields: dict[str, Any], line: str
-) -> None:
+def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(stated, fields, line):
     spec = SimpleNamespace(settings=PlayerSettings(**stated))
     (node,) = nodes(FakeNode("player", spec, ready=True, **fields))
     assert waits_for(node, PART) == line
 
 
 @pytest.mark.slow
-def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start: StartProgram) -> None:
+def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start):
     program = start("launch", "path_40", "--set", "monitor.page=false", limits=True)
     program.wait_for("[launch] ready")
     os.kill(program.pid_of("compressor"), signal.SIGSTOP)

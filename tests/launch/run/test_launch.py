@@ -4,11 +4,10 @@ import json
 import os
 import signal
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import StartProgram, wait_until
+from conftest import wait_until
 
 from sparseskin.launch.launchfile.load import BUNDLED, load
 from sparseskin.messages import Reconstruction
@@ -70,7 +69,7 @@ class Held(FistaSolver):
 """
 
 
-def test_not_one_frame_is_lost_from_the_first_on(start: StartProgram, tmp_path: Path) -> None:
+def test_not_one_frame_is_lost_from_the_first_on(start, tmp_path):
     # As fast as the sensor can: whatever is not joined at the start would be lost. More than a
     # queue holds: only a sensor that waits for its readers loses nothing.
     program = start(
@@ -106,8 +105,8 @@ def test_not_one_frame_is_lost_from_the_first_on(start: StartProgram, tmp_path: 
 
 @pytest.mark.parametrize("transport", ["ipc", slow("tcp")])
 def test_over_any_transport_and_in_one_process_the_forces_are_the_same_bits(
-    start: StartProgram, tmp_path: Path, transport: str
-) -> None:
+    start, tmp_path, transport
+):
     (tmp_path / "tap.py").write_text(TAP)
     bundled = BUNDLED / "lift_wrench_40.toml"
     text = bundled.read_text().replace("[graph]", f'[graph]\ntransport = "{transport}"')
@@ -133,9 +132,7 @@ def test_over_any_transport_and_in_one_process_the_forces_are_the_same_bits(
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGHUP, 129)])
-def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(
-    start: StartProgram, tmp_path: Path, number: signal.Signals, code: int
-) -> None:
+def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(start, tmp_path, number, code):
     program = start("launch", "path_40", "--summary", "out.json", *SLOWLY)
     program.wait_for("[launch] ready")
     os.kill(program.process.pid, number)
@@ -148,14 +145,14 @@ def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(
     assert program.survivors() == {}
 
 
-def test_a_launcher_that_is_killed_as_it_starts_leaves_nothing(start: StartProgram) -> None:
+def test_a_launcher_that_is_killed_as_it_starts_leaves_nothing(start):
     program = start("launch", "path_40", *SLOWLY)
     wait_until(lambda: len(program.survivors()) > 1, "the first node")
     program.process.kill()
     wait_until(lambda: not program.survivors(), "the nodes to notice")
 
 
-def test_a_node_that_is_killed_is_named_and_the_others_are_ended(start: StartProgram) -> None:
+def test_a_node_that_is_killed_is_named_and_the_others_are_ended(start):
     program = start("launch", "path_40", *SLOWLY)
     program.wait_for("[launch] ready")
     os.kill(program.pid_of("sensor"), signal.SIGTERM)
@@ -166,9 +163,7 @@ def test_a_node_that_is_killed_is_named_and_the_others_are_ended(start: StartPro
     assert program.survivors() == {}
 
 
-def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(start, tmp_path):
     (tmp_path / "stuck.py").write_text(
         "import numpy as np, sys, time\n"
         "def frames():\n"
@@ -182,9 +177,7 @@ def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(
     wait_until(lambda: not program.survivors(), "the nodes to notice")
 
 
-def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(start, tmp_path):
     # The first frame is solved when all have been sent: twice what the queues hold.
     (tmp_path / "fast.py").write_text(FAST)
     program = start(
@@ -204,9 +197,7 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(
     assert frames["lost"] == missed[1] + missed[2]  # at the compressor and the reconstructor
 
 
-def test_readings_outside_the_range_are_clipped_but_not_silently(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_readings_outside_the_range_are_clipped_but_not_silently(start, tmp_path):
     (tmp_path / "upside.py").write_text(
         "import numpy as np\n"
         "def frames():\n"
@@ -234,9 +225,7 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(
     assert stdout.splitlines()[-1] == f"sensor: readings clipped to the range: {line}"
 
 
-def test_a_run_in_which_a_node_raised_errors_is_no_success(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_a_run_in_which_a_node_raised_errors_is_no_success(start, tmp_path):
     fails = "    def step(self, message):\n        raise ValueError('\\x1b[2Jno\\x07')\n"
     (tmp_path / "mine.py").write_text(TAP.partition("    def step")[0] + fails)
     number = len((tmp_path / "mine.py").read_text().splitlines())
@@ -269,9 +258,7 @@ def test_a_run_in_which_a_node_raised_errors_is_no_success(
     assert all(line.isprintable() for line in log.read_text().split("\n"))
 
 
-def test_modules_beside_a_launch_file_are_found_and_hide_no_installed_ones(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_modules_beside_a_launch_file_are_found_and_hide_no_installed_ones(start, tmp_path):
     folder = tmp_path / "project"
     folder.mkdir()
     (folder / "tap_beside.py").write_text(TAP.replace("reconstruction", "taxels"))

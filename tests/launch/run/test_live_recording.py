@@ -1,7 +1,6 @@
 """A recording begun and ended while the graph runs: what is on, and what each request is told."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -31,7 +30,7 @@ class Desk:
     def __init__(self) -> None:
         self.fleet = FakeFleet()
         self.launch = load("path_40", ["compressor.ratio=4"])
-        self.recording = LiveRecording(self.launch, self.fleet)  # type: ignore[arg-type]
+        self.recording = LiveRecording(self.launch, self.fleet)
         self.said: list[tuple[bool, str]] = []
 
     def take(self, step: str, node: Any = None) -> None:
@@ -47,12 +46,12 @@ class Desk:
 
 
 @pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Desk:
+def desk(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return Desk()
 
 
-def test_a_recorder_of_all_topics_joins_the_graph(desk: Desk) -> None:
+def test_a_recorder_of_all_topics_joins_the_graph(desk):
     desk.take("on")
     ((spec, topics),) = desk.fleet.started
     assert (spec.name, spec.type_name) == ("live_recorder_1", "recorder")
@@ -81,9 +80,7 @@ BEGUN, DONE = "recording to OUT", "OUT: 321 messages recorded"
         ("on on", [], [BUSY]),
     ],
 )
-def test_each_request_is_answered_once_and_what_is_on_is_known(
-    desk: Desk, steps: str, done: list[str], refused: list[str]
-) -> None:
+def test_each_request_is_answered_once_and_what_is_on_is_known(desk, steps, done, refused):
     out = ""
     for step in steps.split():
         desk.take(step)
@@ -100,7 +97,7 @@ def test_each_request_is_answered_once_and_what_is_on_is_known(
     )
 
 
-def test_why_a_recorder_failed_at_the_start_is_in_the_answer(desk: Desk) -> None:
+def test_why_a_recorder_failed_at_the_start_is_in_the_answer(desk):
     desk.take("on")
     out, node = desk.recording.out, desk.fleet.nodes["live_recorder_1"]
     node.refusal = "failed: no space left"
@@ -108,7 +105,7 @@ def test_why_a_recorder_failed_at_the_start_is_in_the_answer(desk: Desk) -> None
     assert desk.said == [(False, f"{out}: failed: no space left")]
 
 
-def test_a_recording_that_went_wrong_is_no_success(desk: Desk) -> None:
+def test_a_recording_that_went_wrong_is_no_success(desk):
     for step in ("on", "ready", "off"):
         desk.take(step)
     (node,) = desk.fleet.nodes.values()
@@ -118,15 +115,13 @@ def test_a_recording_that_went_wrong_is_no_success(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize(("name", "value"), [("record", 1), ("recrd", True)])
-def test_any_other_request_is_refused(desk: Desk, name: str, value: object) -> None:
+def test_any_other_request_is_refused(desk, name, value):
     with pytest.raises(RefusedError, match=f"launch: {name}: expected the command 'record', true"):
         desk.recording.command(name, value, lambda *said: None)
     assert desk.fleet.started == []
 
 
-def test_a_file_that_is_there_already_is_not_written_over(
-    desk: Desk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_there_already_is_not_written_over(desk, tmp_path, monkeypatch):
     monkeypatch.setattr("time.strftime", lambda form: "now")
     name = f"{desk.recording._launch.name}-now.mcap"
     (tmp_path / name).write_text("precious")

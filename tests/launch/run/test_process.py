@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import PATIENCE_S, StartProgram, note_of_graph, wait_until
+from conftest import PATIENCE_S, note_of_graph, wait_until
 
 from sparseskin.launch.attach.client import Answer, ask_node
 from sparseskin.launch.run.process import (
@@ -30,14 +30,14 @@ def frames():
 """
 
 
-def test_lines_are_put_together_from_chunks() -> None:
+def test_lines_are_put_together_from_chunks():
     log = LogLines()
     assert log.take(b"one\ntw", 0.0) == ["one"]
     assert log.take(b"o\n\nthr", 0.1) == ["two"]
     assert log.take(b"", 0.2, at_end=True) == ["thr"]
 
 
-def test_a_flood_is_cut_and_what_was_cut_is_counted() -> None:
+def test_a_flood_is_cut_and_what_was_cut_is_counted():
     log = LogLines()
     found = [line for _ in range(100) for line in log.take(b"abcde\n" * 1000, 5.0)]
     n_kept = LOG_BYTES // 105 + 1
@@ -48,22 +48,20 @@ def test_a_flood_is_cut_and_what_was_cut_is_counted() -> None:
     assert log.take(b"", 7.0) == []
 
 
-def test_a_flood_that_ends_with_the_node_is_counted_at_its_end() -> None:
+def test_a_flood_that_ends_with_the_node_is_counted_at_its_end():
     log = LogLines()
     log.take(b"a\n" * 2000, 0.0)
     assert log.take(b"the end", 0.1, at_end=True)[1:] == ["the end"]
 
 
-def test_a_line_without_an_end_takes_no_memory_without_end() -> None:
+def test_a_line_without_an_end_takes_no_memory_without_end():
     log = LogLines()
     for _ in range(1000):
         log.take(b"x" * CHUNK_BYTES, 0.0)
         assert len(log._rest) <= MAX_LINE_BYTES
 
 
-def test_a_launcher_hears_signals_while_a_node_floods_its_log(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_a_launcher_hears_signals_while_a_node_floods_its_log(start, tmp_path):
     (tmp_path / "flooding.py").write_text(FLOODING)
     program = start(
         *("launch", "replay", "--set", "sensor.source=flooding:frames"),
@@ -78,7 +76,7 @@ def test_a_launcher_hears_signals_while_a_node_floods_its_log(
     wait_until(lambda: not program.survivors(), "the end of all processes")
 
 
-def test_the_clock_stands_still_while_the_launcher_does() -> None:
+def test_the_clock_stands_still_while_the_launcher_does():
     now_s = [100.0]
     clock = AwakeClock(lambda: now_s[0])
     began_s = clock()
@@ -88,8 +86,8 @@ def test_the_clock_stands_still_while_the_launcher_does() -> None:
 
 
 def test_live_recordings_leave_no_descriptor_open_and_a_killed_one_is_not_on(
-    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    start, tmp_path, monkeypatch
+):
     settings = ("--set", "sensor.rate_hz=20", "--set", "monitor.page=false")
     program = start("launch", "path_40", *settings)  # for ten minutes
     program.wait_for("[launch] ready")

@@ -20,7 +20,7 @@ class Desk:
         self.answers: list[dict[str, Any]] = []
         self.own: list[tuple[str, Any]] = []
         self.now_s = 100.0
-        self.requests = Requests(self.nodes, self._own)  # type: ignore[arg-type]
+        self.requests = Requests(self.nodes, self._own)
         monkeypatch.setattr(controls, "awake_s", lambda: self.now_s)
 
     def _own(self, command: str, value: Any, say: Any) -> None:
@@ -49,11 +49,11 @@ class Desk:
 
 
 @pytest.fixture
-def desk(monkeypatch: pytest.MonkeyPatch) -> Desk:
+def desk(monkeypatch):
     return Desk(monkeypatch)
 
 
-def test_two_askers_with_one_number_get_their_own_answers(desk: Desk) -> None:
+def test_two_askers_with_one_number_get_their_own_answers(desk):
     heard: dict[str, list[Any]] = {"a": [], "b": []}
     for asker, value in (("a", True), ("b", False)):
         request = {"id": "1", "node": "sensor", "command": "pause", "value": value}
@@ -76,26 +76,24 @@ def test_two_askers_with_one_number_get_their_own_answers(desk: Desk) -> None:
         (3, "pause", None, "expected the texts id, node and command"),
     ],
 )
-def test_what_cannot_be_done_is_refused_at_once_and_reports_why(
-    desk: Desk, node: Any, command: Any, value: Any, text: str
-) -> None:
+def test_what_cannot_be_done_is_refused_at_once_and_reports_why(desk, node, command, value, text):
     assert desk.refusal(node, command, value).startswith(text)
 
 
 @pytest.mark.parametrize("state", [{"ready": False}, {"ended": True}, {"code": -9}])
-def test_a_node_that_does_not_run_is_not_asked(desk: Desk, state: dict[str, Any]) -> None:
+def test_a_node_that_does_not_run_is_not_asked(desk, state):
     for name, value in state.items():
         setattr(desk.nodes["sensor"], name, value)
     assert desk.refusal("sensor", "pause") == "sensor does not run just now"
 
 
-def test_the_launcher_answers_for_itself(desk: Desk) -> None:
+def test_the_launcher_answers_for_itself(desk):
     desk.ask("launch", "record", True)
     assert desk.own == [("record", True)]
     assert desk.answers == [{"id": "7", "node": "launch", "done": True, "text": "recording"}]
 
 
-def test_a_node_that_does_not_answer_is_answered_for(desk: Desk) -> None:
+def test_a_node_that_does_not_answer_is_answered_for(desk):
     desk.ask("sensor", "pause")
     desk.now_s += 0.99 * PATIENCE_S
     desk.requests.expire()
@@ -109,7 +107,7 @@ def test_a_node_that_does_not_answer_is_answered_for(desk: Desk) -> None:
     assert len(desk.answers) == 1
 
 
-def test_a_node_that_has_gone_is_answered_for_at_once(desk: Desk) -> None:
+def test_a_node_that_has_gone_is_answered_for_at_once(desk):
     desk.ask("sensor", "pause")
     desk.ask("compressor", "set", {"ratio": 2.0}, number="8")
     desk.nodes["sensor"].code = -9
@@ -119,7 +117,7 @@ def test_a_node_that_has_gone_is_answered_for_at_once(desk: Desk) -> None:
     assert desk.answers[1]["done"]
 
 
-def test_a_flood_of_requests_is_refused_until_some_are_answered(desk: Desk) -> None:
+def test_a_flood_of_requests_is_refused_until_some_are_answered(desk):
     for _ in range(MAX_OPEN):
         desk.ask("sensor", "pause")
     assert desk.answers == []
@@ -131,7 +129,7 @@ def test_a_flood_of_requests_is_refused_until_some_are_answered(desk: Desk) -> N
     assert desk.answers == []
 
 
-def test_what_is_sent_back_is_short_however_long_the_request_was(desk: Desk) -> None:
+def test_what_is_sent_back_is_short_however_long_the_request_was(desk):
     long = "x" * 10_000
     desk.ask(long, long, number=long)
     (answer,) = desk.answers

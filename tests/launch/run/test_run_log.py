@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import MountDisk, StartProgram
 from other_user import give
 
 from sparseskin.launch.launchfile.load import LaunchError
@@ -23,7 +22,7 @@ from sparseskin.nodes.files import user_folder
 NOW_S = 1_700_000_000.125
 
 
-def test_each_node_has_a_file_and_each_line_its_time(tmp_path: Path) -> None:
+def test_each_node_has_a_file_and_each_line_its_time(tmp_path):
     log = RunLog(tmp_path / "logs", "drag", NOW_S)
     for line in ("[sensor] hot", "[my.node-2] a [b] c", "no name", "[sensor] cold", "[x/y] odd"):
         log.write(line, NOW_S)
@@ -37,9 +36,7 @@ def test_each_node_has_a_file_and_each_line_its_time(tmp_path: Path) -> None:
     assert time_text(NOW_S).endswith(".125")
 
 
-def test_what_a_node_prints_cannot_act_on_terminal_or_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_node_prints_cannot_act_on_terminal_or_log(tmp_path, capsys):
     log = RunLog(tmp_path / "logs", "drag", NOW_S)
     terminal = Terminal(log, lambda: NOW_S)
     foreign = "\x1b]0;title\x07 \r \x9b2J \u202ehidden\u2028"
@@ -54,9 +51,7 @@ def test_what_a_node_prints_cannot_act_on_terminal_or_log(
     assert sum(r"\x1b]0;title\x07" in line for line in lines) == 4
 
 
-def test_a_status_is_drawn_where_its_text_changes_and_leaves_out_what_does_not_fit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_status_is_drawn_where_its_text_changes_and_leaves_out_what_does_not_fit(monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr(screen, "isatty", lambda: True)
     monkeypatch.setattr(sys, "stderr", screen)
@@ -67,9 +62,7 @@ def test_a_status_is_drawn_where_its_text_changes_and_leaves_out_what_does_not_f
     assert screen.getvalue().split("\r\x1b[J") == ["one | two", "first part | second", "x" * 19]
 
 
-def test_a_full_file_makes_room_and_one_before_it_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_file_makes_room_and_one_before_it_is_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(run_log, "MAX_FILE_BYTES", 1000)
     log = RunLog(tmp_path, "drag", NOW_S)
     for k in range(500):
@@ -93,9 +86,7 @@ def put_run(parent: Path, k: int, *files: str, mark: str | None = "") -> Path:
     return run
 
 
-def test_only_the_newest_runs_are_kept_and_nothing_else_is_touched(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_newest_runs_are_kept_and_nothing_else_is_touched(tmp_path, monkeypatch):
     monkeypatch.setattr(run_log, "MAX_RUNS", 2)
     *old, newest = (put_run(tmp_path, k, "sensor.log", "sensor.log.1") for k in range(3))
     put_run(tmp_path, 3, "sensor.log", mark=None)
@@ -109,9 +100,7 @@ def test_only_the_newest_runs_are_kept_and_nothing_else_is_touched(
     assert {path: sorted(path.iterdir()) for path in before} == before
 
 
-def test_runs_of_another_user_in_a_shared_folder_stay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_of_another_user_in_a_shared_folder_stay(tmp_path, monkeypatch):
     monkeypatch.setattr(run_log, "MAX_RUNS", 1)
     run = put_run(tmp_path, 0, "sensor.log")
     give(run)
@@ -122,7 +111,7 @@ def test_runs_of_another_user_in_a_shared_folder_stay(
     assert not run_log._is_run(log.folder)
 
 
-def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_path: Path) -> None:
+def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_path):
     log = RunLog(tmp_path / "logs", "drag", NOW_S)
     kept = tmp_path / "kept"
     log.folder.rename(kept)
@@ -137,8 +126,8 @@ def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_pa
 
 
 def test_a_link_in_the_place_of_a_run_is_not_followed_as_old_runs_are_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(run_log, "MAX_RUNS", 1)
     (tmp_path / "logs").mkdir()
     run = put_run(tmp_path / "logs", 0)
@@ -157,9 +146,7 @@ def test_a_link_in_the_place_of_a_run_is_not_followed_as_old_runs_are_removed(
     assert (tmp_path / "sensor.log").read_text() == "mine\n"
 
 
-def test_a_folder_that_cannot_be_made_or_that_another_has_put_there_is_refused(
-    tmp_path: Path,
-) -> None:
+def test_a_folder_that_cannot_be_made_or_that_another_has_put_there_is_refused(tmp_path):
     folder = RunLog(tmp_path, "drag", NOW_S).folder
     assert folder.stat().st_mode & 0o077 == 0
     with pytest.raises(LaunchError, match="File exists"):
@@ -169,9 +156,7 @@ def test_a_folder_that_cannot_be_made_or_that_another_has_put_there_is_refused(
         RunLog(tmp_path / "file", "drag", NOW_S)
 
 
-def test_a_full_disk_keeps_neither_table_nor_summary_back(
-    start: StartProgram, mount_disk: MountDisk, tmp_path: Path
-) -> None:
+def test_a_full_disk_keeps_neither_table_nor_summary_back(start, mount_disk, tmp_path):
     disk = mount_disk("64k")
     (tmp_path / "wordy.py").write_text(
         "import time\nimport numpy as np\ndef frames():\n"
@@ -199,9 +184,7 @@ def test_a_full_disk_keeps_neither_table_nor_summary_back(
     assert json.loads((tmp_path / "summary.json").read_text())["patches"]
 
 
-def test_folders_are_the_users_own_and_without_a_home_directory_the_remedy_is_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_folders_are_the_users_own_and_without_a_home_directory_the_remedy_is_named(monkeypatch):
     def unknown(*_: object) -> None:
         raise KeyError("uid not found")
 
@@ -216,7 +199,7 @@ def test_folders_are_the_users_own_and_without_a_home_directory_the_remedy_is_na
         user_folder("state")
 
 
-def test_a_run_that_fails_reports_where_its_logs_are(start: StartProgram, tmp_path: Path) -> None:
+def test_a_run_that_fails_reports_where_its_logs_are(start, tmp_path):
     (tmp_path / "broken.py").write_text(
         "import numpy as np\ndef frames():\n    for k in range(9): yield k, np.zeros((8, 8))\n"
         "    print('a word')\n    1 / 0\n"

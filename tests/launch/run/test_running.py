@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from processes import announced
@@ -23,7 +22,7 @@ from sparseskin.launch.run.running import (
 
 
 @pytest.fixture(autouse=True)
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def own_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
 
 
@@ -32,7 +31,7 @@ def graph(name: str = "path_40", pid: int = 7) -> RunningGraph:
     return RunningGraph(name, pid, 123, "[nodes]", nodes)
 
 
-def test_a_graph_is_found_while_it_runs() -> None:
+def test_a_graph_is_found_while_it_runs():
     assert running_graphs() == []
     with announced(graph()):
         assert running_graphs() == [graph()]
@@ -43,7 +42,7 @@ def test_a_graph_is_found_while_it_runs() -> None:
 
 
 @pytest.mark.parametrize("written", [0, 1])
-def test_a_launcher_that_is_killed_as_it_writes_its_note_leaves_nothing(written: int) -> None:
+def test_a_launcher_that_is_killed_as_it_writes_its_note_leaves_nothing(written):
     code = (
         "import os, pathlib, socket, sys\n"
         "from sparseskin.launch.run.running import RunningGraph, page_path, write_note\n"
@@ -63,7 +62,7 @@ def test_a_launcher_that_is_killed_as_it_writes_its_note_leaves_nothing(written:
     assert list(runtime_folder().iterdir()) == []
 
 
-def test_which_of_several_graphs_has_to_be_said() -> None:
+def test_which_of_several_graphs_has_to_be_said():
     with pytest.raises(GraphError, match="no graph runs"):
         choose_graph(None)
     with announced(graph()), announced(graph(pid=8)), announced(graph("lift", 9)):
@@ -75,18 +74,14 @@ def test_which_of_several_graphs_has_to_be_said() -> None:
             choose_graph("lft")
 
 
-def test_a_graph_that_ends_as_it_is_joined_is_said_to_have_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_graph_that_ends_as_it_is_joined_is_said_to_have_ended(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sparseskin.launch.commands.observers.choose_graph", lambda *_: graph())
     assert main(["record", "--out", "a.mcap"]) == 2
     assert capsys.readouterr().err == "path_40-7: has just ended\n"
 
 
-def test_a_graph_that_is_starting_is_waited_for(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_graph_that_is_starting_is_waited_for(monkeypatch, capsys):
     starting = replace(graph(), nodes={})
     with announced(starting):
         assert running_graphs() == []
@@ -100,7 +95,7 @@ def test_a_graph_that_is_starting_is_waited_for(
         assert running_graphs(starting=True) == [graph()]
 
 
-def test_a_start_that_takes_too_long_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_start_that_takes_too_long_is_named(monkeypatch):
     monkeypatch.setattr(running, "PATIENCE_S", 0.0)
     with announced(replace(graph(), nodes={})):
         with pytest.raises(GraphError, match="path_40-7: is still starting after 0 s"):

@@ -6,15 +6,14 @@ import os
 import socket
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from conftest import Program, StartProgram, note_of_graph, wait_until
-from other_user import NOBODY, Run, become_nobody, give
+from conftest import Program, note_of_graph, wait_until
+from other_user import NOBODY, become_nobody, give
 from processes import announced
 
 from sparseskin.launch.commands.cli import main
@@ -37,7 +36,7 @@ LAUNCH = ("launch", "drag_wrench_40", "--set", "monitor.page=false", "--frames",
 
 
 @pytest.fixture
-def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(monkeypatch):
     """A runtime folder, not yet made, in a folder that every user may enter."""
     with tempfile.TemporaryDirectory(prefix="ss-") as name:
         os.chmod(name, 0o755)
@@ -47,7 +46,7 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.fixture
-def as_nobody() -> Run:
+def as_nobody():
     """Run Python code as another user of the host."""
     return become_nobody()
 
@@ -78,12 +77,8 @@ def give_away(path: Path) -> None:
     ids=["link", "file", "mode", "owner"],
 )
 def test_a_folder_that_others_can_change_is_refused_before_any_node_starts(
-    folder: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    prepare: Callable[[Path], None],
-    fault: str,
-) -> None:
+    folder, capsys, monkeypatch, prepare, fault
+):
     prepare(folder)
 
     def no_process(*_: Any, **__: Any) -> None:
@@ -97,7 +92,7 @@ def test_a_folder_that_others_can_change_is_refused_before_any_node_starts(
         assert line.endswith("SPARSESKIN_RUNTIME_DIR names another")
 
 
-def test_a_node_binds_in_no_folder_that_others_can_enter(folder: Path) -> None:
+def test_a_node_binds_in_no_folder_that_others_can_enter(folder):
     open_to_all(folder)
     context = make_context()
     config = {"name": "sensor", "endpoint": f"ipc://{folder}/1.0.sock"}
@@ -107,15 +102,13 @@ def test_a_node_binds_in_no_folder_that_others_can_enter(folder: Path) -> None:
     assert not list(folder.iterdir())
 
 
-def test_a_folder_whose_path_is_too_long_for_a_socket_is_refused(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_whose_path_is_too_long_for_a_socket_is_refused(folder, monkeypatch, capsys):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder / ("x" * 100)))
     assert main(LAUNCH) == 2
     assert "too long for the path of a socket" in capsys.readouterr().err
 
 
-def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody: Run) -> None:
+def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody):
     with tempfile.TemporaryDirectory(prefix="ss-") as name, contextlib.ExitStack() as stack:
         os.chmod(name, 0o755)  # unlike folders of tests, every user may enter it
         words = (*LONG, "--set", "graph.log_dir=logs", "--record", "run.mcap")
@@ -158,9 +151,7 @@ def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody: Run) -> None
             assert as_nobody(ask) == str(status)
 
 
-def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
-    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(start, tmp_path, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setenv("BROWSER", "true")  # the program, which shows no page
     program = start(*LONG, "--open")
@@ -184,7 +175,7 @@ def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
     wait_until(removed, "the end of all nodes")
 
 
-def test_what_others_wrote_stays(folder: Path) -> None:
+def test_what_others_wrote_stays(folder):
     runtime_folder()
     old = asdict(GRAPH)
     texts = {
@@ -216,7 +207,7 @@ def test_what_others_wrote_stays(folder: Path) -> None:
     assert all((folder / name).read_text() == text for name, text in texts.items())
 
 
-def test_what_a_node_made_after_the_note_was_removed_is_removed_too(folder: Path) -> None:
+def test_what_a_node_made_after_the_note_was_removed_is_removed_too(folder):
     runtime_folder()
     gone = subprocess.Popen(["true"])
     gone.wait()
@@ -237,9 +228,7 @@ def test_what_a_node_made_after_the_note_was_removed_is_removed_too(folder: Path
     assert {path.name for path in folder.iterdir()} == others
 
 
-def test_a_graph_counts_as_running_while_no_file_can_be_opened(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_graph_counts_as_running_while_no_file_can_be_opened(folder, monkeypatch):
     def full(*_: Any, **__: Any) -> int:
         raise OSError(24, "Too many open files")
 
@@ -248,9 +237,7 @@ def test_a_graph_counts_as_running_while_no_file_can_be_opened(
         assert is_running(GRAPH)
 
 
-def test_an_environment_of_another_user_is_not_used(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_environment_of_another_user_is_not_used(folder, monkeypatch):
     folder.mkdir()
     give_away(folder / "theirs")
     monkeypatch.delenv("SPARSESKIN_RUNTIME_DIR")

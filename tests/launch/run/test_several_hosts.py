@@ -60,9 +60,7 @@ def summary(folder: Path, host: str) -> dict[str, dict[str, dict[str, dict[str, 
     return found
 
 
-def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_end(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_end(start, tmp_path):
     write(tmp_path)
     edge = part(start, "edge", "--frames", "300")
     line = edge.wait_for("[launch] sensor waits for a subscription from ")
@@ -82,9 +80,7 @@ def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_e
 
 
 @pytest.mark.slow
-def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(start, tmp_path):
     write(tmp_path, rate_hz=100)
     edge = part(start, "edge")
     desk = part(start, "desk")
@@ -107,9 +103,7 @@ def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(
     edge.finish()
 
 
-def test_a_host_that_is_not_on_the_list_gets_nothing_and_is_named(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_a_host_that_is_not_on_the_list_gets_nothing_and_is_named(start, tmp_path):
     write(tmp_path, allow='allow = ["edge"]')
     edge = part(start, "edge")
     desk = part(start, "desk")

@@ -8,7 +8,7 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -75,7 +75,7 @@ page = false
 
 
 @pytest.fixture
-def hosts(tmp_path: Path) -> Iterator[TwoHosts]:
+def hosts(tmp_path):
     with two_hosts() as made:
         for name in ADDRESSES:
             make_key_files(name, tmp_path / "keys")
@@ -105,8 +105,8 @@ def finish(folder: Path, edge: Program, desk: Program) -> tuple[dict[str, int], 
 
 @pytest.mark.slow
 def test_after_a_cut_the_stream_is_back_and_what_was_lost_is_counted(
-    hosts: TwoHosts, start: StartProgram, tmp_path: Path, record_property: Record
-) -> None:
+    hosts, start, tmp_path, record_property
+):
     edge, desk = part(start, hosts, "edge"), part(start, hosts, "desk")
     desk.wait_for("[echo] connected: sensor on edge")
     desk.wait_for("[echo] takes frames")
@@ -126,9 +126,7 @@ def test_after_a_cut_the_stream_is_back_and_what_was_lost_is_counted(
 
 
 @pytest.mark.slow
-def test_patches_are_reconstructed_where_they_are_and_watched_at_one_place(
-    hosts: TwoHosts, start: StartProgram, tmp_path: Path
-) -> None:
+def test_patches_are_reconstructed_where_they_are_and_watched_at_one_place(hosts, start, tmp_path):
     (tmp_path / "body.toml").write_text(BODY)
     (tmp_path / "robot.toml").write_text(BODY_GRAPH)
     for program in [part(start, hosts, host, "robot.toml") for host in ADDRESSES]:

@@ -23,9 +23,7 @@ from sparseskin.nodes.sensor.node import Sensor
         ("sbhe", 533, 32, 4, "bits = 4: the steps of the quantiser lose"),
     ],
 )
-def test_settings_that_reconstruct_badly_are_warned_of_in_a_line(
-    kind: str, m: int, block: int, bits: int | None, message: str
-) -> None:
+def test_settings_that_reconstruct_badly_are_warned_of_in_a_line(kind, m, block, bits, message):
     warnings = compression_warnings(kind, 1600, m, block, bits)
     assert len(warnings) == bool(message)
     for warning in warnings:
@@ -45,12 +43,12 @@ def running(**compressor: Any) -> Bus:
     return bus
 
 
-def test_a_compressor_logs_a_warning_once_when_the_skin_is_known() -> None:
+def test_a_compressor_logs_a_warning_once_when_the_skin_is_known():
     (line,) = running(ratio=40).lines
     assert line.startswith("[compressor] m = 40 of n = 1600 taxels")
 
 
-def test_a_compressor_logs_a_warning_when_few_bits_are_set_while_it_runs() -> None:
+def test_a_compressor_logs_a_warning_when_few_bits_are_set_while_it_runs():
     bus = running()
     assert bus.lines == []
     compressor = bus.hosts["compressor"].node

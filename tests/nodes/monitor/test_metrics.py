@@ -78,11 +78,11 @@ def metrics_of(*messages: Message) -> PatchMetrics:
 @pytest.mark.parametrize(
     ("error", "db"), [(2.5, 0.0), (0.25, 20.0), (0.025, 40.0), (0.0, 100.0), (1e-9, 100.0)]
 )
-def test_psnr_is_the_range_over_the_root_mean_square_error(error: float, db: float) -> None:
+def test_psnr_is_the_range_over_the_root_mean_square_error(error, db):
     assert psnr_db(np.full(SHAPE, error, np.float32), 2.5) == pytest.approx(db, abs=1e-4)
 
 
-def test_a_taxel_whose_reading_is_missing_is_not_compared() -> None:
+def test_a_taxel_whose_reading_is_missing_is_not_compared():
     messages = frame(0, 1.0, 1.0, 1.0)
     forces = np.ones(SHAPE, np.float32)
     forces[1, 2] = 2.0
@@ -92,11 +92,10 @@ def test_a_taxel_whose_reading_is_missing_is_not_compared() -> None:
 
 
 @pytest.mark.parametrize("unknown", ["/skin/taxels", "/skin/reconstruction"])
-def test_while_a_clock_is_unknown_latency_alone_is_unknown(unknown: str) -> None:
+def test_while_a_clock_is_unknown_latency_alone_is_unknown(unknown):
     metrics = PatchMetrics(clock_of=lambda topic: None if topic == unknown else SAME_CLOCK)
     metrics.add(skin())
     *_, complete = [metrics.add(message) for message in frame(0, 1.0, 1.025, 1.0025)]
-    assert complete is not None
     assert np.isnan(complete.latency_ms)
     assert np.isfinite([complete.solve_ms, complete.psnr_noisy_db, complete.psnr_db]).all()
     summary = metrics.summary()
@@ -104,7 +103,7 @@ def test_while_a_clock_is_unknown_latency_alone_is_unknown(unknown: str) -> None
     assert summary["solve_ms"]["p50"] == pytest.approx(2.0, rel=0.003)
 
 
-def test_noise_and_reconstruction_are_compared_with_the_truth() -> None:
+def test_noise_and_reconstruction_are_compared_with_the_truth():
     summary = metrics_of(
         skin(), *frame(0, 1.0, 1.025, 1.0025), *frame(1, 0.0, 0.25, 0.025)
     ).summary()
@@ -117,7 +116,7 @@ def test_noise_and_reconstruction_are_compared_with_the_truth() -> None:
     assert summary["relative_error"]["mean"] == pytest.approx(0.0025, abs=1e-6)
 
 
-def test_without_a_truth_the_taxels_are_the_reference() -> None:
+def test_without_a_truth_the_taxels_are_the_reference():
     summary = metrics_of(skin(has_truth=False), *frame(0, None, 1.0, 1.025)).summary()
     assert summary["reference"] == "taxels"
     assert summary["psnr_db"]["noisy"] == {"all": None, "contact": None}
@@ -125,7 +124,7 @@ def test_without_a_truth_the_taxels_are_the_reference() -> None:
 
 
 @pytest.mark.parametrize("answer_first", [False, True])
-def test_without_taxels_frames_are_counted_by_their_measurements(answer_first: bool) -> None:
+def test_without_taxels_frames_are_counted_by_their_measurements(answer_first):
     metrics = metrics_of(dataclasses.replace(skin(has_truth=False), has_taxels=False))
     for k, seq in enumerate((0, 2, 3)):  # a frame that is not reconstructed, and two that are
         if seq == 2:
@@ -149,11 +148,11 @@ def test_without_taxels_frames_are_counted_by_their_measurements(answer_first: b
     assert "taxels" not in table
 
 
-def test_masked_cells_do_not_count() -> None:
+def test_masked_cells_do_not_count():
     mask = np.ones(SHAPE, np.bool_)
     mask[0] = False
     taxels, *others = frame(0, 1.0, 1.0, 1.025)
-    wrong = taxels.forces.copy()  # type: ignore[attr-defined]
+    wrong = taxels.forces.copy()
     wrong[0, 0, 0] = 2.0
     taxels = dataclasses.replace(taxels, forces=wrong)
     summary = metrics_of(skin(mask=mask), taxels, *others).summary()
@@ -161,13 +160,13 @@ def test_masked_cells_do_not_count() -> None:
     assert summary["bytes_in"] == size_bytes(taxels) - 4 * SHAPE[1]
 
 
-def test_the_order_in_which_topics_arrive_does_not_matter() -> None:
+def test_the_order_in_which_topics_arrive_does_not_matter():
     messages = [*frame(0, 1.0, 1.1, 1.2), *frame(1, 1.0, 1.1, 1.3)]
     forward, backward = (metrics_of(skin(), *order) for order in (messages, reversed(messages)))
     assert forward.summary() == backward.summary()
 
 
-def test_lost_frames_are_those_sensed_but_not_reconstructed() -> None:
+def test_lost_frames_are_those_sensed_but_not_reconstructed():
     messages = [skin()]
     for seq in range(10):
         messages += frame(seq, 1.0, 1.0, 1.0)[:-1] if seq == 9 else frame(seq, 1.0, 1.0, 1.0)
@@ -179,7 +178,7 @@ def test_lost_frames_are_those_sensed_but_not_reconstructed() -> None:
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_frames_that_were_skipped_on_purpose_are_not_lost(late: bool) -> None:
+def test_frames_that_were_skipped_on_purpose_are_not_lost(late):
     metrics = PatchMetrics(since_ns=0 if late else None)
     metrics.add(skin(has_truth=False))
     n_restored = 0
@@ -197,7 +196,7 @@ def test_frames_that_were_skipped_on_purpose_are_not_lost(late: bool) -> None:
     assert (metrics.skipped, metrics.lost) == (3, 3 if late else 4)  # frame 9 is under way
 
 
-def test_frames_that_are_never_reconstructed_do_not_accumulate() -> None:
+def test_frames_that_are_never_reconstructed_do_not_accumulate():
     metrics = metrics_of(skin())
     for seq in range(3 * MAX_PENDING):
         for message in frame(seq, 1.0, 1.0, None):
@@ -205,7 +204,7 @@ def test_frames_that_are_never_reconstructed_do_not_accumulate() -> None:
     assert metrics.summary()["frames"]["unpaired"] == 3 * MAX_PENDING
 
 
-def test_the_table_states_of_how_many_frames_its_figures_are() -> None:
+def test_the_table_states_of_how_many_frames_its_figures_are():
     frames = [message for seq in range(3) for message in frame(seq, 1.0, 1.0, 1.0)]
     stated = "reconstructed 3, lost 0"
     whole = summary_table({"skin": metrics_of(skin(), PHI, SOLVER, *frames).summary()})
@@ -216,7 +215,7 @@ def test_the_table_states_of_how_many_frames_its_figures_are() -> None:
     assert f"{stated};\n            figures of 2 (the others came too late)\n" in part
 
 
-def test_times_and_bytes_and_names() -> None:
+def test_times_and_bytes_and_names():
     messages = frame(0, 1.0, 1.0, 1.0)
     summary = metrics_of(skin(), PHI, SOLVER, *messages).summary()
     assert summary["latency_ms"]["p50"] == pytest.approx(3.0, rel=0.003)
@@ -229,14 +228,14 @@ def test_times_and_bytes_and_names() -> None:
     assert (summary["basis"], summary["solver"]) == ("haar", "fista")
 
 
-def test_a_graph_that_saw_nothing_has_a_line_in_place_of_a_table() -> None:
+def test_a_graph_that_saw_nothing_has_a_line_in_place_of_a_table():
     table = summary_table({"skin": PatchMetrics().summary()})
     assert table == "skin: ended before the first frame"
     table = summary_table({"skin": metrics_of(skin(), PHI).summary()})
     assert table == "skin: a scene: ended before the first frame"
 
 
-def test_settings_that_change_during_the_run_are_listed() -> None:
+def test_settings_that_change_during_the_run_are_listed():
     phi = dataclasses.replace(PHI, m=5)
     preset = dataclasses.replace(SOLVER, solver="skin", basis="", preset="skin", iterations=4)
     metrics = metrics_of(skin(), phi, PHI, SOLVER, *frame(0, 1.0, 1.0, 1.0), phi)
@@ -265,7 +264,7 @@ def test_settings_that_change_during_the_run_are_listed() -> None:
     assert max(map(len, table.splitlines())) <= 80
 
 
-def test_the_status_line_counts_what_is_missing_so_far() -> None:
+def test_the_status_line_counts_what_is_missing_so_far():
     messages = frame(3, 1.0, 1.0, 1.0)
     messages[-1] = dataclasses.replace(messages[-1], seq=1)
     line = status_line({"skin": metrics_of(skin(), *messages)}, 200.0)
@@ -282,7 +281,7 @@ def test_the_status_line_counts_what_is_missing_so_far() -> None:
     )
 
 
-def test_a_status_line_of_80_columns_has_the_contacts() -> None:
+def test_a_status_line_of_80_columns_has_the_contacts():
     metrics = metrics_of(skin(), *estimated(123456, 1.0, trusted=True), contacts(2))
     assert "| 2 contacts, 5 N |" in status_line({"forearm": metrics}, 1000.0)[:79]
     many = {f"p{k:03}": metrics for k in range(9)}
@@ -295,7 +294,7 @@ def estimated(seq: int, force: float, trusted: bool, error: float | None = 0.1) 
     return [*others, dataclasses.replace(last, error=error, trusted=trusted)]
 
 
-def test_frames_that_the_solver_does_not_trust_are_counted() -> None:
+def test_frames_that_the_solver_does_not_trust_are_counted():
     metrics = metrics_of(skin(), *frame(0, 1.0, 1.0, 1.0))
     assert metrics.summary()["trust"] == {"all": None, "contact": None}
     assert "trusted" not in status_line({"skin": metrics}, 200.0)
@@ -326,9 +325,7 @@ def test_frames_that_the_solver_does_not_trust_are_counted() -> None:
 
 
 @pytest.mark.parametrize(("stated", "clipped"), [(True, True), (False, True), (False, False)])
-def test_untouched_frames_of_a_noisy_recording_are_not_in_contact(
-    stated: bool, clipped: bool
-) -> None:
+def test_untouched_frames_of_a_noisy_recording_are_not_in_contact(stated, clipped):
     (n, n_pressed), sigma, force, k_pressed = (32 * 32, 40), 0.05, 1.0, range(40, 60)
     metrics = metrics_of(skin(n_rows=32, n_cols=32, has_truth=False, sigma_end=sigma * stated))
     rng = np.random.default_rng(0)
@@ -355,7 +352,7 @@ def resultant(k: int) -> Resultant:
     )
 
 
-def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares() -> None:
+def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares():
     metrics = PatchMetrics(since_ns=0)
     metrics.add(resultant(0).published("0" * 16, 0))  # of a frame whose taxels it has not received
     metrics.add(skin(has_truth=False))
@@ -370,7 +367,7 @@ def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares() -
     assert found["lost"] == metrics.lost_so_far == found["unpaired"] == 0
 
 
-def test_a_monitor_reads_resultants_where_they_are_written() -> None:
+def test_a_monitor_reads_resultants_where_they_are_written():
     settings = Monitor.Settings()
     for told in (False, True):
         nodes: NodeSpecs = {
@@ -384,7 +381,7 @@ def test_a_monitor_reads_resultants_where_they_are_written() -> None:
         assert set(Monitor.inputs(settings)) <= read
 
 
-def test_a_monitor_watches_several_patches_apart() -> None:
+def test_a_monitor_watches_several_patches_apart():
     settings = Monitor.Settings(patches=("left", "right"))
     monitor = Monitor(settings, Context("monitor", ManualClock()))
     assert "/left/measurements" in Monitor.inputs(settings)
@@ -403,8 +400,8 @@ def test_a_monitor_watches_several_patches_apart() -> None:
     [((-5000, 2), (0, 0), 2), ((5, 2), (-1, 1), 3)],
 )
 def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
-    sensor_ms: tuple[int, int], reconstructor_ms: tuple[int, int], uncertainty_ms: int
-) -> None:
+    sensor_ms, reconstructor_ms, uncertainty_ms
+):
     clocks = {
         f"/skin/{schema}": ClockEstimate(ahead * MS, within * MS) if within else SAME_CLOCK
         for schema, (ahead, within) in (("taxels", sensor_ms), ("reconstruction", reconstructor_ms))
@@ -415,14 +412,14 @@ def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
         "stamp_ns": acquired_ns + sensor_ms[0] * MS,
         "done_ns": acquired_ns + (4 + reconstructor_ms[0]) * MS,
     }
-    message = dataclasses.replace(frame(0, 1.0, 1.0, 1.0)[-1], **times)  # type: ignore[arg-type]
+    message = dataclasses.replace(frame(0, 1.0, 1.0, 1.0)[-1], **times)
     assert isinstance(message, Reconstruction)
     metrics.add(message)
     assert metrics.latency_ns == 4 * MS
     assert metrics.latency_uncertainty_ns == uncertainty_ms * MS
 
 
-def test_an_end_that_counts_fewer_frames_than_arrived_removes_none() -> None:
+def test_an_end_that_counts_fewer_frames_than_arrived_removes_none():
     messages = [message for seq in range(4) for message in frame(seq, 1.0, 1.0, 1.0)]
     metrics = metrics_of(skin(), *messages)
     metrics.end("taxels", 2)

@@ -10,7 +10,7 @@ from sparseskin.nodes.monitor.statistics import COLUMNS, MIN_CAPACITY, SPAN_S, H
 
 
 @given(st.lists(st.floats(1.1e3, 0.9e12), min_size=1), st.sampled_from([0.01, 0.5, 0.9, 0.99]))
-def test_a_quantile_is_right_within_a_quarter_percent(values: list[float], q: float) -> None:
+def test_a_quantile_is_right_within_a_quarter_percent(values, q):
     quantiles = Quantiles()
     for value in values:
         quantiles.add(value)
@@ -30,7 +30,7 @@ def filled(n_rows: int, period_s: float) -> History:
     return history
 
 
-def test_it_grows_no_further_than_its_greatest_size(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_grows_no_further_than_its_greatest_size(monkeypatch):
     monkeypatch.setattr(statistics, "MAX_CAPACITY", 2 * MIN_CAPACITY)
     n = 5 * MIN_CAPACITY
     first, rows = filled(n, 0.0).since(0)
@@ -38,7 +38,7 @@ def test_it_grows_no_further_than_its_greatest_size(monkeypatch: pytest.MonkeyPa
 
 
 @given(st.integers(1, 9000), st.floats(0.0, 0.2), st.integers(0, 9000))
-def test_it_is_the_end_of_a_plain_list(n_rows: int, period_s: float, n: int) -> None:
+def test_it_is_the_end_of_a_plain_list(n_rows, period_s, n):
     history = filled(n_rows, period_s)
     plain = [row(k * period_s) for k in range(n_rows)]
     assert history.n == n_rows

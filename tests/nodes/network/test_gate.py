@@ -61,7 +61,7 @@ class Station:
 
 
 @pytest.fixture
-def station() -> Iterator[Station]:
+def station():
     with closing_station() as made:
         yield made
 
@@ -98,8 +98,8 @@ def listen(
 @pytest.mark.parametrize("endpoint", ["tcp://127.0.0.1:*", "ipc://{}/s"])
 @pytest.mark.parametrize("keys", [SERVER, None], ids=["keys", "no keys"])
 def test_who_is_on_the_list_gets_every_message_and_without_keys_all_do(
-    context: zmq.Context[Any], endpoint: str, keys: KeyPair | None, tmp_path: Any
-) -> None:
+    context, endpoint, keys, tmp_path
+):
     with closing_station(keys, endpoint.format(tmp_path)) as station:
         theirs = (LISTED, SERVER.public) if keys else (None, "")
         reader, peers, _ = listen(context, station, *theirs)
@@ -108,7 +108,6 @@ def test_who_is_on_the_list_gets_every_message_and_without_keys_all_do(
         station.writer.send(Taxels(stamp_ns=0, patch="skin", seq=7, forces=forces))
         wait_until(lambda: bool(reader.socket.poll(0)), "a message")
         found = reader.receive()
-        assert found is not None
         assert decode(*found).seq == 7
         peers.serve(0)
         assert peers.heard == {"writer": True}
@@ -125,9 +124,7 @@ def test_who_is_on_the_list_gets_every_message_and_without_keys_all_do(
     ],
     ids=["not listed", "unknown", "wrong server key", "no key"],
 )
-def test_who_is_not_let_in_gets_nothing_and_is_named(
-    station: Station, context: zmq.Context[Any], keys: KeyPair | None, server_key: str, words: str
-) -> None:
+def test_who_is_not_let_in_gets_nothing_and_is_named(station, context, keys, server_key, words):
     reader, peers, _ = listen(context, station, keys, server_key)
     station.until(lambda: station.said(words), words)
     station.writer.send(Taxels(stamp_ns=0, patch="skin", forces=np.ones((2, 2), np.float32)))
@@ -140,9 +137,7 @@ def test_who_is_not_let_in_gets_nothing_and_is_named(
         assert "turned away 127.0.0.1" in line
 
 
-def test_who_sends_garbage_is_named_and_harms_nobody(
-    station: Station, context: zmq.Context[Any]
-) -> None:
+def test_who_sends_garbage_is_named_and_harms_nobody(station, context):
     with half_open(station) as stranger:
         stranger.sendall(b"GET / HTTP/1.1\r\nHost: skin\r\n\r\n" * 50)
         station.until(lambda: bool(station.lines), "a line")
@@ -151,7 +146,7 @@ def test_who_sends_garbage_is_named_and_harms_nobody(
     station.until(lambda: "reader" in station.writer.present, "the reader")
 
 
-def test_refusals_of_many_addresses_fill_neither_memory_nor_log(station: Station) -> None:
+def test_refusals_of_many_addresses_fill_neither_memory_nor_log(station):
     n_more, address, reason = 10_000, "10.0.{}.7:1234", "it uses no key"
     for k in range(gate_module.MAX_REFUSALS + n_more):
         station.gate._log_refusal(address.format(k), reason)
@@ -169,9 +164,7 @@ def test_refusals_of_many_addresses_fill_neither_memory_nor_log(station: Station
     assert station.lines[-1] == f"turned away {address.format(0)}: {reason} (10 times)"
 
 
-def test_more_connections_than_there_may_be_are_turned_away(
-    station: Station, context: zmq.Context[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_more_connections_than_there_may_be_are_turned_away(station, context, monkeypatch):
     monkeypatch.setattr(gate_module, "MAX_CONNECTIONS", 3)
     readers = [Reader(context, f"reader_{k}", (), [TAXELS], keys=LISTED) for k in range(4)]
     for reader in readers[:3]:
@@ -182,9 +175,7 @@ def test_more_connections_than_there_may_be_are_turned_away(
     assert len(station.writer.present) == 3
 
 
-def test_a_refused_reader_tries_again_by_itself(
-    station: Station, context: zmq.Context[Any]
-) -> None:
+def test_a_refused_reader_tries_again_by_itself(station, context):
     _reader, peers, lines = listen(context, station, UNLISTED, SERVER.public)
     station.until(lambda: station.said("mallory"), "the refusal")
     now_ns = 0
@@ -202,9 +193,7 @@ def test_a_refused_reader_tries_again_by_itself(
     station.until(served_again, "the reader")
 
 
-def test_the_silent_connection_is_named_and_not_the_reader_that_came_after_it(
-    station: Station, context: zmq.Context[Any]
-) -> None:
+def test_the_silent_connection_is_named_and_not_the_reader_that_came_after_it(station, context):
     with half_open(station) as stranger:
         station.until(lambda: bool(station.gate._pending), "the stranger")
         reader, _, _ = listen(context, station, LISTED, SERVER.public)
@@ -221,9 +210,7 @@ def test_the_silent_connection_is_named_and_not_the_reader_that_came_after_it(
     assert "sent nothing for 2 s" in line
 
 
-def test_half_open_connections_are_bounded_and_keep_no_reader_out(
-    station: Station, context: zmq.Context[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_open_connections_are_bounded_and_keep_no_reader_out(station, context, monkeypatch):
     monkeypatch.setattr(gate_module, "MAX_PENDING", 3)
     strangers = [half_open(station) for _ in range(10)]
     station.until(lambda: station.said("(10 times)") or station.said("too many"), "it")
@@ -238,9 +225,7 @@ def test_half_open_connections_are_bounded_and_keep_no_reader_out(
         stranger.close()
 
 
-def test_of_too_many_connections_one_of_the_address_with_the_most_is_closed(
-    station: Station, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_too_many_connections_one_of_the_address_with_the_most_is_closed(station, monkeypatch):
     closed: list[str] = []
     monkeypatch.setattr(gate_module, "_shut_down", lambda fd, address: closed.append(address))
     station.gate._pending = {3: "10.0.0.1:1", 4: "10.0.0.7:1", 5: "10.0.0.7:2", 6: "10.0.0.2:1"}
@@ -249,7 +234,7 @@ def test_of_too_many_connections_one_of_the_address_with_the_most_is_closed(
     assert list(station.gate._pending) == [3, 5, 6]
 
 
-def test_no_other_connection_is_closed_under_a_descriptor_that_was_used_again() -> None:
+def test_no_other_connection_is_closed_under_a_descriptor_that_was_used_again():
     ours, theirs = socket.socketpair()
     with ours, theirs:
         gate_module._shut_down(ours.fileno(), "10.0.0.7:1234")

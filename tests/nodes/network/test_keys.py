@@ -16,7 +16,7 @@ from sparseskin.nodes.network.keys import (
 )
 
 
-def test_what_is_made_can_be_read_and_belongs_together(tmp_path: Path) -> None:
+def test_what_is_made_can_be_read_and_belongs_together(tmp_path):
     secret, public = make_key_files("edge", tmp_path / "keys")
     pair = read_key_pair(secret)
     assert pair.public == read_public_key(public)
@@ -26,9 +26,7 @@ def test_what_is_made_can_be_read_and_belongs_together(tmp_path: Path) -> None:
     assert known_names(secret.parent) == {pair.public: "edge"}
 
 
-def test_the_command_names_both_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_names_both_files(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["keys", "make", "desk"]) == 0
     assert sorted(path.name for path in Path("keys").iterdir()) == ["desk.key", "desk.pub"]
@@ -39,14 +37,14 @@ def test_the_command_names_both_files(
 
 
 @pytest.mark.parametrize("name", ["", "Edge", "../edge", "a" * 40])
-def test_what_is_no_name_makes_no_key(tmp_path: Path, name: str) -> None:
+def test_what_is_no_name_makes_no_key(tmp_path, name):
     with pytest.raises(KeyFileError, match="NAME"):
         make_key_files(name, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o620])
-def test_a_secret_that_others_can_get_at_is_refused(tmp_path: Path, mode: int) -> None:
+def test_a_secret_that_others_can_get_at_is_refused(tmp_path, mode):
     secret, _ = make_key_files("edge", tmp_path)
     secret.chmod(mode)
     with pytest.raises(KeyFileError, match=rf"edge.key: mode {mode:04o} .*allowed: 0600"):
@@ -54,7 +52,7 @@ def test_a_secret_that_others_can_get_at_is_refused(tmp_path: Path, mode: int) -
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
-def test_a_secret_of_another_user_is_refused(tmp_path: Path) -> None:
+def test_a_secret_of_another_user_is_refused(tmp_path):
     secret, _ = make_key_files("edge", tmp_path)
     os.chown(secret, 12345, -1)
     with pytest.raises(KeyFileError, match=r"edge.key: belongs to user 12345, not to you"):
@@ -62,9 +60,7 @@ def test_a_secret_of_another_user_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("what", "mode"), [("file", 0o646), ("folder", 0o777)])
-def test_a_public_key_that_others_can_replace_is_refused(
-    tmp_path: Path, what: str, mode: int
-) -> None:
+def test_a_public_key_that_others_can_replace_is_refused(tmp_path, what, mode):
     _, public = make_key_files("edge", tmp_path)
     (public if what == "file" else tmp_path).chmod(mode)
     with pytest.raises(KeyFileError, match=rf": mode {mode:04o} lets other users replace the key"):
@@ -72,7 +68,7 @@ def test_a_public_key_that_others_can_replace_is_refused(
     assert known_names(tmp_path) == {}
 
 
-def test_a_public_key_that_others_cannot_replace_is_read(tmp_path: Path) -> None:
+def test_a_public_key_that_others_cannot_replace_is_read(tmp_path):
     secret, public = make_key_files("edge", tmp_path)
     tmp_path.chmod(0o1777)
     public.chmod(0o664)
@@ -80,7 +76,7 @@ def test_a_public_key_that_others_cannot_replace_is_read(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("what", ["file", "folder"])
-def test_a_public_key_of_another_user_is_refused(tmp_path: Path, what: str) -> None:
+def test_a_public_key_of_another_user_is_refused(tmp_path, what):
     _, public = make_key_files("edge", tmp_path)
     given = public if what == "file" else tmp_path
     give(given)
@@ -91,7 +87,7 @@ def test_a_public_key_of_another_user_is_refused(tmp_path: Path, what: str) -> N
 @pytest.mark.parametrize(
     "text", ["", "# nothing\n", "short\n", "a" * 40 + "\n" + "b" * 40, "é" * 40, "\0" * 40]
 )
-def test_what_holds_no_key_is_refused_by_name(tmp_path: Path, text: str) -> None:
+def test_what_holds_no_key_is_refused_by_name(tmp_path, text):
     path = tmp_path / "edge.key"
     path.write_text(text)
     path.chmod(0o600)
@@ -99,6 +95,6 @@ def test_what_holds_no_key_is_refused_by_name(tmp_path: Path, text: str) -> None
         read_key_pair(path)
 
 
-def test_the_error_of_a_missing_key_names_the_command_that_makes_it(tmp_path: Path) -> None:
+def test_the_error_of_a_missing_key_names_the_command_that_makes_it(tmp_path):
     with pytest.raises(KeyFileError, match=r"edge.key: No such file.*sparseskin keys make edge"):
         read_key_pair(tmp_path / "edge.key")

@@ -25,13 +25,13 @@ def network(context: zmq.Context[Any], **config: Any) -> tuple[Network, list[str
     return Network(context, stated, time.monotonic_ns, lines.append), lines
 
 
-def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any]) -> None:
+def test_each_topic_has_the_clock_of_its_writers_host(context):
     node, lines = network(context, distant_inputs={LEFT: "left", RIGHT: "right"})
     reader = node.make_reader([LEFT, RIGHT, HERE])
     writers = {
         host: Writer(
             *(context, "tcp://127.0.0.1:*", f"sensor_{host}"),
-            now_ns=lambda ahead_ns=ahead_ns: time.monotonic_ns() + ahead_ns,  # type: ignore[misc]
+            now_ns=lambda ahead_ns=ahead_ns: time.monotonic_ns() + ahead_ns,
         )
         for host, ahead_ns in AHEAD_NS.items()
     }
@@ -52,7 +52,6 @@ def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any])
     wait_until(known, "the clocks of both hosts")
     for topic, host in ((LEFT, "left"), (RIGHT, "right")):
         estimate = node.clock_of(topic)
-        assert estimate is not None
         assert abs(estimate.offset_ns - AHEAD_NS[host]) <= estimate.uncertainty_ns
         assert node.peers.clocks()[host][0] == estimate.offset_ns
     assert node.peers.heard == {"sensor_left": True, "sensor_right": True}
@@ -70,8 +69,8 @@ def test_each_topic_has_the_clock_of_its_writers_host(context: zmq.Context[Any])
 
 @pytest.mark.parametrize(("n_times", "period_ns"), [(N_FIRST - 1, FIRST_NS), (N_FIRST, ASK_NS)])
 def test_other_hosts_are_asked_for_the_time_once_a_period_and_oftener_at_first(
-    context: zmq.Context[Any], monkeypatch: pytest.MonkeyPatch, n_times: int, period_ns: int
-) -> None:
+    context, monkeypatch, n_times, period_ns
+):
     reader = Reader(context, "monitor", (), [LEFT])
     asked: list[int] = []
     monkeypatch.setattr(reader, "ask_time", asked.append)
@@ -87,7 +86,7 @@ def test_other_hosts_are_asked_for_the_time_once_a_period_and_oftener_at_first(
     assert asked == [0, period_ns, 2 * period_ns]
 
 
-def test_a_writer_reports_the_time_to_those_alone_who_are_there(context: zmq.Context[Any]) -> None:
+def test_a_writer_reports_the_time_to_those_alone_who_are_there(context):
     writer = Writer(context, "inproc://writer", "sensor", now_ns=time.monotonic_ns)
     stranger = context.socket(zmq.XSUB)
     stranger.connect(writer.endpoint)
@@ -110,9 +109,7 @@ def test_a_writer_reports_the_time_to_those_alone_who_are_there(context: zmq.Con
     ],
     ids=["inproc", "ipc", "tcp", "public", "keys"],
 )
-def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(
-    context: zmq.Context[Any], tmp_path: Any, config: dict[str, Any], guarded: bool
-) -> None:
+def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(context, tmp_path, config, guarded):
     config = {k: v.format(tmp_path) if k == "endpoint" else v for k, v in config.items()}
     node, _ = network(context, **config)
     # The writer, and of the gate its authentication socket and its monitor.
@@ -121,9 +118,7 @@ def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(
     assert node.writer.socket.getsockopt(zmq.CURVE_SERVER) == ("security" in config)
 
 
-def test_the_end_is_received_once_every_distant_reader_has_answered(
-    context: zmq.Context[Any],
-) -> None:
+def test_the_end_is_received_once_every_distant_reader_has_answered(context):
     assert network(context)[0].end_received()  # no reader on another host
     node, lines = network(context, endpoint="inproc://end", distant_readers=["desk"])
     reader = Reader(context, "desk", [node.writer.endpoint], [HERE])
@@ -140,9 +135,7 @@ def test_the_end_is_received_once_every_distant_reader_has_answered(
     assert lines == []
 
 
-def test_a_distant_reader_that_never_answers_delays_the_end_by_a_bounded_time(
-    context: zmq.Context[Any],
-) -> None:
+def test_a_distant_reader_that_never_answers_delays_the_end_by_a_bounded_time(context):
     now_ns, lines = 0, []
     config = {"name": "sensor", "endpoint": "inproc://sensor", "distant_readers": ["desk"]}
     node = Network(context, config, lambda: now_ns, lines.append)

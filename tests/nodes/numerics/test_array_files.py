@@ -5,7 +5,6 @@ import io
 import tracemalloc
 import zipfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ def peak_below(n_bytes: float) -> Iterator[None]:
 
 @pytest.mark.parametrize("dtype", ["u1", ">f4", "?", "<U3"])
 @pytest.mark.parametrize("shape", [(), (2, 3, 4), (0, 4, 4)])
-def test_arrays_are_read_as_numpy_wrote_them(shape: tuple[int, ...], dtype: str) -> None:
+def test_arrays_are_read_as_numpy_wrote_them(shape, dtype):
     array = np.arange(np.prod(shape, dtype=int)).astype(dtype).reshape(shape)
     for written in (array, np.asfortranarray(array)):
         np.testing.assert_array_equal(read_npy(npy(written)), written)
@@ -53,9 +52,7 @@ def test_arrays_are_read_as_numpy_wrote_them(shape: tuple[int, ...], dtype: str)
         np.testing.assert_array_equal(found["b"], written)
 
 
-def test_an_archive_that_would_grow_too_far_is_not_unpacked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_archive_that_would_grow_too_far_is_not_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr(array_files, "MAX_GROWN_BYTES", MB)
     path = tmp_path / "bomb.npz"
     path.write_bytes(npz(forces=np.zeros((40_000, 32, 32), np.uint8)))
@@ -64,7 +61,7 @@ def test_an_archive_that_would_grow_too_far_is_not_unpacked(
         open_file(path)
 
 
-def test_a_header_in_an_archive_is_not_believed(tmp_path: Path) -> None:
+def test_a_header_in_an_archive_is_not_believed(tmp_path):
     head = npy(np.zeros((1, 4, 4)))[:128].replace(b"(1, 4, 4)", b"(1000000, 400, 4)")[:128]
     path = tmp_path / "lies.npz"
     with zipfile.ZipFile(path, "w") as archive:
@@ -73,14 +70,14 @@ def test_a_header_in_an_archive_is_not_believed(tmp_path: Path) -> None:
         open_file(path)
 
 
-def test_a_shape_of_truth_values_is_no_shape(tmp_path: Path) -> None:
+def test_a_shape_of_truth_values_is_no_shape(tmp_path):
     path = tmp_path / "true.npy"
     path.write_bytes(npy(np.ones((1, 8, 8))).replace(b"(1, 8, 8), }   ", b"(True, 8, 8), }"))
     with pytest.raises(SourceError, match=r"true\.npy: not a readable NumPy file"):
         open_file(path)
 
 
-def test_a_recording_of_bytes_takes_the_memory_of_its_frames_and_no_more(tmp_path: Path) -> None:
+def test_a_recording_of_bytes_takes_the_memory_of_its_frames_and_no_more(tmp_path):
     path = tmp_path / "bytes.npy"
     np.save(path, np.ones((4000, 32, 32), np.uint8))
     # The file, its frames in float32, and a part that is checked.

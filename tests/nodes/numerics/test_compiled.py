@@ -16,19 +16,17 @@ needs_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed (
 
 
 @pytest.fixture(autouse=True)
-def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_environment(monkeypatch):
     monkeypatch.delenv(fast.ENVIRONMENT, raising=False)
 
 
 @pytest.fixture
-def no_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_numba(monkeypatch):
     monkeypatch.setattr(fast, "find_spec", lambda name: None)
 
 
 @pytest.mark.usefixtures("no_numba")
-def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(monkeypatch):
     assert not use_compiled("auto")
     with pytest.raises(SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"):
         use_compiled("on")
@@ -42,9 +40,7 @@ def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(
     compile_loops("skin", "auto", pytest.fail)
 
 
-def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(monkeypatch):
     def fail(name: str) -> None:
         raise ImportError("Numba needs NumPy 2.3 or less. Got NumPy 2.9.")
 
@@ -58,7 +54,7 @@ def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(
 
 
 @needs_numba
-def test_the_environment_replaces_auto(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_replaces_auto(monkeypatch):
     assert use_compiled("auto")
     monkeypatch.setenv(fast.ENVIRONMENT, "off")
     assert not use_compiled("auto")
@@ -72,7 +68,7 @@ def test_the_environment_replaces_auto(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_numba
-def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path: Path) -> None:
+def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path):
     loop, lines = _module_of(tmp_path).double, []
 
     def log(line: str) -> None:
@@ -88,7 +84,7 @@ def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path: Path
 
 
 @needs_numba
-def test_a_solvers_loops_are_compiled_for_their_types_at_once_and_take_no_others() -> None:
+def test_a_solvers_loops_are_compiled_for_their_types_at_once_and_take_no_others():
     import numpy as np
 
     from sparseskin.nodes.numerics import kernels as fast_kernels
@@ -114,8 +110,6 @@ def _module_of(folder: Path) -> ModuleType:
     path = folder / "loops.py"
     path.write_text(LOOP)
     spec = importlib.util.spec_from_file_location("loops", path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

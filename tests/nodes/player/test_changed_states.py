@@ -1,7 +1,5 @@
 """Recordings in which a setting was changed while they were made: states come when they came."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from bags import MASK, PERIOD_NS, make_bag, skin_state
@@ -19,7 +17,7 @@ PHIS = [make_phi("sbhe", N, m, 0) for m in (N // 3, N // 2)]
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> str:
+def recording(tmp_path):
     """Twenty frames; before the eleventh M was changed."""
     messages: list[Message] = [skin_state()]
     for k in range(N_FRAMES):
@@ -41,7 +39,7 @@ def recording(tmp_path: Path) -> str:
 
 
 def graph(recording: str, **settings: object) -> Bus:
-    player = PlayerSettings(file=recording, rate=0.0, **settings)  # type: ignore[arg-type]
+    player = PlayerSettings(file=recording, rate=0.0, **settings)
     return Bus({
         "player": (Player, player),
         "reconstructor": (Reconstructor, ReconstructorSettings(iterations=20)),
@@ -54,20 +52,20 @@ def restored(bus: Bus, n_ticks: int | None = None) -> list[Reconstruction]:
 
 
 @pytest.mark.parametrize("keep", ["keep_stamps", "verbatim"])
-def test_every_frame_is_inverted_by_the_phi_that_made_it(recording: str, keep: str) -> None:
+def test_every_frame_is_inverted_by_the_phi_that_made_it(recording, keep):
     bus = graph(recording, **{keep: True})
     found = restored(bus)
     assert bus.hosts["reconstructor"].counts.refused == {}
     assert [m.phi for m in found] == [PHIS[k >= CHANGED_AT].fingerprint for k in range(N_FRAMES)]
 
 
-def test_a_part_begins_with_the_states_that_held_there(recording: str) -> None:
+def test_a_part_begins_with_the_states_that_held_there(recording):
     found = restored(graph(recording, start_s=0.15))
     assert {m.phi for m in found} == {PHIS[1].fingerprint}
     assert len(found) == 5
 
 
-def test_each_round_of_a_loop_begins_with_the_first_states(recording: str) -> None:
+def test_each_round_of_a_loop_begins_with_the_first_states(recording):
     bus = graph(recording, loop=True)
     found = restored(bus, n_ticks=3 * (N_FRAMES + 2))
     assert bus.hosts["reconstructor"].counts.refused == {}
@@ -77,7 +75,7 @@ def test_each_round_of_a_loop_begins_with_the_first_states(recording: str) -> No
 
 
 @pytest.mark.parametrize("verbatim", [False, True])
-def test_a_seek_reports_the_states_that_hold_there(recording: str, verbatim: bool) -> None:
+def test_a_seek_reports_the_states_that_hold_there(recording, verbatim):
     bus = graph(recording, verbatim=verbatim)
     ticks = bus.frames()
     for _ in range(15):

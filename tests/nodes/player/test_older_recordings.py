@@ -19,7 +19,7 @@ ROWS = ["fixed", "rotating"]
 
 
 @pytest.mark.parametrize("rows", ROWS)
-def test_its_matrices_are_made_again(rows: str) -> None:
+def test_its_matrices_are_made_again(rows):
     with BagReader(RECORDINGS / f"rule_1_{rows}.mcap") as bag:
         found = [decode(message.topic.encode(), message.payload) for message in bag.messages()]
     (skin,) = (one for one in found if isinstance(one, SkinState))
@@ -34,7 +34,7 @@ def test_its_matrices_are_made_again(rows: str) -> None:
 
 
 @pytest.mark.parametrize("rows", ROWS)
-def test_it_is_reconstructed(rows: str) -> None:
+def test_it_is_reconstructed(rows):
     player = PlayerSettings(file=str(RECORDINGS / f"rule_1_{rows}.mcap"), rate=0.0)
     bus = Bus({
         "player": (Player, player),

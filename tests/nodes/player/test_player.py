@@ -46,7 +46,7 @@ def record(path: Path) -> list[Message]:
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
+def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("bag") / "bag.mcap"
     return path, record(path)
 
@@ -65,7 +65,7 @@ def play(node: Player, n_ticks: int = 1000) -> list[list[Message]]:
     return frames
 
 
-def test_verbatim_is_what_was_recorded_to_the_bit(recording: tuple[Path, list[Message]]) -> None:
+def test_verbatim_is_what_was_recorded_to_the_bit(recording):
     path, seen = recording
     node = player(path, verbatim=True)
     played = [encode(m) for frame in play(node) for m in frame]
@@ -77,17 +77,13 @@ def test_verbatim_is_what_was_recorded_to_the_bit(recording: tuple[Path, list[Me
     ("settings", "first", "count"),
     [({"start_s": 0.1, "duration_s": 0.03}, 10, 3), ({"start_s": 5.0}, 0, 0)],
 )
-def test_a_part_is_half_open(
-    recording: tuple[Path, list[Message]], settings: dict[str, Any], first: int, count: int
-) -> None:
+def test_a_part_is_half_open(recording, settings, first, count):
     frames = play(player(recording[0], verbatim=True, **settings))
     stamps = [frame[0].stamp_ns for frame in frames]
     assert stamps == [BEGIN_NS + 10 * MS * (first + k) for k in range(count)]
 
 
-def test_chosen_topics_alone_are_played_under_new_names(
-    recording: tuple[Path, list[Message]],
-) -> None:
+def test_chosen_topics_alone_are_played_under_new_names(recording):
     settings = Player.Settings(
         file=str(recording[0]), topics=("/skin/skin", "/skin/taxels"), remap=("/skin:=/left",)
     )
@@ -108,9 +104,7 @@ def test_chosen_topics_alone_are_played_under_new_names(
         ({"verbatim": True, "loop": True}, "cannot be combined with loop"),
     ],
 )
-def test_a_wrong_setting_is_named(
-    recording: tuple[Path, list[Message]], settings: dict[str, Any], text: str
-) -> None:
+def test_a_wrong_setting_is_named(recording, settings, text):
     with pytest.raises(SparseskinError, match=text):
         Player.Settings(**({"file": str(recording[0])} | settings)).check()
 
@@ -123,8 +117,8 @@ def test_a_wrong_setting_is_named(
     ],
 )
 def test_what_does_not_go_with_a_recording_is_found_before_it_is_played(
-    recording: tuple[Path, list[Message]], name: str, override: str, text: str
-) -> None:
+    recording, name, override, text
+):
     with pytest.raises(LaunchError) as refused:
         load(name, [f"player.file={recording[0]}", override])
     (line,) = refused.value.lines
@@ -132,9 +126,7 @@ def test_what_does_not_go_with_a_recording_is_found_before_it_is_played(
     assert text in line
 
 
-def test_a_faster_rate_is_shown_and_what_is_no_command_is_refused(
-    recording: tuple[Path, list[Message]],
-) -> None:
+def test_a_faster_rate_is_shown_and_what_is_no_command_is_refused(recording):
     node = player(recording[0])
     node.begin(0)
     node.command("faster", None)
@@ -146,9 +138,7 @@ def test_a_faster_rate_is_shown_and_what_is_no_command_is_refused(
 
 
 @pytest.mark.parametrize("n_frames", [1, N_FRAMES])
-def test_a_number_of_frames_is_played_with_all_their_messages(
-    recording: tuple[Path, list[Message]], tmp_path: Path, n_frames: int
-) -> None:
+def test_a_number_of_frames_is_played_with_all_their_messages(recording, tmp_path, n_frames):
     # As in a running graph, measurements are recorded after the taxels of later frames.
     lags = {Measurements: 3, Reconstruction: 4}
     period_ns = 10 * MS
@@ -178,12 +168,7 @@ def test_a_number_of_frames_is_played_with_all_their_messages(
         ("--remap /left:=/right", "--remap: /left: not in the file (known: /skin/"),
     ],
 )
-def test_play_names_the_option_that_is_wrong(
-    recording: tuple[Path, list[Message]],
-    capsys: pytest.CaptureFixture[str],
-    options: str,
-    text: str,
-) -> None:
+def test_play_names_the_option_that_is_wrong(recording, capsys, options, text):
     assert main(["play", str(recording[0]), *options.split()]) == 2
     captured = capsys.readouterr()
     assert captured.err.startswith(text)

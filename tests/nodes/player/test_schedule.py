@@ -5,7 +5,7 @@ from sparseskin.nodes.player.schedule import Schedule
 MS = 1_000_000
 
 
-def test_targets_are_absolute() -> None:
+def test_targets_are_absolute():
     rate = 0.1
     schedule = Schedule(first_ns=500, rate=rate)
     schedule.begin(1_000_000)
@@ -13,7 +13,7 @@ def test_targets_are_absolute() -> None:
         assert schedule.due_ns(500 + k * MS) == 1_000_000 + round(k * MS / rate)
 
 
-def test_a_change_of_rate_while_paused_keeps_the_position() -> None:
+def test_a_change_of_rate_while_paused_keeps_the_position():
     schedule = Schedule(first_ns=0, rate=1.0)
     schedule.begin(0)
     schedule.toggle_pause(now_ns=40 * MS)

@@ -2,17 +2,13 @@
 
 import resource
 
-import pytest
-
 from sparseskin.nodes.process import memory
 from sparseskin.nodes.process.memory import EVERY, GROWN_BYTES, FreeMemory
 
 LEAST = 50_000_000
 
 
-def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown(monkeypatch):
     trims: list[int] = []
     resident = LEAST
     monkeypatch.setattr(memory, "_trim", lambda: trims.append)
@@ -32,7 +28,7 @@ def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown
     assert found == [1, 1, 2, 3, 3]
 
 
-def test_memory_is_not_looked_through_while_no_file_can_be_opened() -> None:
+def test_memory_is_not_looked_through_while_no_file_can_be_opened():
     free, limits = FreeMemory(), resource.getrlimit(resource.RLIMIT_NOFILE)
     free.trim()
     resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))

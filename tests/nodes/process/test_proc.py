@@ -6,7 +6,7 @@ import resource
 from sparseskin.nodes.process import proc
 
 
-def test_figures_of_this_process_agree_with_the_system_calls() -> None:
+def test_figures_of_this_process_agree_with_the_system_calls():
     pid = os.getpid()
     before = resource.getrusage(resource.RUSAGE_SELF)
     used_s = proc.cpu_s(pid)

@@ -39,27 +39,27 @@ def applied(cpus: tuple[int, ...], priority: int) -> Any:
     return json.loads(done.stdout)
 
 
-def test_keys_are_stated_one_by_one() -> None:
+def test_keys_are_stated_one_by_one():
     stated = Scheduling.from_mapping({"cpus": [2, 0, 2], "priority": MAX_PRIORITY})
     assert stated == Scheduling((0, 2), MAX_PRIORITY)
     assert replace(stated, priority=0) == Scheduling((0, 2))
 
 
 @pytest.mark.parametrize("value", [0, [-1], [MAX_CPU + 1], [True], [0.0]])
-def test_what_is_no_list_of_cpus_is_refused(value: object) -> None:
+def test_what_is_no_list_of_cpus_is_refused(value):
     with pytest.raises(SettingsError, match=r"cpus: (expected a list of whole|.* outside 0..1023)"):
         Scheduling.from_mapping({"cpus": value})
 
 
 @pytest.mark.parametrize("value", [-1, MAX_PRIORITY + 1, True, 1.0])
-def test_what_is_no_priority_is_refused(value: object) -> None:
+def test_what_is_no_priority_is_refused(value):
     with pytest.raises(
         SettingsError, match=r"priority: (expected a whole number|.* outside 0..98)"
     ):
         Scheduling.from_mapping({"priority": value})
 
 
-def test_a_cpu_that_the_process_may_not_use_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cpu_that_the_process_may_not_use_is_refused(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 2})
     Scheduling((0, 2)).check_permitted()
     with pytest.raises(SettingsError) as refused:
@@ -67,7 +67,7 @@ def test_a_cpu_that_the_process_may_not_use_is_refused(monkeypatch: pytest.Monke
     assert str(refused.value) == "cpus: CPU 1 is not there for this process (allowed: 0, 2)"
 
 
-def test_a_priority_without_the_privilege_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_priority_without_the_privilege_is_refused(monkeypatch):
     before = os.sched_getscheduler(0)
     calls = []
 
@@ -87,13 +87,13 @@ def test_a_priority_without_the_privilege_is_refused(monkeypatch: pytest.MonkeyP
     assert calls == [os.SCHED_FIFO, before]  # the policy of the launcher is as before
 
 
-def test_a_process_and_all_its_threads_run_on_the_stated_cpus() -> None:
+def test_a_process_and_all_its_threads_run_on_the_stated_cpus():
     cpu = max(os.sched_getaffinity(0))
     assert applied((cpu,), 0) == [[[cpu], os.SCHED_OTHER]] * 3
     assert applied((), 0) == [[sorted(os.sched_getaffinity(0)), os.SCHED_OTHER]] * 3
 
 
-def test_the_priority_is_that_of_the_process_and_of_threads_started_within() -> None:
+def test_the_priority_is_that_of_the_process_and_of_threads_started_within():
     try:
         Scheduling(priority=1).check_permitted()
     except SettingsError as error:

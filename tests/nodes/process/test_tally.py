@@ -6,7 +6,7 @@ import signal
 from sparseskin.nodes.process.tally import Tally
 
 
-def test_what_a_killed_process_has_counted_is_there_to_the_last_message() -> None:
+def test_what_a_killed_process_has_counted_is_there_to_the_last_message():
     tally = Tally(["/skin/taxels", "/skin/truth", "/skin/skin"])
     child = os.fork()
     if not child:

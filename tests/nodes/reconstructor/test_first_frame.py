@@ -36,7 +36,7 @@ assert "numba" not in sys.modules
 
 
 @pytest.mark.parametrize("preset", ["skin", "paper"])
-def test_the_first_frame_imports_nothing_and_off_no_numba(preset: str) -> None:
+def test_the_first_frame_imports_nothing_and_off_no_numba(preset):
     done = subprocess.run(
         [sys.executable, "-c", CODE, preset],
         capture_output=True,

@@ -43,7 +43,7 @@ def batches(skip_idle: bool = True) -> list[Reconstruction]:
 
 
 @pytest.mark.parametrize("pressed", [False, True])
-def test_false_alarms_are_about_as_many_as_stated(pressed: bool) -> None:
+def test_false_alarms_are_about_as_many_as_stated(pressed):
     truth = TiledScene("hug", SKIN, 1).forces(2.2)[0] if pressed else UNTOUCHED
     watched = Watched(16, truth)
     solved = [watched.frame(truth) for _ in range(5 * REFRESH)]
@@ -51,7 +51,7 @@ def test_false_alarms_are_about_as_many_as_stated(pressed: bool) -> None:
     assert 0 <= np.mean(solved) - 1 / REFRESH < 4 * FALSE_ALARMS
 
 
-def test_a_contact_of_three_sigma_is_noticed_at_once_and_one_of_one_sigma_soon() -> None:
+def test_a_contact_of_three_sigma_is_noticed_at_once_and_one_of_one_sigma_soon():
     assert missed(8, 3.0, 20)[0] == 0.0
     assert missed(8, 2.0, 20)[1] == 0.0
     assert missed(8, 1.0, 20)[2] <= 0.1
@@ -60,7 +60,7 @@ def test_a_contact_of_three_sigma_is_noticed_at_once_and_one_of_one_sigma_soon()
     assert faint == sorted(faint, reverse=True)
 
 
-def test_an_idle_patch_is_solved_at_least_every_64_frames_and_not_all_at_once() -> None:
+def test_an_idle_patch_is_solved_at_least_every_64_frames_and_not_all_at_once():
     truth = UNTOUCHED.copy()
     watched = Watched(8, truth)
     solved = np.array([watched.frame(truth) for _ in range(2 * REFRESH)])
@@ -69,7 +69,7 @@ def test_an_idle_patch_is_solved_at_least_every_64_frames_and_not_all_at_once() 
     assert watched.watch.idle.all()
 
 
-def test_a_skin_that_states_no_noise_is_always_solved() -> None:
+def test_a_skin_that_states_no_noise_is_always_solved():
     state = skin_state(n_rows=8, n_cols=8, mask=None, sigma_mid=0.0, sigma_end=0.0)
     phi = make_phi("sbhe", n=64, m=32, seed=0)
     watch = IdleWatch(3, state, [phi])
@@ -77,7 +77,7 @@ def test_a_skin_that_states_no_noise_is_always_solved() -> None:
         assert watch.to_solve(phi.fingerprint, np.zeros((3, 32), np.float32)).all()
 
 
-def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_solve() -> None:
+def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_solve():
     found = batches()
     held: dict[str, Any] = {}
     last: dict[str, bytes] = {}
@@ -94,7 +94,7 @@ def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_s
     assert n_unchanged["left"] < n_unchanged["back"]
 
 
-def test_without_the_skip_all_are_solved_and_with_it_the_forces_are_nearly_the_same() -> None:
+def test_without_the_skip_all_are_solved_and_with_it_the_forces_are_nearly_the_same():
     held: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
     differences = []
     for skipping, solving in zip(batches(), batches(skip_idle=False), strict=True):
@@ -104,7 +104,7 @@ def test_without_the_skip_all_are_solved_and_with_it_the_forces_are_nearly_the_s
     assert np.sqrt(np.mean(np.square(differences))) < 0.1 * 0.0141
 
 
-def test_the_skip_can_be_switched_while_the_graph_runs() -> None:
+def test_the_skip_can_be_switched_while_the_graph_runs():
     context = Context("node", ManualClock(1))
     node = Reconstructor(Reconstructor.Settings(**BATCH, skip_idle=True), context)
     assert node.state()["idle"] == 0
@@ -112,7 +112,7 @@ def test_the_skip_can_be_switched_while_the_graph_runs() -> None:
     assert "idle" not in node.state()
 
 
-def test_a_patch_that_is_served_alone_is_skipped_too() -> None:
+def test_a_patch_that_is_served_alone_is_skipped_too():
     rest = np.random.default_rng(0).normal(0, 0.0141, (40, 8, 8)).clip(0).astype(np.float32)
     skin = skin_state(n_rows=8, n_cols=8, mask=None, sigma_mid=0.0628, sigma_end=0.0141)
     edge = Compressor(Compressor.Settings(), Context("edge", ManualClock(1)))
@@ -130,7 +130,7 @@ def test_a_patch_that_is_served_alone_is_skipped_too() -> None:
     assert sum(sent) < 20
 
 
-def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes() -> None:
+def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes():
     """No change is no reason to solve it, so that its frames are published as unchanged."""
     names, n, rng = ("left", "right"), SIDE * SIDE, np.random.default_rng(0)
     lines: list[str] = []

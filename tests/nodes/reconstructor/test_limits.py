@@ -7,7 +7,7 @@ import pytest
 
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.node import Compressor
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import SettingsError, SolverError
 from sparseskin.nodes.numerics.arrays import Floats
@@ -32,7 +32,7 @@ def warnings_of(solver: str, basis: str = "haar", n_per_m: int = 3, **options: f
     return reconstruction_warnings(solver, basis, N, N // n_per_m, options)
 
 
-def test_of_presets_and_of_a_solvers_own_settings_nothing_is_said() -> None:
+def test_of_presets_and_of_a_solvers_own_settings_nothing_is_said():
     for preset in PRESETS.values():
         assert warnings_of(**{k: v for k, v in preset.items() if k != "fast"}) == []
     phi, basis = make_phi("sbhe", n=N, m=N // 3, seed=0), make_basis("haar", *SHAPE)
@@ -54,23 +54,21 @@ def test_of_presets_and_of_a_solvers_own_settings_nothing_is_said() -> None:
         ("skin", {"basis": "db2"}, "basis = db2: skin does not use it", "haar, or fista"),
     ],
 )
-def test_settings_that_fail_are_said_in_a_line_with_what_is_advised(
-    solver: str, options: dict[str, Any], said: str, advised: str
-) -> None:
+def test_settings_that_fail_are_said_in_a_line_with_what_is_advised(solver, options, said, advised):
     (warning,) = warnings_of(solver, **options)
     assert warning.startswith(said)
     assert warning.endswith(f"advised: {advised}")
     assert "\n" not in warning
 
 
-def test_a_setting_that_the_solver_does_not_have_is_refused_before_anything_starts() -> None:
+def test_a_setting_that_the_solver_does_not_have_is_refused_before_anything_starts():
     with pytest.raises(SettingsError, match=r"^lambda_n: solver skin has none; allowed: "):
         Reconstructor.Settings(preset="skin", lambda_n=0.01).check()
     Reconstructor.Settings(preset="paper", lambda_n=0.01).check()
     Reconstructor.Settings(solver="tv", lambda_n=0.01, iterations=60).check()
 
 
-def test_a_lambda_that_leaves_nothing_of_a_skin_pressed_all_over_is_refused() -> None:
+def test_a_lambda_that_leaves_nothing_of_a_skin_pressed_all_over_is_refused():
     # On sides of a power of two the bound is met: such a skin is one coefficient.
     phi, basis = make_phi("full", 1024, 1024, seed=0), make_basis("haar", 32, 32)
     pressed = np.full(1024, 2.5, np.float32)
@@ -115,7 +113,7 @@ ORDER = OwnPhi(N, N, seed=0).permutation
         own(times=np.float32(1.1)),  # 4/3 of the eigenvalue is allowed
     ],
 )
-def test_a_matrix_that_a_solver_can_use_passes(phi: Phi) -> None:
+def test_a_matrix_that_a_solver_can_use_passes(phi):
     assert check_phi(phi, EVERYWHERE) == []
 
 
@@ -126,12 +124,12 @@ def test_a_matrix_that_a_solver_can_use_passes(phi: Phi) -> None:
         (own(order_out=ORDER), "adjoint is not the transpose of forward"),
     ],
 )
-def test_a_matrix_that_would_give_wrong_forces_is_refused(phi: Phi, fault: str) -> None:
+def test_a_matrix_that_would_give_wrong_forces_is_refused(phi, fault):
     with pytest.raises(SolverError, match=fault):
         check_phi(phi, EVERYWHERE)
 
 
-def test_a_matrix_that_measures_contacts_unevenly_is_warned_of() -> None:
+def test_a_matrix_that_measures_contacts_unevenly_is_warned_of():
     """Taxels are dealt out in order: a pad falls into few of the blocks."""
     (warning,) = check_phi(own(4, order_in=np.argsort(ORDER), order_out=ORDER), EVERYWHERE)
     assert "some contacts are measured far better than others" in warning
@@ -151,7 +149,7 @@ def lines_of(phi: str = "", **reconstructor: Any) -> list[str]:
     return bus.lines
 
 
-def test_a_reconstructor_logs_it_once_when_it_knows_skin_and_phi() -> None:
+def test_a_reconstructor_logs_it_once_when_it_knows_skin_and_phi():
     assert lines_of() == []
     (line,) = lines_of(preset="paper", lambda_n=0.1)
     assert line.startswith("[reconstructor] lambda_n = 0.1: forces are shrunk away")
@@ -163,6 +161,6 @@ class Scaled(OwnPhi):
     times = np.float32(32**0.5)
 
 
-def test_users_own_matrix_is_checked_before_the_first_frame() -> None:
+def test_users_own_matrix_is_checked_before_the_first_frame():
     lines = lines_of(phi=f"{__name__}:Scaled")
     assert any("lipschitz says 1 but the largest eigenvalue" in line for line in lines)

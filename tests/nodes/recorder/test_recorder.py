@@ -1,9 +1,7 @@
 """The recorder node: the time until messages reach the disk."""
 
 import functools
-from pathlib import Path
 
-import pytest
 from bags import PHI, FakeClock, frame, on_disk, skin_state
 
 from sparseskin.messages import Message, PhiState, SolverState
@@ -22,9 +20,7 @@ STATES: list[Message] = [
 ]
 
 
-def test_messages_reach_the_disk_after_a_tenth_of_a_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_reach_the_disk_after_a_tenth_of_a_second(tmp_path, monkeypatch):
     clock, path = FakeClock(), tmp_path / "a.mcap"
     monkeypatch.setattr(recorder_module, "BagWriter", functools.partial(BagWriter, monotonic=clock))
     settings = Recorder.Settings(out=str(path))

@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from conftest import StartProgram, note_of_graph, wait_until
+from conftest import note_of_graph, wait_until
 
 from sparseskin.messages import decode
 from sparseskin.nodes.recorder.bag.format import BagError
@@ -22,7 +22,6 @@ def contents(path: Path) -> dict[str, list[tuple[int, bytes]]]:
     """Stamps and payloads of a whole recording, by topic."""
     with BagReader(path) as bag:
         assert bag.recovered == ""
-        assert bag.counts is not None
         assert not any(bag.counts["lost"].values())
         return {
             topic: [(m.stamp_ns, m.payload) for m in bag.messages([topic])] for topic in bag.topics
@@ -42,9 +41,7 @@ def topics(path: Path) -> set[str]:
 
 
 @pytest.mark.slow
-def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(start, tmp_path):
     launched = start(
         *("launch", "path_40", "--frames", str(N_FRAMES), "--record", "first.mcap"),
         *("--set", "sensor.rate_hz=0", "--set", "reconstructor.iterations=5"),
@@ -66,9 +63,7 @@ def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("killed", [False, True])
-def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
-    start: StartProgram, tmp_path: Path, killed: bool
-) -> None:
+def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(start, tmp_path, killed):
     graph = start("launch", "path_40", "--summary", "out.json", *SLOWLY)
     graph.wait_for("[launch] ready")
     recorder = start("record", "/skin/skin", "/skin/rec*", "--out", "some.mcap")
@@ -91,9 +86,7 @@ def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
     assert last.seq == frames["reconstructed"] - 1
 
 
-def test_the_end_names_the_file_that_a_killed_recorder_has_left(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_the_end_names_the_file_that_a_killed_recorder_has_left(start, tmp_path):
     graph = start("launch", "path_40", "--record", "run.mcap", *SLOWLY)
     wait_until(lambda: "/skin/phi" in topics(tmp_path / "run.mcap.part"), "messages in the file")
     os.kill(graph.pid_of("recorder"), signal.SIGKILL)
@@ -103,9 +96,7 @@ def test_the_end_names_the_file_that_a_killed_recorder_has_left(
     assert f"recorder: {left}" in graph.finish()[1]
 
 
-def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(start, tmp_path):
     graph = start("launch", "path_40", *SLOWLY)
     graph.wait_for("[launch] ready")
     code, _, stderr = start("record", "/skin/taxel").finish()

@@ -21,7 +21,7 @@ Reading = tuple[int, int, int]
 
 
 @given(heights=st.lists(st.integers(0, 10**6), min_size=2, max_size=64), slope=st.floats(-1, 1))
-def test_the_line_is_that_of_the_linear_program(heights: list[int], slope: float) -> None:
+def test_the_line_is_that_of_the_linear_program(heights, slope):
     points: list[Point] = [(1e6 * k, slope * 1e6 * k + h) for k, h in enumerate(heights)]
     found = line_below(points)
     assert found is not None
@@ -71,8 +71,8 @@ def worst(readings: list[Reading], from_s: float) -> int:
     seed=st.integers(0, 2**16),
 )
 def test_after_5_s_a_frame_has_its_true_time_within_half_a_millisecond(
-    ppm: float, bits: int | None, tick_ns: float, first: int, rate_hz: int, seed: int
-) -> None:
+    ppm, bits, tick_ns, first, rate_hz, seed
+):
     wrap = None if bits is None else 1 << bits
     clock = DeviceClock("board", pytest.fail, tick_ns, wrap)
 
@@ -99,9 +99,7 @@ def test_after_5_s_a_frame_has_its_true_time_within_half_a_millisecond(
         (lambda true: true - S // 50, 6.0),  # a little back: delays alone show it, in 5 s
     ],
 )
-def test_a_clock_that_was_set_is_noticed_and_mapped_anew(
-    set_ns: Callable[[int], int], known_s: float
-) -> None:
+def test_a_clock_that_was_set_is_noticed_and_mapped_anew(set_ns, known_s):
     lines: list[str] = []
     clock = DeviceClock("board", lines.append)
     readings = run(clock, lambda true: true, 20)
@@ -114,7 +112,7 @@ def test_a_clock_that_was_set_is_noticed_and_mapped_anew(
 
 
 @pytest.mark.parametrize("stamp", [lambda true: 2 * true, lambda true: 7, lambda true: true // MS])
-def test_stamps_that_do_not_run_as_time_are_not_used(stamp: Callable[[int], int]) -> None:
+def test_stamps_that_do_not_run_as_time_are_not_used(stamp):
     lines: list[str] = []
     clock = DeviceClock("driver", lines.append)
     readings = run(clock, stamp, 15)
@@ -124,7 +122,7 @@ def test_stamps_that_do_not_run_as_time_are_not_used(stamp: Callable[[int], int]
     assert ["do not run as time does, within 10%" in line for line in lines] == [True]
 
 
-def test_after_a_silence_that_is_longer_than_a_line_frames_have_their_arrival_at_first() -> None:
+def test_after_a_silence_that_is_longer_than_a_line_frames_have_their_arrival_at_first():
     clock = DeviceClock("board", pytest.fail)
     run(clock, lambda true: true, 10)
     assert clock.state()["clock"] == "source"

@@ -3,7 +3,6 @@
 import sys
 import textwrap
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ Writer = Callable[[str], str]
 
 
 @pytest.fixture
-def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Writer:
+def module(tmp_path, monkeypatch):
     """Write a module into the current directory and return its name."""
     monkeypatch.chdir(tmp_path)
 
@@ -39,9 +38,7 @@ def yielding(module: Writer, *pairs: str) -> DriverSource:
 
 
 class TestFrames:
-    def test_frames_and_skin_of_a_generator_are_those_from_the_first_on(
-        self, module: Writer
-    ) -> None:
+    def test_frames_and_skin_of_a_generator_are_those_from_the_first_on(self, module):
         source = yielding(module, "(1000, np.full((2, 3), 0.5))", "(1010, [[1, 2, 0], [0, 1, 2]])")
         assert source.skin.shape == (2, 3)
         assert (source.skin.f_max, source.skin.unit, source.delivers) == (2.5, "N", "taxels")
@@ -53,14 +50,14 @@ class TestFrames:
         np.testing.assert_array_equal(frames[0][1], np.full((2, 3), 0.5))
         np.testing.assert_array_equal(frames[1][1], [[1, 2, 0], [0, 1, 2]])
 
-    def test_a_first_frame_of_another_shape_than_stated_is_refused(self, module: Writer) -> None:
+    def test_a_first_frame_of_another_shape_than_stated_is_refused(self, module):
         name = module("def frames():\n    yield 0, np.zeros((2, 3))\n")
         opened = open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=3)
         assert opened.skin.shape == (2, 3)
         with pytest.raises(SourceError, match="n_cols = 4 is stated, but the frames have 3"):
             open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=4)
 
-    def test_readings_beyond_the_range_saturate_and_are_counted(self, module: Writer) -> None:
+    def test_readings_beyond_the_range_saturate_and_are_counted(self, module):
         source = yielding(module, "(0, [[-0.1, 2.6, 2.5, 0.0]])", "(1, [[1e300, 1, 1, -1e300]])")
         np.testing.assert_array_equal(
             [forces for _, forces in source], [[[0, 2.5, 2.5, 0]], [[2.5, 1, 1, 0]]]
@@ -80,9 +77,7 @@ class TestFrames:
             ("1 / 0", "the driver failed: ZeroDivisionError: division by zero"),
         ],
     )
-    def test_a_bad_frame_is_named_and_not_passed_on(
-        self, module: Writer, second: str, message: str
-    ) -> None:
+    def test_a_bad_frame_is_named_and_not_passed_on(self, module, second, message):
         source = yielding(module, "(0, np.zeros((2, 3)))", second)
         reader = iter(source)
         next(reader)
@@ -91,13 +86,11 @@ class TestFrames:
         assert source.name in str(caught.value)
         assert "\n" not in str(caught.value)
 
-    def test_a_stamp_that_goes_back_by_a_second_is_of_a_clock_that_was_started_again(
-        self, module: Writer
-    ) -> None:
+    def test_a_stamp_that_goes_back_by_a_second_is_of_a_clock_that_was_started_again(self, module):
         source = yielding(module, *(f"({k} * 10**9, [[1.0]])" for k in (5, 4, 7)))
         assert [stamp for stamp, _ in source] == [0, 1, 3 * 10**9 + 1]
 
-    def test_a_bad_first_frame_is_refused_as_the_driver_is_opened(self, module: Writer) -> None:
+    def test_a_bad_first_frame_is_refused_as_the_driver_is_opened(self, module):
         with pytest.raises(SourceError, match="0 rows x 3 columns"):
             yielding(module, "(0, np.zeros((0, 3)))")
         with pytest.raises(SourceError, match=r"whole numbers, .*; add unit=counts f_max=4095"):
@@ -115,7 +108,7 @@ class TestLife:
                 events.append("closed")
     """
 
-    def test_the_driver_is_closed_once_when_reading_stops_early(self, module: Writer) -> None:
+    def test_the_driver_is_closed_once_when_reading_stops_early(self, module):
         name = module(self.BODY)
         source = open_callable(f"{name}:frames")
         next(iter(source))
@@ -123,7 +116,7 @@ class TestLife:
         source.close()
         assert sys.modules[name].events == ["closed"]
 
-    def test_a_generator_is_not_read_twice(self, module: Writer) -> None:
+    def test_a_generator_is_not_read_twice(self, module):
         source = open_callable(module(self.BODY) + ":frames")
         assert len(list(source)) == 3
         with pytest.raises(SourceError, match="was read before"):
@@ -145,7 +138,7 @@ class TestSourceObject:
                 yield 7, np.array([[1.0, 5.0, np.nan]])
     """
 
-    def test_its_own_attributes_hold_and_masked_cells_do_not_count(self, module: Writer) -> None:
+    def test_its_own_attributes_hold_and_masked_cells_do_not_count(self, module):
         source = open_callable(module(self.BODY) + ":Hand")
         assert (source.name, source.delivers) == ("hand", "truth")
         assert (source.rate_hz, source.n_frames) == (200.0, 1)
@@ -156,9 +149,7 @@ class TestSourceObject:
         assert source.clipped.n == 1
 
     @pytest.mark.parametrize("delivers", ["truth", "taxels"])
-    def test_a_sensor_has_a_topic_of_the_truth_where_there_is_one(
-        self, module: Writer, delivers: str
-    ) -> None:
+    def test_a_sensor_has_a_topic_of_the_truth_where_there_is_one(self, module, delivers):
         hand = module(self.BODY.replace('"truth"', f'"{delivers}"')) + ":Hand"
         sensor = Sensor(SensorSettings(source=hand), Context("sensor", ManualClock()))
         assert sensor.unused == ("/skin/truth",) * (delivers == "taxels")
@@ -175,9 +166,7 @@ class TestSourceObject:
             ("def __iter__", "def frames", "returned Hand; expected a generator or an iterable"),
         ],
     )
-    def test_attributes_that_cannot_hold_are_refused(
-        self, module: Writer, old: str, new: str, message: str
-    ) -> None:
+    def test_attributes_that_cannot_hold_are_refused(self, module, old, new, message):
         name = module(self.BODY.replace(old, new))
         with pytest.raises(SourceError, match=message):
             open_callable(f"{name}:Hand", f_max=4, unit="N")
@@ -191,7 +180,7 @@ class TestName:
             ("no_such_skin:frames", "there is no module 'no_such_skin'"),
         ],
     )
-    def test_what_is_not_module_and_callable_is_refused(self, target: str, message: str) -> None:
+    def test_what_is_not_module_and_callable_is_refused(self, target, message):
         with pytest.raises(SourceError, match=message):
             open_callable(target)
 
@@ -206,16 +195,16 @@ class TestName:
             ("raise SystemExit(3)", "importing it failed: SystemExit: 3"),
         ],
     )
-    def test_what_is_no_driver_is_refused(self, module: Writer, body: str, message: str) -> None:
+    def test_what_is_no_driver_is_refused(self, module, body, message):
         with pytest.raises(SourceError, match=message):
             open_callable(module(body) + ":frames")
 
-    def test_a_range_that_is_none_is_refused(self) -> None:
+    def test_a_range_that_is_none_is_refused(self):
         with pytest.raises(SourceError, match="f_max = "):
             open_callable("a_skin:frames", f_max=float("nan"))
 
 
-def test_a_frame_is_a_copy_of_what_was_delivered() -> None:
+def test_a_frame_is_a_copy_of_what_was_delivered():
     delivered = np.ones((3, 4), np.float32)
     ((_, forces),) = DriverSource("skin:frames", [(0, delivered)], f_max=2.5, unit=None)
     assert not np.shares_memory(forces, delivered)

@@ -1,6 +1,6 @@
 """Readings that are missing: filled, marked, counted, and nowhere taken for measurements."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ NAN = float("nan")
     exists=arrays(np.bool_, (5, 6)).filter(np.any),
     way=st.sampled_from(["mask", "hold", "zero"]),
 )
-def test_readings_stay_and_no_other_number_is_unmarked(frames: Any, exists: Any, way: str) -> None:
+def test_readings_stay_and_no_other_number_is_unmarked(frames, exists, way):
     readings = MissingReadings(way, Skin(5, 6, 2.0, mask=exists), learns=way == "mask")
     for k, frame in enumerate(frames):
         known = np.isfinite(frame) & exists
@@ -45,7 +45,7 @@ def test_readings_stay_and_no_other_number_is_unmarked(frames: Any, exists: Any,
 
 
 @pytest.fixture
-def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], str]:
+def driver(tmp_path, monkeypatch):
     """A function that returns the address of a driver of frames, 1 s apart."""
     monkeypatch.chdir(tmp_path)
 
@@ -60,9 +60,7 @@ def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], s
     return write
 
 
-def test_a_driver_s_silent_cells_are_masked_until_they_give_a_number(
-    driver: Callable[[Any], str],
-) -> None:
+def test_a_driver_s_silent_cells_are_masked_until_they_give_a_number(driver):
     frames = np.full((4, 3, 4), 0.5, np.float32)
     frames[:, 0, 0] = NAN
     frames[:2, 1, 2] = NAN
@@ -81,9 +79,7 @@ def test_a_driver_s_silent_cells_are_masked_until_they_give_a_number(
     assert len(list(sparseskin.run_launch("replay", None, options))) == 4  # none is refused
 
 
-def test_a_taxel_that_was_silent_during_the_tare_has_no_force_before_the_next_one(
-    driver: Callable[[Any], str],
-) -> None:
+def test_a_taxel_that_was_silent_during_the_tare_has_no_force_before_the_next_one(driver):
     frames = np.full((4, 3, 4), 100.0, np.float32)
     frames[:2, 1, 2] = NAN
     frames[:1, 2, 2] = NAN
@@ -108,7 +104,7 @@ def rms(values: Any) -> float:
 
 
 @pytest.fixture(scope="module")
-def pressed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any, float]:
+def pressed(tmp_path_factory):
     """Truth and readings while a body presses, (20, 40, 40), and the largest error of a frame."""
     truth, taxels = (part[300:] for part in sparseskin.simulate("path_40", 320))
     frames = replayed(taxels, tmp_path_factory.mktemp("whole"), "refuse")
@@ -122,12 +118,8 @@ def pressed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any, float]:
     flicker=st.floats(0, 0.2),
 )
 def test_missing_readings_make_no_force_of_others_wrong_that_is_trusted(
-    pressed: tuple[Any, Any, float],
-    tmp_path_factory: pytest.TempPathFactory,
-    way: str,
-    parts: Any,
-    flicker: float,
-) -> None:
+    pressed, tmp_path_factory, way, parts, flicker
+):
     truth, taxels, usual = pressed
     readings = taxels.copy()
     for row, col, n_rows, n_cols, first in parts:

@@ -14,13 +14,13 @@ def forces(*values: float) -> npt.NDArray[np.float32]:
     return np.array(values, dtype=np.float32)
 
 
-def test_sigma_is_largest_at_mid_range_and_falls_linearly_to_both_ends() -> None:
+def test_sigma_is_largest_at_mid_range_and_falls_linearly_to_both_ends():
     sigma = NoiseModel().sigma(forces(0.0, 0.625, 1.25, 1.875, 2.5))
     np.testing.assert_allclose(sigma, [0.0141, 0.03845, 0.0628, 0.03845, 0.0141], rtol=1e-6)
     assert sigma.dtype == np.float32
 
 
-def test_untouched_skin_has_a_noisy_psnr_of_48_db() -> None:
+def test_untouched_skin_has_a_noisy_psnr_of_48_db():
     model, rng = NoiseModel(), np.random.default_rng(0)
     truth = np.zeros((40, 40), dtype=np.float32)
     psnr = [
@@ -30,14 +30,14 @@ def test_untouched_skin_has_a_noisy_psnr_of_48_db() -> None:
     assert np.mean(psnr) == pytest.approx(48.0, abs=0.3)
 
 
-def test_noise_at_mid_range_has_zero_mean_and_the_stated_sigma() -> None:
+def test_noise_at_mid_range_has_zero_mean_and_the_stated_sigma():
     truth = np.full(400_000, 1.25, dtype=np.float32)
     error = NoiseModel().apply(truth, np.random.default_rng(2)).astype(float) - 1.25
     assert abs(error.mean()) < 5 * 0.0628 / math.sqrt(truth.size)
     assert error.std() == pytest.approx(0.0628, rel=0.01)
 
 
-def test_readings_stay_in_the_range_and_the_truth_is_left_alone() -> None:
+def test_readings_stay_in_the_range_and_the_truth_is_left_alone():
     truth = np.tile(forces(0.0, 1.25, 2.5), 5000)
     kept = truth.copy()
     taxels = NoiseModel().apply(truth, np.random.default_rng(3))
@@ -48,7 +48,7 @@ def test_readings_stay_in_the_range_and_the_truth_is_left_alone() -> None:
     assert not np.shares_memory(taxels, truth)
 
 
-def test_noise_is_a_multiple_of_the_papers_in_parts_of_the_range_and_may_be_none() -> None:
+def test_noise_is_a_multiple_of_the_papers_in_parts_of_the_range_and_may_be_none():
     model = NoiseModel.for_range(25.0, times=3.0)
     assert (model.sigma_mid, model.sigma_end) == pytest.approx((1.884, 0.423))
     truth = forces(0.0, 1.0, 2.5)
@@ -64,8 +64,6 @@ def test_noise_is_a_multiple_of_the_papers_in_parts_of_the_range_and_may_be_none
         ("sigma_end", -0.1, "0 to f_max = 2.5"),
     ],
 )
-def test_bad_parameter_is_named_with_its_value_and_the_allowed_range(
-    name: str, value: float, allowed: str
-) -> None:
+def test_bad_parameter_is_named_with_its_value_and_the_allowed_range(name, value, allowed):
     with pytest.raises(SettingsError, match=rf"{name} is {value!r}; allowed is {allowed}"):
         NoiseModel(**{name: value})

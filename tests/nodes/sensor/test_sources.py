@@ -1,8 +1,6 @@
 """Sources by their addresses: kinds of this package, and those that another package brings."""
 
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,9 +68,7 @@ class GloveAddress(Address):
 
 
 @pytest.fixture
-def offered(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, offering: Callable[..., None]
-) -> Iterator[None]:
+def offered(monkeypatch, tmp_path, offering):
     """A package that brings the kind `glove`, and one, `broken`, that cannot be imported."""
     monkeypatch.syspath_prepend(tmp_path)
     broken = "no_such_package:Address"
@@ -83,7 +79,7 @@ def offered(
 
 
 @pytest.mark.usefixtures("offered")
-def test_a_sensor_reads_a_kind_of_source_that_another_package_brings() -> None:
+def test_a_sensor_reads_a_kind_of_source_that_another_package_brings():
     settings = SensorSettings(source="glove:left")
     settings.check()
     assert Sensor.facts(settings) == {"/skin/skin": 6}
@@ -104,7 +100,7 @@ def test_a_sensor_reads_a_kind_of_source_that_another_package_brings() -> None:
     sensor.close({})
 
 
-def test_a_part_of_a_recording_is_read_at_its_part_of_the_rate(tmp_path: Path) -> None:
+def test_a_part_of_a_recording_is_read_at_its_part_of_the_rate(tmp_path):
     path = tmp_path / "a.npz"
     forces = np.arange(10, dtype=np.float32)[:, None, None] * np.ones((2, 3), np.float32)
     np.savez(path, forces=forces, rate_hz=200.0)
@@ -119,7 +115,7 @@ def test_a_part_of_a_recording_is_read_at_its_part_of_the_rate(tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("offered")
-def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts() -> None:
+def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts():
     with pytest.raises(SettingsError, match="source: glove:right: allowed is left"):
         SensorSettings(source="glove:right").check()
     with pytest.raises(SettingsError, match="n_rows: a glove has its own"):
@@ -128,14 +124,14 @@ def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts() -> None:
         sources.find_address("broken:x").check()
 
 
-def test_any_other_address_is_one_of_a_driver() -> None:
+def test_any_other_address_is_one_of_a_driver():
     address = sources.find_address("my_skin:frames", n_rows=2, n_cols=3)
     assert isinstance(address, sources.DriverAddress)
     assert address.n_taxels() == 6
     assert sources.find_address("my_skin:frames").n_taxels() is None
 
 
-def test_a_source_that_computes_its_frames_is_read_a_frame_at_a_time_and_ends() -> None:
+def test_a_source_that_computes_its_frames_is_read_a_frame_at_a_time_and_ends():
     source = sources.open_source("scene:lift_box_40", seed=0)
     first, second = source.next_frame(0.0), source.next_frame(0.0)
     assert first is not None
@@ -148,7 +144,7 @@ def test_a_source_that_computes_its_frames_is_read_a_frame_at_a_time_and_ends() 
     assert source.ended
 
 
-def test_a_recording_that_loops_begins_again_and_its_stamps_go_on() -> None:
+def test_a_recording_that_loops_begins_again_and_its_stamps_go_on():
     frames = np.arange(4, dtype=np.float32).reshape(2, 1, 2)
     source = RecordedSource("r", Skin(1, 2, 3.0), frames, [0, 10])
     source.loops, source.period_s = True, 1e-8
@@ -158,23 +154,21 @@ def test_a_recording_that_loops_begins_again_and_its_stamps_go_on() -> None:
     ]
 
 
-def test_what_is_no_address_is_refused_with_all_forms() -> None:
+def test_what_is_no_address_is_refused_with_all_forms():
     with pytest.raises(SourceError) as refused:
         sources.find_address("path_40")
     assert str(refused.value).startswith('source "path_40": expected scene:NAME, file:PATH')
     assert str(refused.value).endswith('or module:callable (did you mean "scene:path_40"?)')
 
 
-def test_a_file_without_its_prefix_is_refused_with_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_without_its_prefix_is_refused_with_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "press.csv").touch()
     with pytest.raises(SourceError, match=r'did you mean "file:press.csv"\?'):
         sources.find_address("press.csv")
 
 
-def test_an_address_whose_plug_in_is_missing_names_it(offering: Callable[..., None]) -> None:
+def test_an_address_whose_plug_in_is_missing_names_it(offering):
     offering(extensions.ADDRESSES)
     with pytest.raises(SourceError, match="no plug-in for sources serial: is installed; expected"):
         sources.find_address("serial:/dev/ttyUSB0?baud=9600")

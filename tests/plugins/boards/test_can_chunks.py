@@ -33,15 +33,13 @@ def assembled(chunks: Chunks, sent: list[tuple[int, bytes]]) -> tuple[list[bytes
 
 
 @given(frames=frames, chunks=st.sampled_from([BY_ID, COUNTED, INDEXED]))
-def test_all_frames_are_found(frames: list[bytes], chunks: Chunks) -> None:
+def test_all_frames_are_found(frames, chunks):
     sent = [one for k, frame in enumerate(frames) for one in spread(chunks, frame, k)]
     assert assembled(chunks, sent) == (frames, Counts())
 
 
 @given(frames=frames, chunks=st.sampled_from([COUNTED, INDEXED]), data=st.data())
-def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(
-    frames: list[bytes], chunks: Chunks, data: st.DataObject
-) -> None:
+def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(frames, chunks, data):
     sent, whole = [], []
     for k, frame in enumerate(frames):
         parts = spread(chunks, frame, k)
@@ -55,9 +53,7 @@ def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(
 
 
 @given(frames=frames, lost=st.integers(0, 1), at=st.integers(0, 30))
-def test_without_a_counter_a_lost_chunk_costs_its_frame_alone(
-    frames: list[bytes], lost: int, at: int
-) -> None:
+def test_without_a_counter_a_lost_chunk_costs_its_frame_alone(frames, lost, at):
     sent = [one for k, frame in enumerate(frames) for one in spread(BY_ID, frame, k)]
     at %= len(sent)
     found, counts = assembled(BY_ID, sent[:at] + sent[at + lost :])
@@ -68,12 +64,12 @@ def test_without_a_counter_a_lost_chunk_costs_its_frame_alone(
         assert counts.dropped_bytes == (0 if is_last else rest)
 
 
-def test_other_ids_and_short_or_wild_data_are_no_chunk() -> None:
+def test_other_ids_and_short_or_wild_data_are_no_chunk():
     wild = [(0x7FF, bytes(8)), *((0x10, data) for data in (b"", b"\0", b"\xff" * 8, bytes(3)))]
     assert assembled(INDEXED, wild) == ([], Counts(dropped_bytes=12))
 
 
-def test_padding_of_can_fd_is_left_out() -> None:
+def test_padding_of_can_fd_is_left_out():
     framing = Framing(70)
     chunks = chunks_of(CanSettings(ids="0x10-0x11", fd=True), framing)
     assert (chunks.n_chunks, chunks.length_of(0), chunks.length_of(1)) == (2, 64, 6)

@@ -49,7 +49,7 @@ plain_payloads = st.lists(
 )
 
 
-def test_a_checksum_of_the_digits_is_that_of_the_catalogue() -> None:
+def test_a_checksum_of_the_digits_is_that_of_the_catalogue():
     # The check values of the catalogue of CRCs: of the ASCII digits 1 to 9.
     assert {name: one.compute(b"123456789") for name, one in CHECKSUMS.items()} == {
         "crc8": 0xF4,
@@ -66,7 +66,7 @@ def test_a_checksum_of_the_digits_is_that_of_the_catalogue() -> None:
 
 
 @pytest.mark.parametrize("n", [64, BLOCK - 1, BLOCK, BLOCK + 1, BLOCK + 2, 2 * BLOCK + 1])
-def test_a_frame_before_its_crc_leaves_no_remainder(n: int) -> None:
+def test_a_frame_before_its_crc_leaves_no_remainder(n):
     compute = CHECKSUMS["crc16_modbus"].compute
     data = bytes(k * k % 251 for k in range(n))
     assert compute(data + compute(data).to_bytes(2, "little")) == 0
@@ -88,7 +88,7 @@ framings = st.builds(
 class TestWithoutErrors:
     @few
     @given(framing=framings, seed=st.integers(0, 2**32))
-    def test_a_frame_has_its_stated_length_and_parts(self, framing: Framing, seed: int) -> None:
+    def test_a_frame_has_its_stated_length_and_parts(self, framing, seed):
         payload = random.Random(seed).randbytes(framing.payload_bytes)
         raw = framing.encode(payload, 3)
         assert len(raw) == framing.n_bytes
@@ -98,9 +98,7 @@ class TestWithoutErrors:
 
     @few
     @given(payloads=payloads, cuts=cuts)
-    def test_all_frames_with_a_crc_are_found_however_the_stream_is_cut(
-        self, payloads: list[bytes], cuts: list[int]
-    ) -> None:
+    def test_all_frames_with_a_crc_are_found_however_the_stream_is_cut(self, payloads, cuts):
         stream = b"".join(WITH_CRC.encode(p, k) for k, p in enumerate(payloads))
         frames, parser = parsed(WITH_CRC, cut(stream, cuts))
         assert [frame.payload for frame in frames] == payloads
@@ -112,9 +110,7 @@ class TestWithoutErrors:
 
     @few
     @given(payloads=plain_payloads, cuts=cuts)
-    def test_without_a_checksum_all_frames_but_the_last_are_found(
-        self, payloads: list[bytes], cuts: list[int]
-    ) -> None:
+    def test_without_a_checksum_all_frames_but_the_last_are_found(self, payloads, cuts):
         # The last is not confirmed; two in a row are needed for the first.
         stream = b"".join(PLAIN.encode(p) for p in payloads)
         frames, parser = parsed(PLAIN, cut(stream, cuts))
@@ -122,7 +118,7 @@ class TestWithoutErrors:
         assert [frame.payload for frame in frames] == payloads[:found]
         assert parser.n_waiting == (len(payloads) - found) * PLAIN.n_bytes
 
-    def test_without_confirmation_a_frame_is_accepted_at_its_last_byte(self) -> None:
+    def test_without_confirmation_a_frame_is_accepted_at_its_last_byte(self):
         framing = Framing(12, start=MARK, confirm=False)
         sent = [framing.encode(bytes([k] * 12)) for k in range(6)]
         frames, parser = parsed(framing, sent[:3])
@@ -132,7 +128,7 @@ class TestWithoutErrors:
         assert [frame.payload[0] for frame in frames] == [3, 1, 2, 3, 4]
         assert frames[0].payload[-1] == MARK[0]
 
-    def test_a_static_pattern_that_looks_like_start_bytes_is_not_believed(self) -> None:
+    def test_a_static_pattern_that_looks_like_start_bytes_is_not_believed(self):
         # Two places fit equally: none is taken until the readings change.
         held = b"\x01\x02\x03" + MARK + b"\x04" * 7
         static = PLAIN.encode(held)
@@ -173,8 +169,8 @@ class TestWithErrors:
     @few
     @given(cuts=cuts, data=st.data())
     def test_no_false_frame_with_a_crc_whatever_happens_and_without_after_lost_or_extra_bytes(
-        self, framing: Framing, cuts: list[int], data: st.DataObject
-    ) -> None:
+        self, framing, cuts, data
+    ):
         held = data.draw(payloads if framing.is_strong else plain_payloads)
         sent = [framing.encode(p, k) for k, p in enumerate(held)]
         stream = b"".join(damaged(sent, data, safe=not framing.is_strong))
@@ -186,9 +182,7 @@ class TestWithErrors:
     @pytest.mark.parametrize("framing", [PLAIN, WITH_CRC], ids=["plain", "crc32"])
     @few
     @given(garbage=st.binary(max_size=200), cuts=cuts)
-    def test_frames_are_found_again_after_any_garbage(
-        self, framing: Framing, garbage: bytes, cuts: list[int]
-    ) -> None:
+    def test_frames_are_found_again_after_any_garbage(self, framing, garbage, cuts):
         sent = [bytes([k] * 12) for k in range(12)]
         stream = garbage + b"".join(framing.encode(p, k) for k, p in enumerate(sent))
         frames, _ = parsed(framing, cut(stream, cuts))
@@ -198,7 +192,7 @@ class TestWithErrors:
         assert len(frames) >= 8
 
     @pytest.mark.parametrize("checksum", ["none", "sum8"])
-    def test_a_damaged_frame_costs_itself_alone(self, checksum: str) -> None:
+    def test_a_damaged_frame_costs_itself_alone(self, checksum):
         framing = Framing(12, start=MARK, checksum=checksum)
         sent = [framing.encode(bytes([k] * 12)) for k in range(9)]
         wrong = sent[4][:5] + b"\x05" + sent[4][6:] if checksum == "sum8" else sent[4][:-1]
@@ -207,8 +201,8 @@ class TestWithErrors:
         assert (parser.counts.bad_frames, parser.counts.dropped_bytes) == (1, len(wrong))
 
     def test_bytes_that_begin_a_frame_at_every_place_are_checked_a_bounded_number_of_times(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+        self, monkeypatch
+    ):
         framing = Framing(1000, start=b"\x00", checksum="crc32")
         checked: list[int] = []
         whole = Framing.is_whole
@@ -229,9 +223,7 @@ class TestSequence:
         first=st.integers(0, 2**32),
         gaps=st.lists(st.integers(0, 100), max_size=20),
     )
-    def test_missing_numbers_are_counted_across_the_wrap(
-        self, n_bytes: int, first: int, gaps: list[int]
-    ) -> None:
+    def test_missing_numbers_are_counted_across_the_wrap(self, n_bytes, first, gaps):
         counts = Counts()
         sequence, number, modulus = Sequence(n_bytes, counts), first, 1 << 8 * n_bytes
         assert sequence.admit(number % modulus)
@@ -247,9 +239,7 @@ class TestSequence:
             ((1000, 1001, 0, 1), (True,) * 4, 0),  # a board that starts again
         ],
     )
-    def test_a_frame_that_comes_twice_or_late_is_not_used(
-        self, numbers: Items[int], admitted: Items[bool], n_late: int
-    ) -> None:
+    def test_a_frame_that_comes_twice_or_late_is_not_used(self, numbers, admitted, n_late):
         counts = Counts()
         sequence = Sequence(2, counts)
         assert tuple(sequence.admit(k) for k in numbers) == admitted
@@ -259,9 +249,7 @@ class TestSequence:
 class TestPackets:
     @few
     @given(payloads=payloads)
-    def test_a_packet_of_whole_frames_is_split_and_any_other_counted(
-        self, payloads: list[bytes]
-    ) -> None:
+    def test_a_packet_of_whole_frames_is_split_and_any_other_counted(self, payloads):
         parser = PacketParser(WITH_CRC)
         packet = b"".join(WITH_CRC.encode(one, k) for k, one in enumerate(payloads))
         assert [frame.payload for frame in parser.feed(packet)] == payloads

@@ -20,7 +20,7 @@ from sparseskin.nodes.network.keys import make_key_files
 from sparseskin.plugins.boards.serial_port import serial_devices
 
 
-def test_sources_lists_profiles_with_a_line_on_each(capsys: pytest.CaptureFixture[str]) -> None:
+def test_sources_lists_profiles_with_a_line_on_each(capsys):
     assert main(["sources", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert "flexitac_16x32" in [one["name"] for one in found["profiles"]]
@@ -40,13 +40,13 @@ KEYS = ("checksum", "checksum_from", "confirm", "cols", "col_order")
         ("no:d?", []),
     ],
 )
-def test_addresses_are_completed(begun: str, found: list[str]) -> None:
+def test_addresses_are_completed(begun, found):
     action = argparse.Action([], "", metavar="SOURCE")
     offered = candidates(prefix=begun, action=action, parsed_args=argparse.Namespace())
     assert list(offered) == found
 
 
-def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path: Path) -> None:
+def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path):
     pytest.importorskip("serial")
     screen, terminal = pty.openpty()
     with a_line(tmp_path) as line:
@@ -112,9 +112,7 @@ host = "desk"
 """
 
 
-def test_a_board_of_another_host_need_not_be_here_but_is_described_rightly(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_board_of_another_host_need_not_be_here_but_is_described_rightly(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("edge", "desk"):
         make_key_files(name, tmp_path / "keys")
@@ -125,7 +123,7 @@ def test_a_board_of_another_host_need_not_be_here_but_is_described_rightly(
         load("f.toml").part(None)
 
 
-def test_a_port_of_usb_is_listed_by_its_lasting_name(tmp_path: Path) -> None:
+def test_a_port_of_usb_is_listed_by_its_lasting_name(tmp_path):
     (tmp_path / "serial" / "by-id").mkdir(parents=True)
     for name in ("ttyUSB0", "ttyUSB1", "ttyACM0"):
         (tmp_path / name).touch()

@@ -22,9 +22,7 @@ def fenced(language: str) -> str:
     return found[1]
 
 
-def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state(
-    tmp_path: Path,
-) -> None:
+def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state(tmp_path):
     path = tmp_path / "my_board.toml"
     path.write_text(fenced("ini"), encoding="utf-8")
     board = describe_board(f"serial:/dev/ttyUSB0?profile={path}")

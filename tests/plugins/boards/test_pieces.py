@@ -29,9 +29,7 @@ def cut(frames: list[bytes], size: int, numbered: bool) -> list[Frame]:
 
 
 @given(n=st.integers(1, 40), size=st.integers(1, N), numbered=st.booleans(), data=st.data())
-def test_frames_are_whole_or_counted_whatever_pieces_are_lost(
-    n: int, size: int, numbered: bool, data: st.DataObject
-) -> None:
+def test_frames_are_whole_or_counted_whatever_pieces_are_lost(n, size, numbered, data):
     frames = [bytes([k]) * N for k in range(n)]
     sent = cut(frames, size, numbered)
     # Without numbers a loss of whole turns cannot be noticed.
@@ -63,7 +61,7 @@ def read(found: Board, stream: bytes) -> tuple[list[Frame], Counts]:
     return [frame for piece in pieces for frame in parser.feed(piece)], parser.counts
 
 
-def test_packets_of_a_wiresens_board_become_frames_whose_readings_rise_with_the_press() -> None:
+def test_packets_of_a_wiresens_board_become_frames_whose_readings_rise_with_the_press():
     found = board("profile=wiresens")
     rng = np.random.default_rng(0)
     readings = rng.integers(0, 4096, (4, 32, 32)).astype("<u2")
@@ -91,7 +89,7 @@ def taxelscan(readings: bytes, number: int, n_contacts: int, rows: int = 16) -> 
                               crc_hqx(payload, 0xFFFF))  # fmt: skip
 
 
-def test_frames_of_a_taxelscan_board_have_any_number_of_contacts() -> None:
+def test_frames_of_a_taxelscan_board_have_any_number_of_contacts():
     found = board("profile=taxelscan")
     readings = np.random.default_rng(0).integers(-50, 4096, (6, 16, 32)).astype("<i2")
     contacts = [0, 3, 32, 1, 0, 7]

@@ -9,16 +9,14 @@ import struct
 import time
 import uuid
 from binascii import crc_hqx
-from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from board_lines import Line, a_line, flexitac, send_packets
-from conftest import StartProgram, free_port, wait_until
+from board_lines import a_line, flexitac, send_packets
+from conftest import free_port, wait_until
 
 from sparseskin.messages import Message
 from sparseskin.nodes.clock import ManualClock
@@ -36,20 +34,19 @@ WAIT_S = 0.05
 
 
 @pytest.fixture
-def line(tmp_path: Path) -> Iterator[Line]:
+def line(tmp_path):
     pytest.importorskip("serial")
     with a_line(tmp_path) as found:
         yield found
 
 
 @pytest.fixture
-def opened() -> Iterator[Any]:
+def opened():
     """Open a board; it is closed at the end."""
     made: list[BoardSource] = []
 
     def make(source: str, policy: Policy = DEFAULT_POLICY) -> BoardSource:
         found = open_source(source, seed=0, policy=policy)
-        assert isinstance(found, BoardSource)
         made.append(found)
         return found
 
@@ -85,9 +82,7 @@ def logged(source: BoardSource, text: str) -> str:
 
 
 class TestSerial:
-    def test_a_flood_of_frames_is_read_in_order_and_none_is_lost(
-        self, line: Line, opened: Any
-    ) -> None:
+    def test_a_flood_of_frames_is_read_in_order_and_none_is_lost(self, line, opened):
         source = opened(f"serial:{line.device}?profile=flexitac_16x32")
         line.sending(flexitac(k % 170) for k in range(1001))
         frames = taken(source, 1000)
@@ -99,7 +94,7 @@ class TestSerial:
         assert figures.pop("frames") == 1000
         assert not any(figures.values())
 
-    def test_what_is_dropped_is_counted_byte_by_byte(self, line: Line, opened: Any) -> None:
+    def test_what_is_dropped_is_counted_byte_by_byte(self, line, opened):
         source = opened(f"serial:{line.device}?rows=16&cols=32&start=AA55&checksum=crc16")
         framing = Framing(512, start=b"\xaa\x55", checksum="crc16")
         good, noise = framing.encode(bytes(512)), b"\x01" * 777
@@ -111,9 +106,7 @@ class TestSerial:
         assert counts.dropped_bytes == 777 + len(wrong) + 50
         assert dropped_text(source.figures()) == f"2 bad frames, {777 + len(wrong) + 50} bytes"
 
-    def test_a_silent_board_and_a_wrong_profile_are_told_apart(
-        self, line: Line, opened: Any, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_silent_board_and_a_wrong_profile_are_told_apart(self, line, opened, monkeypatch):
         monkeypatch.setattr(source_module, "SILENT_S", 0.05)
         name = f"serial:{line.device}?profile=flexitac_12x32"
         source = opened(name)
@@ -135,7 +128,7 @@ class TestUdp:
     def frame(self, value: float, number: int) -> bytes:
         return self.NUMBERED.encode(np.full(6, value, "<f4").tobytes(), number)
 
-    def test_packets_of_one_or_more_frames_are_read_and_others_counted(self, opened: Any) -> None:
+    def test_packets_of_one_or_more_frames_are_read_and_others_counted(self, opened):
         port = free_port(socket.SOCK_DGRAM)
         source = opened(f"udp:{port}?{self.QUERY}")
         other = opened(f"udp:{free_port(socket.SOCK_DGRAM)}?rows=2&cols=3&sender=127.0.0.2")
@@ -154,8 +147,8 @@ class TestUdp:
         assert other.figures()["other_senders"] == 1
 
     def test_frames_of_others_than_the_first_sender_are_dropped_and_counted(
-        self, opened: Any, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+        self, opened, monkeypatch
+    ):
         port = free_port(socket.SOCK_DGRAM)
         source = opened(f"udp:{port}?rows=2&cols=3&sequence=u32")
         framing = Framing(6, sequence_bytes=4)
@@ -178,9 +171,7 @@ class TestUdp:
         assert taken(source, 1)[0][1].max() == 4
         assert source.take_lines()[0].endswith(" is the sender now")
 
-    def test_a_reading_that_is_no_number_is_missing_where_that_is_allowed(
-        self, opened: Any
-    ) -> None:
+    def test_a_reading_that_is_no_number_is_missing_where_that_is_allowed(self, opened):
         port = free_port(socket.SOCK_DGRAM)
         source = opened(f"udp:{port}?{self.QUERY}", Policy("mask"))
         readings = np.array([0, np.nan, 9, np.inf, -np.inf, 1], "<f4")
@@ -189,7 +180,7 @@ class TestUdp:
         np.testing.assert_array_equal(forces.ravel(), [0, np.nan, 4, np.nan, np.nan, 1])
         assert (source.clipped.n, source.clipped.highest) == (1, 9.0)
 
-    def test_what_the_kernel_drops_is_counted(self, opened: Any) -> None:
+    def test_what_the_kernel_drops_is_counted(self, opened):
         port = free_port(socket.SOCK_DGRAM)
         source = opened(f"udp:{port}?rows=100&cols=100")
         n_sent = 3000
@@ -208,7 +199,7 @@ class TestUdp:
 
 
 class TestCan:
-    def test_frames_come_over_a_virtual_bus(self, opened: Any) -> None:
+    def test_frames_come_over_a_virtual_bus(self, opened):
         can = pytest.importorskip("can")
         channel = uuid.uuid4().hex
         query = "rows=8&cols=8&ids=0x18DA0001-0x18DA0002&fd=true&dtype=uint16&interface=virtual"
@@ -227,7 +218,7 @@ class TestCan:
         assert not dropped_text(source.figures())
 
 
-def test_frames_before_the_start_and_while_paused_are_counted_as_unused(line: Line) -> None:
+def test_frames_before_the_start_and_while_paused_are_counted_as_unused(line):
     settings = Sensor.Settings(source=f"serial:{line.device}?profile=flexitac_16x32")
     sensor = Sensor(settings, Context("sensor", ManualClock(10**18)))
     board = sensor._source
@@ -252,9 +243,7 @@ def test_frames_before_the_start_and_while_paused_are_counted_as_unused(line: Li
 
 
 @pytest.mark.parametrize("clock", ["source", "arrival"])
-def test_frames_of_a_board_with_a_clock_have_its_time(
-    line: Line, monkeypatch: pytest.MonkeyPatch, clock: str
-) -> None:
+def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
     """A board whose clock is 100 ppm fast, wraps and restarts, with 5 ms of jitter."""
     query = "rows=2&cols=3&start=A55A&sequence=u16&skip=4&stamp=u32&stamp_at=4&checksum=crc16"
     now = ManualClock(10**18)
@@ -318,8 +307,8 @@ source = "{source}"
 
 
 def test_an_unplugged_board_is_one_line_and_the_graph_goes_on_when_it_is_back(
-    start: StartProgram, tmp_path: Path, line: Line
-) -> None:
+    start, tmp_path, line
+):
     source = f"serial:{line.device}?profile=flexitac_16x32"
     (tmp_path / "board.toml").write_text(GRAPH.format(source=source))
     program = start("launch", "board.toml", "--summary", "summary.json")

@@ -2,7 +2,6 @@
 
 import contextlib
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,17 +18,17 @@ PLAIN = "rows=2&cols=3&start=AA55"
 
 
 def serial(query: str, **stated: object) -> Board:
-    return describe_board(f"serial:/dev/ttyUSB0?{query}", **stated)  # type: ignore[arg-type]
+    return describe_board(f"serial:/dev/ttyUSB0?{query}", **stated)
 
 
 class TestProfiles:
-    def test_every_profile_is_complete_with_rows_and_columns_which_go_before_its_own(self) -> None:
+    def test_every_profile_is_complete_with_rows_and_columns_which_go_before_its_own(self):
         for name in profile_names():
             board = serial(f"profile={name}&rows=40&cols=5")
             assert board.skin.shape == (40, 5)
             assert board.framing.is_whole(board.framing.encode(bytes(board.framing.payload_bytes)))
 
-    def test_a_file_of_ones_own_is_read(self, tmp_path: Path) -> None:
+    def test_a_file_of_ones_own_is_read(self, tmp_path):
         path = tmp_path / "own.toml"
         path.write_text(
             'about = "mine"\nstart = "A5"\nrows = 2\ncols = 3\nrow_order = [1, 0]\nscale = 0.5\n'
@@ -47,7 +46,7 @@ class TestProfiles:
             ("\x00", "no TOML"),
         ],
     )
-    def test_a_fault_of_a_file_is_one_line(self, tmp_path: Path, text: str, fault: str) -> None:
+    def test_a_fault_of_a_file_is_one_line(self, tmp_path, text, fault):
         path = tmp_path / "own.toml"
         path.write_text(text)
         with pytest.raises(SourceError) as caught:
@@ -57,7 +56,7 @@ class TestProfiles:
         assert str(path) in str(caught.value)
 
     @given(raw=st.binary(max_size=80))
-    def test_no_file_is_a_crash(self, tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
+    def test_no_file_is_a_crash(self, tmp_path_factory, raw):
         path = tmp_path_factory.getbasetemp() / "any.toml"
         path.write_bytes(raw)
         with contextlib.suppress(SourceError):
@@ -98,7 +97,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("source", "fault"), FAULTS)
-def test_a_fault_of_a_source_is_one_line_that_names_it(source: str, fault: str) -> None:
+def test_a_fault_of_a_source_is_one_line_that_names_it(source, fault):
     pytest.importorskip("serial")
     pytest.importorskip("can")
     with pytest.raises(SourceError) as caught:
@@ -107,7 +106,7 @@ def test_a_fault_of_a_source_is_one_line_that_names_it(source: str, fault: str) 
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_package_is_one_line_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_one_line_with_its_extra(monkeypatch):
     # As if it were not installed.
     for name in ("serial", "can"):
         monkeypatch.setitem(sys.modules, name, None)
@@ -117,7 +116,7 @@ def test_a_missing_package_is_one_line_with_its_extra(monkeypatch: pytest.Monkey
         find_address("can:can0?rows=2&cols=3&ids=0x10&interface=virtual").check()
 
 
-def test_properties_may_be_stated_by_the_sensor_instead() -> None:
+def test_properties_may_be_stated_by_the_sensor_instead():
     board = serial("start=AA", n_rows=2, n_cols=3, unit="N", f_max=4.0)
     assert (board.skin.shape, board.skin.unit, board.skin.f_max) == ((2, 3), "N", 4.0)
     for stated in ({"n_rows": 3}, {"f_max": 5.0}, {"unit": "kPa"}):
@@ -134,9 +133,7 @@ class TestReadings:
         cols=st.permutations(range(4)),
         seed=st.integers(0, 99),
     )
-    def test_each_count_comes_to_its_taxel(
-        self, dtype: str, byte_order: str, order: str, rows: list[int], cols: list[int], seed: int
-    ) -> None:
+    def test_each_count_comes_to_its_taxel(self, dtype, byte_order, order, rows, cols, seed):
         decoder = Decoder(dtype, byte_order, order, rows, cols, scale=0.25, zero=3)
         counts = np.random.default_rng(seed).integers(0, 100, (3, 4))
         kind = np.dtype(dtype).newbyteorder("<" if byte_order == "little" else ">")

@@ -26,7 +26,7 @@ def made(totals: list[float], trusted: bool = True, **more: Any) -> Contacts:
     )
 
 
-def test_a_wrench_is_the_sum_of_forces_into_the_skin_and_of_their_torques() -> None:
+def test_a_wrench_is_the_sum_of_forces_into_the_skin_and_of_their_torques():
     places = np.array([[1000, 0, 0], [0, 2000, 0]], np.float32)
     force, torque = wrench(made([2.0, 3.0], place_mm=places))
     assert force.tolist() == [0, 0, -5]  # of a flat skin, whose z axis points outwards
@@ -38,7 +38,7 @@ def test_a_wrench_is_the_sum_of_forces_into_the_skin_and_of_their_torques() -> N
     assert not np.any(wrench(made([])))
 
 
-def test_shapes_point_at_contacts_on_points_along_the_force() -> None:
+def test_shapes_point_at_contacts_on_points_along_the_force():
     points = np.zeros((34, 6), np.float32)
     points[:, 0], points[:, 5] = np.linspace(0, 0.5, 34), 1
     skin = skin_state(points=points, pitch_m=0.01)
@@ -49,7 +49,7 @@ def test_shapes_point_at_contacts_on_points_along_the_force() -> None:
     assert one.diameter == pytest.approx(0.03)
 
 
-def test_the_state_has_the_strongest_contacts_first_and_zeros_where_there_are_fewer() -> None:
+def test_the_state_has_the_strongest_contacts_first_and_zeros_where_there_are_fewer():
     names = state_names("palm", 2)
     assert names[:2] == ["palm.trusted", "palm.contact_1.total"]
     places = np.arange(9, dtype=np.float32).reshape(3, 3)

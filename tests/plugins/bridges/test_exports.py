@@ -22,7 +22,7 @@ Held = dict[str, list[tuple[int, str, Any]]]
 
 
 @pytest.fixture
-def rich(tmp_path: Path) -> Path:
+def rich(tmp_path):
     make_bag(tmp_path / "a.mcap", rich_frames())
     return tmp_path / "a.mcap"
 
@@ -55,7 +55,7 @@ def read_mcap(path: Path, decoders: str) -> Held:
 
 
 @pytest.fixture
-def foxglove(rich: Path) -> Held:
+def foxglove(rich):
     pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
     with BagReader(rich) as bag:
         (path,) = export_foxglove(bag, rich.with_name("a_foxglove.mcap"))
@@ -66,7 +66,7 @@ def stamp_of(message: Any) -> int:
     return int(message.timestamp.seconds * 10**9 + message.timestamp.nanos)
 
 
-def test_every_pixel_and_stamp_is_in_a_foxglove_export(foxglove: Held) -> None:
+def test_every_pixel_and_stamp_is_in_a_foxglove_export(foxglove):
     for topic, message, array in images():
         log_ns, schema, image = foxglove[topic].pop(0)
         assert (schema, image.encoding) == ("foxglove.RawImage", "32FC1")
@@ -78,7 +78,7 @@ def test_every_pixel_and_stamp_is_in_a_foxglove_export(foxglove: Held) -> None:
     assert left == []
 
 
-def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove: Held) -> None:
+def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove):
     sent = [m for m in rich_frames() if isinstance(m, Reconstruction)]
     for (_, schema, grid), message in zip(foxglove["/skin/reconstruction/grid"], sent, strict=True):
         assert (schema, grid.frame_id) == ("foxglove.Grid", "skin")
@@ -96,7 +96,7 @@ def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove: Hel
             assert np.array_equal(values, array)
 
 
-def test_figures_and_states_of_a_foxglove_export_are_those_of_the_messages(foxglove: Held) -> None:
+def test_figures_and_states_of_a_foxglove_export_are_those_of_the_messages(foxglove):
     for message in rich_frames():
         if isinstance(message, Reconstruction | Resultant):
             _, schema, figures = foxglove[f"{message.topic}/figures"].pop(0)
@@ -109,7 +109,7 @@ def test_figures_and_states_of_a_foxglove_export_are_those_of_the_messages(foxgl
     assert np.array_equal([[cell == "1" for cell in row] for row in skin["mask"]], MASK)
 
 
-def test_a_foxglove_export_has_the_contacts_as_numbers_and_as_a_scene(foxglove: Held) -> None:
+def test_a_foxglove_export_has_the_contacts_as_numbers_and_as_a_scene(foxglove):
     for k in range(N_FRAMES):
         sent = contacts(k)
         (_, schema, held), (_, _, scene) = (
@@ -135,9 +135,7 @@ def test_a_foxglove_export_has_the_contacts_as_numbers_and_as_a_scene(foxglove: 
             assert text.text == f"{n + 1}: {0.5 + k:.3g} N"
 
 
-def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(
-    tmp_path: Path,
-) -> None:
+def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(tmp_path):
     pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
     path = tmp_path / "a.mcap"
     state = points_bag(path)
@@ -153,7 +151,7 @@ def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(
     assert np.array_equal(table[:, 7].copy().view("<u4"), state.point_rows)
 
 
-def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich: Path) -> None:
+def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich):
     rosbags = pytest.importorskip("rosbags.rosbag2", reason="the extra ros2 is not installed")
     with BagReader(rich) as bag:
         mcap, _ = export_ros2(bag, rich.with_name("a_ros2"))
@@ -218,7 +216,7 @@ def check_contacts(sent: Contacts, held: dict[str, tuple[int, str, Any]]) -> Non
         assert np.array_equal(rows[:, names.index(name)], values)
 
 
-def test_a_stamp_beyond_ros_is_refused(tmp_path: Path) -> None:
+def test_a_stamp_beyond_ros_is_refused(tmp_path):
     pytest.importorskip("rosbags", reason="the extra ros2 is not installed")
     late = Taxels(stamp_ns=(1 << 31) * 10**9, patch="skin", forces=np.zeros((2, 2), np.float32))
     make_bag(tmp_path / "a.mcap", [late])

@@ -33,13 +33,13 @@ DOMAIN = 110 + hash(sys.executable + str(Path.cwd())) % 90
 
 
 @pytest.fixture(autouse=True)
-def defaults_of_ros(monkeypatch: pytest.MonkeyPatch) -> None:
+def defaults_of_ros(monkeypatch):
     for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"):
         monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture(scope="module")
-def peer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def peer(tmp_path_factory):
     """The program of the other end."""
     folder = tmp_path_factory.mktemp("fastdds")
     for path in SOURCES.iterdir():
@@ -58,14 +58,13 @@ def started(peer: Path, action: str, topic: str, n: int) -> Iterator[subprocess.
     words = [peer, action, str(DOMAIN), topic, str(n)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:
-            assert process.stdout is not None
             assert process.stdout.readline() == "READY\n"
             yield process
         finally:
             process.kill()
 
 
-def test_fast_dds_receives_what_the_bridge_sends(peer: Path) -> None:
+def test_fast_dds_receives_what_the_bridge_sends(peer):
     settings = Ros2Settings(domain=DOMAIN, messages=("array",), history=1000)
     bridge = Ros2Bridge(settings, Context("ros2", ManualClock(0)))
     list(bridge.start())
@@ -82,7 +81,7 @@ def test_fast_dds_receives_what_the_bridge_sends(peer: Path) -> None:
     assert received.splitlines() == [f"rows=3 cols=4 {12 * k / 8:.4f}" for k in range(20)]
 
 
-def test_the_source_receives_what_fast_dds_sends(peer: Path) -> None:
+def test_the_source_receives_what_fast_dds_sends(peer):
     with started(peer, "write", "rt/glove/array", 20):
         found = list(islice(frames(f"ros2:/glove/array?domain={DOMAIN}&timeout_s=60"), 20))
     for k, (_, forces) in enumerate(found):

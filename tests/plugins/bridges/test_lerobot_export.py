@@ -44,14 +44,14 @@ class Dataset:
 
 
 @pytest.fixture
-def bag(tmp_path: Path) -> Path:
+def bag(tmp_path):
     path = tmp_path / "some.mcap"
     make_bag(path, [skin_state(), *(m for k in range(N_FRAMES) for m in frame(k))])
     return path
 
 
 @pytest.fixture
-def exported(bag: Path, tmp_path: Path) -> Dataset:
+def exported(bag, tmp_path):
     with BagReader(bag) as reader:
         export_lerobot(reader, tmp_path / "out", fps=FPS, window=WINDOW)
     assert not list((tmp_path / "out").glob(".*"))
@@ -61,7 +61,7 @@ def exported(bag: Path, tmp_path: Path) -> Dataset:
 KEY = "observation.tactile.skin"
 
 
-def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported: Dataset) -> None:
+def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported):
     n = (N_FRAMES - 1) * PERIOD_NS * FPS // 10**9 + 1
     info, episode = exported.info, exported.episode
     assert info["codebase_version"] == "v3.0"
@@ -79,7 +79,7 @@ def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported: 
     assert (episode["episode_index"], episode["length"], [*episode["tasks"]]) == (0, n, ["touch"])
 
 
-def test_each_row_holds_the_last_frames_at_or_before_its_time(exported: Dataset) -> None:
+def test_each_row_holds_the_last_frames_at_or_before_its_time(exported):
     sent = [message for k in range(N_FRAMES) for message in frame(k)]
     recorded = [message.forces[0] for message in sent if isinstance(message, Reconstruction)]
     windows, ages = exported.column(KEY), exported.column(f"{KEY}.age")
@@ -92,7 +92,7 @@ def test_each_row_holds_the_last_frames_at_or_before_its_time(exported: Dataset)
             assert ages[row, place] == pytest.approx((at_ns - k * PERIOD_NS) / 1e9, abs=1e-6)
 
 
-def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path: Path) -> None:
+def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path):
     bag, out = tmp_path / "touched.mcap", tmp_path / "touched"
     make_bag(bag, [skin_state(), *(m for k in range(N_FRAMES) for m in [*frame(k), contacts(k)])])
     options = ["--out", str(out), "--contacts", "2"]
@@ -115,7 +115,7 @@ def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path: Pat
     assert "/skin/contacts (2, N)" in (out / "README.md").read_text()
 
 
-def test_statistics_are_those_of_the_rows(exported: Dataset) -> None:
+def test_statistics_are_those_of_the_rows(exported):
     for key in exported.info["features"]:
         rows = exported.column(key).astype(np.float64)
         rows = rows[:, None] if rows.ndim == 1 else rows
@@ -130,9 +130,7 @@ def test_statistics_are_those_of_the_rows(exported: Dataset) -> None:
             assert np.allclose(np.array(stored.tolist()).tolist(), value, atol=1e-5)
 
 
-def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(bag, tmp_path, capsys):
     out = tmp_path / "default"
     assert main(["recording", "export", str(bag), "--to", "lerobot", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.split()
@@ -149,15 +147,13 @@ def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(
         (["--to", "lerobot", "--topics", "/skin/measurements"], "measurements are no map"),
     ],
 )
-def test_what_makes_no_sense_is_one_line(
-    bag: Path, more: list[str], fault: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_makes_no_sense_is_one_line(bag, more, fault, capsys):
     assert main(["recording", "export", str(bag), *more]) == 2
     assert fault in capsys.readouterr().err
     assert not list(bag.parent.glob("*_lerobot"))
 
 
-def test_other_maps_have_names_of_their_own(bag: Path, tmp_path: Path) -> None:
+def test_other_maps_have_names_of_their_own(bag, tmp_path):
     with BagReader(bag) as reader:
         export_lerobot(reader, tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1)
     features = Dataset(tmp_path / "o").info["features"]

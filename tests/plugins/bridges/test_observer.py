@@ -3,10 +3,9 @@
 import json
 import os
 import signal
-from pathlib import Path
 
 import pytest
-from conftest import StartProgram, note_of_graph, wait_until
+from conftest import note_of_graph, wait_until
 
 from sparseskin.launch.attach.client import describe
 from sparseskin.launch.run.running import choose_graph
@@ -15,9 +14,7 @@ from sparseskin.nodes.network.sockets import Reader, Writer, make_context
 from sparseskin.plugins.bridges.base import BridgeSettings
 
 
-def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(
-    tmp_path: Path,
-) -> None:
+def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(tmp_path):
     context = make_context()
     try:
         endpoint = f"ipc://{tmp_path / 'w'}"
@@ -43,9 +40,7 @@ def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(
         context.destroy(linger=0)
 
 
-def test_a_stopped_bridge_holds_up_no_source_that_follows_its_readers(
-    start: StartProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_bridge_holds_up_no_source_that_follows_its_readers(start, tmp_path, monkeypatch):
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     (tmp_path / "observed.toml").write_text(
         """
@@ -99,6 +94,6 @@ port = 0
         ({"depth": 0}, "depth: 0 is outside 1..1000"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(values: dict[str, object], fault: str) -> None:
+def test_settings_that_make_no_sense_are_refused(values, fault):
     with pytest.raises(SettingsError, match=fault):
         BridgeSettings.from_mapping(values)

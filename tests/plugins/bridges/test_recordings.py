@@ -98,7 +98,7 @@ def test_the_files_of_a_bag_of_ros_2_follow_each_other(tmp_path: Path, kind: str
 
 
 @pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
-def test_frames_of_each_kind_of_message_are_read(tmp_path: Path, kind: str) -> None:
+def test_frames_of_each_kind_of_message_are_read(tmp_path, kind):
     path = write(tmp_path, kind, ("/image", "/cloud", "/flat", "/other"))
     (tmp_path / "flat").mkdir()
     for topic in ("/image", "/cloud", "/flat"):
@@ -121,7 +121,7 @@ def test_frames_of_each_kind_of_message_are_read(tmp_path: Path, kind: str) -> N
         open_file(path, topic="/flat")
 
 
-def test_the_only_topic_of_frames_is_taken_and_none_is_named(tmp_path: Path) -> None:
+def test_the_only_topic_of_frames_is_taken_and_none_is_named(tmp_path):
     assert open_file(write(tmp_path, "db3", ("/image", "/other"))).n_frames == 2
     (tmp_path / "none").mkdir()
     with pytest.raises(
@@ -130,7 +130,7 @@ def test_the_only_topic_of_frames_is_taken_and_none_is_named(tmp_path: Path) -> 
         open_file(write(tmp_path / "none", "mcap", ("/other",)))
 
 
-def test_a_base_whose_tables_are_views_is_refused(tmp_path: Path) -> None:
+def test_a_base_whose_tables_are_views_is_refused(tmp_path):
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.execute("CREATE VIEW topics AS SELECT 1")
         base.execute("CREATE VIEW messages AS SELECT 1")
@@ -138,12 +138,12 @@ def test_a_base_whose_tables_are_views_is_refused(tmp_path: Path) -> None:
         open_file(tmp_path / "a.db3")
 
 
-def test_every_array_of_numbers_is_known() -> None:
+def test_every_array_of_numbers_is_known():
     assert set(ARRAYS) <= cdr.types(1).types.keys() & cdr.types(2).types.keys()
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def whole(tmp_path_factory):
     """Bytes of a recording of each kind."""
     found = {}
     for kind in ("bag", "db3", "mcap"):
@@ -155,9 +155,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(data=st.data(), kind=st.sampled_from(["bag", "db3", "mcap"]))
-def test_random_and_mutated_recordings_are_read_or_refused_in_one_line(
-    tmp_path: Path, whole: dict[str, bytes], data: st.DataObject, kind: str
-) -> None:
+def test_random_and_mutated_recordings_are_read_or_refused_in_one_line(tmp_path, whole, data, kind):
     raw = bytearray(whole[kind])
     for _ in range(data.draw(st.integers(1, 4))):
         start = data.draw(st.integers(0, len(raw)))

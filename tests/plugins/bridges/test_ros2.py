@@ -41,7 +41,7 @@ MASK[2, 3] = MASK[5, 8] = False
 
 
 @pytest.fixture(autouse=True)
-def this_host_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def this_host_alone(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.delenv("ROS_LOCALHOST_ONLY", raising=False)
 
@@ -66,7 +66,6 @@ class Peer:
             self.process.communicate()
 
     def line(self) -> str:
-        assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 
 
@@ -98,7 +97,7 @@ def sent(
     bridge.close({})
 
 
-def test_images_arrive_in_another_process_each_with_its_pixels_and_stamp() -> None:
+def test_images_arrive_in_another_process_each_with_its_pixels_and_stamp():
     messages = [frame(k) for k in range(200)]
     for message, got in zip(messages, sent(list(messages), "image", "/skin/taxels"), strict=True):
         assert got["stamp_ns"] == message.stamp_ns
@@ -107,7 +106,7 @@ def test_images_arrive_in_another_process_each_with_its_pixels_and_stamp() -> No
 
 
 @pytest.mark.parametrize("of_file", [False, True])
-def test_points_are_the_taxels_that_exist_with_their_place_and_row(of_file: bool) -> None:
+def test_points_are_the_taxels_that_exist_with_their_place_and_row(of_file):
     at_rows, at_cols = np.nonzero(MASK)
     places = np.stack([0.25 * at_cols, 0.25 * at_rows, 0 * at_rows], axis=1)
     of_skin: dict[str, Any] = {}
@@ -122,12 +121,12 @@ def test_points_are_the_taxels_that_exist_with_their_place_and_row(of_file: bool
     assert got["rows"] == (order.tolist() if of_file else [])
 
 
-def test_arrays_have_rows_and_columns() -> None:
+def test_arrays_have_rows_and_columns():
     (got,) = sent([frame(4)], "array", "/skin/taxels/array")
     assert got == {"shape": [6, 9], "values": frame(4).forces.ravel().tolist()}
 
 
-def test_contacts_are_published_as_wrench_markers_and_array() -> None:
+def test_contacts_are_published_as_wrench_markers_and_array():
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
 
@@ -160,17 +159,17 @@ def test_contacts_are_published_as_wrench_markers_and_array() -> None:
 
 
 @pytest.mark.parametrize("kind", ["image", "array"])
-def test_a_topic_of_another_process_is_a_source(kind: str) -> None:
+def test_a_topic_of_another_process_is_a_source(kind):
     n = 300
     with Peer("write", f"/peer/{kind}", kind, n):
         source = open_source(f"ros2:/peer/{kind}?domain={DOMAIN}&timeout_s=60", seed=0)
         assert source.skin.shape == (6, 9)
         for k, (_, got) in zip(range(n), source, strict=False):
             assert np.array_equal(got, forces(k)), k
-        source.close()  # type: ignore[attr-defined]
+        source.close()
 
 
-def test_a_topic_that_nobody_publishes_is_one_line() -> None:
+def test_a_topic_that_nobody_publishes_is_one_line():
     with pytest.raises(SourceError, match=r"ros2:/none: nobody publishes there on DDS domain"):
         next(frames(f"ros2:/none?domain={DOMAIN}&timeout_s=0.3"))
 
@@ -183,19 +182,19 @@ def test_a_topic_that_nobody_publishes_is_one_line() -> None:
         ("ros2:/a?domain=300", "outside 0..232"),
     ],
 )
-def test_a_malformed_source_is_refused_before_any_node_starts(source: str, fault: str) -> None:
+def test_a_malformed_source_is_refused_before_any_node_starts(source, fault):
     with pytest.raises(SourceError, match=fault):
         find_address(source).check()
 
 
-def test_an_interface_that_is_not_there_is_one_line() -> None:
+def test_an_interface_that_is_not_there_is_one_line():
     with pytest.raises(SettingsError, match="cannot join DDS domain"):
         Ros2Bridge(
             Ros2Settings(domain=DOMAIN + 31, interface="nowhere0"), Context("r", ManualClock(0))
         )
 
 
-def test_by_lo_no_packet_of_another_host_is_received() -> None:
+def test_by_lo_no_packet_of_another_host_is_received():
     before = dds._udp_sockets()
     _, where = dds.participant(DOMAIN + 32, None)
     assert where == f"DDS domain {DOMAIN + 32} by lo"
@@ -217,9 +216,7 @@ def test_by_lo_no_packet_of_another_host_is_received() -> None:
         ({"ID": "233"}, r"ROS_DOMAIN_ID: '233' is outside 0\.\.232"),
     ],
 )
-def test_domain_and_range_are_those_of_ros_2(
-    variables: dict[str, str], expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_domain_and_range_are_those_of_ros_2(variables, expected, monkeypatch):
     names = {"RANGE": "ROS_AUTOMATIC_DISCOVERY_RANGE", "ONLY": "ROS_LOCALHOST_ONLY"}
     monkeypatch.setattr(dds, "Domain", lambda *_: None)  # a process can configure each once
     monkeypatch.delenv(names["RANGE"])
@@ -241,9 +238,7 @@ CLOUD = cdr.cloud((3, 4), "skin", {"x": forces(1).ravel(), "force": forces(0).ra
 
 
 @given(st.binary(max_size=200), st.booleans(), st.data())
-def test_what_is_written_is_read_and_hostile_bytes_are_refused_or_read(
-    data: bytes, begins: bool, draw: st.DataObject
-) -> None:
+def test_what_is_written_is_read_and_hostile_bytes_are_refused_or_read(data, begins, draw):
     assert read_frame(cdr.IMAGE, IMAGE).stamp_ns == 3_000_000_004
     for whole, kind in ((IMAGE, cdr.IMAGE), (ARRAY, cdr.ARRAY), (CLOUD, cdr.CLOUD)):
         assert np.array_equal(read_frame(kind, whole).values.ravel(), forces(0).ravel())

@@ -32,12 +32,12 @@ def simulate(name: str, n_rows: int, n_cols: int, *given: Any, **more: Any) -> A
     return simulate_on(STRATEGIES[name], mask, *given, **more)
 
 
-def test_the_scenes_are_each_body_in_each_course() -> None:
+def test_the_scenes_are_each_body_in_each_course():
     assert (len(BODIES), len(BODIES) * len(COURSES)) == (FEW_SCENES, N_SCENES)
 
 
 @pytest.mark.parametrize("rate_hz", [30.0, 300.0])
-def test_a_body_touches_the_skin_in_every_scene_at_any_rate(rate_hz: float) -> None:
+def test_a_body_touches_the_skin_in_every_scene_at_any_rate(rate_hz):
     for scene in range(N_SCENES):
         frames = [truth for truth, _ in presses(scene, ALL, 0.01, rate_hz, seed=0)]
         assert len(frames) == N_UNTOUCHED + min(MOST_FRAMES, round(SCENE_S * rate_hz))
@@ -46,7 +46,7 @@ def test_a_body_touches_the_skin_in_every_scene_at_any_rate(rate_hz: float) -> N
         assert 1 <= max(touched) <= 2.5 * ACTIVE[1] * ALL.size
 
 
-def test_readings_held_in_turn_are_those_of_a_raster_once_all_taxels_were_read() -> None:
+def test_readings_held_in_turn_are_those_of_a_raster_once_all_taxels_were_read():
     taxels = np.random.default_rng(0).uniform(0, F_MAX_N, ALL.shape).astype(np.float32)
     raster = make_reader(STRATEGIES["all taxels"], ALL, 0.01, 8, seed=0)
     held = make_reader(STRATEGIES["N/4 taxels in turn"], ALL, 0.01, 8, seed=0)
@@ -58,7 +58,7 @@ def test_readings_held_in_turn_are_those_of_a_raster_once_all_taxels_were_read()
     assert np.abs(whole - taxels).max() <= 0.5 * F_MAX_N / 255 * 1.001
 
 
-def test_the_light_touch_of_a_raster_grows_with_the_noise() -> None:
+def test_the_light_touch_of_a_raster_grows_with_the_noise():
     def found(noise: float) -> float:
         reader = make_reader(STRATEGIES["all taxels"], ALL, noise, 24, seed=0)
         return light_touch(reader, ALL, noise, seed=0)
@@ -72,7 +72,7 @@ def test_the_light_touch_of_a_raster_grows_with_the_noise() -> None:
     assert math.isnan(light_touch(np.zeros_like, ALL, 0.01, seed=0))
 
 
-def test_the_full_raster_has_the_error_of_clipped_noise() -> None:
+def test_the_full_raster_has_the_error_of_clipped_noise():
     # Noise s clipped at 0 has a mean square of s^2 / 2 on untouched taxels, and s^2 on touched
     # ones: PSNR lies 0 to 3 dB above -20 log10(s).
     for noise in (0.003, 0.03):
@@ -81,14 +81,14 @@ def test_the_full_raster_has_the_error_of_clipped_noise() -> None:
         assert found.low_db < found.psnr_db < found.high_db
 
 
-def test_the_band_is_the_prediction_interval_of_a_normal_distribution() -> None:
+def test_the_band_is_the_prediction_interval_of_a_normal_distribution():
     low, high = band(np.array([10.0, 12.0, 14.0]))
     # Student's t of 2 degrees of freedom at 95 % is 2.920; deviation 2, root of 4 / 3.
     half = 2.920 * 2 * math.sqrt(4 / 3)
     assert (low, high) == pytest.approx((12 - half, 12 + half), abs=0.01)
 
 
-def test_rows_are_simulated_in_processes_as_in_this_one() -> None:
+def test_rows_are_simulated_in_processes_as_in_this_one():
     design = make_design({"rows": 6, "cols": 6, "rate": 50})
     rows = simulated(budget(design)[:2], design, n_scenes=2)
     for row in rows:

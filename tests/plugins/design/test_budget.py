@@ -30,7 +30,7 @@ def row(name: str, **keys: Any) -> Row:
     return row_of(STRATEGIES[name], make_design({**PALM, **keys}))
 
 
-def test_a_full_raster_of_a_palm_is_limited_by_its_line() -> None:
+def test_a_full_raster_of_a_palm_is_limited_by_its_line():
     found = row("all taxels")
     # 4096 readings of 10 bits and 15 bytes; 4096 conversions at 200 kS/s; 10 bits a byte at 2 Mbaud
     assert found.n_bytes == 5120 + 15
@@ -44,7 +44,7 @@ def test_a_full_raster_of_a_palm_is_limited_by_its_line() -> None:
     assert not found.is_met
 
 
-def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found() -> None:
+def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found():
     """Its 60 Hz, 80 % of the bus, 1.05 MB/s and 11.2 ms of scan within 10 %: requests, headers and
     dark sweeps are not modelled. Source: `rigs.toml`.
     """
@@ -58,7 +58,7 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
     assert found.stage_s["ADC"] == pytest.approx(11.2e-3, rel=0.1)
 
 
-def test_digital_sums_need_every_conversion_and_analog_ones_m() -> None:
+def test_digital_sums_need_every_conversion_and_analog_ones_m():
     digital, analog = (row("N/4 sums"), row("N/4 sums", sums="analog", rows=16, cols=16))
     assert (digital.m, digital.wires.conversions) == (1024, 4096)
     assert (analog.m, analog.wires.conversions, analog.wires.lines) == (64, 64, 256)
@@ -66,7 +66,7 @@ def test_digital_sums_need_every_conversion_and_analog_ones_m() -> None:
     assert digital.stage_s["edge"] == pytest.approx(2 * 189_206 / 168e6)
 
 
-def test_single_taxels_are_sent_with_the_bits_of_the_converter() -> None:
+def test_single_taxels_are_sent_with_the_bits_of_the_converter():
     d = make_design(PALM)
     sizes = {name: frame_bytes(STRATEGIES[name], d) - 15 for name in STRATEGIES}
     assert (sizes["all taxels"], sizes["N/4 taxels in turn"]) == (4096 * 10 // 8, 1024 * 10 // 8)
@@ -74,7 +74,7 @@ def test_single_taxels_are_sent_with_the_bits_of_the_converter() -> None:
     assert sizes["N/4 adaptive sums"] == 1024 + math.ceil(2 * math.ceil(4096 / 3) / 8)
 
 
-def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum() -> None:
+def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum():
     for found in budget(make_design({"rows": 12, "cols": 32, "bus": "spi:20M"})):
         assert found.possible_hz == min(found.stage_hz.values())
         assert found.stage_hz[found.limit] == found.possible_hz
@@ -84,7 +84,7 @@ def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum() -> Non
         assert set(found.stage_hz) == set(STAGES)
 
 
-def test_a_skin_of_several_patches_uses_several_cores() -> None:
+def test_a_skin_of_several_patches_uses_several_cores():
     one, four = row("N/4 sums", host="1cores"), row("N/4 sums", rows=128, cols=128)
     assert (one.patches, four.patches) == (1, 4)
     assert four.stage_s["host"] == pytest.approx(one.stage_s["host"])
@@ -93,7 +93,7 @@ def test_a_skin_of_several_patches_uses_several_cores() -> None:
     assert alone.host_rate_hz == pytest.approx(one.host_rate_hz / 4)
 
 
-def test_points_have_no_rows_and_no_neighbourhoods() -> None:
+def test_points_have_no_rows_and_no_neighbourhoods():
     rows = budget(make_design({"taxels": 4000}))
     assert [r.strategy.name for r in rows] == [n for n in STRATEGIES if n not in NO_GRID]
     # The smallest near square: 64 x 63 lines for 4000 points.
@@ -104,7 +104,7 @@ def test_points_have_no_rows_and_no_neighbourhoods() -> None:
     assert (mask.shape, np.count_nonzero(mask)) == ((63, 64), 4000)
 
 
-def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours() -> None:
+def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours():
     assert set(stored()["cost"]) == {str(rows * cols) for rows, cols in SIZES}
     for of in (of for costs in stored()["cost"].values() for of in costs.values()):
         assert of["edge_us"] > 0
@@ -117,7 +117,7 @@ def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours() -> Non
 
 
 @pytest.mark.slow
-def test_costs_are_measured_on_the_nodes_themselves() -> None:
+def test_costs_are_measured_on_the_nodes_themselves():
     found = measure(STRATEGIES["N/4 sums"], (8, 8))
     assert set(found) == set(FIGURES)
     assert min(found.values()) > 0
@@ -144,12 +144,12 @@ def with_db(rows: list[Row], **db: float) -> list[Row]:
         ),
     ],
 )
-def test_what_breaks_first_is_said_with_its_numbers(keys: dict[str, str], line: str) -> None:
+def test_what_breaks_first_is_said_with_its_numbers(keys, line):
     design = make_design({"rows": 16, "cols": 32, **keys})
     assert text.breaks(row_of(STRATEGIES["all taxels"], design), design) == line
 
 
-def test_a_design_that_all_taxels_hold_advises_to_read_them() -> None:
+def test_a_design_that_all_taxels_hold_advises_to_read_them():
     keys = {"rows": 8, "cols": 8, "bus": "udp", "adc": "10bit@1MS/s", "rate": "20"}
     design = make_design(keys)
     rows = with_db(budget(design), **{"N/4 sums": 50.0})

@@ -12,7 +12,7 @@ from sparseskin.plugins.design.strategies import STRATEGIES
 PAD = ["design", "--rows", "8", "--cols", "8"]
 
 
-def test_it_prints_a_line_for_each_strategy(capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_a_line_for_each_strategy(capsys):
     assert main([*PAD, "--bus", "serial:115200", "--no-accuracy"]) == 0
     out = capsys.readouterr().out
     for name in STRATEGIES:
@@ -21,7 +21,7 @@ def test_it_prints_a_line_for_each_strategy(capsys: pytest.CaptureFixture[str]) 
     assert "bus: 95 bytes take 8.25 ms (UART at 115.2 kbaud): 121 Hz" in out
 
 
-def test_it_prints_the_accuracy(capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_the_accuracy(capsys):
     assert main([*PAD, "--scenes", "2"]) == 0
     out, error = capsys.readouterr()
     assert re.search(r"^all taxels .* \d\d\.\d +\d\d\.\.\d\d ", out, re.MULTILINE)
@@ -29,9 +29,7 @@ def test_it_prints_the_accuracy(capsys: pytest.CaptureFixture[str]) -> None:
     assert error == "8 x 8 taxels, 9 ways to read them in 2 simulated scenes each ...\n"
 
 
-def test_options_replace_what_a_file_states_and_a_table_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_replace_what_a_file_states_and_a_table_is_written(tmp_path, capsys):
     path, table = tmp_path / "design.toml", tmp_path / "palm.csv"
     path.write_text('rows = 8\ncols = 8\nbus = "can:1M"\nrate = 50\n')
     words = ["--rate", "20 Hz", "--taxels", "39", "--no-accuracy"]
@@ -56,13 +54,7 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(
         ([*PAD, "--csv", "bad.toml"], "bad.toml: exists already"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(
-    words: list[str],
-    line: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_options_are_refused_in_one_line(words, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("bad.toml").write_text("rows = 8\ncolls = 8\n")
     assert main(words) == 2
@@ -71,9 +63,7 @@ def test_bad_options_are_refused_in_one_line(
     assert shown.count("\n") == 1
 
 
-def test_all_faults_of_a_file_are_reported_and_name_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_all_faults_of_a_file_are_reported_and_name_it(tmp_path, capsys):
     path = tmp_path / "design.toml"
     path.write_text('"a\\nb" = 1\nrows = "x"\ncols = 5000\nsums = "both"\n')
     assert main(["design", str(path), "--edge", "arm"]) == 2

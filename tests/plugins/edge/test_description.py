@@ -1,8 +1,5 @@
 """The description of an edge: what is refused, and that its file is read back as it was."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,9 +12,7 @@ MASK = np.array([[True, False, True], [True, True, True]])
 
 
 @pytest.mark.parametrize("mask", [None, MASK])
-def test_its_file_is_read_back_as_it_was_written(
-    mask: np.ndarray[Any, Any] | None, tmp_path: Path
-) -> None:
+def test_its_file_is_read_back_as_it_was_written(mask, tmp_path):
     made = EdgeDescription.chosen(2, 3, ratio=2, mask=mask, bits=11, block=4, seed=3, adc_bits=9)
     path = tmp_path / "edge.toml"
     path.write_text(made.to_toml())
@@ -28,7 +23,7 @@ def test_its_file_is_read_back_as_it_was_written(
 
 
 @pytest.mark.parametrize(("ratio", "rows"), [(1, None), (3, "fixed"), (3.5, None), (8, "rotating")])
-def test_rows_and_m_are_those_of_the_compressor(ratio: float, rows: str | None) -> None:
+def test_rows_and_m_are_those_of_the_compressor(ratio, rows):
     made = EdgeDescription.chosen(7, 9, ratio=ratio, rows=rows)
     assert (made.rows, made.m) == CompressorSettings(ratio=ratio, rows=rows).rows_and_m(63)
 
@@ -44,7 +39,7 @@ def test_rows_and_m_are_those_of_the_compressor(ratio: float, rows: str | None) 
         ({"mask": ["0000"] * 3}, "mask: leaves no taxel"),
     ],
 )
-def test_values_that_are_not_allowed_are_refused_by_name(values: dict[str, Any], line: str) -> None:
+def test_values_that_are_not_allowed_are_refused_by_name(values, line):
     with pytest.raises(SettingsError) as refused:
         EdgeDescription(**{"n_rows": 3, "n_cols": 4, "m": 4, **values})
     assert str(refused.value).startswith(line)
@@ -63,9 +58,7 @@ def test_values_that_are_not_allowed_are_refused_by_name(values: dict[str, Any],
         ),
     ],
 )
-def test_a_file_that_was_changed_is_refused_with_its_place(
-    old: str, new: str, line: str, tmp_path: Path
-) -> None:
+def test_a_file_that_was_changed_is_refused_with_its_place(old, new, line, tmp_path):
     path = tmp_path / "edge.toml"
     text = EdgeDescription.chosen(6, 6, ratio=3).to_toml()
     assert text.count(old) == 1
@@ -91,7 +84,7 @@ mask = ["00011111111", {eight}]
 """
 
 
-def test_a_file_of_version_0_1_is_read(tmp_path: Path) -> None:
+def test_a_file_of_version_0_1_is_read(tmp_path):
     path = tmp_path / "edge.toml"
     path.write_text(EDGE.format(eight=", ".join(['"11111111111"'] * 8)), encoding="utf-8")
     read = EdgeDescription.read(path)

@@ -1,7 +1,5 @@
 """The command `sparseskin edge`: what it writes, and how it refuses."""
 
-from pathlib import Path
-
 import pytest
 
 from sparseskin.launch.commands.cli import main
@@ -10,9 +8,7 @@ from sparseskin.plugins.edge.description import EdgeDescription
 EXPORT = ["edge", "export", "--rows", "6", "--cols", "8"]
 
 
-def test_it_writes_the_program_of_the_stated_matrix(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_writes_the_program_of_the_stated_matrix(tmp_path, capsys):
     out = tmp_path / "edge"
     options = ["--ratio", "4", "--bits", "10", "--rows-mode", "rotating", "--seed", "5"]
     assert main([*EXPORT, *options, "--adc-bits", "14", "--out", str(out)]) == 0
@@ -23,7 +19,7 @@ def test_it_writes_the_program_of_the_stated_matrix(
     assert "@" not in (out / "README.md").read_text()
 
 
-def test_rows_columns_and_mask_are_those_of_a_skin(tmp_path: Path) -> None:
+def test_rows_columns_and_mask_are_those_of_a_skin(tmp_path):
     skin, out = tmp_path / "skin.toml", tmp_path / "edge"
     skin.write_text('rows = 2\ncols = 3\nf_max = 2.5\nmask = ["101", "111"]\n')
     assert main(["edge", "export", "--skin", str(skin), "--m", "2", "--out", str(out)]) == 0
@@ -43,13 +39,7 @@ def test_rows_columns_and_mask_are_those_of_a_skin(tmp_path: Path) -> None:
         (["--out", "no/folder"], "no/folder: its folder does not exist"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(
-    words: list[str],
-    line: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_options_are_refused_in_one_line(words, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     out = [] if "--out" in words else ["--out", "edge"]
     assert main([*EXPORT, *words, *out]) == 2

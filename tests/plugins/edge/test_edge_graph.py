@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import StartProgram
 from edges import as_input, compiled
 
 from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, decode
@@ -26,7 +25,6 @@ N_FRAMES = 40
 
 def _feed(edge: subprocess.Popen[bytes], counts: bytes) -> None:
     """Write counts to a program again and again, as fast as it reads them, until it ends."""
-    assert edge.stdin is not None
     with contextlib.suppress(OSError):
         while True:
             edge.stdin.write(counts)
@@ -40,9 +38,7 @@ def recorded(path: Path, kind: type[Any]) -> list[Any]:
         return [decode(m.topic.encode(), m.payload) for m in bag.messages(topics)]
 
 
-def test_its_frames_are_recorded_with_their_bits_and_reconstructed(
-    start: StartProgram, tmp_path: Path
-) -> None:
+def test_its_frames_are_recorded_with_their_bits_and_reconstructed(start, tmp_path):
     d = EdgeDescription.chosen(40, 40, ratio=3, bits=8, rows="rotating")
     out = compiled(d, tmp_path)
     rng = np.random.default_rng(0)

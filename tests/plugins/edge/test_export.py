@@ -3,7 +3,6 @@
 import re
 import shutil
 import subprocess
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from edges import STRICT, compiled, random_counts, sent
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.messages import Measurements, Taxels
+from sparseskin.messages import Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
 from sparseskin.nodes.node import Context
@@ -41,7 +40,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_bytes_of_the_program_are_those_of_python(name: str, tmp_path: Path) -> None:
+def test_bytes_of_the_program_are_those_of_python(name, tmp_path):
     d = CASES[name]
     builtins = ("-DEDGE_NO_BUILTINS",) if d.n_cells % 2 else ()
     out = compiled(d, tmp_path, *builtins)
@@ -49,7 +48,7 @@ def test_bytes_of_the_program_are_those_of_python(name: str, tmp_path: Path) -> 
     assert sent(out, d, frames) == b"".join(compressed(d, frames))
 
 
-def test_the_self_test_finds_its_frames_as_expected_and_a_changed_table_not(tmp_path: Path) -> None:
+def test_the_self_test_finds_its_frames_as_expected_and_a_changed_table_not(tmp_path):
     d = CASES["masked, not square"]
     out = compiled(d, tmp_path, test=True)
     test = subprocess.run([out / "edge_test"], capture_output=True, text=True, check=False)
@@ -67,7 +66,7 @@ def test_the_self_test_finds_its_frames_as_expected_and_a_changed_table_not(tmp_
     assert wrong.stdout == f"{n - 1} of {n} test frames are as expected\n"
 
 
-def test_its_frames_are_the_messages_of_a_compressor_node() -> None:
+def test_its_frames_are_the_messages_of_a_compressor_node():
     d = CASES["masked, not square"]
     made = {"rows": d.rows, "m": d.m, "bits": d.bits, "block": d.block, "seed": d.seed}
     node = Compressor(CompressorSettings(**made), Context("compressor", ManualClock(1)))
@@ -83,23 +82,21 @@ def test_its_frames_are_the_messages_of_a_compressor_node() -> None:
             Taxels(stamp_ns=2, patch="skin", forces=(counts * d.exists).astype(np.float32))
         )
         frame = read_frame(d, one.payload)
-        assert isinstance(message, Measurements)
-        assert frame is not None
         assert frame.phi == message.phi
         assert frame.measurements(d.bits, 1.0).tobytes() == message.y.tobytes()
-        assert frame.step == message.y.step  # type: ignore[attr-defined]
+        assert frame.step == message.y.step
 
 
 SMALL = described(4, 7, 2, bits=6, adc_bits=15)
 
 
 @pytest.fixture(scope="module")
-def small_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small_program(tmp_path_factory):
     return compiled(SMALL, tmp_path_factory.mktemp("small"))
 
 
 @given(data=st.data())
-def test_any_frame_is_the_same_in_c(data: st.DataObject, small_program: Path) -> None:
+def test_any_frame_is_the_same_in_c(data, small_program):
     # Few different values: sums that cancel, and quotients that are ties.
     values = data.draw(st.lists(st.integers(0, 65535), min_size=1, max_size=5))
     counts = data.draw(st.lists(st.sampled_from(values), min_size=56, max_size=56))
@@ -107,7 +104,7 @@ def test_any_frame_is_the_same_in_c(data: st.DataObject, small_program: Path) ->
     assert sent(small_program, SMALL, frames) == b"".join(compressed(SMALL, frames))
 
 
-def test_the_sources_use_neither_the_heap_nor_floating_point(tmp_path: Path) -> None:
+def test_the_sources_use_neither_the_heap_nor_floating_point(tmp_path):
     export(described(3, 5), tmp_path / "edge")
     texts = {name: (tmp_path / "edge" / name).read_text() for name in COPIED if name[-2:] == ".c"}
     assert len(texts) == 6
@@ -135,7 +132,7 @@ static struct {
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
-def test_the_sketch_subtracts_the_readings_of_its_start(tmp_path: Path) -> None:
+def test_the_sketch_subtracts_the_readings_of_its_start(tmp_path):
     d = described(8, 12, adc_bits=10)
     export(d, tmp_path / "edge")
     folder = tmp_path / "edge" / "arduino"
@@ -160,7 +157,7 @@ def test_the_sketch_subtracts_the_readings_of_its_start(tmp_path: Path) -> None:
     not (shutil.which("avr-gcc") and shutil.which("simavr")),
     reason="gcc-avr, avr-libc and simavr are not installed",
 )
-def test_a_processor_whose_int_has_16_bits_sends_the_expected_bytes(tmp_path: Path) -> None:
+def test_a_processor_whose_int_has_16_bits_sends_the_expected_bytes(tmp_path):
     export(described(16, 32, rows="rotating", adc_bits=10), tmp_path / "edge")
     command = ["make", "--silent", "avr"]
     done = subprocess.run(
@@ -177,9 +174,7 @@ LOOP = '    __asm__ volatile("mov r3, #10000\\n1: subs r3, r3, #1\\n bne 1b" :::
     not (shutil.which("arm-none-eabi-gcc") and shutil.which("qemu-system-arm")),
     reason="gcc-arm-none-eabi and qemu-system-arm are not installed",
 )
-def test_a_cortex_m4_sends_the_expected_bytes_and_its_instructions_are_counted(
-    tmp_path: Path,
-) -> None:
+def test_a_cortex_m4_sends_the_expected_bytes_and_its_instructions_are_counted(tmp_path):
     out = tmp_path / "edge"
     export(d := described(16, 32), out)
 

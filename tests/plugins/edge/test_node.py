@@ -1,19 +1,17 @@
 """The edge node: frames from a wire that loses, damages and invents bytes."""
 
 import socket
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from board_lines import Line, a_line, send_packets
+from board_lines import a_line, send_packets
 from conftest import free_port, wait_until
 from edges import random_counts
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.messages import Measurements, PhiState, SkinState
+from sparseskin.messages import Measurements
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SparseskinError
@@ -31,14 +29,14 @@ OTHER = list(compressed(EdgeDescription.chosen(6, 8, ratio=3, bits=10, seed=1), 
 
 
 @pytest.fixture
-def described(tmp_path: Path) -> str:
+def described(tmp_path):
     path = tmp_path / "edge.toml"
     path.write_text(D.to_toml())
     return str(path)
 
 
 @pytest.fixture
-def line(tmp_path: Path) -> Iterator[Line]:
+def line(tmp_path):
     with a_line(tmp_path) as found:
         yield found
 
@@ -57,12 +55,10 @@ def received(node: Edge, n: int) -> list[Measurements]:
 
 @pytest.mark.parametrize(("f_max", "unit"), [(None, None), (2.5, "N")])
 def test_it_publishes_skin_phi_and_codes_times_a_step_in_the_unit_of_the_forces(
-    f_max: float | None, unit: str | None, described: str, line: Line
-) -> None:
+    f_max, unit, described, line
+):
     node = opened(source=f"serial:{line.device}", description=described, f_max=f_max, unit=unit)
     skin, phi = node.start()
-    assert isinstance(skin, SkinState)
-    assert isinstance(phi, PhiState)
     stated = (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels)
     assert stated == ((6, 8), f_max or 4095, unit or "counts", False)
     assert (phi.fingerprint, phi.m, phi.rows) == (D.phi.fingerprint, 16, "rotating")
@@ -80,7 +76,7 @@ def test_it_publishes_skin_phi_and_codes_times_a_step_in_the_unit_of_the_forces(
             np.testing.assert_allclose(message.y[0], y * (f_max / 4095), rtol=3e-7)
 
 
-def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described: str, line: Line) -> None:
+def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described, line):
     lines: list[str] = []
     node = opened(lines, source=f"serial:{line.device}", description=described)
     damaged = FRAMES[3][:20] + b"\x00\x01" + FRAMES[3][22:]
@@ -100,7 +96,7 @@ def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described: str, li
 
 
 @given(data=st.binary(min_size=8 + D.code_bytes, max_size=8 + D.code_bytes))
-def test_a_payload_of_any_bytes_is_refused_or_has_codes_of_its_bits(data: bytes) -> None:
+def test_a_payload_of_any_bytes_is_refused_or_has_codes_of_its_bits(data):
     for payload in (data, FRAMES[0][4:8] + data[4:]):
         frame = read_frame(D, payload)
         if frame is None:
@@ -110,7 +106,7 @@ def test_a_payload_of_any_bytes_is_refused_or_has_codes_of_its_bits(data: bytes)
         assert np.abs(frame.codes).max() <= 511
 
 
-def test_packets_are_whole_frames_or_counted(described: str) -> None:
+def test_packets_are_whole_frames_or_counted(described):
     port = free_port(socket.SOCK_DGRAM)
     node = opened(source=f"udp:{port}", description=described)
     packets = (FRAMES[0], b"", FRAMES[1][:-1], FRAMES[1] + b"\0", OTHER[2], FRAMES[3])
@@ -133,7 +129,7 @@ def test_packets_are_whole_frames_or_counted(described: str) -> None:
         ({"f_max": 0.0}, "f_max: 0.0 is outside"),
     ],
 )
-def test_settings_are_refused_by_name(settings: dict[str, Any], line: str, described: str) -> None:
+def test_settings_are_refused_by_name(settings, line, described):
     with pytest.raises(SparseskinError) as refused:
         Edge.Settings(**{"source": "udp:5", "description": described, **settings}).check()
     assert line in str(refused.value)

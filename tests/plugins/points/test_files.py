@@ -29,7 +29,7 @@ def saved(folder: Path, text: str, name: str = "skin.csv") -> str:
     return str(path)
 
 
-def test_a_csv_states_places_normals_and_unit(tmp_path: Path) -> None:
+def test_a_csv_states_places_normals_and_unit(tmp_path):
     found = load_points(saved(tmp_path, CSV))
     assert np.allclose(found.places, [[0, 0, 0.001], [0.005, 0, 0.001], [0, -0.005, 0.001]])
     assert np.allclose(found.normals, [[0, 0, 1]] * 3)
@@ -39,7 +39,7 @@ def test_a_csv_states_places_normals_and_unit(tmp_path: Path) -> None:
     assert again.notes == ("the normals are estimated from the places of neighbours",)
 
 
-def test_estimated_normals_are_those_of_a_ball(tmp_path: Path) -> None:
+def test_estimated_normals_are_those_of_a_ball(tmp_path):
     k = np.arange(600) + 0.5
     polar, angle = np.arccos(1 - 2 * k / 600), np.pi * (1 + 5**0.5) * k
     normals = np.stack(
@@ -50,7 +50,7 @@ def test_estimated_normals_are_those_of_a_ball(tmp_path: Path) -> None:
     assert np.einsum("ij,ij->i", found.normals, normals).min() > 0.99
 
 
-def test_an_icubs_file_has_readings_without_a_taxel(tmp_path: Path) -> None:
+def test_an_icubs_file_has_readings_without_a_taxel(tmp_path):
     found = load_points(saved(tmp_path, ICUB, "l_hand.txt"))
     assert found.slots.tolist() == [1, 2, 4, 5]
     assert found.n_slots == 6
@@ -79,7 +79,7 @@ def test_an_icubs_file_has_readings_without_a_taxel(tmp_path: Path) -> None:
         (ICUB.replace("(-1 0 1 -2 2 3)", "(-1 -1 -1 -2 -1 -1)"), "no reading has a place"),
     ],
 )
-def test_a_malformed_file_is_refused_with_its_line(tmp_path: Path, text: str, what: str) -> None:
+def test_a_malformed_file_is_refused_with_its_line(tmp_path, text, what):
     name = "hand.txt" if "spatial_sampling" in text else "skin.csv"
     with pytest.raises(SourceError, match=what) as error:
         load_points(saved(tmp_path, text, name))
@@ -93,6 +93,6 @@ def test_a_malformed_file_is_refused_with_its_line(tmp_path: Path, text: str, wh
         ("skin.stl", "suffix '.stl' is not known; allowed are .csv, .txt, and example"),
     ],
 )
-def test_a_layout_that_is_not_there_is_refused(layout: str, what: str) -> None:
+def test_a_layout_that_is_not_there_is_refused(layout, what):
     with pytest.raises(SourceError, match=what):
         load_points(layout)

@@ -39,7 +39,7 @@ def turned(places: Array, seed: int) -> Array:
 
 
 @given(st.integers(1, 120), st.integers(0, 1000), st.sampled_from(["line", "plane", "space"]))
-def test_each_point_has_a_cell_of_its_own(n: int, seed: int, form: str) -> None:
+def test_each_point_has_a_cell_of_its_own(n, seed, form):
     places = np.random.default_rng(seed).uniform(-0.1, 0.1, (n, 3))
     places[:, {"line": [1, 2], "plane": [2], "space": []}[form]] = 0.0
     places[n // 2] = places[0]  # two at one place
@@ -48,7 +48,6 @@ def test_each_point_has_a_cell_of_its_own(n: int, seed: int, form: str) -> None:
     skin = found.skin(2.5, "N")
     assert skin.n_taxels == n
     # The state's rows are those of the cells, in their order.
-    assert skin.points is not None
     assert np.array_equal(skin.points[:, :3], places[np.argsort(found.cells)].astype(np.float32))
     assert skin.point_rows is not None
     assert np.array_equal(skin.points[:, :3], places[skin.point_rows].astype(np.float32))
@@ -58,7 +57,7 @@ def test_each_point_has_a_cell_of_its_own(n: int, seed: int, form: str) -> None:
 
 
 @pytest.mark.parametrize("removed", [0.0, 0.3])
-def test_a_grid_with_cells_removed_is_found_again(removed: float) -> None:
+def test_a_grid_with_cells_removed_is_found_again(removed):
     rng = np.random.default_rng(4)
     rows, cols = np.nonzero(rng.random((24, 30)) >= removed)
     places = np.stack([0.004 * cols, 0.004 * rows, 0.0 * rows], axis=1)
@@ -80,13 +79,13 @@ def hexagonal() -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("layout", [grip(), hexagonal()], ids=["square", "hexagonal"])
-def test_a_lattice_on_a_cylinder_is_found_again(layout: tuple[Array, Array]) -> None:
+def test_a_lattice_on_a_cylinder_is_found_again(layout):
     found = place(points(*layout))
     assert found.n_parts == 1
     assert np.abs(adjacent(found) - 1).max() < 0.01
 
 
-def test_neighbours_on_a_torso_are_near_each_other() -> None:
+def test_neighbours_on_a_torso_are_near_each_other():
     found = place(points(*torso(1200)))
     away = adjacent(found)
     assert found.n_parts == 1
@@ -97,7 +96,7 @@ def test_neighbours_on_a_torso_are_near_each_other() -> None:
     assert np.corrcoef(rows, found.points.places[:, 2])[0, 1] < -0.95
 
 
-def test_the_sides_of_a_thin_plate_are_no_neighbours() -> None:
+def test_the_sides_of_a_thin_plate_are_no_neighbours():
     rows, cols = (k.ravel() for k in np.indices((12, 16)))
     side = np.stack([0.005 * cols, 0.005 * rows, 0.0 * rows], axis=1)
     places = np.concatenate([side, side - [0, 0, 0.001]])
@@ -107,7 +106,7 @@ def test_the_sides_of_a_thin_plate_are_no_neighbours() -> None:
     assert np.allclose(adjacent(found), 1)
 
 
-def test_readings_of_another_number_are_refused() -> None:
+def test_readings_of_another_number_are_refused():
     found = place(Points("hand", np.eye(3), np.eye(3), np.array([0, 2, 5]), 8))
     assert found.on_grid(np.arange(8)).max() == 5
     with pytest.raises(SourceError, match="hand: a frame has 4 readings; expected 3 or 8"):

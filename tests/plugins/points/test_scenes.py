@@ -1,7 +1,6 @@
 """Scenes on points: forces in balance with the push, where the body touches, and in the sensor."""
 
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from sparseskin.plugins.points.placing import placed
 from sparseskin.plugins.points.scenes import SCENES, PointScene
 
 
-def test_the_forces_of_a_ball_at_rest_are_those_of_its_depth() -> None:
+def test_the_forces_of_a_ball_at_rest_are_those_of_its_depth():
     """At rest k sum(d_i cos_i) is the push; each d_i is that of a ball at one place in space."""
     placement = placed("example:grip")
     scene = PointScene("ball_presses", placement, seed=2)
@@ -41,7 +40,7 @@ def test_the_forces_of_a_ball_at_rest_are_those_of_its_depth() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_presses_and_repeats_itself(name: str) -> None:
+def test_a_scene_presses_and_repeats_itself(name):
     scene = PointScene(name, placed("example:grip"), seed=1)
     frames = [(stamp, forces.copy()) for stamp, forces in islice(scene, 60)]
     assert [stamp for stamp, _ in frames] == [k * 10_000_000 for k in range(60)]
@@ -66,7 +65,7 @@ class Run:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """Six taxels of 2 x 3, in the order of their file, and a recording of their readings."""
     (tmp_path / "six.csv").write_text("x_mm,y_mm,z_mm\n4,0,0\n0,4,0\n8,0,0\n0,0,0\n8,4,0\n4,4,0\n")
     np.save(tmp_path / "six.npy", np.arange(1.0, 7.0).reshape(1, 1, 6).repeat(5, axis=0))
@@ -77,7 +76,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_sensor_publishes_places_and_forces_of_a_scene() -> None:
+def test_the_sensor_publishes_places_and_forces_of_a_scene():
     run = Run(source="scene:finger_path", points="example:grip")
     assert run.state.skin.points is not None
     assert run.log[0] == "grip: 924 taxels on a virtual grid of 21 x 44, 4.99 mm apart"
@@ -85,16 +84,15 @@ def test_the_sensor_publishes_places_and_forces_of_a_scene() -> None:
     assert list(Sensor.facts(run.settings).values()) == [924]
 
 
-def test_readings_in_the_order_of_the_file_stand_on_the_grid(folder: Path) -> None:
+def test_readings_in_the_order_of_the_file_stand_on_the_grid(folder):
     run = Run(source="file:six.npy", points="six.csv", unit="N", f_max=10.0)
     (taxels,) = run.frame()
     assert taxels.forces[0].tolist() == [[2, 6, 5], [4, 1, 3]]
-    assert run.state.points is not None
     assert np.allclose(run.state.points[0, :3], [0, 0.004, 0])
     assert run.state.point_rows.tolist() == [1, 5, 4, 3, 0, 2]
 
 
-def test_a_skin_file_with_points_is_calibrated_in_their_order(folder: Path) -> None:
+def test_a_skin_file_with_points_is_calibrated_in_their_order(folder):
     run = Run(source="file:six.npy", skin="six.toml", drift=0.0)
     (taxels,) = run.frame()
     assert taxels.forces[0].tolist() == [[4, 6, 5], [4, 1, 3]]
@@ -120,9 +118,7 @@ def test_a_skin_file_with_points_is_calibrated_in_their_order(folder: Path) -> N
         ),
     ],
 )
-def test_settings_that_contradict_the_points_are_refused(
-    folder: Path, values: dict[str, Any], what: str
-) -> None:
+def test_settings_that_contradict_the_points_are_refused(folder, values, what):
     np.save("five.npy", np.ones((2, 1, 5)))
     settings = {"points": "six.csv", "source": "file:six.npy", **values}
     with pytest.raises((SettingsError, SourceError), match=what):
@@ -137,7 +133,7 @@ def test_settings_that_contradict_the_points_are_refused(
         ("baseline = [1, 2]", "baseline: six: a frame has 2 readings"),
     ],
 )
-def test_a_malformed_skin_file_with_points_is_refused(folder: Path, line: str, what: str) -> None:
+def test_a_malformed_skin_file_with_points_is_refused(folder, line, what):
     lines = ["f_max = 1.0", *(['points = "six.csv"'] if "points" not in line else []), line]
     (folder / "bad.toml").write_text("\n".join(lines))
     with pytest.raises(SkinFileError, match=f"bad.toml: {what}"):

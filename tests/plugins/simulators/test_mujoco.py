@@ -29,7 +29,7 @@ ISOLATED = "sparseskin.plugins.simulators.isolated"
 
 
 @pytest.fixture(autouse=True)
-def direct(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def direct(request, monkeypatch):
     """Check models in this process, without the start of another, unless a test is of that."""
     if "isolated" not in request.keywords:
         name = "sparseskin.plugins.simulators.model.shape_in_child"
@@ -64,7 +64,7 @@ BALL = '<body pos="0 0 {z}"><freejoint/><geom type="sphere" size="0.01" mass="0.
 
 
 @pytest.mark.parametrize("depth_m", [0.0002, 0.004])
-def test_a_ball_at_rest_is_read_as_deep_as_it_is(tmp_path: Path, depth_m: float) -> None:
+def test_a_ball_at_rest_is_read_as_deep_as_it_is(tmp_path, depth_m):
     forces = read_once(model_of(BALL.format(z=0.01 - depth_m), tmp_path))
     assert forces.shape == (6, 8)
     row, col = np.mgrid[:6, :8]
@@ -82,9 +82,7 @@ def test_a_ball_at_rest_is_read_as_deep_as_it_is(tmp_path: Path, depth_m: float)
         (4, 2.0, (np.arange(8) - 3.5) * SKIN.pitch_m * 2.0),  # about y: points of positive x
     ],
 )
-def test_damping_acts_on_the_rate_of_penetration_of_each_point(
-    tmp_path: Path, of: int, speed: float, down: list[float]
-) -> None:
+def test_damping_acts_on_the_rate_of_penetration_of_each_point(tmp_path, of, speed, down):
     slab_ = (
         '<body pos="0 0 0.009"><freejoint/><geom type="box" size="0.1 0.1 0.01" mass="1"/></body>'
     )
@@ -109,7 +107,7 @@ def test_damping_acts_on_the_rate_of_penetration_of_each_point(
         ('<geom type="box" pos="0 0 0.03" size="0.1 0.1 0.06" mass="1"/>', 48),
     ],
 )
-def test_bodies_are_felt_where_they_are(tmp_path: Path, bodies: str, expected: int) -> None:
+def test_bodies_are_felt_where_they_are(tmp_path, bodies, expected):
     forces = read_once(model_of(f"<body><freejoint/>{bodies}</body>", tmp_path))
     assert np.count_nonzero(forces) == expected
     if expected == 1:
@@ -118,7 +116,7 @@ def test_bodies_are_felt_where_they_are(tmp_path: Path, bodies: str, expected: i
         assert forces == pytest.approx(np.full((6, 8), SKIN.stiffness * 0.02), rel=1e-5)
 
 
-def test_a_skin_may_lie_in_any_direction(tmp_path: Path) -> None:
+def test_a_skin_may_lie_in_any_direction(tmp_path):
     path = tmp_path / "model.xml"
     path.write_text(
         """<mujoco><worldbody><body pos="1 2 3" euler="40 70 20"><site name="pad" type="box"
@@ -132,7 +130,7 @@ def test_a_skin_may_lie_in_any_direction(tmp_path: Path) -> None:
     )
 
 
-def test_forces_in_mujoco_are_those_of_the_contact_model() -> None:
+def test_forces_in_mujoco_are_those_of_the_contact_model():
     """The same box dropped on the same skin: sums within 1 %, footprints equal, 60 dB at rest."""
     n_steps = 700
     sides = (-0.03, 0.03, -0.02, 0.02)
@@ -158,13 +156,13 @@ def test_forces_in_mujoco_are_those_of_the_contact_model() -> None:
     assert theirs.max() == pytest.approx(ours.max(), rel=0.05)  # of the impact
 
 
-def test_an_arm_presses_and_lets_go() -> None:
+def test_an_arm_presses_and_lets_go():
     total = np.array([forces.sum() for _, forces in MujocoSource(ARM)])
     assert (total[500], total[-1]) == (0, 0)
     assert total[1400] > 5
 
 
-def test_a_source_runs_at_1_khz_and_anew_each_time() -> None:
+def test_a_source_runs_at_1_khz_and_anew_each_time():
     source = open_source(f"mujoco:{PAD}", seed=0)
     assert source.rate_hz == pytest.approx(1000)
     assert (source.skin.shape, source.skin.pitch_m, source.n_frames) == ((32, 32), 0.005, 2000)
@@ -173,14 +171,14 @@ def test_a_source_runs_at_1_khz_and_anew_each_time() -> None:
     assert [t for t, _ in one[:3]] == [0, 1_000_000, 2_000_000]
 
 
-def test_a_short_time_step_is_read_each_millisecond(tmp_path: Path) -> None:
+def test_a_short_time_step_is_read_each_millisecond(tmp_path):
     address = model_of(BALL.format(z=0.02), tmp_path)
     path = Path(address.rpartition("#")[0])
     path.write_text(path.read_text().replace('timestep="0.001"', 'timestep="0.00025"'))
     assert [t for t, _ in islice(MujocoSource(address), 3)] == [0, 1_000_000, 2_000_000]
 
 
-def test_where_the_skin_collides_the_contact_of_mujoco_bears_the_load(tmp_path: Path) -> None:
+def test_where_the_skin_collides_the_contact_of_mujoco_bears_the_load(tmp_path):
     address = model_of(BALL.format(z=0.011), tmp_path)
     path = Path(address.rpartition("#")[0])
     path.write_text(path.read_text().replace('contype="0" conaffinity="0"', ""))
@@ -192,7 +190,7 @@ def test_where_the_skin_collides_the_contact_of_mujoco_bears_the_load(tmp_path: 
     assert not source.data.xfrc_applied.any()
 
 
-def test_a_control_of_your_own_drives_the_model() -> None:
+def test_a_control_of_your_own_drives_the_model():
     seen: list[float] = []
 
     def control(model: Any, data: Any, time_s: float) -> None:
@@ -205,7 +203,7 @@ def test_a_control_of_your_own_drives_the_model() -> None:
         list(MujocoSource(PAD, control=lambda *_: 1 / 0, duration_s=0.05))
 
 
-def test_a_simulation_that_diverges_is_reported(tmp_path: Path) -> None:
+def test_a_simulation_that_diverges_is_reported(tmp_path):
     stiff = '<custom><numeric name="pad_stiffness" data="1e9"/></custom>'
     light = BALL.format(z=0.006).replace("0.1", "0.001")
     address = model_of(light, tmp_path, more=stiff)
@@ -228,8 +226,8 @@ def test_a_simulation_that_diverges_is_reported(tmp_path: Path) -> None:
     ],
 )
 def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bodies: str, site: str, more: str, text: str
-) -> None:
+    tmp_path, monkeypatch, bodies, site, more, text
+):
     monkeypatch.chdir(tmp_path)
     address = model_of(bodies, tmp_path, site, more)
     with pytest.raises(SourceError) as refused:
@@ -240,7 +238,7 @@ def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("step_s", ["1e-12", "1000"])
-def test_a_time_step_that_never_ends_or_skips_all_is_refused(tmp_path: Path, step_s: str) -> None:
+def test_a_time_step_that_never_ends_or_skips_all_is_refused(tmp_path, step_s):
     path = Path(model_of(BALL.format(z=1), tmp_path).partition("#")[0])
     path.write_text(path.read_text().replace('timestep="0.001"', f'timestep="{step_s}"'))
     with pytest.raises(SourceError, match=rf"a time step of {step_s} s; allowed: 1e-06\.\.0\.1 s"):
@@ -256,9 +254,7 @@ def test_a_time_step_that_never_ends_or_skips_all_is_refused(tmp_path: Path, ste
         (PAD, {"n_rows": 16}, "n_rows = 16 is stated, but the frames have 32"),
     ],
 )
-def test_a_bad_address_is_refused_in_one_line(
-    source: str, stated: dict[str, int], text: str
-) -> None:
+def test_a_bad_address_is_refused_in_one_line(source, stated, text):
     with pytest.raises(SourceError) as refused:
         find_address(f"mujoco:{source}", **stated).check()
     assert text in str(refused.value)
@@ -266,9 +262,7 @@ def test_a_bad_address_is_refused_in_one_line(
 
 
 @pytest.mark.isolated
-def test_a_model_is_checked_in_a_process_whose_time_and_memory_are_bounded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_is_checked_in_a_process_whose_time_and_memory_are_bounded(tmp_path, monkeypatch):
     text = (MODELS / "pad.xml").read_text()
     (tmp_path / "pad.xml").write_text(text)
     assert check_model(f"{tmp_path / 'pad.xml'}#pad", None, None) == 1024

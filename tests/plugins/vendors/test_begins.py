@@ -32,16 +32,14 @@ def opened(folder: Path, name: str, text: str) -> RecordedSource | None:
     return found[0] if found else None
 
 
-def test_the_number_of_taxels_shows_at_the_begin(tmp_path: Path) -> None:
+def test_the_number_of_taxels_shows_at_the_begin(tmp_path):
     for name, n in (("foot.lst", 12), ("hand.asf", 4)):
         (tmp_path / name).write_bytes(TEXTS[name].encode("latin-1"))
         assert n_taxels(str(tmp_path / name)) == n
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_windows_line_ends_and_commas_of_a_spreadsheet_are_read_the_same(
-    name: str, tmp_path: Path
-) -> None:
+def test_windows_line_ends_and_commas_of_a_spreadsheet_are_read_the_same(name, tmp_path):
     whole = opened(tmp_path, name, TEXTS[name])
     assert whole is not None
     texts = [TEXTS[name].replace("\n", "\r\n")]
@@ -49,15 +47,13 @@ def test_windows_line_ends_and_commas_of_a_spreadsheet_are_read_the_same(
         texts.append(TEXTS[name].replace("\n", ",,,\n"))
     for text in texts:
         again = opened(tmp_path, name, text)
-        assert again is not None
         np.testing.assert_array_equal(again.frames, whole.frames)
 
 
 @pytest.mark.parametrize("name", ["foot.lst", "hand.asf", "sole.csv"])
-def test_a_file_cut_anywhere_is_refused_or_loses_whole_frames(name: str, tmp_path: Path) -> None:
+def test_a_file_cut_anywhere_is_refused_or_loses_whole_frames(name, tmp_path):
     text = TEXTS[name]
     whole = opened(tmp_path, name, text)
-    assert whole is not None
     n_read = 0
     for end in range(1, len(text), 5):
         if (cut := opened(tmp_path, name, text[:end])) is not None:
@@ -69,9 +65,7 @@ def test_a_file_cut_anywhere_is_refused_or_loses_whole_frames(name: str, tmp_pat
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(list(TEXTS)), data=st.data())
-def test_damaged_files_give_what_a_source_promises_or_are_refused(
-    name: str, data: st.DataObject, tmp_path: Path
-) -> None:
+def test_damaged_files_give_what_a_source_promises_or_are_refused(name, data, tmp_path):
     text = TEXTS[name]
     if data.draw(st.booleans()):
         text = data.draw(st.binary(max_size=300)).decode("latin-1")
@@ -131,9 +125,7 @@ BROKEN = {
     ("name", "old", "new", "message"),
     [(name, *row) for name, rows in BROKEN.items() for row in rows],
 )
-def test_a_broken_file_is_refused_with_its_line(
-    name: str, old: str, new: str, message: str, tmp_path: Path
-) -> None:
+def test_a_broken_file_is_refused_with_its_line(name, old, new, message, tmp_path):
     text = TEXTS[name]
     assert old in text
     times = 1 if name == "sole.csv" and old != "FRAME," else -1

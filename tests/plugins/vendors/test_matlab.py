@@ -51,7 +51,7 @@ def read(folder: Path, name: str, raw: bytes, **stated: Any) -> Any:
         ("a.hdf5", hdf5(run__forces=FRAMES, b=FRAMES), {}),
     ],
 )
-def test_the_frames_are_found(tmp_path: Path, name: str, raw: bytes, stated: Any) -> None:
+def test_the_frames_are_found(tmp_path, name, raw, stated):
     source = read(tmp_path, name, raw, **stated)
     np.testing.assert_array_equal(source.frames, FRAMES)
     assert source.skin.unit == "counts"
@@ -68,15 +68,13 @@ def test_the_frames_are_found(tmp_path: Path, name: str, raw: bytes, stated: Any
         ("a.h5", hdf5(a=FRAMES)[:900], "cannot be read"),
     ],
 )
-def test_what_holds_no_frames_is_refused(
-    tmp_path: Path, name: str, raw: bytes, message: str
-) -> None:
+def test_what_holds_no_frames_is_refused(tmp_path, name, raw, message):
     with pytest.raises(SourceError, match=message) as caught:
         read(tmp_path, name, raw)
     assert str(caught.value).isprintable()
 
 
-def test_links_to_other_files_are_not_followed(tmp_path: Path) -> None:
+def test_links_to_other_files_are_not_followed(tmp_path):
     (tmp_path / "b.h5").write_bytes(hdf5(forces=FRAMES))
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["forces"] = h5py.ExternalLink(str(tmp_path / "b.h5"), "forces")
@@ -90,9 +88,7 @@ def test_links_to_other_files_are_not_followed(tmp_path: Path) -> None:
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(data=st.data(), packed=st.booleans())
-def test_mutated_files_of_matlab_are_read_or_refused_in_one_line(
-    tmp_path: Path, data: st.DataObject, packed: bool
-) -> None:
+def test_mutated_files_of_matlab_are_read_or_refused_in_one_line(tmp_path, data, packed):
     raw = bytearray(mat(packed, forces=LAST))
     for _ in range(data.draw(st.integers(1, 4))):
         start = data.draw(st.integers(0, len(raw)))

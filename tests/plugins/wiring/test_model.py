@@ -8,7 +8,7 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.plugins.wiring.model import array_wiring, count_crossings, sbhe_wiring, star_wiring
 
 
-def test_a_star_is_as_long_as_the_distances_from_its_median() -> None:
+def test_a_star_is_as_long_as_the_distances_from_its_median():
     cells = np.arange(9)  # 3 x 3: the median is the middle
     one = star_wiring([np.arange(9)], cells, 3, conversions=4)
     assert (one.length, one.crossings, one.wires_a_taxel, one.conversions) == (12.0, 0, 1.0, 4)
@@ -16,7 +16,7 @@ def test_a_star_is_as_long_as_the_distances_from_its_median() -> None:
     assert (rows.length, rows.crossings) == (6.0, 0)
 
 
-def test_crossings_of_a_grid_of_lines_are_counted() -> None:
+def test_crossings_of_a_grid_of_lines_are_counted():
     k = np.arange(1.0, 5.0)
     begins = np.concatenate([np.stack([k, 0 * k], 1), np.stack([0 * k, k + 0.5], 1)])
     ends = np.concatenate([np.stack([k, 0 * k + 9], 1), np.stack([0 * k + 9, k + 0.5], 1)])
@@ -27,19 +27,19 @@ def test_crossings_of_a_grid_of_lines_are_counted() -> None:
     assert count_crossings(begins[:4], ends[:4], each_its_own[:4]) == 0
 
 
-def test_a_row_column_array_is_as_its_formulas() -> None:
+def test_a_row_column_array_is_as_its_formulas():
     one = array_wiring(3, 5, 15)
     assert (one.length, one.crossings, one.conversions) == (3 * 4 + 5 * 2, 15, 15)
     assert one.wires_a_taxel == pytest.approx(8 / 15)
 
 
-def test_smaller_neighbourhoods_have_shorter_wires_that_cross_less() -> None:
+def test_smaller_neighbourhoods_have_shorter_wires_that_cross_less():
     exists = np.ones((32, 32), dtype=np.bool_)
     found = []
     for kind in ("local:4", "local:8", "local:16", "sbhe"):
         phi = make_phi(kind, 1024, 341, 0)
         layout(phi, exists)
-        found.append(sbhe_wiring(phi, exists))  # type: ignore[arg-type]
+        found.append(sbhe_wiring(phi, exists))
     assert [w.length for w in found] == sorted(w.length for w in found)
     assert [w.crossings for w in found] == sorted(w.crossings for w in found)
     assert found[0].crossings == 0

@@ -1,14 +1,12 @@
 """Study `wiring`: its points and its page."""
 
-from pathlib import Path
-
 import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.plugins.wiring import study as wiring
 
 
-def test_the_study_writes_its_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_study_writes_its_page(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(wiring, "SHAPE", (16, 16))
     monkeypatch.setattr(wiring, "QUICK_FRAMES", 3)

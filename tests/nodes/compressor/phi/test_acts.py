@@ -1,7 +1,5 @@
 """Adaptive sampling: the choice of taxels, and how it travels with their readings."""
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -10,10 +8,10 @@ from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.messages import Measurements, MessageError
-from sparseskin.nodes.compressor.phi.acts import ActsPhi, ActsSearch, follow, packed_places
+from sparseskin.nodes.compressor.phi.acts import ActsSearch, follow, packed_places
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats
 
 THRESHOLD = 0.05
 
@@ -31,9 +29,7 @@ def read_cells(image: Floats, m: int) -> npt.NDArray[np.bool_]:
 
 
 @given(exists=grids(), data=st.data())
-def test_m_existing_taxels_are_read_each_once_on_any_grid(
-    exists: Mask, data: st.DataObject
-) -> None:
+def test_m_existing_taxels_are_read_each_once_on_any_grid(exists, data):
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     n = int(exists.sum())
     m = data.draw(st.integers(1, n))
@@ -51,13 +47,13 @@ def test_m_existing_taxels_are_read_each_once_on_any_grid(
     assert places[-1] < n
 
 
-def test_an_untouched_skin_is_read_evenly() -> None:
+def test_an_untouched_skin_is_read_evenly():
     is_read = read_cells(np.zeros((64, 64), np.float32), 64 * 64 // 16)
     for part in is_read.reshape(8, 8, 8, 8).swapaxes(1, 2).reshape(-1, 64):
         assert part.sum() == 4
 
 
-def test_the_taxels_of_a_contact_and_around_it_are_all_read_where_m_allows() -> None:
+def test_the_taxels_of_a_contact_and_around_it_are_all_read_where_m_allows():
     image = np.zeros((40, 40), np.float32)
     image[17:24, 5:12] = 1.0
     is_read = read_cells(image, 400)
@@ -65,14 +61,13 @@ def test_the_taxels_of_a_contact_and_around_it_are_all_read_where_m_allows() -> 
 
 
 @pytest.mark.parametrize("m", [0, 101])
-def test_more_readings_than_taxels_are_refused(m: int) -> None:
+def test_more_readings_than_taxels_are_refused(m):
     with pytest.raises(PhiError, match=rf"acts: m = {m} is not allowed; allowed: 1\.\.100"):
         ActsSearch(everywhere(10, 10), m, THRESHOLD)
 
 
-def test_what_is_read_are_the_taxels_that_were_chosen() -> None:
+def test_what_is_read_are_the_taxels_that_were_chosen():
     phi = make_phi("acts", 100, 4, seed=0)
-    assert isinstance(phi, ActsPhi)
     taxels = np.array([0, 7, 50, 99])
     follow(phi, packed_places(taxels, 100))
     x = np.arange(100, dtype=np.float32)
@@ -94,7 +89,7 @@ def test_what_is_read_are_the_taxels_that_were_chosen() -> None:
         ("subsample", packed_places(np.arange(4), 100), 'allowed: phi "acts" alone'),
     ],
 )
-def test_places_that_do_not_fit_are_refused(kind: str, places: Any, text: str) -> None:
+def test_places_that_do_not_fit_are_refused(kind, places, text):
     with pytest.raises(PhiError, match=text):
         follow(make_phi(kind, 100, 4, seed=0), places)
     y = np.ones(4, np.float32)

@@ -16,14 +16,13 @@ from sparseskin.nodes.compressor.phi.adaptive import (
     HeldRows,
     follow_nodes,
 )
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats
 
 
 def phi_of(exists: npt.NDArray[np.bool_], m: int) -> AdaptivePhi:
     phi = make_phi("adaptive", int(exists.sum()), m, seed=0)
-    assert isinstance(phi, AdaptivePhi)
     phi.lay_out(exists)
     return phi
 
@@ -39,9 +38,7 @@ def press(n_rows: int, n_cols: int, row: int, col: int) -> Floats:
 
 
 @given(exists=grids(), data=st.data())
-def test_m_rows_are_read_each_once_and_are_those_of_the_code(
-    exists: Mask, data: st.DataObject
-) -> None:
+def test_m_rows_are_read_each_once_and_are_those_of_the_code(exists, data):
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     n = int(exists.sum())
     m = data.draw(st.integers(min(n, 4), n))
@@ -63,7 +60,7 @@ def test_m_rows_are_read_each_once_and_are_those_of_the_code(
         np.testing.assert_array_equal(other.rows, phi.rows)
 
 
-def test_a_matrix_is_dense_orthonormal_and_its_adjoint_the_transpose() -> None:
+def test_a_matrix_is_dense_orthonormal_and_its_adjoint_the_transpose():
     exists = np.ones((9, 13), np.bool_)
     exists[2:5, 3] = False
     phi = phi_of(exists, 40)
@@ -73,7 +70,7 @@ def test_a_matrix_is_dense_orthonormal_and_its_adjoint_the_transpose() -> None:
     np.testing.assert_allclose(phi.dense() @ phi.dense().T, np.eye(40), atol=1e-12)
 
 
-def test_a_contact_of_few_taxels_is_measured_whole_in_its_first_frame() -> None:
+def test_a_contact_of_few_taxels_is_measured_whole_in_its_first_frame():
     exists = np.ones((40, 40), np.bool_)
     phi = phi_of(exists, 200)
     choice, held = AdaptiveChoice(phi), HeldRows(phi)
@@ -85,7 +82,7 @@ def test_a_contact_of_few_taxels_is_measured_whole_in_its_first_frame() -> None:
         held.end()
 
 
-def test_every_row_is_read_in_a_bounded_number_of_frames() -> None:
+def test_every_row_is_read_in_a_bounded_number_of_frames():
     rng = np.random.default_rng(0)
     phi = phi_of(np.ones((16, 16), np.bool_), 64)
     choice, seen = AdaptiveChoice(phi), np.zeros(256, np.bool_)
@@ -99,7 +96,7 @@ def test_every_row_is_read_in_a_bounded_number_of_frames() -> None:
     assert seen.all()
 
 
-def test_a_fingerprint_is_of_the_numbers_and_of_the_grid() -> None:
+def test_a_fingerprint_is_of_the_numbers_and_of_the_grid():
     grids = [np.ones(shape, np.bool_) for shape in ((10, 10), (5, 20), (20, 5))]
     prints = {phi_of(grid, m).fingerprint for grid in grids for m in (20, 30)}
     assert len(prints) == 6
@@ -107,7 +104,7 @@ def test_a_fingerprint_is_of_the_numbers_and_of_the_grid() -> None:
 
 
 @pytest.mark.parametrize(("n", "m", "least"), [(100, 3, 4), (3, 2, 3)])
-def test_fewer_measurements_than_a_sum_and_a_node_are_refused(n: int, m: int, least: int) -> None:
+def test_fewer_measurements_than_a_sum_and_a_node_are_refused(n, m, least):
     with pytest.raises(PhiError, match=rf"m = {m} is not allowed; allowed: {least}\.\.{n}"):
         make_phi("adaptive", n, m, seed=0)
 
@@ -130,6 +127,6 @@ GRID = np.ones((16, 16), np.bool_)
         (make_phi("sbhe", 256, 64, seed=0), np.array([0], np.uint8), 'phi "adaptive" alone'),
     ],
 )
-def test_nodes_that_do_not_fit_are_refused(phi: Phi, code: Any, text: str) -> None:
+def test_nodes_that_do_not_fit_are_refused(phi, code, text):
     with pytest.raises(PhiError, match=text):
         follow_nodes(phi, code)

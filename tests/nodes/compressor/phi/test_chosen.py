@@ -1,6 +1,5 @@
 """Kinds whose taxels or rows are chosen anew in each frame, in a graph: acts and adaptive."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ def reconstructions(bus: Bus, n_frames: int) -> list[Reconstruction]:
 
 
 @pytest.mark.parametrize("overrides", [ACTS, ADAPTIVE])
-def test_m_changes_while_the_graph_runs(overrides: tuple[str, ...]) -> None:
+def test_m_changes_while_the_graph_runs(overrides):
     bus = graph(*overrides, "compressor.bits=12")
     messages: list[Any] = []
     for k, frame in enumerate(bus.frames(6), start=1):
@@ -47,7 +46,7 @@ def test_m_changes_while_the_graph_runs(overrides: tuple[str, ...]) -> None:
         assert all(m.nodes is not None and m.nodes.size < m.y.size / 4 for m in made)
 
 
-def test_interpolation_leaves_readings_unchanged() -> None:
+def test_interpolation_leaves_readings_unchanged():
     for frame in graph(*ACTS, "compressor.bits=12").frames(3):
         (taxels,) = [m for m in frame if isinstance(m, Taxels)]
         (made,) = [m for m in frame if isinstance(m, Measurements)]
@@ -76,9 +75,7 @@ def test_interpolation_leaves_readings_unchanged() -> None:
         ),
     ],
 )
-def test_settings_that_do_not_go_together_are_refused_in_one_line(
-    overrides: tuple[str, ...], text: str
-) -> None:
+def test_settings_that_do_not_go_together_are_refused_in_one_line(overrides, text):
     with pytest.raises(LaunchError) as refused:
         graph(*overrides)
     (line,) = refused.value.lines
@@ -86,9 +83,7 @@ def test_settings_that_do_not_go_together_are_refused_in_one_line(
 
 
 @KINDS
-def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(
-    chosen: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(chosen, tmp_path):
     bag, out = tmp_path / "chosen.mcap", tmp_path / "again.mcap"
     streamed = reconstructions(graph(*chosen, record=str(bag)), 6)
     # From the taxels, the edge chooses as it chose before.

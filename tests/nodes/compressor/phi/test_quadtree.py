@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.nodes.compressor.phi.quadtree import Quadtree
-from sparseskin.nodes.numerics.arrays import Mask
 
 
 def dense(tree: Quadtree) -> npt.NDArray[np.float64]:
@@ -16,9 +15,7 @@ def dense(tree: Quadtree) -> npt.NDArray[np.float64]:
 
 
 @given(exists=grids(), data=st.data())
-def test_rows_are_orthonormal_and_synthesis_the_transpose_on_any_grid(
-    exists: Mask, data: st.DataObject
-) -> None:
+def test_rows_are_orthonormal_and_synthesis_the_transpose_on_any_grid(exists, data):
     tree = Quadtree(exists, data.draw(st.integers(1, int(exists.sum()))))
     matrix = dense(tree)
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(tree.n), atol=1e-12)
@@ -30,7 +27,7 @@ def test_rows_are_orthonormal_and_synthesis_the_transpose_on_any_grid(
 
 
 @pytest.mark.parametrize("shape", [(1, 16), (5, 7), (31, 11)])
-def test_first_rows_are_the_normalised_sums_of_tiles(shape: tuple[int, int]) -> None:
+def test_first_rows_are_the_normalised_sums_of_tiles(shape):
     tree = Quadtree(np.ones(shape, np.bool_), shape[0] * shape[1])
     matrix = dense(tree)[: tree.n_tiles]
     counts = np.count_nonzero(matrix, axis=1)
@@ -40,7 +37,7 @@ def test_first_rows_are_the_normalised_sums_of_tiles(shape: tuple[int, int]) -> 
 
 
 @given(exists=grids(), data=st.data())
-def test_the_code_of_nodes_is_read_back(exists: Mask, data: st.DataObject) -> None:
+def test_the_code_of_nodes_is_read_back(exists, data):
     tree = Quadtree(exists, int(exists.sum()))
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     chosen = rng.random(tree.n_nodes) < data.draw(st.sampled_from([0.0, 0.05, 0.5, 1.0]))
@@ -48,7 +45,7 @@ def test_the_code_of_nodes_is_read_back(exists: Mask, data: st.DataObject) -> No
 
 
 @given(code=st.binary(min_size=1, max_size=40))
-def test_any_other_code_is_refused(code: bytes) -> None:
+def test_any_other_code_is_refused(code):
     tree = Quadtree(np.ones((20, 20), np.bool_), 400)
     given_code = np.frombuffer(code, dtype=np.uint8)
     try:
@@ -59,7 +56,7 @@ def test_any_other_code_is_refused(code: bytes) -> None:
 
 
 @pytest.mark.parametrize("m", [50, 533])
-def test_a_code_has_at_most_the_stated_bytes(m: int) -> None:
+def test_a_code_has_at_most_the_stated_bytes(m):
     tree = Quadtree(np.ones((40, 40), np.bool_), m)
     n_chosen = (m - tree.n_tiles) // 3
     rng = np.random.default_rng(0)

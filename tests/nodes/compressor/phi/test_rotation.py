@@ -1,7 +1,5 @@
 """Rotating rows: each row subset is a matrix of its own; together they hold every row."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,10 +13,10 @@ from sparseskin.nodes.errors import PhiError
 
 @pytest.mark.parametrize("kind", ["sbhe", "subsample"])
 @pytest.mark.parametrize("ratio", [1, 5])
-def test_together_the_row_subsets_hold_each_row_of_w_once(kind: str, ratio: int) -> None:
+def test_together_the_row_subsets_hold_each_row_of_w_once(kind, ratio):
     n = 240
     subsets = row_subsets(make_phi(kind, n, n // ratio, seed=1), "rotating")
-    rows = np.concatenate([phi.rows for phi in subsets])  # type: ignore[attr-defined]
+    rows = np.concatenate([phi.rows for phi in subsets])
     np.testing.assert_array_equal(np.sort(rows), np.arange(n))
     for phi in subsets:
         check_phi(phi)
@@ -49,9 +47,7 @@ def test_together_the_row_subsets_hold_each_row_of_w_once(kind: str, ratio: int)
         ({"rows": "rotating", "m": 1600}, ("rotating", 1600)),
     ],
 )
-def test_rows_rotate_by_default_where_they_can(
-    stated: dict[str, Any], expected: tuple[str, int]
-) -> None:
+def test_rows_rotate_by_default_where_they_can(stated, expected):
     assert CompressorSettings(**stated).rows_and_m(1600) == expected
 
 
@@ -72,7 +68,7 @@ def by_function(n: int, m: int, seed: int, block: int) -> Phi:
     return make_phi("sbhe", n, m, seed, block)
 
 
-def test_what_cannot_rotate_is_named() -> None:
+def test_what_cannot_rotate_is_named():
     for kind in ("gaussian", "full", "acts"):
         with pytest.raises(PhiError, match=f'rows: "rotating" is not allowed for phi "{kind}"'):
             CompressorSettings(phi=kind, rows="rotating").check()

@@ -18,7 +18,6 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def sbhe(n: int, m: int, seed: int = 0, block: int = 256, rule: int = SPREAD) -> SbhePhi:
     phi = make_phi("sbhe", n, m, seed, block, rule)
-    assert isinstance(phi, SbhePhi)
     return phi
 
 
@@ -35,9 +34,7 @@ def numbers_of(phi: SbhePhi, rows: Indices) -> Indices:
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
-def test_fixed_rows_are_the_sums_and_others_in_proportion(
-    n: int, data: st.DataObject, block: int, seed: int
-) -> None:
+def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
     m = data.draw(st.integers(1, n))
     phi = sbhe(n, m, seed, block)
     assert phi.rows.size == m
@@ -60,14 +57,13 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
 def test_each_row_subset_has_rows_of_each_block_in_proportion_and_together_they_have_all(
-    n: int, data: st.DataObject, block: int, seed: int
-) -> None:
+    n, data, block, seed
+):
     m = data.draw(st.integers(-(-n // 64), n))
     subsets = row_subsets(sbhe(n, m, seed, block), "rotating")
     assert len(subsets) == -(-n // m)
     times = np.zeros(n, dtype=np.intp)
     for phi in subsets:
-        assert isinstance(phi, SbhePhi)
         assert phi.rows.size == m
         assert (np.diff(phi.rows) > 0).all()
         numbers = numbers_of(phi, phi.rows)
@@ -79,22 +75,20 @@ def test_each_row_subset_has_rows_of_each_block_in_proportion_and_together_they_
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, rule=st.sampled_from([RANDOM, SPREAD]))
-def test_fewer_rows_of_one_seed_are_among_the_more(
-    n: int, data: st.DataObject, block: int, rule: int
-) -> None:
+def test_fewer_rows_of_one_seed_are_among_the_more(n, data, block, rule):
     few, many = sorted(data.draw(st.tuples(st.integers(1, n), st.integers(1, n))))
     phis = [sbhe(n, m, 3, block, rule) for m in (few, many)]
     np.testing.assert_array_equal(phis[0].permutation, phis[1].permutation)
     assert set(phis[0].rows) <= set(phis[1].rows)
 
 
-def test_rule_1_is_that_of_version_0_1() -> None:
+def test_rule_1_is_that_of_version_0_1():
     for rows in ("fixed", "rotating"):
         first = row_subsets(sbhe(96, 30, 7, 32, RANDOM), rows)[0]
         assert first.fingerprint == "443e07fb12311131"  # by the code of version 0.1
 
 
-def test_blocks_are_of_256_but_of_32_where_sums_are_wires_or_the_papers() -> None:
+def test_blocks_are_of_256_but_of_32_where_sums_are_wires_or_the_papers():
     assert {block_of(kind, None) for kind in KINDS} == {256}
     assert block_of("local:8", None) == 32
     assert block_of("local:8", 64) == 64

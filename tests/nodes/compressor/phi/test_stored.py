@@ -28,7 +28,7 @@ def matrix_of(m: int, n: int, seed: int = 0) -> Any:
 
 
 @pytest.mark.parametrize(("m", "n"), [(1, 7), (30, 64)])
-def test_operators_are_adjoint_and_are_those_of_the_file(m: int, n: int, tmp_path: Path) -> None:
+def test_operators_are_adjoint_and_are_those_of_the_file(m, n, tmp_path):
     path = tmp_path / "phi.npz"
     matrix = matrix_of(m, n)
     scipy.sparse.save_npz(path, matrix)
@@ -86,9 +86,7 @@ def first(value: Any) -> Callable[[Any], Any]:
         (changed("data", first(1e7)), "data: expected finite numbers of at most 1e+06"),
     ],
 )
-def test_a_file_that_is_no_such_matrix_is_refused_with_its_name(
-    arrays: dict[str, Any], line: str, tmp_path: Path
-) -> None:
+def test_a_file_that_is_no_such_matrix_is_refused_with_its_name(arrays, line, tmp_path):
     path = tmp_path / "phi.npz"
     np.savez(path, **arrays)
     with pytest.raises(PhiError) as refused:
@@ -96,9 +94,7 @@ def test_a_file_that_is_no_such_matrix_is_refused_with_its_name(
     assert str(refused.value).startswith(f"{path}: {line}")
 
 
-def test_objects_bombs_and_folders_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_objects_bombs_and_folders_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "phi.npz"
     np.savez(path, **{**parts(), "data": np.array([print] * 4, dtype=object)}, allow_pickle=True)
     with pytest.raises(PhiError, match="Python objects"):
@@ -115,9 +111,7 @@ def test_objects_bombs_and_folders_are_refused(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damaged_bytes_are_refused_by_a_line_or_are_a_matrix(
-    data: st.DataObject, tmp_path: Path
-) -> None:
+def test_damaged_bytes_are_refused_by_a_line_or_are_a_matrix(data, tmp_path):
     file = io.BytesIO()
     np.savez(file, **parts())
     raw = bytearray(file.getvalue())
@@ -149,7 +143,7 @@ def saved(path: Path, stack: Any) -> Path:
 
 
 @pytest.mark.parametrize("name", ["phi.npz", "phi.npy"])
-def test_the_matrices_of_a_stack_measure_frames_in_turn(name: str, tmp_path: Path) -> None:
+def test_the_matrices_of_a_stack_measure_frames_in_turn(name, tmp_path):
     stack = stack_of(3, 5, 13)
     path = saved(tmp_path / name, stack)
     kind = f"file:{path}"
@@ -183,16 +177,14 @@ def test_the_matrices_of_a_stack_measure_frames_in_turn(name: str, tmp_path: Pat
         (np.ones((2, 4, 7)), "is 4 x 7; expected m x n = 4 x 6"),
     ],
 )
-def test_an_array_that_is_no_stack_is_refused_with_its_name(
-    stack: Any, line: str, tmp_path: Path
-) -> None:
+def test_an_array_that_is_no_stack_is_refused_with_its_name(stack, line, tmp_path):
     path = saved(tmp_path / "phi.npz", stack)
     with pytest.raises(PhiError) as refused:
         make_phi(f"file:{path}", 6, 4, 0)
     assert str(refused.value).startswith(f"{path}: {line}")
 
 
-def test_another_size_is_refused_before_the_start(tmp_path: Path) -> None:
+def test_another_size_is_refused_before_the_start(tmp_path):
     path = tmp_path / "phi.npz"
     scipy.sparse.save_npz(path, matrix_of(4, 6))
     with pytest.raises(PhiError, match="is 4 x 6; expected m x n = 4 x 7"):
@@ -202,7 +194,7 @@ def test_another_size_is_refused_before_the_start(tmp_path: Path) -> None:
     assert any("is 4 x 6; expected m x n = 4 x 1600" in line for line in refused.value.lines)
 
 
-def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(tmp_path: Path) -> None:
+def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(tmp_path):
     source = row_subsets(make_phi("sbhe", 1600, 534, 0, block=32), "rotating")
     stack = np.stack([one.dense().astype(np.float32) for one in source])
     kind = f"file:{saved(tmp_path / 'phi.npz', stack)}"
@@ -215,7 +207,6 @@ def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(tmp_path: Path) -> None
     frames = run_launch("replay", 9, chosen)
     stream = Stream((40, 40), phi=kind, iterations=8)
     for k, frame in enumerate(frames):
-        assert frame.taxels is not None
         y = stack[k % 3] @ frame.taxels.reshape(-1)
         np.testing.assert_allclose(frame.measurements, y, atol=1e-5)
         found = stream.reconstruct(stream.compress(frame.taxels))

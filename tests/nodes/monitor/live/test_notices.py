@@ -36,7 +36,7 @@ class Desk:
 
 
 @pytest.fixture
-def desk(monkeypatch: pytest.MonkeyPatch) -> Desk:
+def desk(monkeypatch):
     """A desk at which one whole frame has been seen, and nothing is wrong."""
     desk = Desk(FakeTime(monkeypatch))
     desk.graph.skin()
@@ -45,7 +45,7 @@ def desk(monkeypatch: pytest.MonkeyPatch) -> Desk:
     return desk
 
 
-def test_until_frames_are_reconstructed_that_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_until_frames_are_reconstructed_that_is_reported(monkeypatch):
     desk = Desk(FakeTime(monkeypatch))
     assert desk.look() == [(NOTE, "no frame has arrived yet.")]
     desk.graph.skin()
@@ -58,8 +58,8 @@ def test_until_frames_are_reconstructed_that_is_reported(monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize(("rate_hz", "stale_s"), [(0.0, 0.2), (1000.0, 0.2), (5.0, 0.5)])
 def test_stale_is_what_is_older_than_200_ms_and_than_two_and_a_half_periods(
-    monkeypatch: pytest.MonkeyPatch, rate_hz: float, stale_s: float
-) -> None:
+    monkeypatch, rate_hz, stale_s
+):
     desk = Desk(FakeTime(monkeypatch))
     desk.graph.skin(rate_hz=rate_hz)
     desk.graph.frame()
@@ -69,14 +69,14 @@ def test_stale_is_what_is_older_than_200_ms_and_than_two_and_a_half_periods(
     assert desk.look() == []
 
 
-def test_frames_that_are_sensed_but_no_longer_reconstructed_are_stale(desk: Desk) -> None:
+def test_frames_that_are_sensed_but_no_longer_reconstructed_are_stale(desk):
     for _ in range(50):
         desk.clock.advance(0.01)
         desk.graph.frame(upto=3)
     assert desk.look() == [(BAD, "stale: frames are sensed, none reconstructed for 0.5 s.")]
 
 
-def test_a_paused_graph_is_not_stale(desk: Desk) -> None:
+def test_a_paused_graph_is_not_stale(desk):
     desk.news(node_state("sensor", commands=PAUSE, state={"paused": True}, condition="paused"))
     assert desk.look(GRAPH_S / 2) == [(NOTE, "sensor is paused.")]
     desk.news(node_state("sensor", commands=PAUSE, state={"paused": False}))
@@ -89,7 +89,7 @@ def test_a_paused_graph_is_not_stale(desk: Desk) -> None:
     assert (BAD, "stale: no new frame for 1.0 s.") in desk.look(1.0)
 
 
-def test_a_stream_that_has_ended_is_not_stale_until_it_begins_again(desk: Desk) -> None:
+def test_a_stream_that_has_ended_is_not_stale_until_it_begins_again(desk):
     desk.graph.summarise()
     desk.feed.update(ended="skin")
     assert desk.look(10 * STALE_S) == [(NOTE, "the stream has ended.")]
@@ -97,7 +97,7 @@ def test_a_stream_that_has_ended_is_not_stale_until_it_begins_again(desk: Desk) 
     assert desk.look() == []
 
 
-def test_lost_frames_are_reported_for_some_seconds(desk: Desk) -> None:
+def test_lost_frames_are_reported_for_some_seconds(desk):
     assert desk.lose(0) == []
     assert desk.lose(3) == [(BAD, "3 frames lost just now.")]
     desk.clock.advance(0.9 * RECENT_S)
@@ -109,7 +109,7 @@ def test_lost_frames_are_reported_for_some_seconds(desk: Desk) -> None:
     assert desk.lose(2) == [(BAD, "2 frames lost just now.")]
 
 
-def test_refusals_are_reported_for_some_seconds_with_their_reason(desk: Desk) -> None:
+def test_refusals_are_reported_for_some_seconds_with_their_reason(desk):
     def refuse(count: int, reason: str, after_s: float = 0.0) -> list[Notice]:
         desk.clock.advance(after_s)
         desk.news(node_state("reconstructor", refused=count, refusal=reason))
@@ -126,9 +126,7 @@ def test_refusals_are_reported_for_some_seconds_with_their_reason(desk: Desk) ->
     ]
 
 
-def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_some_seconds(
-    desk: Desk,
-) -> None:
+def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_some_seconds(desk):
     def news(restarts: int, condition: str, after_s: float = 0.0) -> list[Notice]:
         desk.clock.advance(after_s)
         desk.news(node_state("sensor", restarts=restarts, condition=condition))
@@ -143,7 +141,7 @@ def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_som
     assert news(1, "running", RECENT_S) == []
 
 
-def test_old_news_of_the_graph_is_reported_with_its_age(desk: Desk) -> None:
+def test_old_news_of_the_graph_is_reported_with_its_age(desk):
     desk.news(node_state("sensor"))
     desk.clock.advance(0.99 * GRAPH_S)
     desk.graph.frame()
@@ -153,12 +151,12 @@ def test_old_news_of_the_graph_is_reported_with_its_age(desk: Desk) -> None:
     assert desk.look() == [(BAD, "No state of the nodes has arrived for 12 s.")]
 
 
-def test_a_monitor_that_is_busy_reports_it_first(desk: Desk) -> None:
+def test_a_monitor_that_is_busy_reports_it_first(desk):
     now_s = desk.clock.advance(3.0)
     assert Notices(desk.feed).all(now_s)[0] == (BAD, "The monitor has not responded for 3.0 s.")
 
 
-def test_measurements_that_are_left_out_are_reported_while_they_are(desk: Desk) -> None:
+def test_measurements_that_are_left_out_are_reported_while_they_are(desk):
     left_out = "faulty measurements left out: 2 of 533 (3, 100)"
     desk.news(node_state("reconstructor", state={"left_out": left_out, "swamped": False}))
     assert desk.look() == [(NOTE, f"reconstructor: {left_out}.")]
@@ -168,7 +166,7 @@ def test_measurements_that_are_left_out_are_reported_while_they_are(desk: Desk) 
     assert desk.look() == []
 
 
-def test_notices_of_many_patches_that_differ_in_numbers_alone_are_one() -> None:
+def test_notices_of_many_patches_that_differ_in_numbers_alone_are_one():
     feed = Feed(tuple(f"p{k}" for k in range(6)))
     texts = [text for _, text in Notices(feed).all(feed.pulse_s)]
     assert texts == ["p0 and 5 other patches: no frame has arrived yet."]

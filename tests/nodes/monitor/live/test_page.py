@@ -5,8 +5,6 @@ import math
 import os
 import re
 import signal
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +27,7 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def page(tmp_path_factory):
     with browser(tmp_path_factory.mktemp("browser") / "profile") as driver:
         yield driver
 
@@ -99,9 +97,7 @@ def frames_played(page: Any, stamps_ns: list[int]) -> int:
     return sum((ns - stamps_ns[0]) / 1e9 < position_s - 1e-6 for ns in stamps_ns)
 
 
-def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(
-    start: StartProgram, page: Any, tmp_path: Path
-) -> None:
+def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(start, page, tmp_path):
     program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
     for which in ("taxels", "reconstruction", "error"):
         before = pixels(page, which)
@@ -164,7 +160,7 @@ def nothing_is_asked_of_another_host(page: Any) -> None:
     assert page.get_log("browser") == []
 
 
-def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(page: Any) -> None:
+def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(page):
     graph = Graph()
     graph.skin()
     with served(graph, page):
@@ -195,7 +191,7 @@ def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(pag
         assert page.find_elements("css selector", "ellipse") == []
 
 
-def test_contacts_are_rings_with_their_force_rows_that_stay_and_marks(page: Any) -> None:
+def test_contacts_are_rings_with_their_force_rows_that_stay_and_marks(page):
     graph = Graph()
     graph.skin()
     rows = (
@@ -246,7 +242,7 @@ def test_contacts_are_rings_with_their_force_rows_that_stay_and_marks(page: Any)
         wait_until(lambda: bool(page.execute_script(begins)), "the mark of a begin")
 
 
-def test_the_axis_of_a_chart_has_room_for_latencies_below_0(page: Any) -> None:
+def test_the_axis_of_a_chart_has_room_for_latencies_below_0(page):
     script = (
         "const done = arguments[1], points = arguments[0].map((v, k) => [k, v, null]);"
         "import('./strips.js').then((m) => done(m.limits([{ points }], {}, 0)));"
@@ -256,7 +252,7 @@ def test_the_axis_of_a_chart_has_room_for_latencies_below_0(page: Any) -> None:
         assert page.execute_async_script(script, [3, 5]) == [0, 6]
 
 
-def test_the_marks_of_frames_in_doubt_and_of_old_frames_move_nothing(page: Any) -> None:
+def test_the_marks_of_frames_in_doubt_and_of_old_frames_move_nothing(page):
     graph = Graph()
     graph.skin()
     places = (  # a notice above them moves them all
@@ -293,7 +289,7 @@ def test_the_marks_of_frames_in_doubt_and_of_old_frames_move_nothing(page: Any) 
         )
 
 
-def test_a_taxel_whose_reading_is_missing_looks_like_no_force(page: Any) -> None:
+def test_a_taxel_whose_reading_is_missing_looks_like_no_force(page):
     graph = Graph()
     graph.skin(mask=None)
     missing = np.packbits(np.arange(N_ROWS * N_COLS) == N_COLS + 2)
@@ -310,7 +306,7 @@ def test_a_taxel_whose_reading_is_missing_looks_like_no_force(page: Any) -> None
         assert alpha == 255
 
 
-def test_a_colour_range_grows_at_once_and_shrinks_after_a_while(page: Any) -> None:
+def test_a_colour_range_grows_at_once_and_shrinks_after_a_while(page):
     script = (
         "const done = arguments[1];"
         "import('./colours.js').then(({ Range }) => {"
@@ -322,9 +318,7 @@ def test_a_colour_range_grows_at_once_and_shrinks_after_a_while(page: Any) -> No
         assert page.execute_async_script(script, peaks) == [0.05, 1, 2, 2, 2, 1, 2.5]
 
 
-def test_the_numbers_of_the_page_are_those_of_the_summary(
-    start: StartProgram, page: Any, tmp_path: Path
-) -> None:
+def test_the_numbers_of_the_page_are_those_of_the_summary(start, page, tmp_path):
     summary = tmp_path / "summary.json"
     settings = ("--set", "sensor.rate_hz=30", "--frames", "450", "--summary", str(summary))
     program = open_page(start, page, "drag_wrench_40", *settings)
@@ -359,9 +353,7 @@ def frames():
 """
 
 
-def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(
-    start: StartProgram, page: Any, tmp_path: Path
-) -> None:
+def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(start, page, tmp_path):
     (tmp_path / "old_skin.py").write_text(OLD_SKIN)
     described = SkinDescription(
         "old", 4, 6, 50.0, unit="N", baseline=np.full((4, 6), 35.0), noise=1.0
@@ -387,9 +379,7 @@ def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(
     wait_until(lambda: total_n() < 40, "noise alone")
 
 
-def test_a_replay_is_paused_stepped_and_sought(
-    start: StartProgram, page: Any, tmp_path: Path
-) -> None:
+def test_a_replay_is_paused_stepped_and_sought(start, page, tmp_path):
     program = start("launch", "path_40", "--frames", "300", "--record", "path.mcap")
     assert program.finish()[0] == 0
     with BagReader(tmp_path / "path.mcap") as bag:
@@ -419,9 +409,7 @@ def test_a_replay_is_paused_stepped_and_sought(
     wait_until(lambda: text(page, "[data-position]").startswith("1.0 of"), "the position")
 
 
-def test_the_address_with_its_token_opens_the_page_and_is_not_kept(
-    start: StartProgram, page: Any
-) -> None:
+def test_the_address_with_its_token_opens_the_page_and_is_not_kept(start, page):
     program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
     assert "token" not in page.current_url
     page.refresh()

@@ -1,7 +1,5 @@
 """The monitor as text: every figure, in lines that fit a terminal of 80 columns."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from bags import PHI
@@ -22,7 +20,7 @@ ERROR_N = (0.25, 0.025)
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
+def clock(monkeypatch):
     return FakeTime(monkeypatch)
 
 
@@ -32,7 +30,7 @@ def filled(clock: FakeTime, n_frames: int = 50) -> Graph:
     graph.skin(n_rows=SHAPE[0], n_cols=SHAPE[1], mask=None, source="a scene")
     head = {"patch": "skin", "run_id": "0" * 16}
     fields = {"kind": "sbhe", "n": 24, "m": 8, "block": 8, "seed": 0, "fingerprint": PHI}
-    graph.take(PhiState(**head, stamp_ns=0, **fields))  # type: ignore[arg-type]
+    graph.take(PhiState(**head, stamp_ns=0, **fields))
     truth = np.zeros(SHAPE, np.float32)
     truth[1, 4] = 2.0
     noisy, restored = (truth + np.float32(error) for error in ERROR_N)
@@ -41,10 +39,10 @@ def filled(clock: FakeTime, n_frames: int = 50) -> Graph:
         clock.advance(0.01)
         of_frame = {**head, "seq": k, "stamp_ns": 1000 * k}
         rest["done_ns"] = 1000 * k + 5_000_000
-        graph.take(Taxels(**of_frame, forces=noisy))  # type: ignore[arg-type]
-        graph.take(Truth(**of_frame, forces=truth))  # type: ignore[arg-type]
-        graph.take(Measurements(**of_frame, y=np.ones(8, np.float32), phi=PHI))  # type: ignore[arg-type]
-        graph.take(Reconstruction(**of_frame, **rest, forces=restored))  # type: ignore[arg-type]
+        graph.take(Taxels(**of_frame, forces=noisy))
+        graph.take(Truth(**of_frame, forces=truth))
+        graph.take(Measurements(**of_frame, y=np.ones(8, np.float32), phi=PHI))
+        graph.take(Reconstruction(**of_frame, **rest, forces=restored))
     graph.summarise()
     return graph
 
@@ -55,7 +53,7 @@ def lines_of(graph: Graph) -> list[str]:
     return lines
 
 
-def test_status_and_figures_are_those_of_the_line_and_of_the_summary(clock: FakeTime) -> None:
+def test_status_and_figures_are_those_of_the_line_and_of_the_summary(clock):
     graph = filled(clock)
     lines = lines_of(graph)
     table = summary_table({"skin": graph.feed.patches["skin"].summary}).split("\n")
@@ -63,9 +61,7 @@ def test_status_and_figures_are_those_of_the_line_and_of_the_summary(clock: Fake
     assert " ".join(lines[: -len(table)]).endswith(STATUS.strip())
 
 
-def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_needs(
-    clock: FakeTime,
-) -> None:
+def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_needs(clock):
     graph = filled(clock)
     graph.skin()
     graph.n["skin"] = 50
@@ -95,9 +91,7 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_nee
         ),
     ],
 )
-def test_each_other_host_is_a_line(
-    clock: FakeTime, changes: dict[str, Any], told: tuple[str, str]
-) -> None:
+def test_each_other_host_is_a_line(clock, changes, told):
     unknown = {"heard": None, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
     graph = filled(clock)
     assert not any(line.startswith("host") for line in lines_of(graph))
@@ -107,7 +101,7 @@ def test_each_other_host_is_a_line(
     assert told[1] in lines_of(graph)
 
 
-def test_long_names_and_many_nodes_still_fit(clock: FakeTime) -> None:
+def test_long_names_and_many_nodes_still_fit(clock):
     graph = filled(clock)
     nodes = [node_state(f"node_{k}_" + "x" * 24, condition="restarting") for k in range(12)]
     state = graph_state(*nodes, name="n" * 100, recording="r" * 100 + ".mcap")
@@ -118,7 +112,7 @@ def test_long_names_and_many_nodes_still_fit(clock: FakeTime) -> None:
         assert f"!! node_{k}_" in text
 
 
-def test_a_monitor_in_text_mode_has_the_screen_as_its_status() -> None:
+def test_a_monitor_in_text_mode_has_the_screen_as_its_status():
     settings = Monitor.Settings(screen=True, page=False)
     monitor = Monitor(settings, Context("monitor", ManualClock()))
     list(monitor.start())
@@ -126,7 +120,7 @@ def test_a_monitor_in_text_mode_has_the_screen_as_its_status() -> None:
     assert "skin: 0 frames" in monitor.status()
 
 
-def test_notices_are_at_the_top_and_what_is_bad_stands_out(clock: FakeTime) -> None:
+def test_notices_are_at_the_top_and_what_is_bad_stands_out(clock):
     graph = filled(clock)
     assert lines_of(graph)[0].endswith(" live")
     paused = node_state("sensor", condition="paused", commands={"pause": ""})

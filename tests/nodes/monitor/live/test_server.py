@@ -3,9 +3,7 @@
 import contextlib
 import json
 import socket
-from collections.abc import Callable, Iterator
 from http.client import HTTPConnection, HTTPResponse
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -62,7 +60,7 @@ class Site:
         """A connection on which these characters were sent."""
         host, _, port = self.host.partition(":")
         made = socket.create_connection((host, int(port)), timeout=60.0)
-        self._clients.append(made)  # type: ignore[arg-type]
+        self._clients.append(made)
         made.sendall(sent.encode())
         return made
 
@@ -74,24 +72,24 @@ class Site:
 
 
 @pytest.fixture(scope="module")
-def site() -> Iterator[Site]:
+def site():
     with contextlib.closing(Site()) as site:
         yield site
 
 
 @pytest.fixture
-def make() -> Iterator[Callable[..., Site]]:
+def make():
     with contextlib.ExitStack() as stack:
         yield lambda *patches, **k: stack.enter_context(contextlib.closing(Site(*patches, **k)))
 
 
 @pytest.fixture
-def asked(site: Site) -> list[dict[str, Any]]:
+def asked(site):
     site.asked.clear()
     return site.asked
 
 
-def test_every_file_of_the_page_is_served_as_it_is(site: Site) -> None:
+def test_every_file_of_the_page_is_served_as_it_is(site):
     names = [path.name for path in PAGE.iterdir()]
     assert {"index.html", "main.js", "style.css", "icon.svg"} <= set(names)
     for name in names:
@@ -111,14 +109,14 @@ def test_every_file_of_the_page_is_served_as_it_is(site: Site) -> None:
         *("/index.html%00", "/%69ndex.html", "/..\\server.py", "/request"),
     ],
 )
-def test_nothing_else_can_be_got(site: Site, path: str) -> None:
+def test_nothing_else_can_be_got(site, path):
     response = site.send("GET", path)
     assert response.status == 404
     assert response.read().startswith(b"nothing is at /")
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1.evil.example", "10.0.0.1", "", "::1"])
-def test_a_name_that_is_not_this_hosts_own_is_refused(site: Site, host: str) -> None:
+def test_a_name_that_is_not_this_hosts_own_is_refused(site, host):
     for path in ("/", "/stream", "/main.js"):
         response = site.send("GET", path, Host=host)
         assert response.status == 403
@@ -127,7 +125,7 @@ def test_a_name_that_is_not_this_hosts_own_is_refused(site: Site, host: str) -> 
         assert site.send("GET", "/", Host=own).status == 200
 
 
-def test_a_request_of_the_page_is_passed_on(site: Site, asked: list[dict[str, Any]]) -> None:
+def test_a_request_of_the_page_is_passed_on(site, asked):
     assert site.post() == 202
     assert site.post(Origin=f"http://{site.host}") == 202
     extra = json.dumps({**GOOD, "value": {"m": 4}, "more": "not passed on"}).encode()
@@ -148,9 +146,7 @@ def test_a_request_of_the_page_is_passed_on(site: Site, asked: list[dict[str, An
         (413, {"Content_Length": str(MAX_BODY_BYTES + 1)}),
     ],
 )
-def test_a_request_of_another_site_or_size_is_refused(
-    site: Site, asked: list[dict[str, Any]], status: int, headers: dict[str, str]
-) -> None:
+def test_a_request_of_another_site_or_size_is_refused(site, asked, status, headers):
     assert site.post(**headers) == status
     assert asked == []
 
@@ -163,16 +159,12 @@ def test_a_request_of_another_site_or_size_is_refused(
         json.dumps({key: GOOD[key] for key in ("id", "command")}).encode(),
     ],
 )
-def test_a_body_that_is_no_request_is_refused(
-    site: Site, asked: list[dict[str, Any]], body: bytes
-) -> None:
+def test_a_body_that_is_no_request_is_refused(site, asked, body):
     assert site.post(body) == 400
     assert asked == []
 
 
-def test_who_knows_no_token_gets_nothing_and_is_obeyed_in_nothing(
-    make: Callable[..., Site],
-) -> None:
+def test_who_knows_no_token_gets_nothing_and_is_obeyed_in_nothing(make):
     site = make(token=TOKEN)
     port = site.host.partition(":")[2]
     for shown in ("", "x", TOKEN[:-1], f"{TOKEN}x", "%ff%00", "ä"):
@@ -188,9 +180,7 @@ def test_who_knows_no_token_gets_nothing_and_is_obeyed_in_nothing(
     assert site.asked == []
 
 
-def test_the_address_with_its_token_leaves_a_cookie_that_opens_all(
-    make: Callable[..., Site],
-) -> None:
+def test_the_address_with_its_token_leaves_a_cookie_that_opens_all(make):
     site = make(token=TOKEN)
     assert urlsplit(site.page.url).query == f"token={TOKEN}"
     opened = site.send("GET", f"/?token={TOKEN}")
@@ -204,9 +194,7 @@ def test_the_address_with_its_token_leaves_a_cookie_that_opens_all(
     assert site.asked == [GOOD]
 
 
-def test_what_a_page_of_another_site_asks_for_is_refused(
-    site: Site, asked: list[dict[str, Any]]
-) -> None:
+def test_what_a_page_of_another_site_asks_for_is_refused(site, asked):
     origin = "same-site"
     for path in ("/stream", "/main.js"):
         assert site.send("GET", path, Sec_Fetch_Site=origin).status == 403
@@ -218,9 +206,7 @@ def test_what_a_page_of_another_site_asks_for_is_refused(
 
 
 @pytest.mark.parametrize("length", ["Content-Length: {}", "Transfer-Encoding: chunked"])
-def test_a_request_hidden_in_the_body_of_another_is_not_executed(
-    site: Site, asked: list[dict[str, Any]], length: str
-) -> None:
+def test_a_request_hidden_in_the_body_of_another_is_not_executed(site, asked, length):
     body = json.dumps(GOOD)
     head = f"POST /request HTTP/1.1\r\nHost: {site.host}\r\nContent-Type: application/json\r\n"
     hidden = f"{head}Content-Length: {len(body)}\r\n\r\n{body}"
@@ -231,9 +217,7 @@ def test_a_request_hidden_in_the_body_of_another_is_not_executed(
     assert asked == []
 
 
-def test_a_request_that_drips_is_given_up(
-    make: Callable[..., Site], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_request_that_drips_is_given_up(make, monkeypatch):
     monkeypatch.setattr(server, "REQUEST_S", 0.05)
     site = make()
     drips = site.connect("GET / HTTP/1.1\r\nHost: ")
@@ -247,7 +231,7 @@ def test_a_request_that_drips_is_given_up(
     wait_until(is_ended, "the end of a connection that sends a byte now and then")
 
 
-def test_whoever_holds_all_connections_locks_nobody_out(make: Callable[..., Site]) -> None:
+def test_whoever_holds_all_connections_locks_nobody_out(make):
     site = make()
     held = [site.connect("G") for _ in range(MAX_CONNECTIONS + 20)]
     assert site.send("GET", "/").status == 200
@@ -255,9 +239,7 @@ def test_whoever_holds_all_connections_locks_nobody_out(make: Callable[..., Site
     assert held[0].recv(1) == b""
 
 
-def test_a_browser_is_started_without_the_token_in_its_arguments(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_browser_is_started_without_the_token_in_its_arguments(monkeypatch, tmp_path):
     opened: list[str] = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr("webbrowser.open", lambda url: bool(opened.append(url)) or True)
@@ -276,7 +258,7 @@ def test_a_browser_is_started_without_the_token_in_its_arguments(
     assert not path.exists()
 
 
-def test_the_stream_of_a_patch_brings_its_frames_until_the_end(make: Callable[..., Site]) -> None:
+def test_the_stream_of_a_patch_brings_its_frames_until_the_end(make):
     site = make()
     site.graph.skin()
     site.graph.frame()
@@ -292,7 +274,7 @@ def test_the_stream_of_a_patch_brings_its_frames_until_the_end(make: Callable[..
     assert (last["kind"], last["closed"]) == ("state", True)
 
 
-def test_no_more_than_64_pages_are_open_at_once(make: Callable[..., Site]) -> None:
+def test_no_more_than_64_pages_are_open_at_once(make):
     site = make()
     streams = [site.send("GET", "/stream") for _ in range(MAX_PAGES)]
     assert {stream.status for stream in streams} == {200}
@@ -304,7 +286,7 @@ def test_no_more_than_64_pages_are_open_at_once(make: Callable[..., Site]) -> No
     wait_until(lambda: site.send("GET", "/stream").status == 200, "the room of a closed page")
 
 
-def test_where_the_port_is_busy_another_is_taken(make: Callable[..., Site]) -> None:
+def test_where_the_port_is_busy_another_is_taken(make):
     with socket.create_server(("127.0.0.1", 0)) as other:
         busy = other.getsockname()[1]
         site = make(port=busy)

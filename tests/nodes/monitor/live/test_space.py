@@ -37,18 +37,18 @@ VIRIDIS_TOP, VIRIDIS_ZERO = (0xFD, 0xE7, 0x25), (0x44, 0x01, 0x54)
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def page(tmp_path_factory):
     with browser(tmp_path_factory.mktemp("browser") / "profile") as driver:
         yield driver
 
 
 @pytest.fixture(scope="module")
-def points() -> Floats:
+def points():
     return torso(N_ROWS, N_COLS)[MASK.ravel()]
 
 
 @pytest.fixture
-def graph(page: Any, points: Floats) -> Iterator[Graph]:
+def graph(page, points):
     """A torso that is pressed in front with the top of the colour range, on the open page."""
     with opened(page, points) as graph:
         press(graph, points, FRONT)
@@ -147,9 +147,7 @@ def settled(page: Any) -> None:
     wait_until(lambda: bool(run(page, fine)), "the fine picture")
 
 
-def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(
-    page: Any, graph: Graph, points: Floats
-) -> None:
+def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(page, graph, points):
     middle = (
         "const [m, e] = ['canvas', 'ellipse.contact'].map((which) => document.querySelector("
         "  `[data-panel=reconstruction] ${which}`)?.getBoundingClientRect());"
@@ -170,9 +168,7 @@ def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(
             assert run(page, middle) == pytest.approx([x, y], abs=0.05)
 
 
-def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
-    page: Any, graph: Graph
-) -> None:
+def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(page, graph):
     settled(page)
     before, (n, middle, _) = image(page), pixels(page, VIRIDIS_TOP)
     assert n > 20
@@ -199,7 +195,7 @@ def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
     wait_until(lambda: image(page) == before, "the view of the beginning")
 
 
-def test_the_first_view_faces_the_first_contact_and_stays(page: Any, points: Floats) -> None:
+def test_the_first_view_faces_the_first_contact_and_stays(page, points):
     with opened(page, points) as graph:
         press(graph, points, BACK, peak_n=0.0)
         wait_until(lambda: "no contact" in figures(page), "an untouched skin")
@@ -212,8 +208,8 @@ def test_the_first_view_faces_the_first_contact_and_stays(page: Any, points: Flo
 
 
 def test_faulty_taxels_are_struck_out_in_3d_where_they_are_seen_and_on_the_grid(
-    page: Any, graph: Graph, points: Floats
-) -> None:
+    page, graph, points
+):
     cells = np.flatnonzero(MASK)
     faulty = [
         int(cells[np.argmin(np.linalg.norm(points[:, :3] - at, axis=1))]) for at in (FRONT, BACK)
@@ -227,7 +223,7 @@ def test_faulty_taxels_are_struck_out_in_3d_where_they_are_seen_and_on_the_grid(
     run(page, CHOOSE, "view", "space")
 
 
-def test_keys_and_wheel_turn_and_zoom_all_maps_alike(page: Any, graph: Graph) -> None:
+def test_keys_and_wheel_turn_and_zoom_all_maps_alike(page, graph):
     from selenium.webdriver.common.keys import Keys
 
     settled(page)
@@ -255,9 +251,7 @@ def test_keys_and_wheel_turn_and_zoom_all_maps_alike(page: Any, graph: Graph) ->
     wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 3 * n, "a larger place")
 
 
-def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(
-    page: Any, graph: Graph, points: Floats
-) -> None:
+def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(page, graph, points):
     from selenium.webdriver.common.action_chains import ActionChains
 
     k = int(np.argmax(pressed(points, FRONT, PEAK_N, RADIUS_M)))
@@ -277,9 +271,7 @@ def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(
     assert run(page, rings) >= 2
 
 
-def test_any_map_is_shown_large_and_the_grid_of_the_same_skin(
-    page: Any, graph: Graph, points: Floats
-) -> None:
+def test_any_map_is_shown_large_and_the_grid_of_the_same_skin(page, graph, points):
     large = "return document.querySelector('#maps .large h2').innerText"
     assert run(page, large) == "Reconstruction"
     run(page, "document.querySelector('[data-panel=truth] button').click()")
@@ -295,9 +287,7 @@ def test_any_map_is_shown_large_and_the_grid_of_the_same_skin(
     settled(page)
 
 
-def test_patches_of_a_body_stand_at_their_poses_with_what_they_do(
-    page: Any, points: Floats
-) -> None:
+def test_patches_of_a_body_stand_at_their_poses_with_what_they_do(page, points):
     graph = Graph("front", "back", "torso")
     poses = {"front": [300, 0, 0, 90, 0, 90], "back": [-300, 0, 0, 90, 0, -90]}
     graph.feed.poses = {name: [float(v) for v in pose] for name, pose in poses.items()}

@@ -34,7 +34,7 @@ PULL_S = 0.1  # a state record is due by then, so that no reader waits
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
+def clock(monkeypatch):
     return FakeTime(monkeypatch)
 
 
@@ -62,7 +62,7 @@ def only(records: list[Record], kind: str) -> Record:
     return found
 
 
-def test_the_skin_comes_first_and_once(clock: FakeTime) -> None:
+def test_the_skin_comes_first_and_once(clock):
     graph = Graph()
     page = Page(graph, clock)
     assert page.kinds() == ["state"]
@@ -82,7 +82,7 @@ def test_the_skin_comes_first_and_once(clock: FakeTime) -> None:
     assert (header["rate_hz"], arrays) == (50.0, {})
 
 
-def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
+def test_maps_that_go_together_are_of_one_frame(clock):
     graph = Graph()
     graph.skin()
     page = Page(graph, clock)
@@ -100,7 +100,7 @@ def test_maps_that_go_together_are_of_one_frame(clock: FakeTime) -> None:
             np.testing.assert_array_equal(maps[name], message.forces[0])
 
 
-def test_no_frame_is_left_out_and_all_come_in_order(clock: FakeTime) -> None:
+def test_no_frame_is_left_out_and_all_come_in_order(clock):
     graph = Graph()
     graph.skin()
     page = Page(graph, clock)
@@ -118,7 +118,7 @@ def test_no_frame_is_left_out_and_all_come_in_order(clock: FakeTime) -> None:
     np.testing.assert_allclose(seen, sent, atol=1e-4)
 
 
-def test_a_stalled_reader_holds_no_more_than_the_newest_frame(clock: FakeTime) -> None:
+def test_a_stalled_reader_holds_no_more_than_the_newest_frame(clock):
     graph = Graph()
     graph.skin()
     page = Page(graph, clock)
@@ -128,14 +128,12 @@ def test_a_stalled_reader_holds_no_more_than_the_newest_frame(clock: FakeTime) -
     records = page.pull()
     assert [header["kind"] for header, _ in records] == ["state", "maps", "rows"]
     _, maps = only(records, "maps")
-    np.testing.assert_array_equal(maps["reconstruction"], last[-1].forces[0])  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(maps["reconstruction"], last[-1].forces[0])
     assert only(records, "rows")[1]["rows"].shape == (500, len(COLUMNS))
     assert page.kinds() == ["state"]
 
 
-def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(
-    clock: FakeTime,
-) -> None:
+def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(clock):
     graph = Graph("left", "right")
     last = {patch: (graph.skin(patch), graph.frame(patch))[1] for patch in ("left", "right")}
     records = Page(graph, clock, None).pull()
@@ -143,13 +141,11 @@ def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(
     maps = {h["patch"]: arrays for h, arrays in records if h["kind"] == "maps"}
     for patch, messages in last.items():
         assert list(maps[patch]) == ["reconstruction"]
-        forces = messages[-1].forces[0]  # type: ignore[attr-defined]
+        forces = messages[-1].forces[0]
         np.testing.assert_array_equal(maps[patch]["reconstruction"], forces)
 
 
-def test_contacts_come_with_their_frame_and_each_event_once(
-    clock: FakeTime, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_contacts_come_with_their_frame_and_each_event_once(clock, monkeypatch):
     graph = Graph()
     graph.skin()
     page = Page(graph, clock)
@@ -179,7 +175,7 @@ def test_contacts_come_with_their_frame_and_each_event_once(
     assert "contacts" not in only(page.pull(), "maps")[0]
 
 
-def test_answers_are_sent_once_to_every_page_that_is_open(clock: FakeTime) -> None:
+def test_answers_are_sent_once_to_every_page_that_is_open(clock):
     graph = Graph()
     graph.answer("early")
     pages = [Page(graph, clock), Page(graph, clock)]
@@ -189,7 +185,7 @@ def test_answers_are_sent_once_to_every_page_that_is_open(clock: FakeTime) -> No
         assert page.kinds() == ["state"]
 
 
-def test_the_end_is_reported_at_once_and_ends_the_stream(clock: FakeTime) -> None:
+def test_the_end_is_reported_at_once_and_ends_the_stream(clock):
     graph = Graph()
     graph.skin()
     graph.frame()
@@ -205,7 +201,7 @@ def test_the_end_is_reported_at_once_and_ends_the_stream(clock: FakeTime) -> Non
     assert list(records) == []
 
 
-def test_a_reader_that_waits_is_woken_by_a_frame_an_answer_and_the_end() -> None:
+def test_a_reader_that_waits_is_woken_by_a_frame_an_answer_and_the_end():
     graph = Graph()
     graph.skin()
     kinds: queue.Queue[str] = queue.Queue()
@@ -225,7 +221,7 @@ def test_a_reader_that_waits_is_woken_by_a_frame_an_answer_and_the_end() -> None
             pass
 
 
-def test_the_state_has_the_age_of_every_map_and_graph_and_summaries_once(clock: FakeTime) -> None:
+def test_the_state_has_the_age_of_every_map_and_graph_and_summaries_once(clock):
     graph = Graph()
     graph.skin(rate_hz=5.0)
     graph.frame()
@@ -250,9 +246,7 @@ def without_nan(value: Any) -> Any:
 
 
 @given(HEADERS.filter(lambda header: "arrays" not in header), ARRAYS)
-def test_decoding_a_record_returns_its_header_and_arrays(
-    header: dict[str, Any], arrays: dict[str, np.ndarray[Any, Any]]
-) -> None:
+def test_decoding_a_record_returns_its_header_and_arrays(header, arrays):
     ((found, back),) = parsed(record(header, arrays))
     assert found == {key: without_nan(value) for key, value in header.items()}
     assert list(back) == list(arrays)

@@ -29,14 +29,12 @@ def resultants(truth: Floats, ratio: int = 3, rows: str = FIXED) -> list[Resulta
     return [message for message in found if isinstance(message, Resultant)]
 
 
-def test_total_and_centre_of_a_sliding_disc_are_within_their_bands() -> None:
+def test_total_and_centre_of_a_sliding_disc_are_within_their_bands():
     truth = sliding_disc(SHAPE, 80, touch_at=20)
     rows, cols = np.indices(SHAPE)
     off, apart = [], []
     for k, (frame, one) in list(enumerate(zip(truth, resultants(truth), strict=True)))[30:]:
         total = float(frame.sum())
-        assert one.row is not None
-        assert one.col is not None
         assert one.row_sd is not None
         assert one.col_sd is not None
         off.append(abs(one.total - total) / one.total_sd)
@@ -54,7 +52,7 @@ def test_total_and_centre_of_a_sliding_disc_are_within_their_bands() -> None:
     assert max(apart) < 0.25
 
 
-def test_the_first_frame_of_a_contact_has_total_and_centre() -> None:
+def test_the_first_frame_of_a_contact_has_total_and_centre():
     truth = sliding_disc(SHAPE, 21, touch_at=20, peak_n=2.0)
     one = resultants(truth)[-1]
     total = float(truth[-1].sum())
@@ -66,7 +64,7 @@ def test_the_first_frame_of_a_contact_has_total_and_centre() -> None:
     assert resultants(truth)[0].total == pytest.approx(float(truth.sum()), rel=0.15)
 
 
-def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands() -> None:
+def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands():
     """Three jumps by 25 taxels between two places, 20 frames each."""
     at = [(10, 10), (30, 25)]
     rows, cols = np.indices(SHAPE)
@@ -76,7 +74,6 @@ def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands() -> 
         since, (row, col) = k % 20, at[k // 20 % 2]
         if k < 20:
             continue
-        assert one.row is not None
         assert one.row_sd is not None
         assert one.col_sd is not None
         largest = {0: 4.5}.get(since, 0.5)
@@ -91,9 +88,7 @@ def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands() -> 
     ("course", "rows", "held"),
     [("sudden", ROTATING, ("row", "col")), ("moving", FIXED, ("total",))],
 )
-def test_bands_hold_in_taps_and_where_most_rows_are_never_read(
-    course: str, rows: str, held: tuple[str, ...]
-) -> None:
+def test_bands_hold_in_taps_and_where_most_rows_are_never_read(course, rows, held):
     # A tap has a centre from its first frames on; fixed rows do not measure parts of the sum.
     truth = np.array([frame for frame, _ in press_frames("peg", SHAPE, 150, 1, course=course)])
     inside: dict[str, list[bool]] = {name: [] for name in held}
@@ -108,7 +103,7 @@ def test_bands_hold_in_taps_and_where_most_rows_are_never_read(
     assert all(len(one) > 50 and np.mean(one) > 0.85 for one in inside.values())
 
 
-def test_an_untouched_skin_has_no_centre_and_next_to_no_force() -> None:
+def test_an_untouched_skin_has_no_centre_and_next_to_no_force():
     found = resultants(np.zeros((40, *SHAPE), np.float32))[20:]
     for one in found:
         assert one.row is None
@@ -117,6 +112,6 @@ def test_an_untouched_skin_has_no_centre_and_next_to_no_force() -> None:
     assert np.mean([one.total <= 2 * one.total_sd for one in found]) >= 0.95
 
 
-def test_a_solver_that_leaves_a_bias_has_no_resultant() -> None:
+def test_a_solver_that_leaves_a_bias_has_no_resultant():
     with pytest.raises(SettingsError, match="resultant: is not available with solver fista"):
         ReconstructorSettings(preset="paper", resultant=True).check()

@@ -26,7 +26,7 @@ def reconstructions(desk: Desk, n_frames: int) -> list[Reconstruction]:
     return [message for message in found if isinstance(message, Reconstruction)]
 
 
-def test_the_message_carries_what_the_solver_estimates() -> None:
+def test_the_message_carries_what_the_solver_estimates():
     options = {"n_doubted": 2, "period": 3}
     # Every other row without noise looks stuck.
     desk = Desk(PHI, solver=DOUBTING, options=options, watch_taxels=False)
@@ -38,12 +38,9 @@ def test_the_message_carries_what_the_solver_estimates() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"error": -0.1}, {"error": float("nan")}, {"trusted": 1}])
-def test_an_estimate_that_is_none_is_refused(
-    wrong: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_estimate_that_is_none_is_refused(wrong, monkeypatch):
     desk = Desk(PHI, solver=DOUBTING)
     solver = desk.node._patches[0].solver
-    assert solver is not None
     finish = solver.finish
 
     def finish_wrongly() -> Any:

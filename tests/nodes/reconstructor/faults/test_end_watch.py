@@ -5,7 +5,7 @@ import pytest
 from watched import SKIN_SHAPE as SHAPE
 from watched import Skin, pad
 
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.taxels import (
     BELIEVED,
@@ -19,7 +19,7 @@ DEAD = 10 * 28 + 14
 
 
 @pytest.fixture(scope="module")
-def phi() -> Phi:
+def phi():
     return make_phi("sbhe", 784, 784 // 3, seed=0)
 
 
@@ -65,14 +65,14 @@ def lying(end: int) -> Floats:
         ([2.5 * block(10, 14)], 2 * FULL_LOOKS),  # a contact at the end of the range
     ],
 )
-def test_what_a_body_may_do_is_no_fault(frames: list[Floats], n_looks: int) -> None:
+def test_what_a_body_may_do_is_no_fault(frames, n_looks):
     one = watch()
     for frame in frames:
         for _ in range(n_looks):
             assert one.look(frame, {}) == ([], [], [])
 
 
-def test_a_taxel_that_is_pressed_between_is_alive() -> None:
+def test_a_taxel_that_is_pressed_between_is_alive():
     one = watch()
     for frame in PASSED:
         for _ in range(ENOUGH - 1):
@@ -81,7 +81,7 @@ def test_a_taxel_that_is_pressed_between_is_alive() -> None:
             assert one.look(block(10, 14), {}) == ([], [], [])
 
 
-def test_a_dead_taxel_is_logged_filled_in_and_used_again(phi: Phi) -> None:
+def test_a_dead_taxel_is_logged_filled_in_and_used_again(phi):
     skin = Skin(phi)
     for col in (11, 14, 17):
         for _ in range(8 * EVERY):
@@ -95,7 +95,7 @@ def test_a_dead_taxel_is_logged_filled_in_and_used_again(phi: Phi) -> None:
     assert skin.lines[1:] == ["taxel (10, 14) works again: used"]
 
 
-def test_with_few_measurements_holes_in_reconstructions_are_no_evidence() -> None:
+def test_with_few_measurements_holes_in_reconstructions_are_no_evidence():
     few = make_phi("sbhe", 784, 784 // 8, seed=0)
     skin = Skin(few)
     for frame in PASSED:
@@ -104,7 +104,7 @@ def test_with_few_measurements_holes_in_reconstructions_are_no_evidence() -> Non
     assert skin.lines == []
 
 
-def test_a_saturated_taxel_is_found_on_an_untouched_skin(phi: Phi) -> None:
+def test_a_saturated_taxel_is_found_on_an_untouched_skin(phi):
     skin = Skin(phi)
     for _ in range((FULL_LOOKS + 10) * EVERY):
         forces = skin.read(pad(), {(10, 14): 2.5})

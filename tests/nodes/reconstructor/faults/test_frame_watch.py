@@ -45,9 +45,7 @@ def expected(k: int) -> Floats:
 
 
 @given(row=st.integers(0, PHI.m - 1), value=st.sampled_from([-300.0, -5.0, 5.0, 50.0, 3e6]))
-def test_an_outlier_is_replaced_by_its_expectation_and_nothing_else_is(
-    row: int, value: float
-) -> None:
+def test_an_outlier_is_replaced_by_its_expectation_and_nothing_else_is(row, value):
     watch, y = FrameWatch(STATE, MASK), measured(20)
     given_, believed = watch.cleaned(ROWS, y, expected(19))
     np.testing.assert_array_equal(believed, y)
@@ -67,7 +65,7 @@ def test_an_outlier_is_replaced_by_its_expectation_and_nothing_else_is(
     side=st.integers(1, 12),
     force=st.floats(0.05, 2.5),
 )
-def test_no_press_is_an_outlier_or_an_offset(row: int, col: int, side: int, force: float) -> None:
+def test_no_press_is_an_outlier_or_an_offset(row, col, side, force):
     watch = FrameWatch(STATE, MASK)
     frame = np.zeros((1, *DESK_SHAPE), np.float32)
     frame[0, row : row + side, col : col + side] = force
@@ -78,7 +76,7 @@ def test_no_press_is_an_outlier_or_an_offset(row: int, col: int, side: int, forc
 
 
 @given(offset=st.floats(0.1, 30.0), sign=st.sampled_from([-1, 1]))
-def test_an_offset_is_subtracted_while_it_lasts(offset: float, sign: int) -> None:
+def test_an_offset_is_subtracted_while_it_lasts(offset, sign):
     watch, offset = FrameWatch(STATE, MASK), sign * offset
     for k in range(20, 25):
         y = measured(k) + np.float32(offset)
@@ -91,9 +89,7 @@ def test_an_offset_is_subtracted_while_it_lasts(offset: float, sign: int) -> Non
 
 
 @given(row=st.integers(0, N // 3 - 1), value=st.sampled_from([-300.0, -50.0, 50.0, 3e6]))
-def test_of_rows_chosen_at_the_edge_garbage_and_an_offset_are_taken_out(
-    row: int, value: float
-) -> None:
+def test_of_rows_chosen_at_the_edge_garbage_and_an_offset_are_taken_out(row, value):
     watch = FrameWatch(STATE, MASK)
     y, before = CHOSEN.copy(), ADAPTIVE.forward(DISC[19].reshape(-1))
     np.testing.assert_array_equal(watch.cleaned_of_choice(ADAPTIVE, y, before), y)
@@ -108,7 +104,7 @@ def test_of_rows_chosen_at_the_edge_garbage_and_an_offset_are_taken_out(
     assert watch.contradicted
 
 
-def test_equal_measurements_are_no_reading_unless_they_may_be_equal() -> None:
+def test_equal_measurements_are_no_reading_unless_they_may_be_equal():
     watch, zero = FrameWatch(STATE, MASK), np.zeros(PHI.m, np.float32)
     assert watch.is_constant(zero)
     assert watch.is_constant(zero + 3)
@@ -119,7 +115,7 @@ def test_equal_measurements_are_no_reading_unless_they_may_be_equal() -> None:
     assert not FrameWatch(replace(STATE, sigma_mid=0.0, sigma_end=0.0), MASK).is_constant(zero)
 
 
-def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading() -> None:
+def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading():
     watch = FrameWatch(STATE, MASK)
     forces, reason = watch.checked(DISC[9])
     np.testing.assert_array_equal(forces, DISC[9])
@@ -132,7 +128,7 @@ def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading() -> Non
     assert FrameWatch(STATE, MASK).checked(sloped)[1] == ""  # a body on the whole skin
 
 
-def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while() -> None:
+def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while():
     phi = make_phi("sbhe", 4 * N, 4 * N // 3, seed=0)
     rows, noise = Subset(phi), noisy(np.zeros((1, 2 * DESK_SHAPE[0], 2 * DESK_SHAPE[1])))[0]
     watch = FrameWatch(STATE, np.ones(noise.shape, np.bool_))
@@ -145,7 +141,7 @@ def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while(
 
 
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
-def test_frames_with_faults_are_as_accurate_as_those_without_or_state_a_reason(rows: str) -> None:
+def test_frames_with_faults_are_as_accurate_as_those_without_or_state_a_reason(rows):
     """Of 60 frames 30 has garbage in it, 35 is empty, and from 40 on there is an offset."""
     desk, clean = Desk(PHI, rows=rows), Desk(PHI, rows=rows)
     n_subsets = len(desk.subsets)

@@ -31,7 +31,7 @@ COARSE = quantised(np.array([0.0, 1.0, 50.0], dtype=np.float32), 4)
         (SIGMA, [COARSE] * 100),
     ],
 )
-def test_what_may_repeat_is_no_hung_board(sigma: float, frames: list[Floats]) -> None:
+def test_what_may_repeat_is_no_hung_board(sigma, frames):
     watch = FrozenWatch(sigma)
     assert not any(watch.update("phi", y) for y in frames)
     assert not watch.frozen
@@ -39,8 +39,8 @@ def test_what_may_repeat_is_no_hung_board(sigma: float, frames: list[Floats]) ->
 
 @pytest.mark.parametrize(("last_touch", "rows"), [(0, "fixed"), (15, "rotating"), (30, "rotating")])
 def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a_contact(
-    last_touch: int, rows: str
-) -> None:
+    last_touch, rows
+):
     """The board hangs in frame 30 of 60: 15 frames after the contact has ended, in it, without."""
     desk = Desk(make_phi("sbhe", N, N // 2, seed=0), rows=rows)
     n_subsets = len(desk.subsets)
@@ -67,9 +67,7 @@ def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a
 
 
 @pytest.mark.parametrize(("rows", "states_noise"), [("fixed", True), ("rotating", False)])
-def test_frames_after_a_hung_board_are_as_accurate_as_those_of_one_that_begins(
-    rows: str, states_noise: bool
-) -> None:
+def test_frames_after_a_hung_board_are_as_accurate_as_those_of_one_that_begins(rows, states_noise):
     """30 equal frames are one measurement: the solver is no surer of it than of any other."""
     truth = np.repeat(sliding_disc(DESK_SHAPE, 3, touch_at=0)[1:2], 40, axis=0)
     frames = readings(truth)

@@ -18,12 +18,12 @@ TOUCHED = slice(30, None)
 
 
 @pytest.fixture(scope="module")
-def truth() -> Floats:
+def truth():
     return sliding_disc(SHAPE, 80, touch_at=25)
 
 
 @pytest.fixture(scope="module")
-def phi() -> Phi:
+def phi():
     return make_phi("sbhe", N, M, seed=0)
 
 
@@ -43,9 +43,7 @@ def spoilt(y: Floats, fault: str) -> Floats:
 @pytest.mark.parametrize(
     ("preset", "fault"), [("skin", "zero"), ("paper", "constant"), ("skin", "garbage")]
 )
-def test_faulty_measurements_are_found_and_cost_next_to_nothing_then(
-    preset: str, fault: str, phi: Phi, truth: Floats
-) -> None:
+def test_faulty_measurements_are_found_and_cost_next_to_nothing_then(preset, fault, phi, truth):
     if preset == "paper":
         phi = make_phi("sbhe", N, M, 0, PAPER_BLOCK, RANDOM)
     y = phi.forward(noisy(truth).reshape(-1, N))
@@ -66,7 +64,7 @@ def test_faulty_measurements_are_found_and_cost_next_to_nothing_then(
 
 
 @pytest.mark.parametrize(("preset", "ratio"), [("skin", 8), ("paper", 3)])
-def test_working_rows_are_never_left_out(preset: str, ratio: int, truth: Floats) -> None:
+def test_working_rows_are_never_left_out(preset, ratio, truth):
     phi = make_phi("sbhe", N, N // ratio, seed=0)
     desk = Desk(phi, preset=preset)
     desk.restore(phi.forward(noisy(truth).reshape(-1, N)))
@@ -75,8 +73,8 @@ def test_working_rows_are_never_left_out(preset: str, ratio: int, truth: Floats)
 
 @pytest.mark.parametrize(("preset", "everywhere"), [("skin", True), ("paper", False)])
 def test_of_rotating_rows_a_faulty_one_is_found_once_its_subset_was_read_as_often(
-    preset: str, everywhere: bool, truth: Floats
-) -> None:
+    preset, everywhere, truth
+):
     """The faulty measurements of one row subset, or the same ones of all (an input that fails)."""
     phi = make_phi("sbhe", N, M + 1, seed=0)
     subsets = row_subsets(phi, "rotating")
@@ -101,8 +99,8 @@ def test_of_rotating_rows_a_faulty_one_is_found_once_its_subset_was_read_as_ofte
 
 @pytest.mark.parametrize(("bits", "states_noise"), [(6, True), (None, True), (None, False)])
 def test_a_skin_without_noise_and_few_bits_have_no_faulty_measurements(
-    bits: int | None, states_noise: bool, phi: Phi, truth: Floats
-) -> None:
+    bits, states_noise, phi, truth
+):
     """Nor has a skin that does not state its noise, whose exact frames may stand still."""
     desk = Desk(phi, preset="skin", states_noise=states_noise)
     still = np.repeat(truth[-1:], 60, axis=0)
@@ -113,7 +111,7 @@ def test_a_skin_without_noise_and_few_bits_have_no_faulty_measurements(
     assert states_noise or desk.lines == []
 
 
-def test_a_row_that_works_again_is_used_again_and_logged(phi: Phi) -> None:
+def test_a_row_that_works_again_is_used_again_and_logged(phi):
     y = phi.forward(noisy(np.zeros((CONSTANT + 5, *SHAPE), np.float32)).reshape(-1, N))
     desk = Desk(phi, preset="skin")
     desk.restore(spoilt(y, "zero"))
@@ -140,16 +138,14 @@ def left_out_of(
 
 
 @pytest.mark.parametrize(("change_n", "faulty"), [(0.01, []), (1.0, [7])])
-def test_a_row_that_the_frame_was_not_made_from_is_judged_by_its_change(
-    phi: Phi, change_n: float, faulty: list[int]
-) -> None:
+def test_a_row_that_the_frame_was_not_made_from_is_judged_by_its_change(phi, change_n, faulty):
     """Its residual is larger than that of its peers, in all frames alike."""
     y = noise(n_frames=60)
     y[:, 7] = 0.5 + np.random.default_rng(1).normal(0, change_n, 60)
     assert left_out_of(phi, y, unfitted=[7]) == faulty
 
 
-def test_a_faulty_row_is_found_by_its_innovation_where_the_frame_explains_it(phi: Phi) -> None:
+def test_a_faulty_row_is_found_by_its_innovation_where_the_frame_explains_it(phi):
     """A solver that starts anew fits what it reads: residuals are noise, innovations are not."""
     pair = [250, 251]
     y = noise(n_frames=40)
@@ -161,14 +157,14 @@ def test_a_faulty_row_is_found_by_its_innovation_where_the_frame_explains_it(phi
 
 
 @pytest.mark.parametrize("kind", ["sbhe", "full", "subsample"])
-def test_a_row_that_reads_one_taxel_has_no_peers_and_is_not_judged(kind: str) -> None:
+def test_a_row_that_reads_one_taxel_has_no_peers_and_is_not_judged(kind):
     phi = make_phi(kind, 256, 256 if kind == "full" else 85, seed=0)
     y = np.full((30, phi.m), 0.01, np.float32)
     y[:, 1] += 5 * np.arange(1, 31)  # of "sbhe", row 0 is the sum of the only block
     assert left_out_of(phi, y) == ([1] if kind == "sbhe" else [])
 
 
-def test_where_most_rows_disagree_none_is_blamed(phi: Phi) -> None:
+def test_where_most_rows_disagree_none_is_blamed(phi):
     y = noise()
     y[:, : M // 3] += np.random.default_rng(1).choice([-1, 1], (30, M // 3))
     watch = RowWatch(phi)

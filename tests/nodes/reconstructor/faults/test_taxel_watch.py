@@ -5,7 +5,7 @@ import pytest
 from watched import NOISE, Skin, pad
 from watched import SKIN_SHAPE as SHAPE
 
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.taxels import MEASURED, TaxelWatch
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -15,11 +15,11 @@ FRAMES = MEASURED + 60
 
 
 @pytest.fixture(scope="module")
-def phi() -> Phi:
+def phi():
     return make_phi("sbhe", N, N // 3, seed=0)
 
 
-def test_a_stuck_taxel_is_found_left_out_and_used_when_it_works_again(phi: Phi) -> None:
+def test_a_stuck_taxel_is_found_left_out_and_used_when_it_works_again(phi):
     skin, nothing = Skin(phi), pad()
     for _ in range(FRAMES):
         forces = skin.read(nothing, {(9, 12): 1.3})
@@ -47,16 +47,14 @@ def pegs(force: float) -> Floats:
 @pytest.mark.parametrize(
     ("truth", "noise"), [(pegs(0.3), NOISE), (pegs(2.0), NOISE), (RING, NOISE), (pegs(1.3), QUIET)]
 )
-def test_what_rests_for_long_or_is_quieter_than_stated_is_a_contact(
-    phi: Phi, truth: Floats, noise: NoiseModel
-) -> None:
+def test_what_rests_for_long_or_is_quieter_than_stated_is_a_contact(phi, truth, noise):
     skin = Skin(phi, noise)
     for _ in range(2 * FRAMES):
         skin.read(truth)
     assert skin.lines == []
 
 
-def test_what_is_left_out_is_the_mean_of_the_neighbours_that_work(phi: Phi) -> None:
+def test_what_is_left_out_is_the_mean_of_the_neighbours_that_work(phi):
     watch = TaxelWatch(np.ones(SHAPE, np.bool_), 2.5, 0.0628, 0.0141, print)
     watch.stuck = {0: 1.0, 29: 1.0, 30: 1.5}
     forces = np.arange(N, dtype=np.float32).reshape(SHAPE)
@@ -70,9 +68,7 @@ def test_what_is_left_out_is_the_mean_of_the_neighbours_that_work(phi: Phi) -> N
 
 
 @pytest.mark.parametrize("works", [True, False])
-def test_a_column_that_stands_alone_is_suspected_at_once_until_its_noise_is_known(
-    phi: Phi, works: bool
-) -> None:
+def test_a_column_that_stands_alone_is_suspected_at_once_until_its_noise_is_known(phi, works):
     skin, column = Skin(phi), pad((slice(None), slice(9, 10)), force=2.0)
     readings = {} if works else {(row, 9): 2.0 for row in range(SHAPE[0])}
     suspected = []

@@ -16,11 +16,10 @@ Denoise = Callable[[Floats], tuple[Floats, Floats]]
 
 def stored_gates() -> Gates:
     found = gates_of(None)
-    assert found is not None
     return found
 
 
-def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters() -> None:
+def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters():
     gates, u = stored_gates(), 3 * np.random.default_rng(0).standard_normal(WINDOW * WINDOW)
     a = gates.filters @ u
     size = 4 * ((1 + np.abs(a)) ** 0.25 - 1)
@@ -34,7 +33,7 @@ def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters() -> None:
 
 
 @pytest.mark.parametrize("denoise", [stored_gates().denoise, shrink])
-def test_forces_far_above_the_noise_stay_as_they_are(denoise: Denoise) -> None:
+def test_forces_far_above_the_noise_stay_as_they_are(denoise):
     """Else a floor in parts of the forces would be left however little noise there is."""
     row, col = np.mgrid[:WINDOW, :WINDOW] - 5.5
     edge, pad = np.where(row > 0, 1.0, 0.2), np.exp(-(row**2 + col**2) / 18)
@@ -44,7 +43,7 @@ def test_forces_far_above_the_noise_stay_as_they_are(denoise: Denoise) -> None:
 
 
 @pytest.mark.parametrize(("height", "spread"), [(3.0, 9), (10.0, 2), (30.0, 1)])
-def test_the_expected_error_of_shrinkage_is_the_true_one(height: float, spread: float) -> None:
+def test_the_expected_error_of_shrinkage_is_the_true_one(height, spread):
     """Stein's estimate has no bias, where no force is so small that it is clipped at 0."""
     row, col = np.mgrid[:WINDOW, :WINDOW] - 5.5
     pad = 20 + height * np.exp(-(row**2 + col**2) / (2 * spread)).reshape(-1)
@@ -53,7 +52,7 @@ def test_the_expected_error_of_shrinkage_is_the_true_one(height: float, spread: 
     np.testing.assert_allclose(np.mean(error), np.mean(np.square(tiles - pad[INNER])), rtol=0.02)
 
 
-def test_haar_coefficients_of_one_group_are_shrunk_alike() -> None:
+def test_haar_coefficients_of_one_group_are_shrunk_alike():
     """An edge along the middle is one coefficient: its gain is that of the formula."""
     window = np.where(np.mgrid[:WINDOW, :WINDOW][0] < 6, 5.0, 0.0).astype(np.float32)
     tiles, _ = shrink(window.reshape(1, -1))
@@ -74,7 +73,7 @@ def written(**changes: object) -> bytes:
     return content.getvalue()
 
 
-def test_a_file_gives_its_weights_again() -> None:
+def test_a_file_gives_its_weights_again():
     read = Gates.read(written(), "mine.npz")
     np.testing.assert_array_equal(read.filters, stored_gates().filters)
     assert len(read.fingerprint) == 16
@@ -91,6 +90,6 @@ def test_a_file_gives_its_weights_again() -> None:
         (written(filters=np.array([object()])), "holds no gates"),
     ],
 )
-def test_a_file_that_holds_no_gates_is_refused(content: bytes, named: str) -> None:
+def test_a_file_that_holds_no_gates_is_refused(content, named):
     with pytest.raises(SolverError, match=named):
         Gates.read(content, "mine.npz")

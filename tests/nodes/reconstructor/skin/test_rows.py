@@ -20,8 +20,8 @@ def made(kind: str) -> Phi:
 
 @pytest.mark.parametrize("kind", [*KINDS, "stretched"])
 def test_rows_are_orthonormal_their_adjoint_the_transpose_and_measurements_those_that_are_read(
-    kind: str,
-) -> None:
+    kind,
+):
     phi = made(kind)
     rows = rows_of(phi)
     dense = np.stack([rows.forward(one) for one in np.eye(rows.n, dtype=np.float32)], axis=1)
@@ -34,7 +34,7 @@ def test_rows_are_orthonormal_their_adjoint_the_transpose_and_measurements_those
     np.testing.assert_allclose(rows.values(phi.forward(x)), found, atol=1e-4)
 
 
-def test_all_rows_of_a_hadamard_ensemble_are_known_and_read_in_turn() -> None:
+def test_all_rows_of_a_hadamard_ensemble_are_known_and_read_in_turn():
     subsets = row_subsets(make_phi("sbhe", 144, 48, seed=0), "rotating")
     rows = rows_of(subsets[0])
     assert isinstance(rows, HadamardRows)
@@ -45,7 +45,7 @@ def test_all_rows_of_a_hadamard_ensemble_are_known_and_read_in_turn() -> None:
     assert sorted(set(read)) == list(range(144))
 
 
-def test_directions_that_are_hardly_measured_are_left_out() -> None:
+def test_directions_that_are_hardly_measured_are_left_out():
     phi = made("stretched")
     assert isinstance(phi, Stretched)
     phi.lengths[:5] = 1e-3

@@ -36,9 +36,7 @@ def made(name: str, phi: Phi, mask: Mask, how: str) -> Solver:
         *[("skin", (28, 28), 60), ("skin", (15, 21), 0)],
     ],
 )
-def test_the_forces_are_those_of_numpy_to_within_10_micronewtons(
-    name: str, shape: tuple[int, int], n_missing: int
-) -> None:
+def test_the_forces_are_those_of_numpy_to_within_10_micronewtons(name, shape, n_missing):
     mask = mask_of(shape, n_missing)
     n = int(mask.sum())
     phi = SbhePhi(n, n // 3, 0)
@@ -57,7 +55,7 @@ class OwnPhi(SbhePhi):
 
 
 @pytest.mark.parametrize("name", ["skin", "fista"])
-def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name: str) -> None:
+def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name):
     basis = make_basis("haar", 8, 8)
     for phi in (OwnPhi(64, 30, 0), make_phi("gaussian", 64, 30, 0)):
         solver = make_solver(name, phi, basis, fast="on")
@@ -68,13 +66,13 @@ def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name: str) -> None:
         np.testing.assert_array_equal(solver.solve(y), off.solve(y))
 
 
-def test_a_solver_without_compiled_loops_takes_the_setting() -> None:
+def test_a_solver_without_compiled_loops_takes_the_setting():
     phi, basis = SbhePhi(64, 30, 0), make_basis("haar", 8, 8)
     assert make_solver("tv", phi, basis, fast="on").solve(np.zeros(30, np.float32)).max() == 0
 
 
 @pytest.mark.parametrize("name", ["skin", "fista"])
-def test_a_skin_beyond_16_bits_is_compiled_too_and_finds_the_forces_of_numpy(name: str) -> None:
+def test_a_skin_beyond_16_bits_is_compiled_too_and_finds_the_forces_of_numpy(name):
     """2^16 cells need 2^16 + 1 places, one for those without a taxel."""
     mask = mask_of((256, 256 if name == "skin" else 264), 100)
     n = int(mask.sum())

@@ -57,9 +57,7 @@ class Stream:
 
 
 @pytest.mark.parametrize(("name", "side", "rows", "fast"), CASES)
-def test_a_contact_after_identical_frames_is_reconstructed(
-    name: str, side: int, rows: str, fast: str
-) -> None:
+def test_a_contact_after_identical_frames_is_reconstructed(name, side, rows, fast):
     stream, fresh = Stream(name, side, rows, fast), Stream(name, side, rows, fast)
     for _ in range(200):
         assert np.isfinite(stream.frame(stream.press(2, 2))).all()
@@ -75,7 +73,7 @@ def test_a_contact_after_identical_frames_is_reconstructed(
 
 
 @pytest.mark.parametrize(("rows", "garbage"), [(FIXED, 1e12), (ROTATING, 1e4)])
-def test_one_frame_of_garbage_does_not_blind_the_skin(rows: str, garbage: float) -> None:
+def test_one_frame_of_garbage_does_not_blind_the_skin(rows, garbage):
     streams, rng = [Stream("skin", 24, rows, FORMS[-1]) for _ in range(2)], np.random.default_rng(0)
     off = []
     for k in range(40):
@@ -105,9 +103,7 @@ SIZES = st.sampled_from(
         max_size=5,
     ),
 )
-def test_streams_of_any_sizes_and_repeats_are_finite_or_refused(
-    name: str, rows: str, fast: str, parts: list[tuple[float, str, bool]]
-) -> None:
+def test_streams_of_any_sizes_and_repeats_are_finite_or_refused(name, rows, fast, parts):
     rows = FIXED if rows == CHOSEN and name != "skin" else rows
     stream, rng = Stream(name, 8, rows, fast), np.random.default_rng(0)
     for size, kind, repeats in parts:

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -69,8 +68,8 @@ def ring_mask(shape: tuple[int, int]) -> Mask:
     ],
 )
 def test_it_is_the_articles_iteration_from_the_last_frame_or_a_warm_start(
-    kind: str, basis: str, shape: tuple[int, int], block: int, fast: str
-) -> None:
+    kind, basis, shape, block, fast
+):
     """Every frame of a sequence, within 1e-4 N; missing taxels are left out."""
     if fast == "auto" and (kind, basis) != ("sbhe", "haar"):
         pytest.skip("the same code")
@@ -105,7 +104,7 @@ class CountedSteps(FistaSolver):
         super().step()
 
 
-def test_solve_makes_the_steps_of_a_class_of_ones_own() -> None:
+def test_solve_makes_the_steps_of_a_class_of_ones_own():
     phi = make_phi("sbhe", 256, 100, seed=2)
     own, plain = (cls(phi, HaarBasis(16, 16), iterations=7) for cls in (CountedSteps, FistaSolver))
     for frame in sliding_box((16, 16), 3):
@@ -115,7 +114,7 @@ def test_solve_makes_the_steps_of_a_class_of_ones_own() -> None:
 
 
 @pytest.mark.parametrize("fast", ["off", "auto"])
-def test_many_iterations_reach_the_optimality_conditions(fast: str) -> None:
+def test_many_iterations_reach_the_optimality_conditions(fast):
     """g = Psi^T Phi^T (y - Phi Psi theta): |g| <= lambda, = lambda sign(theta) where not 0."""
     phi = make_phi("sbhe", 256, 100, seed=2)
     lambda_n = 0.02
@@ -133,7 +132,7 @@ def test_many_iterations_reach_the_optimality_conditions(fast: str) -> None:
     np.testing.assert_allclose(g[active], lambda_n * np.sign(theta[active]), atol=2e-5)
 
 
-def test_preset_paper_is_the_papers_method() -> None:
+def test_preset_paper_is_the_papers_method():
     """Its lambda of 0.1 on rows of +1 and -1 is 0.1 / 32 on orthonormal ones: the same theta."""
     preset = dict(PRESETS["paper"])
     assert preset == {"solver": "fista", "basis": "haar", "iterations": 30, "lambda_n": 0.1 / 32}
@@ -148,7 +147,7 @@ def test_preset_paper_is_the_papers_method() -> None:
     np.testing.assert_allclose(solver.solve(y), expected, atol=1e-4)
 
 
-def test_the_same_bits_with_any_number_of_blas_threads() -> None:
+def test_the_same_bits_with_any_number_of_blas_threads():
     code = (
         "import numpy as np, hashlib;"
         "from sparseskin.nodes.compressor.phi.base import make_phi;"
@@ -182,9 +181,7 @@ def test_the_same_bits_with_any_number_of_blas_threads() -> None:
         (np.zeros(100), np.full((16, 16), np.nan), "warm start has values that are not finite"),
     ],
 )
-def test_measurements_and_warm_starts_of_the_wrong_kind_are_named(
-    y: Doubles, warm: Doubles | None, said: str
-) -> None:
+def test_measurements_and_warm_starts_of_the_wrong_kind_are_named(y, warm, said):
     solver = FistaSolver(make_phi("sbhe", 256, 100, seed=2), HaarBasis(16, 16))
     with pytest.raises(SolverError, match=said):
         solver.solve(y.astype(np.float32), None if warm is None else warm.astype(np.float32))
@@ -201,7 +198,7 @@ class TooShortLipschitz(HaarBasis):
 
 
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
-def test_an_iteration_that_diverges_is_an_error_and_forgotten() -> None:
+def test_an_iteration_that_diverges_is_an_error_and_forgotten():
     phi = make_phi("sbhe", 256, 100, seed=2)
     solver = FistaSolver(phi, TooShortLipschitz(16, 16))
     y = phi.forward(sliding_box((16, 16), 3)[2].ravel())
@@ -222,7 +219,7 @@ def test_an_iteration_that_diverges_is_an_error_and_forgotten() -> None:
         ("collections:Counter", {}, "no solver: it lacks setup"),
     ],
 )
-def test_what_cannot_be_made_is_named(name: str, settings: dict[str, Any], said: str) -> None:
+def test_what_cannot_be_made_is_named(name, settings, said):
     phi = make_phi("sbhe", 256, 100, seed=2)
     with pytest.raises(SolverError, match=said):
         make_solver(name, phi, HaarBasis(16, 16), **settings)

@@ -1,7 +1,5 @@
 """Interpolation between taxels: exact where a force is linear, on any grid and any sampling."""
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -36,9 +34,7 @@ SAMPLINGS = pytest.mark.parametrize("sampled", [acts, fixed])
 
 @SAMPLINGS
 @pytest.mark.parametrize("shape", [(33, 17), (2, 2)])
-def test_a_slope_is_reconstructed_from_its_corners_and_some_taxels_between(
-    shape: tuple[int, int], sampled: Callable[..., SubsamplePhi]
-) -> None:
+def test_a_slope_is_reconstructed_from_its_corners_and_some_taxels_between(shape, sampled):
     rows, cols = shape
     numbers = np.arange(rows * cols).reshape(shape)
     taxels = np.union1d(numbers[:: rows - 1, :: cols - 1], numbers[1::5, 2::7])
@@ -50,9 +46,7 @@ def test_a_slope_is_reconstructed_from_its_corners_and_some_taxels_between(
 
 @SAMPLINGS
 @pytest.mark.parametrize("shape", [(1, 20), (20, 1)])
-def test_a_skin_of_one_row_or_column_is_interpolated_along_it(
-    shape: tuple[int, int], sampled: Callable[..., SubsamplePhi]
-) -> None:
+def test_a_skin_of_one_row_or_column_is_interpolated_along_it(shape, sampled):
     phi = sampled(shape, np.array([2, 9, 17]))
     image = slope(*shape)
     restored = InterpolationSolver(phi, IdentityBasis(*shape)).solve(phi.forward(image.ravel()))
@@ -68,9 +62,7 @@ def test_a_skin_of_one_row_or_column_is_interpolated_along_it(
     seed=st.integers(0, 99),
     sampling=st.sampled_from([SubsamplePhi, ActsPhi]),
 )
-def test_taxels_keep_their_readings_and_the_others_lie_between(
-    rows: int, cols: int, part: float, seed: int, sampling: type[SubsamplePhi]
-) -> None:
+def test_taxels_keep_their_readings_and_the_others_lie_between(rows, cols, part, seed, sampling):
     rng = np.random.default_rng(seed)
     mask = rng.random((rows, cols)) < 0.8
     mask[0, 0] = True
@@ -84,7 +76,7 @@ def test_taxels_keep_their_readings_and_the_others_lie_between(
     assert not restored[~mask].any()
 
 
-def test_a_taxel_is_the_mean_of_the_lines_on_which_it_lies_between_readings() -> None:
+def test_a_taxel_is_the_mean_of_the_lines_on_which_it_lies_between_readings():
     phi = acts((3, 3), np.array([0, 2, 6, 8]))
     y = np.array([1, 5, 2, 2], dtype=np.float32)
     restored = InterpolationSolver(phi, IdentityBasis(3, 3)).solve(y)

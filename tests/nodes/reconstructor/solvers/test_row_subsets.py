@@ -33,7 +33,7 @@ def solver_for(name: str, phases: list[Phi]) -> Solver:
 
 
 @pytest.mark.parametrize("name", ["skin", "fista", "tv"])
-def test_every_solver_follows_the_row_subsets(name: str) -> None:
+def test_every_solver_follows_the_row_subsets(name):
     phases = phases_for(3)
     truth = sliding_disc(SHAPE, 40)
     solver = solver_for(name, phases)
@@ -42,7 +42,7 @@ def test_every_solver_follows_the_row_subsets(name: str) -> None:
     assert psnr_db(found[20:], truth[20:]) > 33
 
 
-def test_what_fixed_rows_cannot_see_rotating_ones_do() -> None:
+def test_what_fixed_rows_cannot_see_rotating_ones_do():
     """Of a still scene all of W has been read in a few frames."""
     truth = np.repeat(sliding_disc(SHAPE, 12, touch_at=0)[-1:], 60, axis=0)
     rotating = phases_for(4)
@@ -53,7 +53,7 @@ def test_what_fixed_rows_cannot_see_rotating_ones_do() -> None:
     assert errors[1] > errors[0] + 1
 
 
-def test_a_row_subset_that_it_was_not_made_for_is_refused() -> None:
+def test_a_row_subset_that_it_was_not_made_for_is_refused():
     other = make_phi("sbhe", N, N // 3, seed=9)
     for name in ("fista", "tv"):
         with pytest.raises(SolverError, match=f"was not made for phi {other.fingerprint}"):
@@ -62,7 +62,7 @@ def test_a_row_subset_that_it_was_not_made_for_is_refused() -> None:
         solver_for("skin", phases_for(3)).use(make_phi("sbhe", N, 144, seed=0))
 
 
-def test_a_touch_too_weak_for_one_frame_is_found_by_a_round_of_them() -> None:
+def test_a_touch_too_weak_for_one_frame_is_found_by_a_round_of_them():
     """0.04 N on 4 x 4 taxels at M = N/8, as long as it stays: half of what it is, at least."""
     phases = phases_for(8)
     truth = np.zeros((80, *SHAPE), dtype=np.float32)

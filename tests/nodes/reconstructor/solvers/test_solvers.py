@@ -40,7 +40,7 @@ def measured(phi: Phi, n_frames: int = 12) -> Floats:
 @pytest.mark.parametrize(
     ("name", "kind"), [*((name, "sbhe") for name in INVERTING), ("skin", "gaussian")]
 )
-def test_missing_taxels_are_0_and_the_others_near_the_truth(name: str, kind: str) -> None:
+def test_missing_taxels_are_0_and_the_others_near_the_truth(name, kind):
     shape = (24, 31)
     mask = np.ones(shape, dtype=np.bool_)
     mask[:4, :5] = mask[-1, -1] = False
@@ -59,7 +59,7 @@ def test_missing_taxels_are_0_and_the_others_near_the_truth(name: str, kind: str
 
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
 @pytest.mark.parametrize("name", SOLVERS)
-def test_a_solver_is_one(name: str, rows: str) -> None:
+def test_a_solver_is_one(name, rows):
     phis = row_subsets(phi_for(name), rows if name in INVERTING else "fixed")
     solver = make_rotating_solver(name, phis, make_basis("haar", *SHAPE))
     assert check_solver(solver)["error"] < 0.6
@@ -74,7 +74,7 @@ def test_a_solver_is_one(name: str, rows: str) -> None:
 
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize(("shape", "m"), [((1, 1), 1), ((3, 1), 2)])
-def test_tiny_skins_work(name: str, shape: tuple[int, int], m: int) -> None:
+def test_tiny_skins_work(name, shape, m):
     n = shape[0] * shape[1]
     phi = phi_for(name, n, m)
     solver = solver_for(name, phi, shape)
@@ -83,7 +83,7 @@ def test_tiny_skins_work(name: str, shape: tuple[int, int], m: int) -> None:
 
 
 @pytest.mark.parametrize("name", INVERTING)
-def test_what_cannot_be_made_is_named(name: str) -> None:
+def test_what_cannot_be_made_is_named(name):
     phi = make_phi("sbhe", N, 100, seed=2)
     with pytest.raises(SolverError, match=f"{name}: iterations = 0 is not allowed; allowed: an"):
         solver_for(name, phi, iterations=0)
@@ -92,6 +92,6 @@ def test_what_cannot_be_made_is_named(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "lambda_n"), [("fista", -0.1), ("tv", np.nan), ("fista", "0.1")])
-def test_a_lambda_that_is_no_weight_is_named(name: str, lambda_n: Any) -> None:
+def test_a_lambda_that_is_no_weight_is_named(name, lambda_n):
     with pytest.raises(SolverError, match=f"{name}: lambda_n = .*a finite number of newtons"):
         solver_for(name, make_phi("sbhe", N, 100, seed=2), lambda_n=lambda_n)

@@ -11,7 +11,7 @@ from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 from sparseskin.nodes.reconstructor.solvers.tv import TvSolver
 
 
-def test_a_sliding_disc_is_reconstructed_better_than_by_fista() -> None:
+def test_a_sliding_disc_is_reconstructed_better_than_by_fista():
     phi = make_phi("sbhe", 1600, 400, seed=0)
     truth = sliding_disc((40, 40), 30)
     y = phi.forward(noisy(truth).reshape(-1, 1600))
@@ -22,7 +22,7 @@ def test_a_sliding_disc_is_reconstructed_better_than_by_fista() -> None:
     assert psnr[0] > psnr[1] + 3
 
 
-def test_a_step_is_shrunk_as_theory_predicts() -> None:
+def test_a_step_is_shrunk_as_theory_predicts():
     """min 1/2 |x - y|^2 + lambda TV: each side of a lone step moves by lambda / its length."""
     y = np.repeat(np.float32([0.2, 0.8]), [6, 10])
     solver = TvSolver(
@@ -32,7 +32,7 @@ def test_a_step_is_shrunk_as_theory_predicts() -> None:
     np.testing.assert_allclose(solver.solve(y).ravel(), expected, atol=1e-4)
 
 
-def test_an_edge_of_the_last_frame_is_shrunk_less() -> None:
+def test_an_edge_of_the_last_frame_is_shrunk_less():
     y = np.repeat(np.float32([0.2, 0.8]), [6, 10])
     solver = TvSolver(
         make_phi("full", 16, 16, seed=0), HaarBasis(1, 16), iterations=300, lambda_n=0.06
@@ -44,7 +44,7 @@ def test_an_edge_of_the_last_frame_is_shrunk_less() -> None:
     assert 0.6 - last < 0.6 * (0.6 - first)
 
 
-def test_differences_over_missing_taxels_do_not_count() -> None:
+def test_differences_over_missing_taxels_do_not_count():
     """Two halves of a skin, a column missing between them, are two skins."""
     mask = np.ones((4, 9), dtype=np.bool_)
     mask[:, 4] = False

@@ -34,7 +34,7 @@ N_FRAMES = 60
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[bytes]]:
+def whole(tmp_path_factory):
     """The bytes of a bag, and the payloads in it."""
     path = tmp_path_factory.mktemp("whole") / "a.mcap"
     payloads = make_bag(path, frames(N_FRAMES), flush_every=24)
@@ -77,8 +77,8 @@ def chunk_ends(data: bytes) -> list[int]:
 
 @pytest.mark.parametrize("cut", [True, False])
 def test_of_a_file_that_is_cut_or_has_a_flipped_byte_what_comes_before_is_delivered(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path, cut: bool
-) -> None:
+    whole, tmp_path, cut
+):
     data, payloads = whole
     ends = chunk_ends(data)
     assert len(ends) > 8
@@ -93,9 +93,7 @@ def test_of_a_file_that_is_cut_or_has_a_flipped_byte_what_comes_before_is_delive
         assert n_read == complete if cut else n_read >= complete
 
 
-def test_a_length_that_is_far_too_large_takes_no_memory(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
+def test_a_length_that_is_far_too_large_takes_no_memory(whole, tmp_path):
     data, payloads = whole
     compression = data.index(b"\x03\x00\x00\x00lz4")
     length_of_data = compression + 7
@@ -113,7 +111,7 @@ def test_a_length_that_is_far_too_large_takes_no_memory(
         tracemalloc.stop()
 
 
-def test_stamps_that_are_recorded_out_of_order_are_all_found(tmp_path: Path) -> None:
+def test_stamps_that_are_recorded_out_of_order_are_all_found(tmp_path):
     path = tmp_path / "a.mcap"
     rng = random.Random(2)
     stamps = [rng.randrange(10**6) for _ in range(300)]
@@ -131,9 +129,7 @@ def test_stamps_that_are_recorded_out_of_order_are_all_found(tmp_path: Path) -> 
         assert bag.topics["/skin/taxels"].last_ns == max(stamps)
 
 
-def test_a_topic_that_is_not_there_is_named_at_once(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
+def test_a_topic_that_is_not_there_is_named_at_once(whole, tmp_path):
     (tmp_path / "a.mcap").write_bytes(whole[0])
     with BagReader(tmp_path / "a.mcap") as bag:
         with pytest.raises(BagError, match="did you mean '/skin/truth'"):
@@ -142,9 +138,7 @@ def test_a_topic_that_is_not_there_is_named_at_once(
             bag.messages(["/x/y"])
 
 
-def test_a_file_that_changes_while_it_is_read_is_an_error_and_no_force(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
+def test_a_file_that_changes_while_it_is_read_is_an_error_and_no_force(whole, tmp_path):
     data, payloads = whole
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
@@ -162,8 +156,8 @@ def test_a_file_that_changes_while_it_is_read_is_an_error_and_no_force(
 
 
 def test_a_bag_that_is_not_checked_whole_is_opened_by_its_index_and_damage_found_as_it_is_read(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
+    whole, tmp_path
+):
     data, payloads = whole
     path, end = tmp_path / "a.mcap", chunk_ends(data)[3]
     path.write_bytes(data[: end - 40] + b"\0" * 8 + data[end - 32 :])
@@ -184,9 +178,7 @@ def test_a_bag_that_is_not_checked_whole_is_opened_by_its_index_and_damage_found
         assert bag.recovered
 
 
-def test_a_bag_that_another_tool_wrote_anew_can_be_read(
-    whole: tuple[bytes, list[bytes]], tmp_path: Path
-) -> None:
+def test_a_bag_that_another_tool_wrote_anew_can_be_read(whole, tmp_path):
     data, payloads = whole
     (tmp_path / "a.mcap").write_bytes(data)
     for compression in mcap.writer.CompressionType:
@@ -269,7 +261,7 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+def test_what_is_no_bag_is_refused_in_one_line(tmp_path, name):
     make, text = BAD[name]
     path = tmp_path / "a.mcap"
     make(path)
@@ -280,7 +272,7 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str) -> Non
     assert "\n" not in str(caught.value)
 
 
-def test_a_chunk_whose_checksum_was_not_computed_is_read(tmp_path: Path) -> None:
+def test_a_chunk_whose_checksum_was_not_computed_is_read(tmp_path):
     path = tmp_path / "a.mcap"
     make_bag(path, frames(3))
     with BagReader(path) as bag:
@@ -299,26 +291,26 @@ def test_a_chunk_whose_checksum_was_not_computed_is_read(tmp_path: Path) -> None
     assert open_file(path).n_frames == 3
 
 
-def test_messages_that_no_checksum_protects_are_not_delivered(tmp_path: Path) -> None:
+def test_messages_that_no_checksum_protects_are_not_delivered(tmp_path):
     foreign(tmp_path / "a.mcap", chunked=False)
     with BagReader(tmp_path / "a.mcap") as bag:
         assert list(bag.messages()) == []
         assert bag.recovered.endswith("a message outside the chunks, which no checksum protects")
 
 
-def test_a_newer_version_is_refused_also_where_our_own_index_states_it(tmp_path: Path) -> None:
+def test_a_newer_version_is_refused_also_where_our_own_index_states_it(tmp_path):
     with BagWriter(tmp_path / "a.mcap", {}) as writer:
         writer.write(BagMessage("/skin/taxels", "taxels", 3, 0, 0, b"x"))
     with pytest.raises(BagError, match="recorded with taxels version 3; this program reads 2"):
         BagReader(tmp_path / "a.mcap")
 
 
-def test_a_chunk_that_decompresses_to_too_much_is_refused() -> None:
+def test_a_chunk_that_decompresses_to_too_much_is_refused():
     def chunk_of(n_bytes: int) -> Record:
         plain, builder = bytes(n_bytes), RecordBuilder()
         packed = lz4.frame.compress(plain)
         Chunk("lz4", packed, 0, 0, zlib.crc32(plain), n_bytes).write(builder)
-        return Record(Opcode.CHUNK, 0, builder.end()[HEAD_BYTES:])  # type: ignore[no-untyped-call]
+        return Record(Opcode.CHUNK, 0, builder.end()[HEAD_BYTES:])
 
     assert len(open_chunk(chunk_of(MAX_CHUNK_BYTES))) == MAX_CHUNK_BYTES
     with pytest.raises(Break, match=f"at most {MAX_CHUNK_BYTES}"):

@@ -1,11 +1,8 @@
 """The writer: what reaches the disk, when, and what happens if it does not."""
 
-from pathlib import Path
-
 import mcap.reader
 import pytest
 from bags import LAG_NS, PERIOD_NS, frame, frames, make_bag, on_disk, record
-from conftest import MountDisk
 
 from sparseskin.messages import End, encode
 from sparseskin.messages.base import omitted_fields
@@ -16,7 +13,7 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 
 
-def test_what_was_written_is_read_back_byte_for_byte_and_in_order(tmp_path: Path) -> None:
+def test_what_was_written_is_read_back_byte_for_byte_and_in_order(tmp_path):
     path = tmp_path / "a.mcap"
     messages = frames(100)
     payloads = make_bag(path, messages)
@@ -31,14 +28,13 @@ def test_what_was_written_is_read_back_byte_for_byte_and_in_order(tmp_path: Path
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path: Path) -> None:
+def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path):
     make_bag(tmp_path / "a.mcap", frames(3))
     with open(tmp_path / "a.mcap", "rb") as file:
         reader = mcap.reader.make_reader(file, validate_crcs=True)
         header, summary = reader.get_header(), reader.get_summary()
         assert len(list(reader.iter_messages())) == 1 + 3 * 4
     assert header.library.startswith("sparseskin ")
-    assert summary is not None
     assert {channel.message_encoding for channel in summary.channels.values()} == {"msgpack"}
     versions = {c.topic: c.metadata["schema_version"] for c in summary.channels.values()}
     assert versions.pop("/skin/skin") == "1"
@@ -49,7 +45,6 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path: Path) -> None:
     }
     assert {index.compression for index in summary.chunk_indexes} == {"lz4"}
     counts = summary.statistics
-    assert counts is not None
     assert (counts.message_count, counts.schema_count, counts.channel_count) == (13, 5, 5)
     assert (counts.metadata_count, counts.attachment_count) == (3, 0)
     assert counts.message_start_time == LAG_NS
@@ -57,7 +52,7 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
-def test_every_message_has_a_json_schema_that_names_its_fields(name: str) -> None:
+def test_every_message_has_a_json_schema_that_names_its_fields(name):
     schema = json_schema(SCHEMAS[name], 1)
     assert schema["properties"]["schema"] == {"const": name}
     always = [key for key in schema["properties"] if key not in omitted_fields(SCHEMAS[name])]
@@ -65,7 +60,7 @@ def test_every_message_has_a_json_schema_that_names_its_fields(name: str) -> Non
     assert {"stamp_ns", "patch", "run_id", "seq"} < schema["properties"].keys()
 
 
-def test_the_end_of_a_stream_is_kept_but_not_counted_as_a_frame(tmp_path: Path) -> None:
+def test_the_end_of_a_stream_is_kept_but_not_counted_as_a_frame(tmp_path):
     path = tmp_path / "a.mcap"
     end = End(stamp_ns=99, patch="skin", of="taxels", n_messages=1)
     payloads = make_bag(path, [frame(0)[0], end])
@@ -76,7 +71,7 @@ def test_the_end_of_a_stream_is_kept_but_not_counted_as_a_frame(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("taken", ["a.mcap", "a.mcap.part"])
-def test_nothing_is_overwritten_and_no_link_followed(tmp_path: Path, taken: str) -> None:
+def test_nothing_is_overwritten_and_no_link_followed(tmp_path, taken):
     (tmp_path / "other").write_bytes(b"precious")
     (tmp_path / taken).symlink_to("other")
     with pytest.raises(BagError, match="exists already"):
@@ -84,7 +79,7 @@ def test_nothing_is_overwritten_and_no_link_followed(tmp_path: Path, taken: str)
     assert (tmp_path / "other").read_bytes() == b"precious"
 
 
-def test_a_file_that_took_the_name_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_file_that_took_the_name_meanwhile_is_not_overwritten(tmp_path):
     path = tmp_path / "a.mcap"
     writer = BagWriter(path, {})
     payload = record(writer, frame(0)[0])
@@ -99,7 +94,7 @@ def test_a_file_that_took_the_name_meanwhile_is_not_overwritten(tmp_path: Path) 
     ("name", "text"),
     [("a.bag", "ends in .mcap"), ("none/a.mcap", "folder does not exist"), ("a\0.mcap", "null")],
 )
-def test_a_path_that_cannot_be_written_is_named(tmp_path: Path, name: str, text: str) -> None:
+def test_a_path_that_cannot_be_written_is_named(tmp_path, name, text):
     with pytest.raises(BagError, match=text):
         BagWriter(tmp_path / name, {})
 
@@ -108,20 +103,18 @@ def test_a_path_that_cannot_be_written_is_named(tmp_path: Path, name: str, text:
     ("change", "text"),
     [({"schema": "taxel"}, "did you mean 'taxels'"), ({"stamp_ns": -1}, "outside")],
 )
-def test_what_cannot_be_recorded_is_refused_and_harms_nothing(
-    tmp_path: Path, change: dict[str, object], text: str
-) -> None:
+def test_what_cannot_be_recorded_is_refused_and_harms_nothing(tmp_path, change, text):
     path = tmp_path / "a.mcap"
     with BagWriter(path, {}) as writer:
         good = record(writer, frame(0)[0])
         message = BagMessage("/skin/taxels", "taxels", 1, 1, 1, b"x")
         with pytest.raises(BagError, match=text):
-            writer.write(message._replace(**change))  # type: ignore[arg-type]
+            writer.write(message._replace(**change))
     with BagReader(path) as bag:
         assert [message.payload for message in bag.messages()] == [good]
 
 
-def test_a_closed_bag_accepts_nothing(tmp_path: Path) -> None:
+def test_a_closed_bag_accepts_nothing(tmp_path):
     writer = BagWriter(tmp_path / "a.mcap", {})
     writer.close()
     writer.close()
@@ -132,7 +125,7 @@ def test_a_closed_bag_accepts_nothing(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def small_disk(mount_disk: MountDisk) -> Path:
+def small_disk(mount_disk):
     return mount_disk("400k")
 
 
@@ -150,7 +143,7 @@ def fill(writer: BagWriter) -> list[bytes]:
     raise AssertionError("the disk is not full")
 
 
-def test_a_full_disk_is_one_line_and_what_was_written_can_be_read(small_disk: Path) -> None:
+def test_a_full_disk_is_one_line_and_what_was_written_can_be_read(small_disk):
     path = small_disk / "a.mcap"
     writer = BagWriter(path, {"scene": "full"})
     payloads = fill(writer)
@@ -173,7 +166,7 @@ def test_a_full_disk_is_one_line_and_what_was_written_can_be_read(small_disk: Pa
         assert f"up to byte {size} of {size}: it ends there without an index" in bag.recovered
 
 
-def test_a_disk_that_is_full_at_the_end_loses_the_index_alone(small_disk: Path) -> None:
+def test_a_disk_that_is_full_at_the_end_loses_the_index_alone(small_disk):
     path = small_disk / "a.mcap"
     writer = BagWriter(path, {"scene": "full"})
     payloads = [record(writer, frame(k)[0]) for k in range(20)]
@@ -187,7 +180,7 @@ def test_a_disk_that_is_full_at_the_end_loses_the_index_alone(small_disk: Path) 
     assert on_disk(path) == payloads
 
 
-def test_a_disk_full_from_the_start_is_refused_and_leaves_no_file(small_disk: Path) -> None:
+def test_a_disk_full_from_the_start_is_refused_and_leaves_no_file(small_disk):
     with pytest.raises(OSError, match="No space left"):
         (small_disk / "other").write_bytes(bytes(1 << 20))
     with pytest.raises(BagError, match="No space left on device"):

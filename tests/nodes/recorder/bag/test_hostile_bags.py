@@ -26,7 +26,7 @@ Forge = Callable[[str, dict[str, str]], dict[str, str]]
 
 
 @pytest.fixture
-def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Forge], Path]:
+def forged(tmp_path, monkeypatch):
     """A bag whose metadata records are forged; the rest, and all checksums, are right."""
 
     def make(forge: Forge) -> Path:
@@ -79,9 +79,7 @@ def resealed(data: bytearray) -> bytes:
     "text", [*("null", '{"/skin/taxels": null}', '{"/skin/taxels": {}}', "", "[" * 100_000)]
 )
 @pytest.mark.parametrize("which", ["topics", "counts"])
-def test_metadata_of_any_json_are_read_past(
-    forged: Callable[[Forge], Path], tmp_path: Path, which: str, text: str
-) -> None:
+def test_metadata_of_any_json_are_read_past(forged, tmp_path, which, text):
     path = forged(lambda name, values: {"json": text} if name == which else values)
     with BagReader(path) as bag:
         assert sum(1 for _ in bag.messages()) == 4 * N_FRAMES + 1
@@ -96,16 +94,14 @@ def test_metadata_of_any_json_are_read_past(
         *({"version": 99}, {"more": 1}),
     ],
 )
-def test_counts_that_cannot_be_are_counted_anew(
-    forged: Callable[[Forge], Path], changes: dict[str, Any]
-) -> None:
+def test_counts_that_cannot_be_are_counted_anew(forged, changes):
     path = forged(lambda name, v: forged_topics(v, **changes) if name == "topics" else v)
     with BagReader(path) as bag:
         assert bag.topics["/skin/taxels"].n_messages == N_FRAMES
         assert bag.topics["/skin/taxels"].schema == "taxels"
 
 
-def test_one_long_frame_among_short_ones_is_not_padded_without_limit(tmp_path: Path) -> None:
+def test_one_long_frame_among_short_ones_is_not_padded_without_limit(tmp_path):
     path = tmp_path / "a.mcap"
     with BagWriter(path, {}) as writer:
         record(writer, skin_state())
@@ -120,9 +116,7 @@ def test_one_long_frame_among_short_ones_is_not_padded_without_limit(tmp_path: P
 
 
 @pytest.mark.parametrize("fault", ["metadata beyond the end", "chunks listed again and again"])
-def test_an_index_that_cannot_be_is_not_believed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
-) -> None:
+def test_an_index_that_cannot_be_is_not_believed(tmp_path, monkeypatch, fault):
     metadata, chunk = MetadataIndex.write, ChunkIndex.write
     if fault == "metadata beyond the end":
         beyond = lambda self, out: metadata(replace(self, offset=2**60), out)  # noqa: E731
@@ -135,7 +129,7 @@ def test_an_index_that_cannot_be_is_not_believed(
         assert [message.payload for message in bag.messages()] == payloads
 
 
-def test_texts_of_any_length_and_kind_are_a_short_printable_table(tmp_path: Path) -> None:
+def test_texts_of_any_length_and_kind_are_a_short_printable_table(tmp_path):
     path = tmp_path / "a.mcap"
     foreign = "\x1b]0;x\x07\u202e"
     metadata = {
@@ -153,7 +147,7 @@ def test_texts_of_any_length_and_kind_are_a_short_printable_table(tmp_path: Path
     assert all(line.isprintable() for line in table.split("\n"))
 
 
-def test_a_mutated_bag_with_right_checksums_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_mutated_bag_with_right_checksums_is_read_or_refused_in_one_line(tmp_path):
     path = tmp_path / "a.mcap"
     make_bag(path, frames(2), flush_every=3)
     whole = path.read_bytes()

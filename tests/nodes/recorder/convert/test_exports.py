@@ -1,7 +1,6 @@
 """Exports of bags: nothing is lost, and other programs' readers find every number."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,12 +17,12 @@ from sparseskin.nodes.sensor.files.file_source import open_file
 
 
 @pytest.fixture
-def rich(tmp_path: Path) -> Path:
+def rich(tmp_path):
     make_bag(tmp_path / "a.mcap", rich_frames())
     return tmp_path / "a.mcap"
 
 
-def test_an_npz_and_a_csv_have_the_row_of_the_points_file_of_each_taxel(tmp_path: Path) -> None:
+def test_an_npz_and_a_csv_have_the_row_of_the_points_file_of_each_taxel(tmp_path):
     path = tmp_path / "a.mcap"
     state = points_bag(path)
     with BagReader(path) as bag:
@@ -48,7 +47,7 @@ def test_an_npz_and_a_csv_have_the_row_of_the_points_file_of_each_taxel(tmp_path
     assert skin["point_rows"] == state.point_rows.tolist()
 
 
-def test_an_npz_names_what_it_holds(rich: Path) -> None:
+def test_an_npz_names_what_it_holds(rich):
     with BagReader(rich) as bag:
         (npz,) = export_npz(bag, rich.with_name("a.npz"))
     with np.load(npz) as arrays:
@@ -78,7 +77,7 @@ def test_an_npz_names_what_it_holds(rich: Path) -> None:
     assert import_file(npz, rich.with_name("b.mcap")) == N_FRAMES
 
 
-def test_an_exported_csv_states_its_skin_and_is_a_recording(rich: Path) -> None:
+def test_an_exported_csv_states_its_skin_and_is_a_recording(rich):
     with BagReader(rich) as bag:
         paths = export_csv(bag, rich.with_name("a_csv"))
     names = {path.name for path in paths}
@@ -91,7 +90,7 @@ def test_an_exported_csv_states_its_skin_and_is_a_recording(rich: Path) -> None:
     np.testing.assert_array_equal(again.frames, taxels)
 
 
-def test_an_exported_csv_is_a_table_with_a_header(rich: Path) -> None:
+def test_an_exported_csv_is_a_table_with_a_header(rich):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     with BagReader(rich) as bag:
         export_csv(bag, rich.with_name("a_csv"))

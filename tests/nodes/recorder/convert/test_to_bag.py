@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import frames, make_bag
-from conftest import MountDisk
 
-from sparseskin.messages import SkinState, Taxels, decode
+from sparseskin.messages import decode
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -22,7 +21,7 @@ def write_frames(path: Path, lines: list[str]) -> Path:
     return path
 
 
-def test_an_imported_bag_holds_every_frame_and_is_the_same_each_time(tmp_path: Path) -> None:
+def test_an_imported_bag_holds_every_frame_and_is_the_same_each_time(tmp_path):
     source = write_frames(tmp_path / "a.csv", [f"{k},0,0,0,0,{k + 1}" for k in range(5)])
     for name in ("one.mcap", "two.mcap"):
         assert import_file(source, tmp_path / name, unit="N", f_max=10.0, **SIZE) == 5
@@ -31,25 +30,21 @@ def test_an_imported_bag_holds_every_frame_and_is_the_same_each_time(tmp_path: P
         assert one.metadata["imported_from"] == "a.csv"
         (recorded,) = one.messages(["/skin/skin"])
         state = decode(b"/skin/skin", recorded.payload)
-        assert isinstance(state, SkinState)
         assert state.rate_hz == DEFAULT_RATE_HZ
         # The noise of a recording is its own.
         assert (state.has_truth, state.sigma_mid, state.sigma_end) == (False, 0.0, 0.0)
         for k, recorded in enumerate(one.messages(["/skin/taxels"])):
             message = decode(b"/skin/taxels", recorded.payload)
-            assert isinstance(message, Taxels)
             assert message.seq == k
             np.testing.assert_array_equal(message.forces[0], [[k, 0, 0], [0, 0, k + 1]])
 
 
-def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path, monkeypatch):
     source = write_frames(tmp_path / "a.csv", ["0,1,2,3,4,5"] * 5)
     seen = []
 
     def break_off(items: object, total: int, doing: str) -> object:
-        for item in items:  # type: ignore[attr-defined]
+        for item in items:
             yield item
             seen.extend(path.name for path in tmp_path.glob("*.part"))
             raise SparseskinError("frame 1 is malformed")
@@ -61,9 +56,7 @@ def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
-def test_an_import_to_a_full_disk_names_the_bag_and_leaves_nothing(
-    tmp_path: Path, mount_disk: MountDisk
-) -> None:
+def test_an_import_to_a_full_disk_names_the_bag_and_leaves_nothing(tmp_path, mount_disk):
     rng = np.random.default_rng(0)
     np.save(tmp_path / "a.npy", rng.random((200, 40, 40)))
     out = mount_disk("400k") / "q.mcap"
@@ -73,7 +66,7 @@ def test_an_import_to_a_full_disk_names_the_bag_and_leaves_nothing(
     assert list(out.parent.iterdir()) == []
 
 
-def test_a_recovery_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path: Path) -> None:
+def test_a_recovery_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path):
     make_bag(tmp_path / "a.mcap", frames(60), flush_every=24)
     with BagReader(tmp_path / "a.mcap") as bag:
         data = bytearray((tmp_path / "a.mcap").read_bytes())

@@ -31,9 +31,7 @@ pressed = arrays(np.float64, SHAPE, elements=st.floats(0, 2.5))
 
 
 @given(counts, gains, pressed)
-def test_forces_come_back_from_counts(
-    baseline: np.ndarray, gain: np.ndarray, force: np.ndarray
-) -> None:
+def test_forces_come_back_from_counts(baseline, gain, force):
     curve = Response(np.array([0.2, 1.0, 2.0]), np.array([0.5, 1.2, 2.5]))
     inverse = Response(curve.force, curve.reading)
     raw = baseline + inverse.forces(force) / gain
@@ -41,7 +39,7 @@ def test_forces_come_back_from_counts(
     np.testing.assert_allclose(chain.apply(raw, 0), force, atol=1e-6)
 
 
-def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the_drift() -> None:
+def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the_drift():
     chain = Chain(skin())
     run(chain, -0.02, 10)
     assert chain.drift.value.any()
@@ -52,7 +50,7 @@ def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the
     assert (chain.apply(np.full(SHAPE, 9.0), 0) == 2.0).all()
 
 
-def test_a_tare_measures_the_noise_that_no_file_states() -> None:
+def test_a_tare_measures_the_noise_that_no_file_states():
     rng = np.random.default_rng(0)
     chain, stated = Chain(skin()), Chain(skin(noise=0.02))
     frames = [rng.normal(3.0, 0.01, SHAPE) for _ in range(1000)]
@@ -63,7 +61,7 @@ def test_a_tare_measures_the_noise_that_no_file_states() -> None:
     assert stated.description.sigmas == (0.02, 0.02)
 
 
-def test_masked_cells_are_0_whatever_they_read() -> None:
+def test_masked_cells_are_0_whatever_they_read():
     mask = np.ones(SHAPE, dtype=np.bool_)
     mask[1, 2] = False
     raw = np.full(SHAPE, 1.5)
@@ -75,7 +73,7 @@ def test_masked_cells_are_0_whatever_they_read() -> None:
     assert chain.clipped.n == 0
 
 
-def test_readings_beyond_the_range_are_clipped_and_counted_noise_below_0_is_not() -> None:
+def test_readings_beyond_the_range_are_clipped_and_counted_noise_below_0_is_not():
     chain = still(skin(noise=0.01))
     raw = np.zeros(SHAPE)
     raw[0, :3] = 3.0, -0.05, -0.07
@@ -84,7 +82,7 @@ def test_readings_beyond_the_range_are_clipped_and_counted_noise_below_0_is_not(
     assert chain.clipped == Clipped(n_below=1, n_above=1, lowest=-0.07, highest=3.0)
 
 
-def test_a_lower_end_below_0_keeps_the_mean_of_noise_centred_on_0() -> None:
+def test_a_lower_end_below_0_keeps_the_mean_of_noise_centred_on_0():
     rng = np.random.default_rng(3)
     chain = still(skin(noise=0.01, f_min=-0.05))
     frames = np.stack([chain.apply(rng.normal(0, 0.01, SHAPE), 0) for _ in range(4000)])
@@ -106,7 +104,7 @@ def run(chain: Chain, force: Any, seconds: float, rate_hz: float = 100.0) -> np.
     return found
 
 
-def test_a_steady_press_of_60_s_and_its_edge_lose_nothing() -> None:
+def test_a_steady_press_of_60_s_and_its_edge_lose_nothing():
     # The threshold of a skin whose noise is not known: 0.004 of 2.5 N.
     press = np.zeros(SHAPE)
     press[1, 1], press[1, 2], press[2, 3] = 1.0, 0.008, 0.011
@@ -135,15 +133,13 @@ def drift_under_a_light_press(
 
 
 @pytest.mark.parametrize(("percent", "noise"), [(0.3, 0.005), (1.0, 0.0)])
-def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(
-    percent: float, noise: float
-) -> None:
+def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(percent, noise):
     followed = drift_under_a_light_press(percent, noise)
     assert followed[PRESSED].mean() <= 0.01 * percent / 100
 
 
 @pytest.mark.parametrize("percent", [0.0, 1.0])
-def test_a_light_press_loses_nothing_beside_a_drift_at_the_bounded_rate(percent: float) -> None:
+def test_a_light_press_loses_nothing_beside_a_drift_at_the_bounded_rate(percent):
     rate = 1e-4  # 0.6 % of f_max a minute
     followed = drift_under_a_light_press(percent, 0.005, drift=rate)
     if percent:  # what had drifted before it, and no more: of 2 s
@@ -152,7 +148,7 @@ def test_a_light_press_loses_nothing_beside_a_drift_at_the_bounded_rate(percent:
     assert followed[FOLLOWED].mean() == pytest.approx(52 * rate, rel=0.1)
 
 
-def test_the_drift_is_followed_again_after_a_light_press() -> None:
+def test_the_drift_is_followed_again_after_a_light_press():
     chain = Chain(skin())
     run(chain, lambda t: 0.008 if 2 < t < 10 else 0.004 * (t > 10), 12)
     assert not chain.drift.value.any()
@@ -160,7 +156,7 @@ def test_the_drift_is_followed_again_after_a_light_press() -> None:
     assert (chain.drift.value > 0).all()
 
 
-def test_a_drift_slower_than_the_rate_is_followed_with_the_lag_of_the_time_constant() -> None:
+def test_a_drift_slower_than_the_rate_is_followed_with_the_lag_of_the_time_constant():
     # A first-order low pass lags a ramp of rate q by tau q: 10 s x 1e-4 N/s.
     found = run(Chain(skin()), lambda t: 1e-4 * t, 200, rate_hz=20.0)
     np.testing.assert_allclose(found, 1e-3, rtol=0.02)
@@ -168,21 +164,21 @@ def test_a_drift_slower_than_the_rate_is_followed_with_the_lag_of_the_time_const
 
 @pytest.mark.parametrize(("raw", "seconds", "followed"), [(-0.02, 400, -0.02), (-1.0, 2000, -0.25)])
 def test_a_drift_is_followed_downwards_from_any_depth_to_a_tenth_of_the_range(
-    raw: float, seconds: float, followed: float
-) -> None:
+    raw, seconds, followed
+):
     chain = Chain(skin())
     run(chain, raw, seconds, rate_hz=2.0)
     np.testing.assert_allclose(chain.drift.value, followed, atol=1e-4)
 
 
-def test_a_pause_is_not_made_up_for() -> None:
+def test_a_pause_is_not_made_up_for():
     chain = Chain(skin())
     chain.apply(np.full(SHAPE, 0.005), 0)
     chain.apply(np.full(SHAPE, 0.005), 3600 * SECOND)
     assert (chain.drift.value <= 0.5 * 1e-4 * 2.5 + 1e-12).all()
 
 
-def test_frames_of_a_board_that_hangs_repeat_exactly_and_show_no_drift() -> None:
+def test_frames_of_a_board_that_hangs_repeat_exactly_and_show_no_drift():
     rng, chain = np.random.default_rng(0), Chain(skin(noise=0.0141))
     for k in range(300):
         raw = rng.normal(0.01, 0.0141, SHAPE)

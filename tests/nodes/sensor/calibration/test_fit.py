@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.sensor.calibration.chain import Chain
-from sparseskin.nodes.sensor.calibration.fit import Curve, fit
+from sparseskin.nodes.sensor.calibration.fit import fit
 from sparseskin.nodes.sensor.calibration.press import (
     GRAVITY,
     CalibrationError,
@@ -42,7 +42,7 @@ def even(model: Any, force: float, **noise: Any) -> Press:
     return Press(f"{force:g}", force * N, frames(model(force), **noise), ALL)
 
 
-def test_even_loads_give_each_taxel_of_a_linear_skin_its_gain() -> None:
+def test_even_loads_give_each_taxel_of_a_linear_skin_its_gain():
     found = fit("p", frames(linear(0)), [even(linear, 0.5)], f_max=2.0)
     np.testing.assert_allclose(found.skin.gains, 1 / (500 * GAIN), rtol=1e-9)
     np.testing.assert_allclose(found.skin.baseline, BASELINE)
@@ -60,9 +60,7 @@ LEVELS = np.linspace(0.1, 2.0, 20)
 
 
 @pytest.mark.parametrize("curve", ["shared", "taxel"])
-def test_a_curve_through_even_loads_is_exact_at_them_and_within_its_chords_between(
-    curve: Curve,
-) -> None:
+def test_a_curve_through_even_loads_is_exact_at_them_and_within_its_chords_between(curve):
     presses = [even(saturating, force) for force in LEVELS]
     found = fit("p", frames(saturating(0)), presses, curve=curve)
     chain = Chain(found.skin, 0.0)
@@ -77,7 +75,7 @@ def test_a_curve_through_even_loads_is_exact_at_them_and_within_its_chords_betwe
         np.testing.assert_allclose(chain.apply(saturating(force), 0), force, atol=most + 1e-6)
 
 
-def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each() -> None:
+def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each():
     knee = RNG.uniform(0.5, 3.0, SHAPE)
 
     def model(force: float) -> np.ndarray:
@@ -86,13 +84,13 @@ def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each() -> None:
     presses = [even(model, force) for force in LEVELS]
     worst = {}
     for curve in ("shared", "taxel"):
-        found = fit("p", frames(model(0)), presses, curve=curve)  # type: ignore[arg-type]
+        found = fit("p", frames(model(0)), presses, curve=curve)
         forces = Chain(found.skin, 0.0).apply(model(1.0), 0)
         worst[curve] = float(np.abs(forces - 1).max())
     assert worst["taxel"] < 1e-6 < 0.02 < worst["shared"]
 
 
-def test_a_total_gives_one_gain_for_all() -> None:
+def test_a_total_gives_one_gain_for_all():
     print_of_it = np.zeros(SHAPE)
     print_of_it[2:4, 3:6] = 0.7
     counts = BASELINE + 500 * print_of_it
@@ -103,13 +101,13 @@ def test_a_total_gives_one_gain_for_all() -> None:
     assert found.remarks == ["f_max = 0.87 N is 1.25 times the largest force of a press"]
 
 
-def test_totals_that_one_gain_does_not_explain_are_remarked() -> None:
+def test_totals_that_one_gain_does_not_explain_are_remarked():
     loads = [Press(f"{f}N", f * N, frames(saturating(f))) for f in (0.2, 2.0)]
     remarks = fit("p", frames(saturating(0)), loads).remarks
     assert any("off one gain for all" in line for line in remarks)
 
 
-def test_noise_is_measured_in_newtons_and_a_short_touch_does_not_count() -> None:
+def test_noise_is_measured_in_newtons_and_a_short_touch_does_not_count():
     untouched = frames(linear(0), n=400, sigma=2.0)
     untouched[:20] += 300.0
     found = fit("p", untouched, [even(linear, 1.0, n=400)], keep_noise=True)
@@ -119,7 +117,7 @@ def test_noise_is_measured_in_newtons_and_a_short_touch_does_not_count() -> None
     np.testing.assert_allclose(found.skin.baseline, BASELINE, atol=0.6)
 
 
-def test_a_load_that_moves_is_refused_and_a_touched_skin_remarked() -> None:
+def test_a_load_that_moves_is_refused_and_a_touched_skin_remarked():
     # One taxel after the other: the frames read the load, the median of each taxel does not.
     moving = frames(linear(0), n=N, sigma=1.0)
     for k in range(N):
@@ -133,7 +131,7 @@ def test_a_load_that_moves_is_refused_and_a_touched_skin_remarked() -> None:
     assert fit("p", frames(linear(0), sigma=1.0), f_max=2.0).remarks == []
 
 
-def test_stuck_noisy_and_dead_taxels_are_masked() -> None:
+def test_stuck_noisy_and_dead_taxels_are_masked():
     noise = np.random.default_rng(3).normal(0, 1.0, (200, *SHAPE))
     untouched, pressed = linear(0) + noise, linear(1.0) + noise[::-1]
     for readings in (untouched, pressed):
@@ -148,17 +146,16 @@ def test_stuck_noisy_and_dead_taxels_are_masked() -> None:
     assert found.presses[0].measured == pytest.approx(N, rel=1e-3)
 
 
-def test_a_skin_of_whole_counts_without_noise_has_no_stuck_taxels() -> None:
+def test_a_skin_of_whole_counts_without_noise_has_no_stuck_taxels():
     found = fit("p", np.full((9, *SHAPE), 5.0), f_max=250.0, unit="raw")
     assert found.stuck == 0
     assert found.skin.mask is None
     assert (found.skin.unit, found.skin.noise) == ("raw", 0.0)
 
 
-def test_taxels_under_no_even_load_get_the_median_gain() -> None:
+def test_taxels_under_no_even_load_get_the_median_gain():
     load = Press("a", 0.5 * 24, frames(linear(0.5)), read_area("0-5x0-3", SHAPE))
     found = fit("p", frames(linear(0)), [load])
-    assert found.skin.gains is not None
     np.testing.assert_allclose(found.skin.gains[:, 4:], np.median(found.skin.gains[:, :4]))
     assert "24 taxels lay under no even load: they have the median gain" in found.remarks
 
@@ -176,14 +173,14 @@ def test_taxels_under_no_even_load_get_the_median_gain() -> None:
         ({"f_max": None}, "the range is not known"),
     ],
 )
-def test_what_cannot_be_calibrated_is_refused(change: dict[str, Any], line: str) -> None:
+def test_what_cannot_be_calibrated_is_refused(change, line):
     values: dict[str, Any] = {"untouched": frames(BASELINE), "presses": [], "f_max": None}
     with pytest.raises(CalibrationError) as raised:
         fit("p", **(values | change))
     assert line in str(raised.value)
 
 
-def test_loads_and_areas_are_read() -> None:
+def test_loads_and_areas_are_read():
     assert read_load("500g") == pytest.approx(0.5 * GRAVITY)
     assert read_load(" 2.5 kg") == pytest.approx(2.5 * GRAVITY)
     assert (read_load("4.9N"), read_load("800mN")) == (4.9, 0.8)

@@ -1,6 +1,5 @@
 """The sensor node with the file of a skin: what it publishes, tares and refuses."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ MASK[2, 0] = False
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """A skin of 0.01 N a count, its file, and a recording of counts: 40 untouched, 60 pressed."""
     described = SkinDescription(
         *("palm", *SHAPE, 2.5),
@@ -70,7 +69,7 @@ class Run:
 
 
 @pytest.mark.usefixtures("folder")
-def test_counts_become_newtons_and_the_state_is_that_of_the_file() -> None:
+def test_counts_become_newtons_and_the_state_is_that_of_the_file():
     run = Run(skin="palm.toml")
     frames = run.frames(100)
     assert len(frames) == 100
@@ -87,7 +86,7 @@ def test_counts_become_newtons_and_the_state_is_that_of_the_file() -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_tare_at_the_start_takes_its_frames_and_works_without_a_file() -> None:
+def test_a_tare_at_the_start_takes_its_frames_and_works_without_a_file():
     run = Run(source="file:signed.npy", tare=30, f_max=250.0)
     frames = run.frames(100)
     assert len(frames) == 70
@@ -97,7 +96,7 @@ def test_a_tare_at_the_start_takes_its_frames_and_works_without_a_file() -> None
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_tare_on_command_is_announced_and_published() -> None:
+def test_a_tare_on_command_is_announced_and_published():
     run = Run(skin="palm.toml")
     run.frames(50)
     assert run.sensor.command("tare", 20) == "the baseline becomes the median of the next 20 frames"
@@ -115,7 +114,7 @@ def test_a_tare_on_command_is_announced_and_published() -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_tare_is_refused_without_a_calibration_or_with_a_wrong_number() -> None:
+def test_a_tare_is_refused_without_a_calibration_or_with_a_wrong_number():
     with pytest.raises(RefusedError, match=r"has no baseline; state sensor\.skin, or sensor\.tare"):
         Run().sensor.command("tare", None)
     sensor = Run(skin="palm.toml").sensor
@@ -126,7 +125,7 @@ def test_a_tare_is_refused_without_a_calibration_or_with_a_wrong_number() -> Non
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_recording_that_ends_before_its_tare_says_so() -> None:
+def test_a_recording_that_ends_before_its_tare_says_so():
     run = Run(tare=200)
     assert run.frames(3) == []
     assert "counts: ended before its tare" in run.log
@@ -144,27 +143,27 @@ def test_a_recording_that_ends_before_its_tare_says_so() -> None:
     ],
 )
 @pytest.mark.usefixtures("folder")
-def test_wrong_settings_are_refused_in_one_line(settings: dict[str, Any], line: str) -> None:
+def test_wrong_settings_are_refused_in_one_line(settings, line):
     with pytest.raises(SettingsError) as raised:
         Run(**settings)
     assert line in str(raised.value)
     assert "\n" not in str(raised.value)
 
 
-def test_a_source_of_another_shape_is_refused(folder: Path) -> None:
+def test_a_source_of_another_shape_is_refused(folder):
     np.save(folder / "small.npy", np.ones((5, 2, 2)))
     with pytest.raises(SourceError, match=r"describes 3 x 4 taxels, but the source has 2 x 2"):
         Run(skin="palm.toml", source="file:small.npy")
 
 
-def test_a_table_of_counts_needs_no_unit_however_readings_below_0_are_treated(folder: Path) -> None:
+def test_a_table_of_counts_needs_no_unit_however_readings_below_0_are_treated(folder):
     np.savetxt(folder / "counts.csv", np.load("counts.npy").reshape(100, -1), delimiter=",")
     for negative in ("refuse", "zero"):
         run = Run(source="file:counts.csv", skin="palm.toml", negative=negative)
         np.testing.assert_allclose(run.frames(50)[-1], TRUTH * MASK, atol=1e-4)
 
 
-def test_negative_counts_of_a_driver_are_not_clipped_before_the_baseline(folder: Path) -> None:
+def test_negative_counts_of_a_driver_are_not_clipped_before_the_baseline(folder):
     (folder / "signed_skin.py").write_text(
         "import numpy as np\n\n\ndef frames():\n"
         "    for k in range(100):\n        yield k * 10_000_000, np.load('signed.npy')[k]\n"
@@ -187,7 +186,7 @@ def test_negative_counts_of_a_driver_are_not_clipped_before_the_baseline(folder:
     run.sensor.close({})
 
 
-def test_clipped_readings_are_logged_once_and_then_at_most_every_10_s(folder: Path) -> None:
+def test_clipped_readings_are_logged_once_and_then_at_most_every_10_s(folder):
     (folder / "wrong_range.py").write_text(
         "import numpy as np\n\n\ndef frames():\n"
         "    for k in range(100):\n"
@@ -207,9 +206,7 @@ def test_clipped_readings_are_logged_once_and_then_at_most_every_10_s(folder: Pa
     run.sensor.close({})
 
 
-def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_changed(
-    folder: Path,
-) -> None:
+def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_changed(folder):
     counts = 0.5 + 0.01 * (np.arange(100) % 2)  # equal frames are of a board that hangs
     np.save(folder / "risen.npy", BASELINE + counts[:, None, None])
     np.save(folder / "risen_forces.npy", np.full((100, *SHAPE), 0.005))

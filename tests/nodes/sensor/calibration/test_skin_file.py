@@ -42,9 +42,7 @@ def assert_same(a: Any, b: Any) -> None:
             assert one == other, field.name
 
 
-def test_a_file_of_the_required_keys_alone_describes_a_skin_without_calibration(
-    tmp_path: Path,
-) -> None:
+def test_a_file_of_the_required_keys_alone_describes_a_skin_without_calibration(tmp_path):
     skin = load_skin(write(tmp_path, HEAD))
     assert (skin.name, skin.shape, skin.f_max, skin.unit) == ("palm", (2, 3), 2.5, "N")
     assert not skin.changes_readings
@@ -52,7 +50,7 @@ def test_a_file_of_the_required_keys_alone_describes_a_skin_without_calibration(
     assert skin.skin.pitch_m is None
 
 
-def test_a_file_with_all_keys(tmp_path: Path) -> None:
+def test_a_file_with_all_keys(tmp_path):
     text = HEAD + (
         'name = "left palm"\nunit = "kPa"\npitch_mm = 2.5\nmask = ["110", "111"]\n'
         "baseline = 12\ngains = [[1, 2, 3], [-4, 5, 6.5]]\nnoise = 0.01\nnoise_mid = 0.02\n"
@@ -63,9 +61,7 @@ def test_a_file_with_all_keys(tmp_path: Path) -> None:
     assert skin.skin.n_taxels == 5
     assert skin.baseline is not None
     assert (skin.baseline == 12.0).all()
-    assert skin.gains is not None
     assert skin.gains[1, 0] == -4.0
-    assert skin.response is not None
     np.testing.assert_allclose(skin.response.slopes, [0.5, 1.0])
 
 
@@ -102,15 +98,13 @@ def skins(draw: st.DrawFn) -> SkinDescription:
 
 @given(skin=skins())
 @settings(suppress_health_check=[HealthCheck.too_slow])
-def test_what_is_written_is_read_again(
-    tmp_path_factory: pytest.TempPathFactory, skin: SkinDescription
-) -> None:
+def test_what_is_written_is_read_again(tmp_path_factory, skin):
     path = tmp_path_factory.mktemp("skins") / "skin.toml"
     assert save_skin(path, skin) == [path]
     assert_same(skin, load_skin(path))
 
 
-def test_large_arrays_are_written_beside_the_file_and_read_again(tmp_path: Path) -> None:
+def test_large_arrays_are_written_beside_the_file_and_read_again(tmp_path):
     rng = np.random.default_rng(1)
     shape = (64, 80)
     assert shape[0] * shape[1] > MAX_INLINE
@@ -127,7 +121,7 @@ def test_large_arrays_are_written_beside_the_file_and_read_again(tmp_path: Path)
     assert_same(skin, load_skin(path))
 
 
-def test_no_file_is_written_over(tmp_path: Path) -> None:
+def test_no_file_is_written_over(tmp_path):
     skin = SkinDescription("s", 64, 80, 2.5, baseline=np.arange(5120.0).reshape(64, 80))
     (tmp_path / "s.npz").write_bytes(b"mine")
     with pytest.raises(OutputError, match=r"s\.npz: exists already"):
@@ -159,7 +153,7 @@ def test_no_file_is_written_over(tmp_path: Path) -> None:
         ("#" * (4 * MAX_FILE_CHARS + 1), "more than 1048576 bytes"),
     ],
 )
-def test_a_hostile_file_is_refused_in_one_line(tmp_path: Path, text: str, line: str) -> None:
+def test_a_hostile_file_is_refused_in_one_line(tmp_path, text, line):
     path = write(tmp_path, text)
     with pytest.raises(SkinFileError) as raised:
         load_skin(path)
@@ -184,9 +178,7 @@ def save_arrays(path: Path, **held: Any) -> None:
         ({"response_reading": np.ones((1, 2, 3))}, "response.force: is missing"),
     ],
 )
-def test_hostile_arrays_are_refused_in_one_line(
-    tmp_path: Path, held: dict[str, Any], line: str
-) -> None:
+def test_hostile_arrays_are_refused_in_one_line(tmp_path, held, line):
     save_arrays(tmp_path / "b.npz", **held)
     with pytest.raises(SkinFileError) as raised:
         load_skin(write(tmp_path, HEAD + "arrays = 'b.npz'"))
@@ -194,7 +186,7 @@ def test_hostile_arrays_are_refused_in_one_line(
     assert "\n" not in str(raised.value)
 
 
-def test_arrays_stay_beside_the_file(tmp_path: Path) -> None:
+def test_arrays_stay_beside_the_file(tmp_path):
     away = tmp_path / "away"
     away.mkdir()
     save_arrays(away / "b.npz", baseline=np.zeros((2, 3)))
@@ -203,7 +195,7 @@ def test_arrays_stay_beside_the_file(tmp_path: Path) -> None:
         load_skin(write(tmp_path, HEAD + "arrays = 'b.npz'"))
 
 
-def test_a_pipe_a_folder_and_no_file_are_refused_at_once(tmp_path: Path) -> None:
+def test_a_pipe_a_folder_and_no_file_are_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
     (tmp_path / "folder.toml").mkdir()
     for name, what in (
@@ -216,9 +208,7 @@ def test_a_pipe_a_folder_and_no_file_are_refused_at_once(tmp_path: Path) -> None
 
 
 @given(raw=st.binary(max_size=300))
-def test_any_bytes_are_a_skin_or_refused(
-    tmp_path_factory: pytest.TempPathFactory, raw: bytes
-) -> None:
+def test_any_bytes_are_a_skin_or_refused(tmp_path_factory, raw):
     folder = tmp_path_factory.mktemp("bytes")
     (folder / "b.npz").write_bytes(b"PK\x03\x04" + raw)
     (folder / "s.toml").write_bytes(raw)
@@ -231,9 +221,7 @@ def test_any_bytes_are_a_skin_or_refused(
     knots=arrays(np.float64, (2, 4), elements=sizes),
     readings=arrays(np.float64, (2, 3), elements=st.floats(-1e4, 1e4)),
 )
-def test_a_response_curve_inverts_and_rises(
-    knots: np.ndarray[Any, np.dtype[np.float64]], readings: np.ndarray[Any, np.dtype[np.float64]]
-) -> None:
+def test_a_response_curve_inverts_and_rises(knots, readings):
     curve = Response(knots[0].cumsum(), knots[1].cumsum())
     found = Response(curve.force, curve.reading).forces(curve.forces(readings))
     # Slopes of 1e-6..1e6 and their inverses amplify rounding by their ratio.
@@ -243,7 +231,7 @@ def test_a_response_curve_inverts_and_rises(
     assert (np.diff(curve.forces(readings).ravel()[order]) >= 0).all()
 
 
-def test_the_file_of_the_documentation_is_read(tmp_path: Path) -> None:
+def test_the_file_of_the_documentation_is_read(tmp_path):
     page = (Path(__file__).parents[4] / "docs/howto/calibration.md").read_text(encoding="utf-8")
     text = page.partition("```text\n")[2].partition("```")[0]
     row = f'    "{"1" * 32}",\n'

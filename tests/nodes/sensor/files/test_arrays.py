@@ -45,9 +45,7 @@ def open_bytes(folder: Path, name: str, raw: bytes, **stated: Any) -> RecordedSo
 
 class TestNpy:
     @pytest.mark.parametrize(("dtype", "order"), [(">f4", "C"), ("u1", "F"), ("<u8", "C")])
-    def test_any_real_dtype_and_order_is_read_as_float32(
-        self, tmp_path: Path, dtype: str, order: Any
-    ) -> None:
+    def test_any_real_dtype_and_order_is_read_as_float32(self, tmp_path, dtype, order):
         array = np.asarray(FORCES * 10, dtype=dtype, order=order)
         source = open_bytes(tmp_path, "skin.npy", npy_bytes(array))
         frames = frames_of(source)
@@ -57,8 +55,8 @@ class TestNpy:
 
     @pytest.mark.parametrize(("dtype", "unit"), [("f4", "N"), ("u2", "counts"), ("i8", "counts")])
     def test_an_array_alone_has_a_unit_by_its_dtype_and_no_rate_which_the_log_states(
-        self, tmp_path: Path, dtype: str, unit: str
-    ) -> None:
+        self, tmp_path, dtype, unit
+    ):
         source = open_bytes(tmp_path, "skin.npy", npy_bytes((10 * FORCES).astype(dtype)))
         assert source.skin.unit == unit
         assert [unit in line or "100 Hz" in line for line in source.take_lines()] == [True, True]
@@ -67,7 +65,7 @@ class TestNpy:
         assert source.skin.mask is None
         assert [stamp for stamp, _ in source] == [0, UNTIMED_PERIOD_NS]
 
-    def test_stated_unit_range_and_rate_are_kept(self, tmp_path: Path) -> None:
+    def test_stated_unit_range_and_rate_are_kept(self, tmp_path):
         stated = {"unit": "kPa", "f_max": 2.5, "rate_hz": 1000}
         source = open_bytes(tmp_path, "skin.npy", npy_bytes(FORCES), **stated)
         assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 2.5, 1000)
@@ -85,9 +83,7 @@ class TestNpy:
             (np.zeros((2, 3, 4)), "all readings are 0, so its range is unknown; state f_max"),
         ],
     )
-    def test_what_is_no_stack_of_frames_is_refused(
-        self, tmp_path: Path, array: Any, message: str
-    ) -> None:
+    def test_what_is_no_stack_of_frames_is_refused(self, tmp_path, array, message):
         with pytest.raises(SourceError, match=message) as caught:
             open_bytes(tmp_path, "skin.npy", npy_bytes(array))
         assert "skin.npy" in str(caught.value)
@@ -100,9 +96,7 @@ class TestNpy:
             (1e39, r"1e\+39 is above 1e\+30"),
         ],
     )
-    def test_what_is_no_reading_is_refused_with_frame_and_cell(
-        self, tmp_path: Path, value: float, message: str
-    ) -> None:
+    def test_what_is_no_reading_is_refused_with_frame_and_cell(self, tmp_path, value, message):
         array = FORCES.copy()
         array[1, 2, 3] = value
         with pytest.raises(SourceError, match=f"frame 1, row 2, column 3: {message}"):
@@ -110,7 +104,7 @@ class TestNpy:
 
 
 class TestNpz:
-    def test_everything_that_an_archive_can_state_is_read(self, tmp_path: Path) -> None:
+    def test_everything_that_an_archive_can_state_is_read(self, tmp_path):
         mask = np.ones((3, 4), dtype=bool)
         mask[0, 0] = mask[2, 3] = False
         raw = npz_bytes(
@@ -132,7 +126,7 @@ class TestNpz:
         np.testing.assert_array_equal(frames[:, mask], FORCES[:, mask].astype(np.float32))
         assert not frames[:, ~mask].any()
 
-    def test_the_only_3_d_array_is_taken_under_any_name(self, tmp_path: Path) -> None:
+    def test_the_only_3_d_array_is_taken_under_any_name(self, tmp_path):
         raw = npz_bytes(pressure=FORCES, other=np.zeros(3))
         np.testing.assert_array_equal(
             frames_of(open_bytes(tmp_path, "skin.npz", raw)), FORCES.astype(np.float32)
@@ -154,14 +148,12 @@ class TestNpz:
             ({"forces": np.array([[["a", None]]], dtype=object)}, "holds Python objects"),
         ],
     )
-    def test_what_an_archive_must_not_hold_is_refused(
-        self, tmp_path: Path, arrays: dict[str, Any], message: str
-    ) -> None:
+    def test_what_an_archive_must_not_hold_is_refused(self, tmp_path, arrays, message):
         with pytest.raises(SourceError, match=message) as caught:
             open_bytes(tmp_path, "skin.npz", npz_bytes(**arrays))
         assert "skin.npz" in str(caught.value)
 
-    def test_unsigned_stamps_far_apart_do_not_wrap_round(self, tmp_path: Path) -> None:
+    def test_unsigned_stamps_far_apart_do_not_wrap_round(self, tmp_path):
         stamps = np.array([0, 2**64 - 1], dtype=np.uint64)
         with pytest.raises(SourceError, match=r"lasts longer than 2\*\*63 ns"):
             open_bytes(tmp_path, "skin.npz", npz_bytes(forces=FORCES, stamp_ns=stamps))
@@ -170,9 +162,7 @@ class TestNpz:
 class TestAnyBytes:
     @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(data=st.data(), suffix=st.sampled_from(["npy", "npz", "csv"]))
-    def test_random_and_mutated_files_never_raise_anything_else(
-        self, tmp_path: Path, data: st.DataObject, suffix: str
-    ) -> None:
+    def test_random_and_mutated_files_never_raise_anything_else(self, tmp_path, data, suffix):
         whole = {
             "npy": npy_bytes(FORCES),
             "npz": npz_bytes(forces=FORCES, mask=np.ones((3, 4), bool), unit="N", rate_hz=2.0),
@@ -196,9 +186,7 @@ class TestAnyBytes:
 
 
 @pytest.mark.parametrize(("suffix", "order"), [(".npy", "F"), (".npz", "C")])
-def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(
-    tmp_path: Path, suffix: str, order: Any
-) -> None:
+def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(tmp_path, suffix, order):
     forces = np.asarray(np.ones((3, 512, 1024), np.float32), order=order)  # some parts of it
     forces[2, 511, 7] = np.nan
     raw = (
@@ -217,7 +205,7 @@ def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(
     open_file(path, policy=Policy(nan=ZERO))
 
 
-def test_readings_of_cells_without_a_taxel_are_not_checked(tmp_path: Path) -> None:
+def test_readings_of_cells_without_a_taxel_are_not_checked(tmp_path):
     forces = FORCES.copy()
     forces[:, 1, 2] = np.nan
     mask = np.ones((3, 4), np.bool_)
@@ -232,7 +220,7 @@ def test_readings_of_cells_without_a_taxel_are_not_checked(tmp_path: Path) -> No
     open_file(path, policy=Policy(raw=True))
 
 
-def test_an_npz_may_hold_the_points_of_its_taxels(tmp_path: Path) -> None:
+def test_an_npz_may_hold_the_points_of_its_taxels(tmp_path):
     mask = np.array([[True, False], [True, True]])
     points = np.zeros((3, 6), np.float32)
     points[:, 0], points[:, 5] = (1, 2, 3), 1

@@ -32,9 +32,7 @@ def treated(policy: Policy, folder: Path) -> Any:
         ("zero", "mask", [[1, 0, 0, 4], None, [2, 0, 0, 1]], [True, False, False, True]),
     ],
 )
-def test_invalid_readings_become_what_the_settings_say(
-    tmp_path: Path, nan: str, negative: str, expected: Any, mask: Any
-) -> None:
+def test_invalid_readings_become_what_the_settings_say(tmp_path, nan, negative, expected, mask):
     source = treated(Policy(nan, negative), tmp_path)
     readings = MissingReadings(nan, source.skin, learns=False)
     filled = [readings.fill(frame, 0) for frame in source.frames]
@@ -54,15 +52,13 @@ def test_invalid_readings_become_what_the_settings_say(
         ),
     ],
 )
-def test_invalid_readings_are_refused_unless_a_setting_treats_them(
-    tmp_path: Path, policy: Policy, text: str
-) -> None:
+def test_invalid_readings_are_refused_unless_a_setting_treats_them(tmp_path, policy, text):
     with pytest.raises(SourceError) as refused:
         treated(policy, tmp_path)
     assert text in str(refused.value)
 
 
-def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path: Path) -> None:
+def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path):
     (tmp_path / "a.csv").write_text("1,,NaN,4\n-2,5,6,7\n")
     options: dict[str, Any] = {"n_rows": 2, "n_cols": 2, "unit": "N"}
     source = open_file(tmp_path / "a.csv", **options, policy=Policy("zero", "offset"))
@@ -78,7 +74,7 @@ def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path: Path) -> 
         open_file(tmp_path / "a.csv", **options)
 
 
-def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path: Path) -> None:
+def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):
     np.save(tmp_path / "a.npy", BAD)
     lines: list[str] = []
     chosen = SensorSettings(source=f"file:{tmp_path / 'a.npy'}", nan="hold", negative="offset")

@@ -52,9 +52,7 @@ def read(folder: Path, text: str, **stated: Any) -> Any:
         ("9,0,1,2,3,4,5\n9,6,7,8,9,10,11\n", {"n_rows": 2, "columns": "2-7"}, None),
     ],
 )
-def test_a_table_as_programs_write_it_is_read(
-    tmp_path: Path, text: str, stated: dict[str, Any], rate_hz: float | None
-) -> None:
+def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
     source = read(tmp_path, text, **stated)
     np.testing.assert_array_equal(source.frames, GRID)
     assert source.rate_hz == rate_hz
@@ -80,9 +78,7 @@ def test_a_table_as_programs_write_it_is_read(
         ("1," + 140_000 * "2", {"n_rows": 1}, "line 1: field larger than field limit"),
     ],
 )
-def test_what_is_no_table_of_frames_is_refused_in_one_line(
-    tmp_path: Path, text: str, stated: dict[str, Any], message: str
-) -> None:
+def test_what_is_no_table_of_frames_is_refused_in_one_line(tmp_path, text, stated, message):
     with pytest.raises(SourceError, match=message) as caught:
         read(tmp_path, text, **stated)
     assert str(caught.value).startswith(str(tmp_path / "log.csv"))

@@ -51,14 +51,14 @@ def run(
     return np.array(qs), np.array(vs)
 
 
-def test_cells_push_and_never_pull() -> None:
+def test_cells_push_and_never_pull():
     bed = square_bed(100.0, 10.0)
     assert not bed.forces(np.array([1e-4]), np.array([-1.0])).any()  # above, and approaching
     assert not bed.forces(np.array([-1e-4]), np.array([1.0])).any()  # within, and leaving fast
     np.testing.assert_allclose(bed.forces(np.array([-0.01]), np.array([-0.1])), 100 * 0.01 + 1.0)
 
 
-def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest() -> None:
+def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest():
     dt_s, omega = 1e-3, 1e5
     bed = bed_of(omega, 0.05)
     q, v = run(falling_body(), bed, [0.05], [0.0], dt_s, 2000)
@@ -66,7 +66,7 @@ def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest() -> None:
     assert bed.forces(q[-1], v[-1]).sum() == pytest.approx(MASS_KG * GRAVITY_M_S2, rel=0.01)
 
 
-def test_bouncing_and_tipping_body_never_gains_energy() -> None:
+def test_bouncing_and_tipping_body_never_gains_energy():
     inertia, stiffness, dt_s = 1e-4, 500.0, 1e-2
     bed = square_bed(stiffness, 0.0, with_pitch=True)
     body = falling_body(inertia)
@@ -83,7 +83,7 @@ def test_bouncing_and_tipping_body_never_gains_energy() -> None:
     assert np.diff(energy).max() <= 1e-9 * energy[0]
 
 
-def test_a_step_is_of_second_order_on_a_bed_that_stays_loaded() -> None:
+def test_a_step_is_of_second_order_on_a_bed_that_stays_loaded():
     omega = 100.0
     bed = bed_of(omega, 0.2)
     static = GRAVITY_M_S2 / omega**2

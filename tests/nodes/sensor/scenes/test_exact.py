@@ -97,15 +97,8 @@ def frames_of(source: SceneSource, n_frames: int) -> Array:
     ],
 )
 def test_body_lands_and_bounces_as_the_exact_solution(
-    name: str,
-    n_frames: int,
-    method: str,
-    change_db: float,
-    worst_db: float,
-    noise_db: float,
-    n_above: int,
-    n_contact: int,
-) -> None:
+    name, n_frames, method, change_db, worst_db, noise_db, n_above, n_contact
+):
     source = open_scene(name, 0)
     body, state = source.scene.body, next(source.states())
     reached = state.bed.gap < 0.1
@@ -136,7 +129,7 @@ def test_body_lands_and_bounces_as_the_exact_solution(
     assert psnr_db(change.max()) == pytest.approx(worst_db, abs=0.1)
 
 
-def test_tilted_body_lands_and_rocks_as_the_exact_solution() -> None:
+def test_tilted_body_lands_and_rocks_as_the_exact_solution():
     mass_kg, inertia_kg_m2, off_m, k, c = 0.5, 2e-4, 0.004, 122.24, 0.4
     x = np.tile((np.arange(10) - 4.5) * 0.005, 10)
     body = RigidBody(
@@ -163,7 +156,7 @@ def test_tilted_body_lands_and_rocks_as_the_exact_solution() -> None:
     assert error[1] < 2.5e-5  # rad, of 0.35
 
 
-def test_body_dragged_over_the_skin_follows_the_exact_solution() -> None:
+def test_body_dragged_over_the_skin_follows_the_exact_solution():
     slope, speed_m_s, side_m, mass_kg = 0.1, 0.05, 0.07, 0.3
     half = side_m / 2
 
@@ -207,8 +200,8 @@ def test_body_dragged_over_the_skin_follows_the_exact_solution() -> None:
     ],
 )
 def test_first_landing_has_the_stated_depth_and_peaks(
-    name: str, n_steps: int, deepest_mm: float, largest_n: float, published_n: float
-) -> None:
+    name, n_steps, deepest_mm, largest_n, published_n
+):
     source = open_scene(name, 0)
     deepest, largest = 0.0, 0.0
     for state in itertools.islice(source.states(), n_steps):
@@ -234,8 +227,8 @@ class ExactDisc(Sole):
     [(1000, 49.5, 49, 341), pytest.param(12200, 64.5, 49, 11541, marks=pytest.mark.slow)],
 )
 def test_height_map_of_the_peg_lacks_one_taxel_of_19_at_its_landing(
-    n_frames: int, change_db: float, n_above: int, n_contact: int
-) -> None:
+    n_frames, change_db, n_above, n_contact
+):
     scene = SCENES["path_40"]()
     sole = metal_peg(TAXEL_RADIUS_M).sole
     body = replace(scene.body, sole=ExactDisc(sole.heights, sole.x_min, sole.y_min))
@@ -251,9 +244,7 @@ def test_height_map_of_the_peg_lacks_one_taxel_of_19_at_its_landing(
 
 
 @pytest.mark.slow
-def test_height_map_of_the_wrench_on_a_finer_grid_changes_214_frames_of_2362(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_height_map_of_the_wrench_on_a_finer_grid_changes_214_frames_of_2362(monkeypatch):
     monkeypatch.setattr(bodies, "GRID_M", 0.000125)
     wrench = bodies.monkey_wrench.__wrapped__(TAXEL_RADIUS_M)
     body = replace(wrench, sole=replace(wrench.sole, grid_m=0.000125))

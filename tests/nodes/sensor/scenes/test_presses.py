@@ -30,7 +30,7 @@ def frames_of(
 
 
 @pytest.mark.parametrize("shape", SKINS)
-def test_every_body_presses_every_skin_within_its_range(shape: tuple[int, int]) -> None:
+def test_every_body_presses_every_skin_within_its_range(shape):
     for body, course in itertools.product(BODIES, COURSES):
         truth, reading = frames_of(body, shape, 70, course=course)
         assert truth.dtype == reading.dtype == np.float32
@@ -44,13 +44,13 @@ def test_every_body_presses_every_skin_within_its_range(shape: tuple[int, int]) 
 
 @pytest.mark.parametrize("active", [0.01, 0.6])
 @pytest.mark.parametrize("body", BODIES)
-def test_a_body_touches_about_the_stated_part_of_the_skin(body: str, active: float) -> None:
+def test_a_body_touches_about_the_stated_part_of_the_skin(body, active):
     truth, _ = frames_of(body, (40, 40), 120, active=active)
     touched = np.count_nonzero(truth[N_BEFORE + RAMP :], axis=(1, 2)) / 1600
     assert 0.6 * active < np.median(touched) < 1.25 * active + 0.005
 
 
-def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back() -> None:
+def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back():
     speed = 0.3
     truth, _ = frames_of("peg", (64, 64), 150, speed=speed, active=0.02)
     i, j = np.indices((64, 64))
@@ -61,7 +61,7 @@ def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back(
     assert np.median(steps) == pytest.approx(speed, rel=0.05)
 
 
-def test_parts_of_a_course_last_as_many_frames_as_are_stated() -> None:
+def test_parts_of_a_course_last_as_many_frames_as_are_stated():
     timing = Timing(before=3, ramp=5, pause=2, held=4)
     ramped, _ = frames_of("gaussian", course="ramped", n=15, timing=timing)
     totals = ramped.sum(axis=(1, 2))
@@ -78,7 +78,7 @@ def test_parts_of_a_course_last_as_many_frames_as_are_stated() -> None:
     assert np.argmax(rising > 0.999 * rising.max()) == 3 + 5 - 1
 
 
-def test_frames_follow_from_the_seed_and_not_from_their_number() -> None:
+def test_frames_follow_from_the_seed_and_not_from_their_number():
     chosen = {"noise": NoiseModel()}
     longer, shorter = (frames_of("wrench", n=n, seed=3, **chosen) for n in (70, 40))
     for of_longer, of_shorter in zip(longer, shorter, strict=True):
@@ -89,7 +89,7 @@ def test_frames_follow_from_the_seed_and_not_from_their_number() -> None:
     assert not np.array_equal(*longer)
 
 
-def test_cells_without_a_taxel_bear_no_force_and_read_0() -> None:
+def test_cells_without_a_taxel_bear_no_force_and_read_0():
     mask = scattered_mask((20, 20), 42, seed=1)
     assert np.count_nonzero(mask) == 42
     truth, reading = frames_of(active=0.5, mask=mask, noise=NoiseModel())

@@ -55,7 +55,7 @@ def frames(name: str, start: int, stop: int, seed: int = 0) -> list[npt.NDArray[
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_scene_has_the_properties_of_the_table(name: str) -> None:
+def test_scene_has_the_properties_of_the_table(name):
     side, n_steps, dt_ns = TABLE[name]
     source = open_scene(name, 0)
     assert source.skin.shape == (side, side)
@@ -69,9 +69,7 @@ def test_scene_has_the_properties_of_the_table(name: str) -> None:
 @pytest.mark.parametrize(
     "name", [n if n == "lift_box_40" else pytest.param(n, marks=pytest.mark.slow) for n in TABLE]
 )
-def test_whole_scene_starts_untouched_touches_stays_in_range_and_all_but_path_ends_untouched(
-    name: str,
-) -> None:
+def test_whole_scene_starts_untouched_touches_stays_in_range_and_all_but_path_ends_untouched(name):
     peak = played(name).peak
     assert np.isfinite(played(name).total).all()
     assert peak.max() <= 2.5
@@ -81,14 +79,14 @@ def test_whole_scene_starts_untouched_touches_stays_in_range_and_all_but_path_en
     assert peak[-len(peak) // 10 :].any()
 
 
-def test_same_seed_gives_the_same_frames_at_each_playing() -> None:
+def test_same_seed_gives_the_same_frames_at_each_playing():
     source = open_scene("path_40", 7)
     first, again = ([f for _, f in itertools.islice(source, 400)] for _ in range(2))
     np.testing.assert_array_equal(first, again)
     np.testing.assert_array_equal(first, frames("path_40", 0, 400, seed=7))
 
 
-def test_another_seed_drops_the_peg_elsewhere() -> None:
+def test_another_seed_drops_the_peg_elsewhere():
     (first,), (other,) = (frames("path_40", 990, 991, seed=seed) for seed in (0, 1))
     assert first.any()
     assert other.any()
@@ -103,9 +101,7 @@ def test_another_seed_drops_the_peg_elsewhere() -> None:
         pytest.param("path_40", 2700 * math.pi * 0.01**2 * 0.06, marks=pytest.mark.slow),
     ],
 )
-def test_forces_at_rest_carry_the_weight_and_those_of_the_box_evenly(
-    name: str, mass_kg: float
-) -> None:
+def test_forces_at_rest_carry_the_weight_and_those_of_the_box_evenly(name, mass_kg):
     forces = played(name).at_rest
     assert forces.sum(dtype=float) == pytest.approx(mass_kg * GRAVITY_M_S2, rel=0.01)
     if name != "path_40":
@@ -116,7 +112,7 @@ def test_forces_at_rest_carry_the_weight_and_those_of_the_box_evenly(
 
 
 @pytest.mark.slow
-def test_ground_takes_its_part_as_the_wrench_leaves_the_skin() -> None:
+def test_ground_takes_its_part_as_the_wrench_leaves_the_skin():
     weight = 1.0 * GRAVITY_M_S2
     mean = played("drag_wrench_40").total[4700:4900].mean()
     assert 0.0 < mean < 0.5 * weight
@@ -126,7 +122,7 @@ def test_ground_takes_its_part_as_the_wrench_leaves_the_skin() -> None:
     ("name", "hint"),
     [("lift_bx_40", "did you mean 'lift_box_40'?"), ("zzz", "(known: drag_wrench_40, ")],
 )
-def test_unknown_scene_is_an_error_with_a_hint(name: str, hint: str) -> None:
+def test_unknown_scene_is_an_error_with_a_hint(name, hint):
     with pytest.raises(SourceError) as error:
         open_scene(name, 0)
     assert repr(name) in str(error.value)

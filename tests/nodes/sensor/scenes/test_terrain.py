@@ -11,7 +11,7 @@ SHAPE = (40, 40)
 
 
 @pytest.mark.parametrize(("axis", "sign"), [("pitch", -1.0), ("roll", 1.0)])
-def test_a_tilt_lifts_one_side_of_the_body_and_lowers_the_other(axis: str, sign: float) -> None:
+def test_a_tilt_lifts_one_side_of_the_body_and_lowers_the_other(axis, sign):
     yaw_rad = 0.7
     sole = wooden_cube(TAXEL_RADIUS_M).sole
     bed, taxels = Terrain(SKIN, SHAPE, sole, yaw_rad, ("z", "pitch", "roll")).under((0.01, -0.02))

@@ -18,7 +18,7 @@ def touched(scene: TiledScene, seconds: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", TILED)
-def test_as_many_patches_are_pressed_as_stated_and_the_others_are_idle(name: str) -> None:
+def test_as_many_patches_are_pressed_as_stated_and_the_others_are_idle(name):
     scene = TiledScene(name, SKIN, 20)
     ever = touched(scene, TILED[name].period_s).any(axis=0)
     assert np.count_nonzero(ever) == np.ceil(TILED[name].active * 20)
@@ -26,7 +26,7 @@ def test_as_many_patches_are_pressed_as_stated_and_the_others_are_idle(name: str
 
 @pytest.mark.parametrize("name", TILED)
 @pytest.mark.parametrize("shape", [(16, 5), (1, 16)])
-def test_forces_are_within_the_range_and_each_press_ends(name: str, shape: tuple[int, int]) -> None:
+def test_forces_are_within_the_range_and_each_press_ends(name, shape):
     skin = Skin(*shape, PAPER_F_MAX_N, pitch_m=0.005)
     scene = TiledScene(name, skin, 3, active=0.3)
     peaks = [scene.forces(k * STEP_S).max() for k in range(round(TILED[name].period_s / STEP_S))]
@@ -34,7 +34,7 @@ def test_forces_are_within_the_range_and_each_press_ends(name: str, shape: tuple
     assert scene.forces(TILED[name].pressed_s + 1e-6)[0].max() == 0.0
 
 
-def test_left_and_right_soles_alternate() -> None:
+def test_left_and_right_soles_alternate():
     pressed = touched(TiledScene("walk", SKIN, 8), 4 * TILED["walk"].period_s)
     left, right = pressed[:, 0], pressed[:, 1]
     assert not pressed[:, 2:].any()
@@ -44,25 +44,25 @@ def test_left_and_right_soles_alternate() -> None:
     assert not left.all()
 
 
-def test_a_body_that_lies_turns_to_other_patches() -> None:
+def test_a_body_that_lies_turns_to_other_patches():
     pressed = touched(TiledScene("lying", SKIN, 6), 2 * TILED["lying"].period_s)
     first, second = np.array_split(pressed, 2)
     np.testing.assert_array_equal(first.any(axis=0), ~second.any(axis=0))
 
 
-def test_the_settled_force_bears_the_weight_of_the_body() -> None:
+def test_the_settled_force_bears_the_weight_of_the_body():
     scene = TiledScene("hug", SKIN, 1)
     body = TILED["hug"].body(SKIN.shape, 0.005)
     total = float(scene.forces(2.2)[0].sum(dtype=np.float64))
     assert total == pytest.approx(9.81 * body.mass_kg, rel=0.02)
 
 
-def test_patches_differ_by_mirroring_alone() -> None:
+def test_patches_differ_by_mirroring_alone():
     forces = TiledScene("hug", SKIN, 4, active=1.0).forces(2.2)
     for other, mirrored in ((1, forces[0, ::-1]), (3, forces[0, ::-1, ::-1])):
         np.testing.assert_allclose(forces[other], mirrored, rtol=1e-3)
 
 
-def test_a_skin_without_pitch_is_refused() -> None:
+def test_a_skin_without_pitch_is_refused():
     with pytest.raises(SourceError, match="pitch"):
         TiledScene("hug", Skin(4, 4, 2.5), 4)

@@ -3,7 +3,6 @@ predict for rigs that were built.
 """
 
 import tomllib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,19 +22,19 @@ def a_length(text: object) -> float:
     return quantity(text, LENGTH, "4mm", 0.0, 1.0)
 
 
-def test_a_byte_has_ten_bits_on_a_serial_line_and_eight_clocks_of_spi() -> None:
+def test_a_byte_has_ten_bits_on_a_serial_line_and_eight_clocks_of_spi():
     assert read_bus("serial:2M").seconds(514) == pytest.approx(5140 / 2e6)
     assert read_bus("spi:20M").seconds(1038) == pytest.approx(8304 / 20e6)
 
 
-def test_a_full_frame_of_classic_can_has_135_bits() -> None:
+def test_a_full_frame_of_classic_can_has_135_bits():
     # 34 + 64 bits, floor(97 / 4) = 24 stuff bits, 13 bits of the end.
     assert read_bus("can:1M").seconds(8) == pytest.approx((98 + 24 + 13) * 1e-6)
     # Nine bytes are a full frame and one of a byte: 42 + floor(41 / 4) + 13 = 65 bits.
     assert read_bus("can:1M").seconds(9) == pytest.approx((135 + 65) * 1e-6)
 
 
-def test_a_full_frame_of_can_fd_has_34_slow_and_678_fast_bits() -> None:
+def test_a_full_frame_of_can_fd_has_34_slow_and_678_fast_bits():
     bus = read_bus("can-fd")
     # 5 + 512 bits, floor(533 / 4) - 4 = 129 stuff bits, 32 of the CRC; slow: 17 + 4 + 13.
     assert bus.seconds(64) == pytest.approx(34e-6 + (5 + 512 + 129 + 32) / 5e6)
@@ -45,7 +44,7 @@ def test_a_full_frame_of_can_fd_has_34_slow_and_678_fast_bits() -> None:
     assert bus.seconds(64 + 33) == pytest.approx(bus.seconds(64) + bus.seconds(48))
 
 
-def test_a_datagram_has_66_bytes_beside_its_data() -> None:
+def test_a_datagram_has_66_bytes_beside_its_data():
     # Of a byte the least Ethernet frame, with preamble and gap: 84.
     assert read_bus("udp").seconds(1472) == pytest.approx(1538 * 8 / 100e6)
     assert read_bus("udp:1G").seconds(1473) == pytest.approx((1538 + 84) * 8 / 1e9)
@@ -63,9 +62,7 @@ def test_a_datagram_has_66_bytes_beside_its_data() -> None:
         *((a_length, text, "") for text in ("4", "-4mm", "nanmm", 4)),
     ],
 )
-def test_a_text_of_another_form_is_refused_in_one_line(
-    read: Callable[[object], object], text: object, fault: str
-) -> None:
+def test_a_text_of_another_form_is_refused_in_one_line(read, text, fault):
     with pytest.raises(SettingsError) as error:
         read(text)
     assert fault in str(error.value)
@@ -83,11 +80,11 @@ def test_a_text_of_another_form_is_refused_in_one_line(
         (quantity("1kHz", RATE, "x", 0.0, 1e6), quantity("1000", RATE, "x", 0.0, 1e6)),
     ],
 )
-def test_texts_are_read_with_spaces_and_units(found: object, expected: object) -> None:
+def test_texts_are_read_with_spaces_and_units(found, expected):
     assert found == expected
 
 
-def test_converters_share_the_conversions_and_each_waits_for_its_multiplexer() -> None:
+def test_converters_share_the_conversions_and_each_waits_for_its_multiplexer():
     assert Adc(10, 200e3).seconds(4096) == pytest.approx(20.48e-3)
     # ceil(4096 / 3) = 1366 conversions of 5 + 2 us
     assert Adc(10, 200e3, 3, 2e-6).seconds(4096) == pytest.approx(1366 * 7e-6)
@@ -103,14 +100,14 @@ def test_converters_share_the_conversions_and_each_waits_for_its_multiplexer() -
     ],
 )
 def test_instructions_are_within_5_percent_of_those_counted(
-    n_rows: int, n_cols: int, ratio: float, bits: int, rows: str, counted: int
-) -> None:
+    n_rows, n_cols, ratio, bits, rows, counted
+):
     """Counted by `make cortex-m4` of exported edges, the largest number."""
     d = EdgeDescription.chosen(n_rows, n_cols, ratio=ratio, bits=bits, rows=rows)
     assert instructions(d.n_taxels, d.m, d.frame_bytes) == pytest.approx(counted, rel=0.05)
 
 
-def test_rigs_that_were_built_are_predicted() -> None:
+def test_rigs_that_were_built_are_predicted():
     """Within a factor 2 of the published rate, but for two; what explains them is in the file."""
     ratios = {}
     for rig in tomllib.loads(RIGS.read_text(encoding="utf-8"))["rig"]:
