@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-import tomllib
 import zipfile
 from pathlib import Path
 
@@ -49,12 +48,6 @@ def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
     assert [link for link in links if not re.match(r"https://|#", link)] == []
 
 
-def test_a_citation_states_the_version():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    citation = (ROOT / "CITATION.cff").read_text()
-    assert f"version: {project['version']}\n" in citation
-
-
 @pytest.mark.parametrize(
     ("module", "strangers"),
     [
@@ -63,6 +56,7 @@ def test_a_citation_states_the_version():
         ("sparseskin.nodes.reconstructor.node", ["scipy", "pywt", "numba"]),
         ("sparseskin.nodes.process.runner", ["sparseskin.launch", "sparseskin.nodes.monitor"]),
         ("sparseskin.messages", ["zmq", "scipy", "sparseskin.nodes"]),
+        ("sparseskin", ["numpy", "sparseskin.nodes"]),
         ("sparseskin.nodes.registry", ["zmq", "scipy", "numba", *STATIONS]),
         # A node process imports its own type only, and of the network what its graph needs.
         ("sparseskin.nodes.process.run_node", ["scipy", "numba", "asyncio", *STATIONS]),

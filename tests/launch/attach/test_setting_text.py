@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from sparseskin.launch.attach.text import (
     MAX_SHOWN,
     allowed_text,
-    in_force_text,
     shown_value,
     table,
     typed_value,
@@ -61,18 +60,6 @@ def test_any_text_is_shown_on_one_line_and_can_be_typed_again(value):
     assert len(shown.splitlines()) == 1
     if value.isprintable() and '"' not in value and "'" not in value:
         assert typed_value(shown, entry("str")) == value
-
-
-@pytest.mark.parametrize(
-    ("value", "in_force", "preset", "text"),
-    [
-        (None, 0.003125, "paper", " (preset paper: 0.003125)"),
-        (None, 100.0, None, " (in force: 100.0)"),
-        ("fista", "fista", "skin", ""),
-    ],
-)
-def test_of_a_setting_that_is_not_stated_it_is_said_what_holds(value, in_force, preset, text):
-    assert in_force_text({"value": value, "in_force": in_force}, preset) == text
 
 
 def test_a_long_text_is_cut_and_of_one_of_many_lines_their_number_is_shown():

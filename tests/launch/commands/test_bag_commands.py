@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import PERIOD_NS, M, frame, frames, make_bag, of_kind, run_bag, skin_state
+from bags import frame, frames, make_bag, run_bag, skin_state
 
-from sparseskin.messages import Message, Reconstruction, Taxels, Truth, decode
+from sparseskin.messages import Message, Taxels, decode
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -35,9 +35,6 @@ def make_half_a_bag(name: str) -> list[bytes]:
     data = Path("a.mcap").read_bytes()
     Path(name).write_bytes(data[: len(data) // 2])
     return payloads
-
-
-# --- info ------------------------------------------------------------------------------------
 
 
 def test_info_shows_topics_counts_rates_and_metadata_in_80_columns(bag, capsys):
@@ -67,9 +64,6 @@ def test_info_as_json_holds_the_same_whatever_the_age_of_a_state(bag, capsys):
     assert found["recovered"] == ""
 
 
-# --- recover ---------------------------------------------------------------------------------
-
-
 def test_recover_makes_a_whole_bag_of_what_survived(bag, capsys):
     payloads = make_half_a_bag("b.mcap.part")
     assert bag("recover", "b.mcap.part") == 0
@@ -85,9 +79,6 @@ def test_recover_makes_a_whole_bag_of_what_survived(bag, capsys):
         bag("recover", "b.mcap.part")
 
 
-# --- import ----------------------------------------------------------------------------------
-
-
 def test_a_plain_csv_is_imported_with_what_is_stated(bag):
     Path("a.csv").write_text("1,2,3,4,5,6\n6,5,4,3,2,1\n")
     stated = ("--n-rows", 2, "--n-cols", 3, "--unit", "N", "--rate-hz", 50)
@@ -95,41 +86,6 @@ def test_a_plain_csv_is_imported_with_what_is_stated(bag):
     state, first, second = decoded(Path("a.mcap"))
     assert (state.skin.shape, state.unit, state.rate_hz) == ((2, 3), "N", 50.0)
     assert (first.stamp_ns, second.stamp_ns) == (0, 20_000_000)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "options", "text"),
-    [
-        ("a.npy", "no array", (), "not a readable NumPy file"),
-        ("a.xyz", "1,2,3\n", (), "suffix '.xyz' is not known"),
-        ("n_rows.csv", "1,2,3\n", (), "add --n-rows 1 --n-cols 3 --unit N --rate-hz 100"),
-        ("n_rows.csv", "1,2,3\n", ("--n-rows", 2), "holds 3 readings, but n_rows x n_cols = 2 x 1"),
-        ("n_rows.csv", "1,2,3\n", ("--n-rows", 1), "state unit .N, kPa, counts, .*; add --unit N"),
-    ],
-)
-def test_an_import_that_is_refused_names_its_options_and_leaves_nothing_behind(
-    bag, name, content, options, text
-):
-    Path(name).write_text(content)
-    with pytest.raises(SparseskinError, match=text):
-        bag("import", name, "--out", "out.mcap", *options)
-    assert [path.name for path in Path().iterdir()] == [name]
-
-
-# --- export ----------------------------------------------------------------------------------
-
-
-def test_an_exported_npz_holds_every_array(bag):
-    messages = frames(N_FRAMES)
-    make_bag(Path("a.mcap"), messages)
-    assert bag("export", "a.mcap", "--to", "npz") == 0
-    with np.load("a.npz") as arrays:
-        for name, cls in (("forces", Taxels), ("truth", Truth), ("reconstruction", Reconstruction)):
-            expected = np.stack([message.forces[0] for message in of_kind(messages, cls)])
-            assert arrays[name].dtype == np.float32
-            assert np.array_equal(arrays[name], expected)
-        assert arrays["measurements"].shape == (N_FRAMES, M)
-        assert list(arrays["measurements_stamp_ns"]) == [k * PERIOD_NS for k in range(N_FRAMES)]
 
 
 def test_only_the_topics_asked_for_are_exported(bag):

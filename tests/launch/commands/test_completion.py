@@ -136,15 +136,6 @@ def test_bash_itself_completes(shell_folder):
     assert [word.rstrip() for word in found] == list(LINES.values())
 
 
-@pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
-def test_fish_itself_completes(shell_folder):
-    asked = "".join(f"complete -C 'sparseskin {line}'\n" for line in LINES)
-    found = shell("fish", asked, shell_folder)
-    assert [word.partition("\t")[0] for word in found] == [
-        *("info", "my skin.mcap", "reconstructor.preset=paper", "speed-accuracy")
-    ]
-
-
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
 def test_zsh_takes_the_script_and_completes(shell_folder):
     # Words go to _describe, which works at a prompt alone: a function of its name prints them.

@@ -43,6 +43,7 @@ LINES = {
     "reprocess some.mcap log.csv --out new": "log.csv: no recording (.mcap)",
     "reprocess some.mcap ./some.mcap --out new": "two of the files would become some.mcap",
     "reprocess some.mcap none.mcap --out new": "none.mcap: no such file",
+    "recording import flat.npy --out c.mcap": "; add --n-rows 2 --n-cols 3",
     "recording import a.csv b.csv --out c.mcap": "--out c.mcap: several files need a folder",
     "calibrate scene:path_40 --out s.toml": "delivers true forces, which need no calibration",
 }

@@ -85,10 +85,10 @@ def test_patches_of_a_body_file_are_served_in_batches_of_equal_ones(body):
 def test_frames_of_all_patches_reach_the_monitor(body):
     launch = load("body", ["skin.body=body.toml"])
     bus = Bus({name: (spec.cls, spec.settings) for name, spec in launch.nodes.items()})
-    bus.run(12)
+    bus.run(3)
     patches = bus.reports()["monitor"]["patches"]
     assert {name: patch["frames"]["reconstructed"] for name, patch in patches.items()} == (
-        dict.fromkeys(("left_palm", "right_palm", "forearm", "sole"), 12)
+        dict.fromkeys(("left_palm", "right_palm", "forearm", "sole"), 3)
     )
     assert patches["sole"]["f_max"] == 5.0
     assert patches["forearm"]["n"] == 69

@@ -171,6 +171,7 @@ def test_lost_frames_are_those_sensed_but_not_reconstructed():
     for seq in range(10):
         messages += frame(seq, 1.0, 1.0, 1.0)[:-1] if seq == 9 else frame(seq, 1.0, 1.0, 1.0)
     metrics = metrics_of(*messages)
+    metrics.end("taxels", 2)  # one that counts fewer than arrived removes none
     metrics.end("taxels", 10)
     metrics.end("reconstruction", 9)
     counts = {"sensed": 10, "reconstructed": 9, "skipped": 0, "lost": 1, "unpaired": 1}
@@ -417,11 +418,3 @@ def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
     metrics.add(message)
     assert metrics.latency_ns == 4 * MS
     assert metrics.latency_uncertainty_ns == uncertainty_ms * MS
-
-
-def test_an_end_that_counts_fewer_frames_than_arrived_removes_none():
-    messages = [message for seq in range(4) for message in frame(seq, 1.0, 1.0, 1.0)]
-    metrics = metrics_of(skin(), *messages)
-    metrics.end("taxels", 2)
-    metrics.end("reconstruction", 2)
-    assert (metrics.sensed, metrics.reconstructed) == (4, 4)

@@ -51,6 +51,9 @@ def test_an_npz_names_what_it_holds(rich):
     with BagReader(rich) as bag:
         (npz,) = export_npz(bag, rich.with_name("a.npz"))
     with np.load(npz) as arrays:
+        for name, kind in (("forces", Taxels), ("reconstruction", Reconstruction)):
+            maps = [m.forces for m in rich_frames() if isinstance(m, kind)]
+            assert np.array_equal(arrays[name], np.concatenate(maps))
         assert arrays["phi_seed"].tolist() == [7]
         assert arrays["phi_rows"].tolist() == ["fixed"]
         assert arrays["reconstruction_trusted"].tolist() == [k != 3 for k in range(N_FRAMES)]
