@@ -1,7 +1,5 @@
 """A level at rest is noticed, and nothing else is taken for one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,9 +12,7 @@ SKIN = Skin(10, 10, f_max=2.5)
 @pytest.mark.parametrize(
     ("level", "n_lifted", "found"), [(0.3, 100, True), (0.3, 80, False), (0.0, 100, False)]
 )
-def test_what_nearly_all_taxels_read_at_first_is_named_with_its_remedy(
-    level: float, n_lifted: int, found: bool
-) -> None:
+def test_what_nearly_all_taxels_read_at_first_is_named_with_its_remedy(level, n_lifted, found):
     rng, rest = np.random.default_rng(0), Rest(SKIN)
     told = []
     for _ in range(60):

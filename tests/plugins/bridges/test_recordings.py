@@ -85,7 +85,7 @@ def write(folder: Path, kind: str, topics: tuple[str, ...], begin_ns: int = BEGI
 
 
 @pytest.mark.parametrize("kind", ["db3", "mcap"])
-def test_the_files_of_a_bag_of_ros_2_follow_each_other(tmp_path: Path, kind: str) -> None:
+def test_the_files_of_a_bag_of_ros_2_follow_each_other(tmp_path, kind):
     for k, name in enumerate(("bag_10", "bag_9")):
         (tmp_path / name).mkdir()
         begin_ns = BEGIN_NS + 2 * (1 - k) * PERIOD_NS
