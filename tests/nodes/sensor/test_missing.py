@@ -92,7 +92,7 @@ def test_a_taxel_that_was_silent_during_the_tare_has_no_force_before_the_next_on
         assert not frame.taxels.any()
 
 
-def replayed(readings: Any, folder: Path, way: str) -> Iterator[sparseskin.arrays.Frame]:
+def replayed(readings: Any, folder: Path, way: str) -> Iterator[Any]:
     np.save(folder / "a.npy", readings)
     source = f"sensor.source=file:{folder / 'a.npy'}"
     options = (source, "sensor.f_max=2.5", f"sensor.nan={way}")
