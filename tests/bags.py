@@ -1,6 +1,5 @@
 """Small bags for tests."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -74,13 +73,6 @@ def record(writer: BagWriter, message: Message) -> bytes:
     """Write a message as the recorder does; its payload."""
     writer.record(message, message.stamp_ns + LAG_NS)
     return encode(message)[1]
-
-
-def of_kind(messages: list[Message], cls: type[Message], patch: str = "skin") -> list[Any]:
-    return [message for message in messages if type(message) is cls and message.patch == patch]
-
-
-Bag = Callable[..., int]
 
 
 def run_bag(*arguments: object) -> int:

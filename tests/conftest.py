@@ -6,10 +6,8 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
 
 import hypothesis
 import pytest
@@ -28,14 +26,14 @@ hypothesis.settings.load_profile("busy host")
 os.environ.setdefault("SPARSESKIN_FAST", "off")
 
 
-def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+def free_port(kind=socket.SOCK_STREAM):
     """A port of the loopback interface that nothing listens to now."""
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Run slow tests first, so that none is left for the end of a parallel run; and before these
     the one that compiles all loops, which other processes would compile, too, until it has ended.
     """
@@ -59,12 +57,12 @@ each needs the processors for itself to recover within the limits of the study."
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+def pytest_xdist_make_scheduler(config, log):
     """Distribute tests over processes by their modules, and those of `ONE_BY_ONE` singly."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
-        def _split_scope(self, nodeid: str) -> str:
+        def _split_scope(self, nodeid):
             alone = nodeid.startswith(ONE_BY_ONE) and "test_faults" not in nodeid
             return nodeid if alone else nodeid.partition("::")[0]
 
@@ -87,9 +85,6 @@ def forget_user_modules(tmp_path_factory):
             del sys.modules[name]
 
 
-StartProgram = Callable[..., Program]
-
-
 @pytest.fixture
 def start(tmp_path):
     """Start `sparseskin ARGUMENTS` in an empty folder; nothing outlives the test."""
@@ -99,15 +94,12 @@ def start(tmp_path):
         )
 
 
-MountDisk = Callable[[str], Path]
-
-
 @pytest.fixture
 def mount_disk(tmp_path):
     """Mount a disk of a stated size ("400k", "1m"); the test is skipped where that is forbidden."""
-    folders: list[Path] = []
+    folders = []
 
-    def mount(size: str) -> Path:
+    def mount(size):
         folder = tmp_path / f"disk-{size}"
         folder.mkdir()
         mounted = subprocess.run(
@@ -129,9 +121,9 @@ def mount_disk(tmp_path):
 @pytest.fixture
 def offering(monkeypatch):
     """Install plug-ins for a test alone: called with a group, and targets by name."""
-    offers: dict[str, list[EntryPoint]] = {}
+    offers = {}
 
-    def offer(group: str, **targets: str) -> None:
+    def offer(group, **targets):
         offers[group] = [EntryPoint(name, target, group) for name, target in targets.items()]
         extensions.forget()
 

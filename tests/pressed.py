@@ -1,11 +1,10 @@
 """Frames of a skin under a moving contact, with the noise of a real one: what the tests restore."""
 
 import math
-from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 
@@ -32,24 +31,6 @@ def sliding_disc(
 def noisy(frames: Floats, seed: int = 0, f_max: float = 2.5) -> Floats:
     """The readings of a skin with the paper's noise."""
     return NoiseModel.for_range(f_max).apply(frames, np.random.default_rng(seed))
-
-
-def with_errors(
-    truths: Iterable[Floats], mask: Mask, seed: int, offset: float, gain: float, dead: float
-) -> Iterator[Floats]:
-    """Readings with offsets |N(0, offset)|, gains N(1, gain), dead taxels and the paper's noise."""
-    n, noise = int(np.count_nonzero(mask)), NoiseModel()
-    draws = [np.random.default_rng([seed, 1, k]) for k in range(4)]
-    offsets = np.abs(offset * draws[0].standard_normal(n))
-    gains = np.maximum(0, 1 + gain * draws[1].standard_normal(n))
-    is_dead = draws[3].permutation(n)[: round(dead * n)]
-    rng = np.random.default_rng([seed, 2])
-    for truth in truths:
-        values = np.clip(gains * truth[mask] + offsets, 0, noise.f_max)
-        values[is_dead] = 0
-        reading = np.zeros_like(truth)
-        reading[mask] = noise.apply(values.astype(np.float32), rng)
-        yield reading
 
 
 def psnr_db(estimate: Floats, truth: Floats, f_max: float = 2.5) -> float:

@@ -10,7 +10,6 @@ FOLDER = Path(
     or Path(__file__).resolve().parents[2] / "shared" / "recordings"
 )
 """SPARSESKIN_RECORDINGS, or else the folder ../shared/recordings beside the repository."""
-NAMES = ("emed_test.lst", "iscan_test.csv", "xsensor_L.csv")
 
 
 def recording(name: str) -> Path:

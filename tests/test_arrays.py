@@ -3,7 +3,6 @@
 import doctest
 import importlib
 import warnings
-from collections.abc import Callable
 
 import bags
 import numpy as np
@@ -199,7 +198,7 @@ PHI, BASIS = sparseskin.make_phi("sbhe", 64, 22, 0), sparseskin.make_basis("haar
 SOLVER = sparseskin.make_solver("fista", PHI, BASIS)
 STREAM = sparseskin.Stream((8, 8))
 X, Y = np.ones((2, 8, 8), np.float32), np.ones((2, 22), np.float32)
-MISTAKES: dict[str, Callable[[], object]] = {
+MISTAKES = {
     "the mask is bool of shape (4, 16); expected bool of shape (8, 8)": lambda: sparseskin.compress(
         X, PHI, np.ones((4, 16), np.bool_)
     ),

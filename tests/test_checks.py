@@ -1,7 +1,5 @@
 """Checks of a user's own matrix, basis and solver: what is wrong is found and named."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,26 +10,26 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 
 
-def changed(made: Any, **methods: Any) -> Any:
+def changed(made, **methods):
     """The same object, with methods that are wrong: functions of it and what it is given."""
     made.__class__ = type("Own", (made.__class__,), methods)
     return made
 
 
-def phi(**methods: Any) -> Any:
+def phi(**methods):
     return changed(make_phi("gaussian", 24, 9, seed=0), **methods)
 
 
-def solver(**methods: Any) -> Any:
+def solver(**methods):
     basis, measured = make_basis("haar", 8, 8), make_phi("sbhe", 64, 30, seed=0)
     return changed(make_solver("fista", measured, basis), **methods)
 
 
-def half(self: Any, y: Any, out: Any) -> None:
+def half(self, y, out):
     out[:] = 0.5 * (self.dense().T @ y)
 
 
-def growing(self: Any, x: Any, out: Any) -> None:
+def growing(self, x, out):
     self.calls = getattr(self, "calls", 0) + 1
     out[:] = self.calls * x.sum()
 
@@ -55,7 +53,7 @@ def test_a_wrong_matrix_is_named(methods, text):
 
 
 def test_a_basis_that_is_not_orthonormal_is_named():
-    def twice(self: Any, image: Any, out: Any) -> None:
+    def twice(self, image, out):
         out[:] = 2 * image
 
     basis = changed(make_basis("identity", 5, 7), _analysis=twice)
@@ -63,7 +61,7 @@ def test_a_basis_that_is_not_orthonormal_is_named():
         check_basis(basis)
 
 
-def forces(value: float) -> Any:
+def forces(value):
     return lambda self: np.full((8, 8), value, np.float32)
 
 

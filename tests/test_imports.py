@@ -1,7 +1,6 @@
 """The graph of imports between modules: one way, and without circles."""
 
 import ast
-from collections.abc import Iterator, Mapping
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -9,7 +8,7 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = ("messages", "nodes", "launch", "studies", "plugins")
 
 
-def modules() -> dict[str, Path]:
+def modules():
     """Files of all modules, by the names under which they are imported."""
     found = {}
     for path in (path for layer in LAYERS for path in (ROOT / layer).rglob("*.py")):
@@ -18,7 +17,7 @@ def modules() -> dict[str, Path]:
     return found
 
 
-def imports(name: str, known: Mapping[str, Path]) -> Iterator[str]:
+def imports(name, known):
     """Modules that a module imports anywhere: within functions and for type checkers too."""
     path = known[name]
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
@@ -33,7 +32,7 @@ def imports(name: str, known: Mapping[str, Path]) -> Iterator[str]:
                 yield full if full in known else base
 
 
-def graph(known: Mapping[str, Path]) -> dict[str, set[str]]:
+def graph(known):
     """Modules that each module imports, of those that are known."""
     return {name: set(imports(name, known)) & known.keys() - {name} for name in known}
 

@@ -2,12 +2,11 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 
-def searched(code: str, folder: Path) -> bool:
+def searched(code, folder):
     """True if code that runs in a folder lets modules of that folder be found."""
     end = "; import os, sys; print(os.getcwd() in sys.path)"
     command = [sys.executable, "-P", "-c", code + end]

@@ -11,7 +11,6 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,9 +30,9 @@ Open = Callable[..., DriverSource]
 def opened(monkeypatch):
     """Open one of the examples, with some of its constants changed."""
     monkeypatch.syspath_prepend(str(EXAMPLES))
-    made: list[DriverSource] = []
+    made = []
 
-    def make(name: str, **constants: Any) -> DriverSource:
+    def make(name, **constants):
         find_callable(f"{name}:frames", SourceError)
         for key, value in constants.items():
             monkeypatch.setattr(sys.modules[name], key, value)
@@ -48,34 +47,34 @@ def opened(monkeypatch):
 class UdpSkin:
     """A skin that sends packets from a thread, again and again, until `stop` is called."""
 
-    def __init__(self, *packets: bytes, pause_s: float = 0.001) -> None:
+    def __init__(self, *packets, pause_s=0.001):
         self.port = free_port(socket.SOCK_DGRAM)
         self._packets, self._pause_s = packets, pause_s
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._send, daemon=True)
         self._thread.start()
 
-    def _send(self) -> None:
+    def _send(self):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as skin:
             while not self._stop.wait(self._pause_s):
                 for packet in self._packets:
                     skin.sendto(packet, ("127.0.0.1", self.port))
 
-    def stop(self) -> None:
+    def stop(self):
         self._stop.set()
         self._thread.join()
 
 
-def udp_frame(value: int) -> bytes:
+def udp_frame(value):
     return np.full(UDP_SHAPE, value, "<u2").tobytes()
 
 
-def serial_frame(value: int) -> bytes:
+def serial_frame(value):
     taxels = np.full(SERIAL_SHAPE, value, "u1").tobytes()
     return b"\xaa\x55" + taxels + bytes([sum(taxels) % 256])
 
 
-def taken(source: DriverSource, n: int) -> list[np.ndarray[Any, Any]]:
+def taken(source, n):
     return [forces for _, (_, forces) in zip(range(n), source, strict=False)]
 
 
@@ -163,13 +162,13 @@ def test_taxels_that_the_glove_of_wuji_lacks_are_masked(monkeypatch):
     pressure = np.where(np.arange(768).reshape(24, 32) % 5, 0.5, np.nan).astype(np.float32)
 
     class Glove:  # the part of `wujihandpy` that the driver uses
-        def __enter__(self) -> Glove:
+        def __enter__(self):
             return self
 
-        def __exit__(self, *_: object) -> None:
+        def __exit__(self, *_):
             pass
 
-        def start_streaming(self, call: Callable[[Any], None]) -> None:
+        def start_streaming(self, call):
             for _ in range(3):
                 call(SimpleNamespace(pressure=pressure))
 

@@ -43,12 +43,12 @@ LAST_LINE = {
 NEEDS = {"mujoco_skin": "mujoco"}
 
 
-def names() -> list[object]:
+def names():
     found = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem not in DRIVERS | JOBS)
     return [pytest.param(name, marks=pytest.mark.slow if name in SLOW else []) for name in found]
 
 
-def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+def run(name, folder, monkeypatch, *arguments):
     """Run an example as a program, in an empty folder."""
     path = EXAMPLES / f"{name}.py"
     monkeypatch.chdir(folder)

@@ -2,7 +2,6 @@
 
 import itertools
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,10 +24,10 @@ FEATURES = (
 )
 
 
-def works(phi: str, solver: str, feature: str = "") -> bool:
+def works(phi, solver, feature=""):
     """True if frames pass through a compressor and a reconstructor with this feature."""
     names = ("left", "right") if feature == "several patches" else ()
-    of_skin: dict[str, Any] = {"patch": "skin", "stamp_ns": 1}
+    of_skin = {"patch": "skin", "stamp_ns": 1}
     mask = points = None
     if feature == "masked":
         mask = np.ones(SHAPE, np.bool_)
@@ -43,17 +42,17 @@ def works(phi: str, solver: str, feature: str = "") -> bool:
         sigma_end=0.01,
     )  # fmt: skip
     context = Context("", ManualClock(1), live=False)
-    edge_settings: dict[str, Any] = {"phi": phi, "patches": names, "ratio": 3.0}
+    edge_settings = {"phi": phi, "patches": names, "ratio": 3.0}
     edge_settings |= {"rows": "rotating"} if feature == "rotating rows" else {}
     edge_settings |= {"bits": 8} if feature == "bits" else {}
-    host_settings: dict[str, Any] = {"solver": solver, "patches": names, "fast": "off"}
+    host_settings = {"solver": solver, "patches": names, "fast": "off"}
     if feature in ("resultant", "contacts", "uncertainty"):
         host_settings[feature] = True
-    found: list[Any] = []
+    found = []
     try:
         edge = Compressor(Compressor.Settings(**edge_settings), context)
         host = Reconstructor(Reconstructor.Settings(**host_settings), context)
-        made: list[Any] = [skin, *edge.step(skin)]
+        made = [skin, *edge.step(skin)]
         rng = np.random.default_rng(0)
         for k in range(2):
             forces = rng.random((max(1, len(names)), *SHAPE), dtype=np.float32) * skin.skin.exists

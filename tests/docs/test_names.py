@@ -50,7 +50,7 @@ def test_every_module_and_name_of_a_page_can_be_found():
             assert parts, dotted
 
 
-def found(parts: list[str]) -> bool:
+def found(parts):
     path = ROOT.joinpath(*parts)
     return path.is_dir() or path.with_suffix(".py").is_file()
 

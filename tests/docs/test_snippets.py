@@ -6,7 +6,6 @@ import shlex
 import shutil
 import subprocess
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +26,13 @@ QUICK = ("scenes", "recording info", "recording export", "keys make", "--version
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
-def fenced(page: Path, language: str) -> list[str]:
+def fenced(page, language):
     """Fenced blocks of one language, in order."""
     text = page.read_text(encoding="utf-8")
     return [block for name, block in FENCED.findall(text) if name == language]
 
 
-def commands(page: Path, form: re.Pattern[str]) -> Iterator[list[str]]:
+def commands(page, form):
     """Words of each command of a page: INDENTED (blocks are commands alone) or INLINE."""
     text = re.sub(FENCED, "", page.read_text(encoding="utf-8")).replace("\\\n", " ")
     for line in form.findall(text):
@@ -45,7 +44,7 @@ def commands(page: Path, form: re.Pattern[str]) -> Iterator[list[str]]:
             yield words
 
 
-def stated(program: str, *forms: re.Pattern[str]) -> list[list[str]]:
+def stated(program, *forms):
     """Words of each command of a program on the pages, once each."""
     found = {
         shlex.join(words): words
@@ -57,7 +56,7 @@ def stated(program: str, *forms: re.Pattern[str]) -> list[list[str]]:
     return list(found.values())
 
 
-def page_ids(page: Path) -> str:
+def page_ids(page):
     return str(page.relative_to(ROOT))
 
 
@@ -95,7 +94,7 @@ def bag(tmp_path_factory):
 
 @pytest.mark.parametrize("page", [p for p in PAGES if fenced(p, "python")], ids=page_ids)
 def test_python_blocks_of_a_page_run_one_after_the_other(page, workplace):
-    names: dict[str, object] = {"__name__": "__main__"}
+    names = {"__name__": "__main__"}
     for number, block in enumerate(fenced(page, "python"), 1):
         if file := re.match(r"# (\w+)\.py\b", block):
             (workplace / f"{file[1]}.py").write_text(block, encoding="utf-8")
@@ -146,7 +145,7 @@ def test_commands_named_in_the_text_have_help(capsys):
         assert done.value.code == 0, words
 
 
-def runnable(arguments: list[str]) -> bool:
+def runnable(arguments):
     """True if a launch command names no file or device that only its reader has."""
     readers = (".toml", "--host", "serial:/dev", "file:my_bag", "log.csv --open")
     return not any(part in " ".join(arguments) for part in readers)

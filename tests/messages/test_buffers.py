@@ -13,7 +13,6 @@ from sparseskin.messages import (
     FieldError,
     MalformedError,
     Measurements,
-    Message,
     MessageError,
     NotFiniteError,
     OversizedError,
@@ -40,20 +39,20 @@ from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.compressor.quantiser import quantised
 
 
-def pieces(message: Message) -> tuple[bytes, bytes, bytes, bytes]:
+def pieces(message):
     """Topic, description, numbers with padding, and arrays."""
     begin, numbers, *data = frame_pieces(message)
     topic, _, rest = begin.partition(b"\0")
     return topic, rest[3:], numbers, b"".join(data)
 
 
-def payload(description: bytes, *rest: bytes) -> bytes:
+def payload(description, *rest):
     """A payload with another description, other numbers or arrays."""
     begin = bytes([MARK]) + len(description).to_bytes(2, "little")
     return b"".join((begin, description, *rest))
 
 
-def taxels(value: float = 1.0, shape: tuple[int, int] = (2, 3)) -> Taxels:
+def taxels(value=1.0, shape=(2, 3)):
     forces = np.full(shape, value, dtype=np.float32)
     return Taxels(stamp_ns=7, patch="skin", forces=forces)
 
@@ -145,7 +144,7 @@ def test_wrong_steps_are_refused(step):
         decode(topic, payload(description, packed, data))
 
 
-def reconstruction(error: float | None) -> Reconstruction:
+def reconstruction(error):
     forces = np.zeros((2, 2), dtype=np.float32)
     fields = {
         "stamp_ns": 1,

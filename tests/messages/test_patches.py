@@ -1,7 +1,6 @@
 """Messages of frames of several patches, and of one patch as one of them."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +17,11 @@ from sparseskin.messages import (
 from sparseskin.messages.frames import values_alone
 
 NAMES = ("hand", "arm", "back")
-HEAD: dict[str, Any] = {"stamp_ns": 5, "patch": "body", "names": NAMES}
+HEAD = {"stamp_ns": 5, "patch": "body", "names": NAMES}
 MAPS = np.arange(18, dtype=np.float32).reshape(3, 2, 3)
 
 
-def reconstruction(*unchanged: bool, **changes: Any) -> Reconstruction:
+def reconstruction(*unchanged, **changes):
     left_out = np.array(unchanged or [False] * 3)
     fields = {
         **{"forces": MAPS[~left_out], "phi": "0" * 16, "done_ns": 9, "skipped": 2},
@@ -58,7 +57,7 @@ def test_one_patch_needs_no_axis_where_its_message_is_made():
 
 
 def test_forces_of_an_unchanged_patch_are_not_sent_and_are_those_of_its_last_frame():
-    held: dict[str, Any] = {}
+    held = {}
     before = reconstruction().split(held)
     now = reconstruction(False, True, False)
     assert len(now.forces) == 2
@@ -106,7 +105,7 @@ def test_something_of_each_patch_is_needed(changes, error, line):
 
 
 def test_places_are_those_of_one_patch():
-    made: dict[str, Any] = {"phi": "0" * 16, "places": np.array([0b11000000], np.uint8)}
+    made = {"phi": "0" * 16, "places": np.array([0b11000000], np.uint8)}
     assert Measurements(stamp_ns=1, patch="arm", y=MAPS[0, 0, :2], **made).places is not None
     with pytest.raises(FieldError, match="of one patch"):
         Measurements(**HEAD, y=MAPS[:, 0, :2], **made)

@@ -11,11 +11,11 @@ from sparseskin.messages import Measurements, MessageError, decode, encode
 from sparseskin.nodes.compressor.quantiser import quantised
 
 
-def message(y: np.ndarray) -> Measurements:
+def message(y):
     return Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16)
 
 
-def frame(m: int, seed: int) -> np.ndarray:
+def frame(m, seed):
     return np.random.default_rng(seed).normal(scale=3.0, size=m).astype(np.float32)
 
 

@@ -2,8 +2,6 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable
-from typing import Any
 
 import msgpack
 import numpy as np
@@ -17,7 +15,6 @@ from sparseskin.messages import (
     End,
     FieldError,
     MalformedError,
-    Message,
     MessageError,
     NotFiniteError,
     OversizedError,
@@ -34,14 +31,13 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.buffers import MARK
 from sparseskin.messages.fields import Real
-from sparseskin.messages.wire import MAX_MESSAGE_BYTES, Payload, is_end
+from sparseskin.messages.wire import MAX_MESSAGE_BYTES, is_end
 
 MISSING = object()
-Form = Callable[[Message], tuple[bytes, Payload]]
 
 
-def taxels(**changes: object) -> Taxels:
-    fields: dict[str, object] = {
+def taxels(**changes):
+    fields = {
         "stamp_ns": 7,
         "patch": "skin",
         "forces": np.arange(6, dtype=np.float32).reshape(2, 3),
@@ -49,11 +45,11 @@ def taxels(**changes: object) -> Taxels:
     return Taxels(**(fields | changes))
 
 
-def body_of(message: Message) -> dict[str, object]:
+def body_of(message):
     return msgpack.unpackb(encode(message)[1])
 
 
-def decode_body(body: object, topic: bytes = b"/skin/taxels") -> Message:
+def decode_body(body, topic=b"/skin/taxels"):
     return decode(topic, msgpack.packb(body, use_bin_type=True))
 
 
@@ -261,9 +257,9 @@ def test_a_mask_must_fit_the_grid_and_hold_booleans():
             decode_body(body | change, b"/skin/skin")
 
 
-def on_points(points: np.ndarray | None, mask: np.ndarray | None = None) -> SkinState:
+def on_points(points, mask=None):
     numbers = dict.fromkeys(("stamp_ns", "seed", "rate_hz", "sigma_mid", "sigma_end"), 0)
-    grid: dict[str, Any] = {"n_rows": 2, "n_cols": 2, "f_max": 2.5, "unit": "N", "pitch_m": 0.01}
+    grid = {"n_rows": 2, "n_cols": 2, "f_max": 2.5, "unit": "N", "pitch_m": 0.01}
     texts = {"patch": "skin", "source": "test"}
     return SkinState(**numbers, **grid, **texts, has_truth=False, mask=mask, points=points)
 
@@ -309,7 +305,7 @@ def test_points_are_those_of_the_cells_that_exist():
     ],
 )
 def test_a_calibration_whose_parts_do_not_fit_is_refused(changes, what):
-    fields: dict[str, object] = {
+    fields = {
         "name": "palm",
         "baseline": np.zeros((2, 3), np.float32),
         "gains": None,

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
 
 
-def graph(scene: str = "path_40", **reconstructor: Any) -> dict[str, tuple[Any, Any]]:
+def graph(scene="path_40", **reconstructor):
     return {
         "sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}", seed=3)),
         "compressor": (Compressor, Compressor.Settings(seed=1)),
@@ -48,7 +47,7 @@ def test_stamps_differ_even_on_a_clock_that_stands_still():
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not():
-    def restored(seed: int) -> bytes:
+    def restored(seed):
         nodes = graph()
         nodes["sensor"] = (Sensor, Sensor.Settings(source="scene:path_40", seed=seed))
         made = [m for messages in Bus(nodes).frames(5) for m in messages]

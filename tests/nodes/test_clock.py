@@ -13,9 +13,7 @@ MS = 1_000_000
 S = 1000 * MS
 
 
-def exchange(
-    clock: ClockOffset, at_ns: int, offset_ns: int, there_ns: int, back_ns: int, held_ns: int = 0
-) -> bool:
+def exchange(clock, at_ns, offset_ns, there_ns, back_ns, held_ns=0):
     """One exchange that begins at `at_ns`, with a clock that is `offset_ns` ahead."""
     t2_ns = at_ns + there_ns + offset_ns
     t4_ns = at_ns + there_ns + held_ns + back_ns

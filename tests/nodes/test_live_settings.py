@@ -1,22 +1,12 @@
 """Settings that change while the graph runs: between two frames, whole, or not at all."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
 
 from sparseskin.launch.launchfile.load import load
-from sparseskin.messages import (
-    Measurements,
-    Message,
-    PhiState,
-    Reconstruction,
-    SolverState,
-    Taxels,
-    Truth,
-)
+from sparseskin.messages import Measurements, PhiState, Reconstruction, SolverState, Taxels, Truth
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SparseskinError
@@ -35,19 +25,17 @@ class Example(Settings):
     tail: str | None = setting(None, "which end", choices=("left", "right"), live=True)
     seed: int = setting(0, "which numbers", low=0)
 
-    def check(self) -> None:
+    def check(self):
         if self.rate_hz == 13.0:
             raise SettingsError("rate_hz: 13 brings bad luck")
 
 
-def graph(*overrides: str) -> Bus:
+def graph(*overrides):
     nodes = load("path_40", [*OVERRIDES, *overrides]).nodes.values()
     return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
 
 
-def run(
-    bus: Bus, n_frames: int, at: int = -1, node: str = "", changes: Mapping[str, Any] | None = None
-) -> list[list[Message]]:
+def run(bus, n_frames, at=-1, node="", changes=None):
     """Messages frame by frame; a change falls between frame `at` - 1 and frame `at`."""
     frames, said = [], bus._deliver(bus.hosts[node].change(changes or {})) if at == 0 else []
     for k, messages in enumerate(bus.frames(n_frames), start=1):
@@ -56,11 +44,11 @@ def run(
     return frames
 
 
-def forces(frames: list[list[Message]], kind: type[Any] = Reconstruction) -> list[bytes]:
+def forces(frames, kind=Reconstruction):
     return [m.forces.tobytes() for messages in frames for m in messages if isinstance(m, kind)]
 
 
-def only(messages: list[Message], kind: type[Any]) -> Any:
+def only(messages, kind):
     (found,) = [message for message in messages if isinstance(message, kind)]
     return found
 

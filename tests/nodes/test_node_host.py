@@ -1,13 +1,11 @@
 """Counters of a node: sequence numbers, gaps, repeats, refusals, ends."""
 
 import re
-from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 import pytest
 
-from sparseskin.messages import End, Measurements, Message, PhiState, Taxels, encode
+from sparseskin.messages import End, Measurements, PhiState, Taxels, encode
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.node import Context, Node, SourceNode, Tick
@@ -18,17 +16,17 @@ RUN = "00000000000000aa"
 OTHER_RUN = "00000000000000bb"
 
 
-def taxels(seq: int, run_id: str = RUN, value: float = 1.0) -> Taxels:
+def taxels(seq, run_id=RUN, value=1.0):
     forces = np.full((2, 2), value, np.float32)
     return Taxels(stamp_ns=100 + seq, patch="skin", run_id=run_id, seq=seq, forces=forces)
 
 
-def phi() -> PhiState:
+def phi():
     fields = {"kind": "sbhe", "n": 4, "m": 1, "block": 2, "seed": 0, "fingerprint": "0" * 16}
     return PhiState(stamp_ns=0, patch="skin", run_id=RUN, **fields)
 
 
-def end(n: int) -> End:
+def end(n):
     return End(stamp_ns=999, patch="skin", run_id=RUN, seq=n, of="taxels", n_messages=n)
 
 
@@ -38,14 +36,14 @@ class Summer(Node[Settings]):
     steps = 0
 
     @classmethod
-    def inputs(cls, settings: Settings) -> tuple[str, ...]:
+    def inputs(cls, settings):
         return ("/skin/taxels", "/skin/phi")
 
     @classmethod
-    def outputs(cls, settings: Settings) -> tuple[str, ...]:
+    def outputs(cls, settings):
         return ("/skin/measurements",)
 
-    def step(self, message: Message) -> Iterable[Message]:
+    def step(self, message):
         self.steps += 1
         if isinstance(message, Taxels):
             total = message.forces.sum(keepdims=True).reshape(1)
@@ -62,18 +60,18 @@ class Counter(SourceNode[Settings]):
     fails_at = 99
 
     @classmethod
-    def outputs(cls, settings: Settings) -> tuple[str, ...]:
+    def outputs(cls, settings):
         return ("/skin/taxels",)
 
-    def tick(self, tick: Tick) -> Iterable[Message]:
+    def tick(self, tick):
         if tick.index == self.fails_at:
             raise SparseskinError("the driver hung up")
         yield taxels(7)
         self.exhausted = tick.index == 2
 
 
-def make(cls: type[Node[Any]]) -> tuple[NodeHost, list[str]]:
-    lines: list[str] = []
+def make(cls):
+    lines = []
     return NodeHost(cls(Settings(), Context("n", ManualClock())), RUN, lines.append), lines
 
 
@@ -126,11 +124,11 @@ def test_refused_and_failed_messages_end_no_node():
 
 def test_a_message_that_cannot_be_made_is_an_error_of_its_node():
     class Short(Summer):
-        def step(self, message: Message) -> Iterable[Message]:
+        def step(self, message):
             yield Measurements(stamp_ns=-1, patch="skin", y=np.ones(1, np.float32), phi="0" * 16)
 
     host, lines = make(Short)
-    raised: list[Exception] = []
+    raised = []
     host.raised = raised.append
     assert list(host.receive(taxels(0))) == []
     assert host.counts.errors == len(raised) == 1
@@ -185,7 +183,7 @@ def test_a_source_that_fails_ends_its_stream_and_reports_why():
 class Impossible(Summer):
     """A node that cannot do what its settings ask for."""
 
-    def step(self, message: Message) -> Iterable[Message]:
+    def step(self, message):
         raise SparseskinError(f"frame {message.seq} cannot be measured")
 
 

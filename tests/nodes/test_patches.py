@@ -1,7 +1,6 @@
 """Nodes that serve several equal patches, with one message each way."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,18 +19,18 @@ from sparseskin.nodes.sensor.node import Sensor
 
 NAMES = ("hand", "arm", "back")
 SIDE = 32
-BATCH: dict[str, Any] = {"patch": "body", "patches": NAMES}
+BATCH = {"patch": "body", "patches": NAMES}
 SKIN = {"rows": SIDE, "cols": SIDE}
 WALK = {"source": "scene:walk"}
 SENSOR = BATCH | {"simulated": SKIN, "source": "scene:walk", "active": 0.5}
-HEAD: dict[str, Any] = {"stamp_ns": 5, "patch": "body", "names": NAMES}
+HEAD = {"stamp_ns": 5, "patch": "body", "names": NAMES}
 
 
-def context(log: Any = lambda line: None) -> Context:
+def context(log=lambda line: None):
     return Context("node", ManualClock(1), log=log)
 
 
-def graph(**reconstructor: Any) -> dict[str, tuple[Any, Any]]:
+def graph(**reconstructor):
     return {
         "sensor": (Sensor, Sensor.Settings(**SENSOR)),
         "compressor": (Compressor, Compressor.Settings(**BATCH)),
@@ -54,7 +53,7 @@ def test_several_patches_have_the_same_bits_as_one_by_one():
         assert isinstance(phi, PhiState)
         list(single.step(replace(skin, patch=name)))
         list(single.step(phi))
-        held: dict[str, Any] = {}
+        held = {}
         for batch in batches:
             (y,) = compressor.step(batch["taxels"].split()[k])
             assert y == replace(batch["measurements"].split()[k], run_id="", seq=0)
@@ -145,7 +144,7 @@ def test_the_stated_noise_of_a_skin_is_that_of_its_sensor():
 
 
 def test_a_kind_of_line_is_logged_for_few_patches():
-    lines: list[str] = []
+    lines = []
     names = tuple(f"p{k}" for k in range(12))
     log = PatchLog(names, lines.append)
     for name in names:
@@ -161,7 +160,7 @@ def test_a_kind_of_line_is_logged_for_few_patches():
 
 
 def test_a_kind_of_line_of_one_patch_thins_out():
-    lines: list[str] = []
+    lines = []
     log = PatchLog(("skin",), lines.append).of("skin")
     for k in range(1000):
         log(f"taxel {k} works again")

@@ -20,7 +20,7 @@ def store():
     fsspec.filesystem("memory").store.clear()
 
 
-def put(address: str, data: bytes) -> None:
+def put(address, data):
     with fsspec.open(address, "wb") as file:
         file.write(data)
 

@@ -1,16 +1,12 @@
 """Rotating rows through the stations: live, with losses, replayed and reprocessed."""
 
-from collections.abc import Iterable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from bags import record_scene
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import load
-from sparseskin.messages import Measurements, Message, Reconstruction, decode
+from sparseskin.messages import Measurements, Reconstruction, decode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import make_phi
@@ -23,22 +19,22 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 FIXED, ROTATING = "compressor.rows=fixed", "compressor.rows=rotating"
 
 
-def graph(*overrides: str) -> Bus:
+def graph(*overrides):
     nodes = load("path_40", list(overrides)).nodes.values()
     return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
 
 
-def frames_of(bus: Bus, n_frames: int) -> list[list[Message]]:
+def frames_of(bus, n_frames):
     return list(bus.frames(n_frames))
 
 
-def states_of(bus: Bus) -> list[Any]:
+def states_of(bus):
     """The skin and Phi that the reconstructor received before the first frame."""
-    node: Any = bus.hosts["reconstructor"].node
+    node = bus.hosts["reconstructor"].node
     return [node._skin, node._announced]
 
 
-def only(messages: Iterable[Message], kind: type[Any]) -> Any:
+def only(messages, kind):
     (found,) = [message for message in messages if isinstance(message, kind)]
     return found
 
@@ -74,11 +70,11 @@ def test_frames_that_are_lost_cost_themselves_alone():
 
 def test_it_can_be_switched_on_and_off_while_the_graph_runs():
     bus = graph(FIXED)
-    frames: list[list[Message]] = []
-    said: list[Message] = []
+    frames = []
+    said = []
     for k, messages in enumerate(bus.frames(24)):
         frames.append([*said, *messages])
-        changes: dict[int, dict[str, Any]] = {
+        changes = {
             5: {"rows": "rotating"},
             11: {"ratio": 8.0},
             14: {"rows": "fixed", "ratio": 3.0},
@@ -131,7 +127,7 @@ def recording(tmp_path_factory):
     return path
 
 
-def messages_of(path: Path, kind: type[Any]) -> list[Any]:
+def messages_of(path, kind):
     with BagReader(path) as bag:
         topics = [f"/skin/{kind.schema}"]
         return [decode(m.topic.encode(), m.payload) for m in bag.messages(topics)]

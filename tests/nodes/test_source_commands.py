@@ -10,7 +10,7 @@ from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor.node import Sensor
 
 
-def sensor(clock: ManualClock) -> Sensor:
+def sensor(clock):
     made = Sensor(Sensor.Settings(source="scene:path_40", rate_hz=100.0), Context("s", clock))
     made.begin(clock.now_ns())
     return made

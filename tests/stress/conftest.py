@@ -8,7 +8,7 @@ from stress.graphs import FULL
 _FIGURES = pytest.StashKey[dict[str, list[dict[str, Any]]]]()
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     config.stash[_FIGURES] = {}
 
 
@@ -25,7 +25,7 @@ def note(request):
     return lambda **figures: rows.append(figures)
 
 
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+def pytest_terminal_summary(terminalreporter, config):
     for name, rows in config.stash[_FIGURES].items() if FULL else ():
         columns = list(dict.fromkeys(key for row in rows for key in row))
         terminalreporter.section(name)

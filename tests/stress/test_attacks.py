@@ -10,9 +10,8 @@ import socket
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple
 from urllib.parse import urlsplit
 
 import pytest
@@ -50,7 +49,7 @@ class Look(NamedTuple):
     memory: int
 
     @classmethod
-    def at(cls, pid: int) -> Self:
+    def at(cls, pid):
         n_threads = len(list(Path(f"/proc/{pid}/task").iterdir()))
         return cls(n_files(pid), n_threads, own_bytes(pid))
 
@@ -58,17 +57,17 @@ class Look(NamedTuple):
 class Watched:
     """Nodes of a graph that were looked at before an attack, and are looked at again and again."""
 
-    def __init__(self, graph: ObservedGraph, *names: str) -> None:
+    def __init__(self, graph, *names):
         pids = graph.nodes()
         self._graph, self._pids = graph, {name: pids[name] for name in names or pids}
         self._looks = {name: [Look.at(pid)] for name, pid in self._pids.items()}
         graph.begin()
 
-    def look(self) -> None:
+    def look(self):
         for name, pid in self._pids.items():
             self._looks[name].append(Look.at(pid))
 
-    def is_as_before(self) -> bool:
+    def is_as_before(self):
         """True if no node has more files or threads open than before."""
         now = {name: Look.at(pid) for name, pid in self._pids.items()}
         return all(
@@ -76,7 +75,7 @@ class Watched:
             for name, (one, *_) in self._looks.items()
         )
 
-    def end(self, note: Any, attack: str, **figures: Any) -> dict[str, list[Look]]:
+    def end(self, note, attack, **figures):
         """Wait for the end of the attack, end the graph; before, at most, after by node."""
         wait_until(self.is_as_before, "the end of all connections")
         self._graph.probe.wait_for_frame()
@@ -94,7 +93,7 @@ class Watched:
 
 
 @contextlib.contextmanager
-def few_files(limit: int | None) -> Iterator[None]:
+def few_files(limit):
     """Limit the open files of processes that are started in the context."""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     if limit is not None:
@@ -105,7 +104,7 @@ def few_files(limit: int | None) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
-def half_open(port: int, k: int) -> socket.socket:
+def half_open(port, k):
     """A connection silent after the k-th kind of beginning; half from addresses of their own."""
     made = socket.socket()
     try:
@@ -121,7 +120,7 @@ def half_open(port: int, k: int) -> socket.socket:
     return made
 
 
-def is_closed(connection: socket.socket) -> bool:
+def is_closed(connection):
     """True if the other side has ended a connection."""
     connection.setblocking(False)
     try:
@@ -134,7 +133,7 @@ def is_closed(connection: socket.socket) -> bool:
     return True
 
 
-def join(graph: ObservedGraph) -> float:
+def join(graph):
     """Seconds until a reader that comes now, with a key, has a message of the sensor."""
     keys = read_key_pair(graph.cwd / "keys/edge.key")
     context = make_context()
@@ -186,12 +185,12 @@ def test_half_open_connections_cost_a_graph_with_keys_nothing(files, full, note,
 class Pages:
     """Connections that request the stream of a page at once; all but `reading` stall afterwards."""
 
-    def __init__(self, url: str, n: int, reading: int) -> None:
+    def __init__(self, url, n, reading):
         place = urlsplit(url)
         request = f"GET /stream?patch=skin&{place.query} HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n"
         self._reading = reading
-        self._heads: dict[socket.socket, bytes] = {}
-        self._closed: set[socket.socket] = set()
+        self._heads = {}
+        self._closed = set()
         self._ending = threading.Event()
         self.n_bytes = 0
         for _ in range(n):
@@ -203,18 +202,18 @@ class Pages:
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self._ending.set()
         self._thread.join()
         for made in self._heads:
             made.close()
 
-    def statuses(self) -> dict[str, int]:
+    def statuses(self):
         """Answers so far by their status; "closed": closed without an answer; "": none yet."""
-        found: Counter[str] = Counter()
+        found = Counter()
         for made, head in list(self._heads.items()):
             if b"\r\n\r\n" in head:
                 found[head.split(b" ", 2)[1].decode()] += 1
@@ -222,7 +221,7 @@ class Pages:
                 found["closed" if made in self._closed else ""] += 1
         return dict(found)
 
-    def _read(self) -> None:
+    def _read(self):
         poller = select.poll()
         by_fd = {made.fileno(): made for made in self._heads}
         for fd in by_fd:

@@ -3,9 +3,7 @@
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
 from http.client import HTTPConnection, HTTPException
-from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -22,14 +20,14 @@ DEPTH = 4
 
 
 @contextlib.contextmanager
-def open_page(url: str) -> Iterator[None]:
+def open_page(url):
     """A page of all patches that reads its stream."""
     place = urlsplit(url)
     connection = HTTPConnection(place.netloc)
     connection.request("GET", f"/stream?{place.query}")
     answer = connection.getresponse()
 
-    def read() -> None:
+    def read():
         with contextlib.suppress(OSError, HTTPException, AttributeError, ValueError):
             while answer.read(1 << 16):
                 pass
@@ -39,9 +37,7 @@ def open_page(url: str) -> Iterator[None]:
     connection.close()
 
 
-def run_at(
-    rate_hz: float, patches: int, active: float, seconds: float, warm_up_s: float
-) -> dict[str, Any]:
+def run_at(rate_hz, patches, active, seconds, warm_up_s):
     """Run a walking body at a rate, with its page open, and return its figures.
 
     Returns

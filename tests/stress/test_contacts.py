@@ -4,7 +4,6 @@ The table of the documents is computed at full size.
 """
 
 import itertools
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import RATIO, ROTATING, row_subsets, rows_and_m
-from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.idle import REFERENCE, REFRESH, IdleWatch
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
@@ -33,7 +31,7 @@ before the solve that comes anyway."""
 class Watched:
     """Patches under constant forces and noise, watched frame by frame."""
 
-    def __init__(self, n_patches: int, truth: Floats) -> None:
+    def __init__(self, n_patches, truth):
         state = skin_state(**vars(SKIN), sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end)
         rows, m = rows_and_m("sbhe", SKIN.n_taxels, rows=ROTATING, m=None, ratio=RATIO)
         self._phis = row_subsets(make_phi("sbhe", n=SKIN.n_taxels, m=m, seed=0), rows)
@@ -45,7 +43,7 @@ class Watched:
         for _ in range((REFERENCE + 1) * len(self._phis)):
             self.frame(truth)
 
-    def frame(self, truth: Floats) -> Mask:
+    def frame(self, truth):
         """True for each patch that would be solved, in the next frame under these forces."""
         phi = self._phis[self._k % len(self._phis)]
         self._k += 1
@@ -55,7 +53,7 @@ class Watched:
         )
 
 
-def missed(contact: int, sigmas: float, n_patches: int) -> list[float]:
+def missed(contact, sigmas, n_patches):
     """Shares of contacts on an untouched patch that no frame has noticed after each of `FRAMES`;
     solves that come anyway are not counted.
 
@@ -92,7 +90,7 @@ def test_strong_contacts_are_noticed_and_alarms_are_rare(full, note):
         assert share < 0.02
 
 
-def noise() -> Iterator[tuple[int, Floats]]:
+def noise():
     """Driver of an untouched skin with the noise of the paper."""
     rng, zero = np.random.default_rng(0), np.zeros((40, 40), np.float32)
     for k in itertools.count(1):

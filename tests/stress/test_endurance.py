@@ -7,7 +7,6 @@ in its mean PSNR. A skin that nothing has touched for as long is touched as on i
 """
 
 import itertools
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from stress.graphs import FULL
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.monitor.metrics import psnr_db
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, press_frames
 from sparseskin.studies.evaluate import make_method
@@ -34,7 +32,7 @@ LOST_EVERY, LOST_FROM, LOST = 4, 30, 50
 ALONE, TOUCH = 1_000_000 if FULL else 2_000, 30
 
 
-def one_round(side: int) -> Iterator[Floats | None]:
+def one_round(side):
     """Yield each frame, None where it is lost."""
     for scene in range(SCENES):
         body = BODIES[scene % len(BODIES)]
@@ -49,7 +47,7 @@ def test_over_jumps_and_losses_the_psnr_stays_as_it_was(side, ratio, rows, note)
     method = make_method({"solver": "skin"}, (side, side), ratio, 1, rows=rows)
     noise, rng = NoiseModel.for_range(PAPER_F_MAX_N), np.random.default_rng(1)
     frames = list(one_round(side))
-    rounds: list[float] = []
+    rounds = []
     for _ in range(ROUNDS):
         psnr = []
         for truth in frames:

@@ -12,13 +12,10 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 from processes import wait_until
-from stress.graphs import RATE_HZ, GraphRun, ObservedGraph, Outcome, graph_text
+from stress.graphs import RATE_HZ, ObservedGraph, graph_text
 
 from sparseskin.nodes.process.proc import cpu_s, own_bytes
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -61,9 +58,7 @@ os.kill(os.getpid(), signal.SIGSTOP)
 """
 
 
-def strike(
-    graph: ObservedGraph, node: str, number: signal.Signals, stop_s: float, rate_hz: float
-) -> dict[str, Any]:
+def strike(graph, node, number, stop_s, rate_hz):
     """Send a node a signal, and wait until the graph runs as before.
 
     Returns
@@ -103,9 +98,9 @@ def strike(
     }
 
 
-def not_recorded(folder: Path, sensed: set[int]) -> int:
+def not_recorded(folder, sensed):
     """Number of frames in no recording, those of killed recorders included."""
-    recorded: set[int] = set()
+    recorded = set()
     for path in folder.glob("run*.mcap*"):
         with BagReader(path) as bag:
             recorded |= {message.stamp_ns for message in bag.messages(["/skin/taxels"])}
@@ -122,7 +117,7 @@ def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
 ):
     n_graphs, repeats, stop_s, rate_hz = (7, 3, 5.0, 100.0) if full else (1, 1, 1.0, 20.0)
     dies = name != "SIGSTOP"
-    struck: dict[str, list[dict[str, Any]]] = {node: [] for node in NODES}
+    struck = {node: [] for node in NODES}
     launch = graph_text({"transport": transport}, sensor={"rate_hz": rate_hz})
     for k in range(n_graphs):
         folder = tmp_path / str(k)
@@ -158,7 +153,7 @@ def begun(tmp_path):
     """Start and observe a graph in an empty folder, from its first reconstruction on."""
     with contextlib.ExitStack() as stack:
 
-        def begin(launch: str, *arguments: str, **options: Any) -> ObservedGraph:
+        def begin(launch, *arguments, **options):
             made = ObservedGraph(launch, *arguments, folder=tmp_path / "graph", **options)
             graph = stack.enter_context(made)
             graph.probe.wait_for_frame(max_age_ns=math.inf)
@@ -172,7 +167,7 @@ def begun(tmp_path):
 def ended(note):
     """End a graph, note its figures by the fault: no other node ended, nothing is left behind."""
 
-    def end(graph: ObservedGraph, fault: str, *but: str, **figures: Any) -> Outcome:
+    def end(graph, fault, *but, **figures):
         found = graph.outcome(*but)
         note(fault=fault, **found._asdict(), **figures)
         assert (found.stopped, found.left) == ([], [])
@@ -202,15 +197,15 @@ def test_nothing_outlives_a_launcher_that_is_killed(begun, note):
     assert graph.left_behind() == []
 
 
-def recorded(path: Path) -> int:
+def recorded(path):
     """Number of messages that can be read of a recording."""
     with BagReader(path) as bag:
         return sum(info.n_messages for info in bag.topics.values())
 
 
-def kill_again_and_again(graph: GraphRun) -> None:
+def kill_again_and_again(graph):
     """Kill the reconstructor `N_KILLS` times, each time as soon as its process runs."""
-    killed: set[int] = set()
+    killed = set()
     while len(killed) < N_KILLS:
         assert graph.process.poll() is None
         pid = graph.nodes().get("reconstructor")
@@ -285,7 +280,7 @@ def test_a_clock_that_steps_back_is_not_noticed(begun, ended, held_s, tmp_path):
 
 
 @contextlib.contextmanager
-def stalled(endpoint: str) -> Iterator[None]:
+def stalled(endpoint):
     """`N_STALLED` subscribers of an endpoint that never read."""
     command = [sys.executable, "-c", STALLED, str(N_STALLED), endpoint]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)

@@ -6,10 +6,7 @@ Sound messages, mutated, on the sockets of nodes that run, and sound ones after.
 
 import contextlib
 import selectors
-from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
-from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from processes import wait_until
 
 from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.launch.run.process import NodeProcess
-from sparseskin.messages import End, Message, encode
+from sparseskin.messages import End, encode
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import wire_bytes
 from sparseskin.nodes.bus import Bus
@@ -52,20 +49,20 @@ MAX_RANDOM_BYTES = 300
 class _Tap(Node[Settings]):
     """Keeps all messages of a graph."""
 
-    def __init__(self, settings: Settings, context: Any) -> None:
+    def __init__(self, settings, context):
         super().__init__(settings, context)
-        self.kept: list[Message] = []
+        self.kept = []
 
     @classmethod
-    def inputs(cls, settings: Settings) -> tuple[str, ...]:
+    def inputs(cls, settings):
         return ("*",)
 
-    def step(self, message: Message) -> Iterable[Message]:
+    def step(self, message):
         self.kept.append(message)
         return ()
 
 
-def sound_messages(folder: Path, run_id: str, n_frames: int) -> list[Message]:
+def sound_messages(folder, run_id, n_frames):
     """All messages that a graph of one small patch sends in some frames, as one run."""
     forces = np.linspace(0, 1, SIDE * SIDE, dtype=np.float32).reshape(SIDE, SIDE)
     np.save(folder / "skin.npy", np.stack([forces] * n_frames))
@@ -82,7 +79,7 @@ def sound_messages(folder: Path, run_id: str, n_frames: int) -> list[Message]:
     return [message.published(run_id, message.seq) for message in tap.kept]
 
 
-def ends(topics: Iterable[str], run_id: str, n_messages: int) -> list[End]:
+def ends(topics, run_id, n_messages):
     """The end of each topic."""
     return [
         End(stamp_ns=1, patch=patch, run_id=run_id, of=name, n_messages=n_messages)
@@ -90,7 +87,7 @@ def ends(topics: Iterable[str], run_id: str, n_messages: int) -> list[End]:
     ]
 
 
-def hostile_messages(sound: Sequence[Message], n: int, rng: np.random.Generator) -> Iterator[bytes]:
+def hostile_messages(sound, n, rng):
     """`n` random or mutated messages, made of sound ones."""
     good = [b"\0".join(encode(message)) for message in sound]
     frames = [wire_bytes(message) for message in sound if not message.latched]
@@ -114,7 +111,7 @@ def hostile_messages(sound: Sequence[Message], n: int, rng: np.random.Generator)
                 yield begin + _mutated(payload, rng)
 
 
-def _mutated(payload: bytes, rng: np.random.Generator) -> bytes:
+def _mutated(payload, rng):
     """A copy with up to five bytes changed."""
     mutated = bytearray(payload)
     for place in rng.integers(len(mutated), size=rng.integers(1, 6)):
@@ -122,7 +119,7 @@ def _mutated(payload: bytes, rng: np.random.Generator) -> bytes:
     return bytes(mutated)
 
 
-def hostile_subscription(rng: np.random.Generator) -> bytes:
+def hostile_subscription(rng):
     """Random bytes from a reader to a writer: a subscription, an unasked answer, or anything."""
     what = rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
     return (b"", b"\0", b"\x01", b"\x01@", b"\x01@probe#node:", b"\0@")[rng.integers(6)] + what
@@ -131,7 +128,7 @@ def hostile_subscription(rng: np.random.Generator) -> bytes:
 class Harness:
     """A node in a process of its own, joined to this program alone, for a `with`."""
 
-    def __init__(self, type_name: str, values: dict[str, Any], topics: list[str]) -> None:
+    def __init__(self, type_name, values, topics):
         self.context = make_context()
         self.writer = Writer(self.context, ANY)
         # With one reader it is safe to wait for it instead of dropping what it has no room for.
@@ -143,33 +140,33 @@ class Harness:
         settings = {"name": type_name, "type": type_name, "settings": values, "endpoint": ANY}
         joined = {"readers": [], "inputs": topics, "offset_ns": wall_offset_ns()}
         self.node = NodeProcess(spec, {**settings, **joined, "max_frames": None})
-        self.events: list[dict[str, Any]] = []
+        self.events = []
         self._selector = selectors.DefaultSelector()
         self._selector.register(self.node.pipes[0], selectors.EVENT_READ)
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         self.event("bound")
         peers = [{"writer": "fuzzer", "endpoint": self.writer.endpoint}]
         self.node.command("connect", peers=peers)
         self.event("ready")
 
-        def present() -> bool:
+        def present():
             self.writer.serve_subscriptions()
             return self.node.name in self.writer.present
 
         wait_until(present, "the subscription")
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.node.command("stop")
         self.node.close()
         self._selector.close()
         self.context.destroy(linger=0)
 
-    def event(self, name: str) -> dict[str, Any]:
+    def event(self, name):
         """Wait for an event of the node."""
 
-        def came() -> bool:
+        def came():
             self._selector.select(0.05)
             self.events += self.node.read()[0]
             return any(event["event"] == name for event in self.events)
@@ -177,18 +174,18 @@ class Harness:
         wait_until(came, f"the event {name} of the {self.node.name}")
         return next(event for event in self.events if event["event"] == name)
 
-    def write(self, buffers: Iterable[bytes]) -> None:
+    def write(self, buffers):
         """Publish messages as they stand; events of the node meanwhile are read."""
         for k, buffer in enumerate(buffers):
             self.writer.socket.send(buffer)
             if k % 1000 == 0:
                 self.events += self.node.read()[0]
 
-    def send(self, messages: Iterable[Message]) -> None:
+    def send(self, messages):
         """Publish messages of its topics."""
         self.write(wire_bytes(message) for message in messages if message.topic in self.topics)
 
-    def subscribe(self, notes: Iterable[bytes]) -> None:
+    def subscribe(self, notes):
         """Send the node subscriptions, as they stand, over one connection."""
         reader = self.context.socket(zmq.XSUB)
         reader.connect(self.event("bound")["endpoint"])
@@ -196,18 +193,18 @@ class Harness:
             reader.send(note)
         reader.close(linger=5000)
 
-    def drained(self) -> None:
+    def drained(self):
         """Wait until the node has read all that was published."""
         ask = self.writer.ask()
 
-        def answered() -> bool:
+        def answered():
             self.writer.serve_subscriptions()
             self.events += self.node.read()[0]
             return not self.writer.awaits(ask)
 
         wait_until(answered, f"the {self.node.name} to read everything", 600.0)
 
-    def memory_mb(self) -> float:
+    def memory_mb(self):
         """Resident memory of the node, MB."""
         return resident_bytes(self.node.pid) / 1e6
 
@@ -252,7 +249,7 @@ def test_hostile_messages_and_subscriptions_end_no_process(type_name, full, note
 
 def test_settings_of_any_value_are_accepted_or_refused():
     rng = np.random.default_rng(5)
-    values: list[Any] = [None, True, -1, 1e400, 10**400, float("nan"), "", "x" * 5000, [], {}]
+    values = [None, True, -1, 1e400, 10**400, float("nan"), "", "x" * 5000, [], {}]
     for type_name in node_types():
         cls = node_class(type_name)
         for setting in cls.Settings.described():

@@ -18,7 +18,7 @@ which are reconstructed, not the length of a growing queue; and the run ends whe
 N_TURNS, TURN_S = (30, 1.0)
 
 
-def graph_text(scene: str, rate_hz: float) -> str:
+def graph_text(scene, rate_hz):
     """Launch file of a graph with a node that notes latencies."""
     sensor = {"source": f"sparseskin.studies.looped:{scene}", "rate_hz": rate_hz}
     return (

@@ -7,8 +7,6 @@
 import itertools
 import os
 import time
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from stress.graphs import GraphRun, launch_text
@@ -34,7 +32,7 @@ FLAT_MB = 3.0
 NAMES = {LAUNCHER, "sensor", "compressor", "reconstructor", "monitor", "recorder"}
 
 
-def measure(seconds: float, rate_hz: float, side: int) -> dict[str, Any]:
+def measure(seconds, rate_hz, side):
     """Run a graph for a while, sample its processes at intervals, and end it.
 
     Returns
@@ -55,7 +53,7 @@ def measure(seconds: float, rate_hz: float, side: int) -> dict[str, Any]:
     }
     with GraphRun(launch_text(nodes)) as graph:
         pids = {LAUNCHER: graph.process.pid, **graph.nodes()}
-        found: dict[str, Any] = {"time_s": []}
+        found = {"time_s": []}
         for name in pids:
             found[name] = {"memory_mb": [], "files": [], "cpu_s": []}
         began_s = time.monotonic()
@@ -79,7 +77,7 @@ def measure(seconds: float, rate_hz: float, side: int) -> dict[str, Any]:
     }
 
 
-def _contacts(path: Path, part_s: float) -> list[tuple[float, float]]:
+def _contacts(path, part_s):
     """Mean number of contacts, and of their total force, in the first and in the last part."""
     with BagReader(path) as bag:
         found = [
@@ -92,7 +90,7 @@ def _contacts(path: Path, part_s: float) -> list[tuple[float, float]]:
     return [(float(counts[part].mean()), float(totals[part].mean())) for part in parts]
 
 
-def verdict(samples: dict[str, Any], name: str) -> dict[str, Any]:
+def verdict(samples, name):
     """Figures of one process after the warm-up, or after a third of a short run.
 
     Returns

@@ -1,12 +1,9 @@
 """What a user would try first: single taxels, a filter of all taxels, packed frames."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from sparseskin.nodes.compressor.phi.quadtree import Quadtree
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.baselines.sampling import (
     CODECS,
@@ -25,14 +22,14 @@ SHAPE = (12, 10)
 EVERY = np.ones(SHAPE, np.bool_)
 
 
-def press(row: float) -> Floats:
+def press(row):
     """A smooth press at a row."""
     i, j = np.indices(SHAPE)
     frame = 50 * np.exp(-((i - row) ** 2 + (j - 5) ** 2) / 6)
     return np.where(frame > 1, frame, 0).astype(np.float32)
 
 
-def still(force_n: float, n: int = 40) -> list[np.ndarray[Any, Any]]:
+def still(force_n, n=40):
     truth = np.full((8, 8), force_n, dtype=np.float32)
     rng = np.random.default_rng(0)
     return [NoiseModel().apply(truth, rng) for _ in range(n)]

@@ -12,7 +12,6 @@ from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.studies.evaluate import Reading, evaluate, make_method, phis_at
 
 SHAPE = (8, 8)
-RNG = np.random.default_rng(0)
 TRUTHS = [np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32)]
 TRUTHS[1][2:4, 2:4] = 1.0
 FRAMES = [(truth, truth + np.float32(0.02)) for truth in TRUTHS]

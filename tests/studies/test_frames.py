@@ -1,7 +1,5 @@
 """Frames of scenes, presses and recordings, as studies take them."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -32,10 +30,6 @@ def folder(tmp_path):
     mask[:3, :2] = False
     np.savez(tmp_path / "press.npz", forces=frames * mask, mask=mask, unit="kPa")
     return tmp_path
-
-
-def pairs_of(frames: Any, seed: int = 0) -> list[Any]:
-    return [pair for part in frames.open(seed).parts() for pair in part]
 
 
 def test_noise_of_a_frame_does_not_depend_on_which_frames_are_asked_for():

@@ -75,7 +75,7 @@ def test_what_does_not_go_together_is_refused_by_name_and_the_others_are_run(tmp
         unrefused(rows)
 
 
-def constant(value: float) -> Scores:
+def constant(value):
     """Scores of an estimate that is the same everywhere, of 10 loaded and 5 untouched frames."""
     truth = np.zeros((4, 4), np.float32)
     scores = Scores(2.5, None, norm=2.0, total=4.0)

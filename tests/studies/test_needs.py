@@ -1,7 +1,5 @@
 """The study of what scenes need: its variants, its figures, its verdicts."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
 from sparseskin.studies.needs import Variant, measure, variants, verdict
 
 
-def compared(scene: str, variant: str, n_steps: int = 420) -> dict[str, Any]:
+def compared(scene, variant, n_steps=420):
     return measure({"scene": scene, "variant": variant, "n_steps": n_steps, "seed": 0})
 
 

@@ -3,7 +3,6 @@
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -47,11 +46,11 @@ def test_a_peg_of_fourteen_taxels_has_few_coefficients_and_d4_has_more():
     assert (d4[touched] >= d2[touched]).all()
 
 
-def made_up() -> Results:
+def made_up():
     """Figures of ten frames a scene."""
     rng = np.random.default_rng(0)
 
-    def psnr() -> Any:
+    def psnr():
         return rng.uniform(30, 50, 10)
 
     scene = {"first": 0, "contact": [k > 4 for k in range(10)]}

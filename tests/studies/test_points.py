@@ -6,8 +6,6 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from pathlib import Path
-from typing import Any
 
 import pytest
 from conftest import PATIENCE_S, wait_until
@@ -48,7 +46,7 @@ if __name__ == "__main__":
 class Run:
     """A process that runs the study; its workers carry its mark."""
 
-    def __init__(self, folder: Path, executor: str) -> None:
+    def __init__(self, folder, executor):
         self._mark = f"SPARSESKIN_TEST_STUDY={folder}"
         (folder / "a_study.py").write_text(STUDY)
         key, value = self._mark.split("=")
@@ -65,21 +63,21 @@ class Run:
         )
         signal.signal(signal.SIGINT, before)
 
-    def finish(self) -> tuple[int, str]:
+    def finish(self):
         """Exit code and stderr."""
         _, stderr = self.process.communicate(timeout=PATIENCE_S)
         return self.process.returncode, stderr
 
-    def survivors(self) -> dict[int, str]:
+    def survivors(self):
         """Processes that carry the mark."""
         return processes_with(self._mark)
 
 
-def n_lines(path: Path) -> int:
+def n_lines(path):
     return len(path.read_bytes().splitlines()) if path.exists() else 0
 
 
-def calls(folder: Path) -> Counter[int]:
+def calls(folder):
     return Counter(map(int, (folder / "calls").read_text().split()))
 
 
@@ -121,11 +119,11 @@ def test_ctrl_c_ends_it_without_a_traceback_and_without_workers(tmp_path):
     assert n_lines(points) == 4
 
 
-def double(point: dict[str, Any]) -> dict[str, Any]:
+def double(point):
     return {"double": 2 * point["k"], "pair": (point["k"], 1.5)}
 
 
-def fail_on_two(point: dict[str, Any]) -> dict[str, Any]:
+def fail_on_two(point):
     if point["k"] == 2:
         raise ValueError("two is\nnot allowed")
     return double(point)
@@ -170,7 +168,7 @@ def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path):
 
 
 def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
-    def compute_again(point: dict[str, Any]) -> dict[str, Any]:
+    def compute_again(point):
         with pytest.raises(StudyError, match="another run of a study uses it"):
             compute(double, [{"k": 0}], tmp_path, "serial", "doubles")
         return {}

@@ -1,7 +1,6 @@
 """Output of studies: tables, CSV files, charts and pages."""
 
 import csv
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -48,7 +47,7 @@ def test_a_page_is_notes_with_values_tables_and_links(quick, tmp_path):
         page.section("Third")
 
 
-def draw(out: Path) -> str:
+def draw(out):
     out.mkdir()
     with Chart(out, "lines", "Two lines", 3, 2, sharex=True) as chart:
         for axes in chart.panels:

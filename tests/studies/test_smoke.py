@@ -1,10 +1,8 @@
 """One run of each study, as small as it can be: its page, tables and charts are there."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +25,7 @@ from sparseskin.studies.stability import contact, excerpts, faults, phase, sweep
 N_FRAMES = 9
 SOLVERS = ("fista", "skin")
 SHORT_SCENES = ("lift_box_40",)
-SIZES: tuple[tuple[Any, dict[str, Any]], ...] = (
+SIZES = (
     (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),)}),
     (accuracy, {"BODIES": ("peg",), "QUICK_BODIES": ("peg",)}),
     (accuracy, {"SCENES": SHORT_SCENES, "RATED_SCENES": SHORT_SCENES, "SIDES": (12,)}),
@@ -73,7 +71,7 @@ def small(monkeypatch):
             monkeypatch.setattr(module, name, value)
     windows, of_latency = frames.SceneFrames.windows, latency.points
 
-    def few(self: frames.SceneFrames, seed: int) -> Iterator[tuple[int, int | None]]:
+    def few(self, seed):
         begin = frames.first_contact(self.scene, seed) - 3 * self.every
         for first, stop in windows(self, seed):
             first = max(first, begin)
@@ -83,13 +81,13 @@ def small(monkeypatch):
     for kind, n_frames in (("PressFrames", N_BEFORE + N_FRAMES), ("UntouchedFrames", N_FRAMES)):
         cls = getattr(frames, kind)
 
-        def opened(self: Any, seed: int, n: int = n_frames, whole: Any = cls.open) -> frames.Take:
-            take: frames.Take = whole(replace(self, n_frames=min(self.n_frames, n)), seed)
+        def opened(self, seed, n=n_frames, whole=cls.open):
+            take = whole(replace(self, n_frames=min(self.n_frames, n)), seed)
             return take
 
         monkeypatch.setattr(cls, "open", opened)
 
-    def short(quick: bool, seed: int) -> list[dict[str, Any]]:
+    def short(quick, seed):
         return [point | {"n_frames": 200} for point in of_latency(quick, seed)[:2]]
 
     monkeypatch.setattr(latency, "points", short)

@@ -18,7 +18,7 @@ def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measur
     # Amelunxen, Lotz, McCoy, Tropp (2014), Proposition 4.5, computed in its own way.
     share = weak_threshold(delta) * delta
 
-    def dimension(tau: float) -> float:
+    def dimension(tau):
         tail = quad(lambda u: (u - tau) ** 2 * math.exp(-u * u / 2), tau, tau + 12)[0]
         return share * (1 + tau**2) + (1 - share) * math.sqrt(2 / math.pi) * tail
 

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,6 @@ WAIT = "give_way(); print(os.getpid(), flush=True); signal.pause()"
 weighs_sessions = pytest.mark.skipif(
     not module._sessions_are_weighed(), reason="this system does not weigh sessions"
 )
-Begin = Callable[[str], subprocess.Popen[str]]
 
 
 @pytest.fixture
@@ -26,7 +24,7 @@ def begin():
     """Run some lines of Python in a process of their own."""
     processes = []
 
-    def run(lines: str) -> subprocess.Popen[str]:
+    def run(lines):
         command = [sys.executable, "-c", BEGIN + lines]
         processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
         return processes[-1]
@@ -37,7 +35,7 @@ def begin():
         process.communicate()
 
 
-def worker_of(process: subprocess.Popen[str]) -> int:
+def worker_of(process):
     """The process that does the work: it printed its number."""
     return int(process.stdout.readline())
 
@@ -56,7 +54,7 @@ def test_its_work_has_a_session_of_its_own_that_alone_gives_way_and_ends_with_it
 
 
 def test_where_sessions_are_not_weighed_the_process_itself_gives_way(monkeypatch, tmp_path):
-    nices: list[int] = []
+    nices = []
     monkeypatch.setattr("os.nice", nices.append)
     monkeypatch.setattr(module, "AUTOGROUP_ENABLED", tmp_path / "none")
     pid = os.getpid()

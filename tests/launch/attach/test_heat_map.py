@@ -11,7 +11,7 @@ from sparseskin.launch.attach.heat_map import COLOURS, LETTERS, UPPER_HALF, heat
 CODE = re.compile(r"\x1b\[[0-9;]*m")
 
 
-def pixels(lines: list[str]) -> np.ndarray[tuple[int, ...], np.dtype[np.int_]]:
+def pixels(lines):
     """Levels of the places that coloured lines show, two rows a line."""
     rows = []
     for line in lines:

@@ -9,9 +9,7 @@ from sparseskin.launch.attach.stream import Arrival
 MS = 1_000_000
 
 
-def arrival(
-    seq: int, at_ms: float, *, stamp_ms: float | None = None, n: int = 92, run: str = "a"
-) -> Arrival:
+def arrival(seq, at_ms, *, stamp_ms=None, n=92, run="a"):
     """A message of n + 8 bytes that came at a time; stamped 2 ms earlier by default."""
     stamp_ms = at_ms - 2 if stamp_ms is None else stamp_ms
     return Arrival(
@@ -19,11 +17,11 @@ def arrival(
     )
 
 
-def end(n_messages: int, run: str = "a") -> Arrival:
+def end(n_messages, run="a"):
     return Arrival(b"/skin/x", b"", 0, run, n_messages, 0, ends=True)
 
 
-def samples(*arrivals: Arrival) -> Samples:
+def samples(*arrivals):
     made = Samples()
     for one in arrivals:
         made.add(one)

@@ -1,21 +1,13 @@
 """Settings as a person reads and types them, and tables that fit the terminal."""
 
-from typing import Any
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.launch.attach.text import (
-    MAX_SHOWN,
-    allowed_text,
-    shown_value,
-    table,
-    typed_value,
-)
+from sparseskin.launch.attach.text import MAX_SHOWN, allowed_text, shown_value, table, typed_value
 
 
-def entry(type_: str, **stated: Any) -> dict[str, Any]:
+def entry(type_, **stated):
     return {"type": type_, "low": None, "high": None, "choices": [], "known": [], **stated}
 
 

@@ -3,14 +3,13 @@
 import time
 import uuid
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import wait_until
 from processes import announced
 
-from sparseskin.launch.attach.stream import Arrival, Losses, TopicStream
+from sparseskin.launch.attach.stream import Losses, TopicStream
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.run.running import RunningGraph, RunningNode
 from sparseskin.messages import End, Taxels, decode, size_bytes
@@ -25,7 +24,7 @@ RUN_ID = "0123456789abcdef"
 class Publisher:
     """A writer of taxels, and the note of its graph; with a key file, it asks for that key."""
 
-    def __init__(self, key_file: Path | None = None) -> None:
+    def __init__(self, key_file=None):
         self.context = make_context()
         pair = read_key_pair(key_file) if key_file else None
         key = pair.public if pair else ""
@@ -37,7 +36,7 @@ class Publisher:
         self.graph = RunningGraph("graph", 1, offset_ns, "", nodes, str(key_file or ""))
         self.n = 0
 
-    def send(self, n: int, n_rows: int = 4, period_ns: int = 0) -> None:
+    def send(self, n, n_rows=4, period_ns=0):
         """Send `n` messages, stamped by the clock, or with a period from 1 s on."""
         forces = np.zeros((n_rows, 4), dtype=np.float32)
         for k in range(n):
@@ -46,12 +45,12 @@ class Publisher:
             self.writer.send(message.published(RUN_ID, self.n))
             self.n += 1
 
-    def end(self) -> None:
+    def end(self):
         end = End(stamp_ns=1, patch="skin", of="taxels", n_messages=self.n)
         self.writer.send(end.published(RUN_ID, self.n))
 
-    def wait_for_subscription(self) -> None:
-        def there() -> bool:
+    def wait_for_subscription(self):
+        def there():
             if self.gate is not None:
                 self.gate.serve()
             return bool(self.writer.socket.poll(0))
@@ -69,9 +68,9 @@ def publisher(tmp_path, monkeypatch):
     made.context.destroy(linger=0)
 
 
-def take(stream: TopicStream, n: int) -> list[Arrival]:
+def take(stream, n):
     """The next n messages."""
-    found: list[Arrival] = []
+    found = []
     for arrivals in stream.batches(60):
         found += arrivals
         if len(found) >= n:
@@ -160,7 +159,7 @@ def test_it_ends_with_its_graph(tmp_path, monkeypatch):
 def test_echo_for_a_person_shows_some_and_counts_the_others(publisher, monkeypatch, capsys):
     monkeypatch.setattr("sparseskin.launch.commands.topic.give_way", lambda: None)
 
-    def publish() -> None:
+    def publish():
         publisher.wait_for_subscription()
         publisher.send(30, period_ns=100_000_000)
         publisher.end()

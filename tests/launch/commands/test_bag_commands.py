@@ -2,13 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from bags import frame, frames, make_bag, run_bag, skin_state
 
-from sparseskin.messages import Message, Taxels, decode
+from sparseskin.messages import Taxels, decode
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -24,12 +23,12 @@ def bag(monkeypatch, tmp_path):
     return run_bag
 
 
-def decoded(path: Path) -> list[Message]:
+def decoded(path):
     with BagReader(path) as opened:
         return [decode(m.topic.encode(), m.payload) for m in opened.messages()]
 
 
-def make_half_a_bag(name: str) -> list[bytes]:
+def make_half_a_bag(name):
     """The first half of the bytes of a bag; the payloads of the whole one."""
     payloads = make_bag(Path("a.mcap"), frames(N_FRAMES))
     data = Path("a.mcap").read_bytes()
@@ -113,7 +112,7 @@ def test_an_export_overwrites_nothing(bag):
 
 
 def test_frames_of_two_shapes_are_refused_by_npz_and_leave_nothing(bag):
-    small: Any = np.zeros((2, 2), np.float32)
+    small = np.zeros((2, 2), np.float32)
     other = Taxels(stamp_ns=5, patch="skin", forces=small)
     make_bag(Path("a.mcap"), [frame(0)[0], other])
     with pytest.raises(BagError, match="a frame of 2 x 2 after some of 5 x 7"):

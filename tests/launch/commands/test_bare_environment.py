@@ -31,7 +31,7 @@ def test_a_user_without_name_and_home_gets_no_traceback():
     become = ("setpriv", f"--reuid={UNKNOWN_UID}", f"--regid={UNKNOWN_UID}", "--clear-groups")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("HOME", "XDG_"))}
 
-    def run(*command: str) -> subprocess.CompletedProcess[str]:
+    def run(*command):
         return subprocess.run(
             [*become, *command],
             env=environment,

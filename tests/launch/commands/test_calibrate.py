@@ -20,7 +20,7 @@ BASELINE = np.round(RNG.uniform(30, 60, SHAPE))
 GAIN = RNG.uniform(50, 150, SHAPE)
 
 
-def counts(force: float, n: int) -> np.ndarray:
+def counts(force, n):
     return BASELINE + GAIN * force + RNG.normal(0, 1, (n, *SHAPE))
 
 
@@ -34,7 +34,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def assert_calibrated(path: str) -> None:
+def assert_calibrated(path):
     """Newtons within 3 %: of 200 frames, noise of 1 in 50 counts leaves 0.2 %."""
     skin = load_skin(path)
     slope = 1.0 if skin.response is None else skin.response.slopes[-1]

@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 from argparse import Action, Namespace
-from pathlib import Path
 
 import pytest
 from shells import COMMAND, words
@@ -14,7 +13,6 @@ from sparseskin.launch.commands.completion import candidates
 from sparseskin.nodes.reconstructor.settings import PRESETS
 
 CELLS = ["camera.n_rows=", "camera.n_cols="]
-OFFERED = ("key", "type", "doc", "choices", "known")
 SHELLS = ("bash", "zsh", "fish")
 
 
@@ -47,7 +45,7 @@ def test_a_line_is_completed(tmp_path, line, found):
         assert [word.replace("a\\ folder", "a folder") for word in completed] == found
 
 
-def overrides(launch: str | None, begun: str) -> list[str]:
+def overrides(launch, begun):
     """Candidates of `--set BEGUN`, of `launch LAUNCH` or, without a name, of `reprocess`."""
     typed = Namespace() if launch is None else Namespace(name=launch)
     action = Action(["--set"], "set", metavar="NODE.KEY=VALUE")
@@ -103,7 +101,7 @@ def shell_folder(tmp_path, monkeypatch, capsys):
     return tmp_path
 
 
-def shell(name: str, script: str, folder: Path) -> list[str]:
+def shell(name, script, folder):
     """Lines that a shell prints, which has read its completion script."""
     done = subprocess.run(
         [name, "-c", f"source ./c.{name}\n{script}"],

@@ -6,8 +6,6 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 from conftest import PATIENCE_S, PATIENT_COMMAND, Program, wait_until
@@ -27,9 +25,6 @@ TOPICS = [
     *("/skin/skin", "/skin/taxels", "/skin/truth", "/skin/phi", "/skin/measurements"),
     *("/skin/solver", "/skin/reconstruction"),
 ]
-
-Run = Callable[..., str]
-RunJson = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +59,7 @@ def folder(graph, monkeypatch):
 def run(folder, capsys):
     """Run a command that has to succeed; what it printed."""
 
-    def done(*arguments: str) -> str:
+    def done(*arguments):
         capsys.readouterr()
         assert main(arguments) == 0
         return capsys.readouterr().out
@@ -76,7 +71,7 @@ def run(folder, capsys):
 def refused(folder, capsys):
     """Run a command that has to be refused in one line; that line."""
 
-    def done(*arguments: str) -> str:
+    def done(*arguments):
         capsys.readouterr()
         assert main(arguments) == 2
         printed = capsys.readouterr()
@@ -91,7 +86,7 @@ def refused(folder, capsys):
 def run_json(run):
     """Run a command with --json; the document, or one a line, as it is documented."""
 
-    def done(*arguments: str, lines: bool = False) -> Any:
+    def done(*arguments, lines=False):
         out = run(*arguments, "--json")
         documents = list(map(json.loads, out.splitlines() if lines else [out]))
         for document in documents:
@@ -103,9 +98,9 @@ def run_json(run):
 
 
 def test_node_list_reports_condition_and_process_of_every_node(graph, run, run_json):
-    nodes: list[dict[str, Any]] = []
+    nodes = []
 
-    def all_run() -> bool:
+    def all_run():
         nodes[:] = run_json("node", "list")["nodes"]
         return {node["condition"] for node in nodes} == {"running"}
 
@@ -157,7 +152,7 @@ def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(run, folder, 
     assert run("param", "get", "compressor", "ratio") == "5.0\n"
     assert run_json("param", "get", "compressor", "ratio")["value"] == 5
 
-    def recorded() -> bool:
+    def recorded():
         try:
             with BagReader(folder / "run.mcap.part") as bag:
                 states = [decode(b"/skin/phi", m.payload) for m in bag.messages(["/skin/phi"])]

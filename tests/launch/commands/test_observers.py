@@ -1,7 +1,6 @@
 """The commands `monitor` and `record` beside a running graph."""
 
 from types import SimpleNamespace
-from typing import Any
 
 from sparseskin.launch.commands import observers
 
@@ -13,10 +12,10 @@ def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(monkeypatch)
         "/body/reconstruction": "reconstructor",
         "/hand/taxels": "other",
     }
-    graph: Any = SimpleNamespace(writers=lambda: writers)
+    graph = SimpleNamespace(writers=lambda: writers)
     asked = []
 
-    def describe(_: Any, node: str) -> dict[str, Any]:
+    def describe(_, node):
         asked.append(node)
         patches = {"key": "patches", "value": ("a", "b") if node == "reconstructor" else ()}
         return {"settings": [{"key": "seed", "value": 0}, patches]}

@@ -1,14 +1,12 @@
 """What commands share: the lines at the end of a run."""
 
-from typing import Any
-
 from sparseskin.launch.commands.options import print_ends
 
 
 def test_the_end_of_a_run_states_what_was_clipped_restarted_recorded_and_played(capsys):
     extremes = {"lowest": -0.5, "highest": 7.25, "f_min": -0.1, "f_max": 2.5, "unit": "N\x1b"}
     counts = {"clipped": 12, "clipped_below": 9, "clipped_above": 3}
-    nodes: dict[str, dict[str, Any]] = {
+    nodes = {
         "sensor": {"type": "sensor", **counts, **extremes},
         "flaky": {"type": "x:Y", "restarts": 2, "failures": ["exit code 1", "killed\x1b"]},
         "good": {"type": "sensor", "clipped": 0},

@@ -101,7 +101,7 @@ def test_a_command_is_refused_in_one_line_and_writes_nothing(
     monkeypatch.chdir(files)
     before = sorted(files.iterdir())
     try:
-        code: object = main(shlex.split(line))
+        code = main(shlex.split(line))
     except SystemExit as ended:
         code = ended.code
     out, error = capsys.readouterr()

@@ -1,7 +1,6 @@
 """Reprocessing: the same settings give the same bits, whatever the way and the executor."""
 
 import json
-from pathlib import Path
 
 import pytest
 from bags import record_scene
@@ -20,7 +19,7 @@ def recording(tmp_path_factory):
     return record_scene(path, "lift_box_40", 320, 40, 4)
 
 
-def maps(path: Path, kind: type[Reconstruction] | type[Taxels]) -> list[tuple[int, bytes]]:
+def maps(path, kind):
     """Stamps and forces of all frames of one schema."""
     with BagReader(path) as bag:
         assert bag.recovered == ""

@@ -46,7 +46,7 @@ def test_every_tool_beside_a_secured_graph_is_served(tmp_path):
     (tmp_path / "graph.toml").write_text(GRAPH.format(edge_port=min(free_port(), 65000)))
     with contextlib.ExitStack() as stack:
 
-        def start(host: str, *arguments: str) -> Program:
+        def start(host, *arguments):
             return stack.enter_context(Program(*arguments, cwd=tmp_path / host))
 
         for part in [start(h, "launch", "../graph.toml", "--host", h) for h in ("edge", "desk")]:

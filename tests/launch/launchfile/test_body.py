@@ -44,7 +44,7 @@ def body(tmp_path, monkeypatch):
     return tmp_path / "body.toml"
 
 
-def lines_of(*overrides: str) -> list[str]:
+def lines_of(*overrides):
     with pytest.raises(LaunchError) as caught:
         load("body", overrides)
     return caught.value.lines
@@ -95,7 +95,7 @@ def test_frames_of_all_patches_reach_the_monitor(body):
 
 
 def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds():
-    def sizes(**table: int) -> list[int]:
+    def sizes(**table):
         batches = read_skin(table, Path(), lambda place, what: pytest.fail(what))
         return [len(batch.patches) for batch in batches]
 

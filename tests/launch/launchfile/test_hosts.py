@@ -50,12 +50,12 @@ def folder(tmp_path, monkeypatch):
         make_key_files(name, tmp_path / "keys")
 
 
-def write(text: str) -> str:
+def write(text):
     Path("f.toml").write_text(text)
     return "f.toml"
 
 
-def faults(text: str, host: str | None = None) -> list[str]:
+def faults(text, host=None):
     with pytest.raises(LaunchError) as caught:
         load(write(text)).part(host)
     return caught.value.lines

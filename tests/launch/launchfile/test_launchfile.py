@@ -39,7 +39,7 @@ def check(tmp_path, monkeypatch):
     """The error lines of a launch file."""
     monkeypatch.chdir(tmp_path)
 
-    def lines_of(text: str, *overrides: str) -> list[str]:
+    def lines_of(text, *overrides):
         Path("f.toml").write_text(text)
         with pytest.raises(LaunchError) as caught:
             load("f.toml", overrides)

@@ -4,9 +4,7 @@ import json
 import selectors
 import socket
 import stat
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 from conftest import wait_until
@@ -20,34 +18,34 @@ from sparseskin.nodes.process.control import MAX_QUEUED_BYTES, ControlClient
 class Line:
     """A server that answers every request with its number, clients of it, and its loop."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         self.path = str(path)
         self._selector = selectors.DefaultSelector()
         self.unwatch = self._selector.unregister
-        self.taken: list[Mapping[str, Any]] = []
+        self.taken = []
         self.server = ControlServer(*(self.path, self), *(self._take, lambda node: {"of": node}))
-        self._clients: list[ControlClient] = []
+        self._clients = []
 
-    def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
+    def watch(self, fd, on_ready):
         self._selector.register(fd, selectors.EVENT_READ, on_ready)
 
-    def serve(self) -> None:
+    def serve(self):
         for key, _ in self._selector.select(0.01):
             key.data()
 
-    def _take(self, request: Mapping[str, Any], reply: Callable[[dict[str, Any]], None]) -> None:
+    def _take(self, request, reply):
         self.taken.append(request)
         reply({"id": request.get("id")})
 
-    def client(self) -> ControlClient:
+    def client(self):
         self._clients.append(ControlClient(self.path))
         return self._clients[-1]
 
-    def receive(self, client: ControlClient, n: int = 1) -> list[dict[str, Any]]:
+    def receive(self, client, n=1):
         """The next n objects that a client is sent."""
-        found: list[dict[str, Any]] = []
+        found = []
 
-        def done() -> bool:
+        def done():
             self.serve()
             found.extend(client.receive() or [])
             return len(found) >= n
@@ -56,12 +54,12 @@ class Line:
         assert len(found) == n
         return found
 
-    def is_left(self, client: ControlClient) -> bool:
+    def is_left(self, client):
         """True if the server has closed a client's line, once all that waits is read."""
         self.serve()
         return client.receive() is None
 
-    def close(self) -> None:
+    def close(self):
         for client in self._clients:
             client.close()
         self.server.close()
@@ -128,7 +126,7 @@ def test_a_watcher_that_does_not_read_holds_up_nobody(line):
         line.server.publish(state)
         assert line.receive(good) == [state]
         line.server.flush()
-    found: list[dict[str, Any]] = []
+    found = []
     wait_until(lambda: bool(found.extend(deaf.receive() or []) or found), "what it was sent first")
     assert found[0] == state
     assert len(found) < n

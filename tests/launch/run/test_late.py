@@ -3,7 +3,6 @@
 import os
 import signal
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from conftest import wait_until
@@ -35,7 +34,7 @@ PART = LaunchFile(
 )
 
 
-def nodes(*made: FakeNode) -> Any:
+def nodes(*made):
     return list(made)
 
 

@@ -1,13 +1,11 @@
 """A recording begun and ended while the graph runs: what is on, and what each request is told."""
 
 import re
-from typing import Any
 
 import pytest
 from fake_node import FakeNode
 
 from sparseskin.launch.launchfile.load import load
-from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.launch.run.live_recording import LiveRecording
 from sparseskin.nodes.errors import RefusedError
 
@@ -15,11 +13,11 @@ from sparseskin.nodes.errors import RefusedError
 class FakeFleet:
     """Keeps what it is to start."""
 
-    def __init__(self) -> None:
-        self.nodes: dict[str, FakeNode] = {}
-        self.started: list[tuple[NodeSpec, list[str]]] = []
+    def __init__(self):
+        self.nodes = {}
+        self.started = []
 
-    def add(self, spec: NodeSpec, topics: list[str]) -> None:
+    def add(self, spec, topics):
         self.started.append((spec, topics))
         self.nodes[spec.name] = FakeNode(spec.name)
 
@@ -27,13 +25,13 @@ class FakeFleet:
 class Desk:
     """A graph of which recordings are asked for."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.fleet = FakeFleet()
         self.launch = load("path_40", ["compressor.ratio=4"])
         self.recording = LiveRecording(self.launch, self.fleet)
-        self.said: list[tuple[bool, str]] = []
+        self.said = []
 
-    def take(self, step: str, node: Any = None) -> None:
+    def take(self, step, node=None):
         """A request, "on" or "off", or an event of the recorder, by default of the last one."""
         if step not in ("on", "off"):
             names = list(self.fleet.nodes)

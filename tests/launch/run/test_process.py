@@ -4,7 +4,6 @@ import contextlib
 import os
 import signal
 from pathlib import Path
-from typing import Any
 
 import pytest
 from conftest import PATIENCE_S, note_of_graph, wait_until
@@ -97,10 +96,10 @@ def test_live_recordings_leave_no_descriptor_open_and_a_killed_one_is_not_on(
     note_of_graph(tmp_path / "graphs")
     graph = choose_graph(None)
 
-    def record(on: bool) -> None:
+    def record(on):
         assert ask_node(graph, "launch", "record", on).done
 
-    def n_open() -> int:  # but sockets, of which an answer of the launcher leaves one for a while
+    def n_open():  # but sockets, of which an answer of the launcher leaves one for a while
         with contextlib.suppress(OSError):  # one that is closed meanwhile
             return sum(
                 "socket" not in os.readlink(one) for one in Path(f"/proc/{pid}/fd").iterdir()
@@ -123,7 +122,7 @@ def test_live_recordings_leave_no_descriptor_open_and_a_killed_one_is_not_on(
     os.kill(program.pid_of("live_recorder_4"), signal.SIGKILL)
     program.wait_for("[launch] live_recorder_4 ended too early")
     assert ask_node(graph, "launch", "record", False) == Answer(False, "record: not on")
-    nested: Any = []
+    nested = []
     for _ in range(500):
         nested = [nested]
     refused = Answer(False, "value: nested more than 4 deep")

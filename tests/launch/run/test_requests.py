@@ -1,7 +1,5 @@
 """Requests: each reaches the node it is meant for, and is answered once."""
 
-from typing import Any
-
 import pytest
 from fake_node import FakeNode
 
@@ -14,26 +12,26 @@ from sparseskin.nodes.errors import RefusedError
 class Desk:
     """A graph of fake processes, the requests to it, and the answers that came."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch):
         specs = load("path_40").nodes
         self.nodes = {name: FakeNode(name, spec, ready=True) for name, spec in specs.items()}
-        self.answers: list[dict[str, Any]] = []
-        self.own: list[tuple[str, Any]] = []
+        self.answers = []
+        self.own = []
         self.now_s = 100.0
         self.requests = Requests(self.nodes, self._own)
         monkeypatch.setattr(controls, "awake_s", lambda: self.now_s)
 
-    def _own(self, command: str, value: Any, say: Any) -> None:
+    def _own(self, command, value, say):
         if command != "record":
             raise RefusedError(f"launch: {command}: expected the command 'record'")
         self.own.append((command, value))
         say(True, "recording")
 
-    def ask(self, node: Any, command: Any, value: Any = None, number: Any = "7") -> None:
+    def ask(self, node, command, value=None, number="7"):
         request = {"id": number, "node": node, "command": command, "value": value}
         self.requests.take(request, self.answers.append)
 
-    def refusal(self, node: Any, command: Any, value: Any = None) -> str:
+    def refusal(self, node, command, value=None):
         """Why a request is refused at once; no node is told of it."""
         before = len(self.answers)
         self.ask(node, command, value)
@@ -42,7 +40,7 @@ class Desk:
         assert not any(process.told for process in self.nodes.values())
         return str(answer["text"])
 
-    def reply(self, node: str, done: bool = True, text: str = "done") -> None:
+    def reply(self, node, done=True, text="done"):
         """The node answers the last thing it was told."""
         _, fields = self.nodes[node].told[-1]
         self.requests.answered({"id": fields["id"], "done": done, "text": text})
@@ -54,7 +52,7 @@ def desk(monkeypatch):
 
 
 def test_two_askers_with_one_number_get_their_own_answers(desk):
-    heard: dict[str, list[Any]] = {"a": [], "b": []}
+    heard = {"a": [], "b": []}
     for asker, value in (("a", True), ("b", False)):
         request = {"id": "1", "node": "sensor", "command": "pause", "value": value}
         desk.requests.take(request, heard[asker].append)

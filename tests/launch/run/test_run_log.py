@@ -74,7 +74,7 @@ def test_a_full_file_makes_room_and_one_before_it_is_kept(tmp_path, monkeypatch)
     assert "line 499" in "".join(path.read_text() for path in log.folder.iterdir())
 
 
-def put_run(parent: Path, k: int, *files: str, mark: str | None = "") -> Path:
+def put_run(parent, k, *files, mark=""):
     """Make a folder as of the k-th run; `mark` is the text of its mark, its own name by default."""
     run = parent / f"drag-20240101-00000{k}-1"
     run.mkdir()
@@ -134,7 +134,7 @@ def test_a_link_in_the_place_of_a_run_is_not_followed_as_old_runs_are_removed(
     (tmp_path / "sensor.log").write_text("mine\n")
     rmtree = shutil.rmtree
 
-    def replaced(path: Path, ignore_errors: bool) -> None:
+    def replaced(path, ignore_errors):
         """The other user waits until the folder was looked at."""
         path.rename(tmp_path / "was")
         path.symlink_to(tmp_path)
@@ -185,7 +185,7 @@ def test_a_full_disk_keeps_neither_table_nor_summary_back(start, mount_disk, tmp
 
 
 def test_folders_are_the_users_own_and_without_a_home_directory_the_remedy_is_named(monkeypatch):
-    def unknown(*_: object) -> None:
+    def unknown(*_):
         raise KeyError("uid not found")
 
     monkeypatch.setattr(pwd, "getpwuid", unknown)

@@ -26,7 +26,7 @@ def own_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
 
 
-def graph(name: str = "path_40", pid: int = 7) -> RunningGraph:
+def graph(name="path_40", pid=7):
     nodes = {"sensor": RunningNode("sensor", "ipc://@x", ["/skin/skin", "/skin/taxels"])}
     return RunningGraph(name, pid, 123, "[nodes]", nodes)
 

@@ -8,7 +8,6 @@ import subprocess
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -51,17 +50,17 @@ def as_nobody():
     return become_nobody()
 
 
-def put_link(path: Path) -> None:
+def put_link(path):
     (path.parent / "target").mkdir(mode=0o700)
     path.symlink_to(path.parent / "target")
 
 
-def open_to_all(path: Path) -> None:
+def open_to_all(path):
     path.mkdir()
     path.chmod(0o755)
 
 
-def give_away(path: Path) -> None:
+def give_away(path):
     path.mkdir(mode=0o700)
     give(path)
 
@@ -81,7 +80,7 @@ def test_a_folder_that_others_can_change_is_refused_before_any_node_starts(
 ):
     prepare(folder)
 
-    def no_process(*_: Any, **__: Any) -> None:
+    def no_process(*_, **__):
         raise AssertionError("a process was started")
 
     monkeypatch.setattr(subprocess, "Popen", no_process)
@@ -169,7 +168,7 @@ def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(start, tmp_
     assert {f"path_40-{program.process.pid}.json", f"{program.process.pid}.sock"} <= left
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder))
 
-    def removed() -> bool:  # a process that is being killed still holds its socket
+    def removed():  # a process that is being killed still holds its socket
         return running_graphs() == [] and not list(folder.iterdir())
 
     wait_until(removed, "the end of all nodes")
@@ -229,7 +228,7 @@ def test_what_a_node_made_after_the_note_was_removed_is_removed_too(folder):
 
 
 def test_a_graph_counts_as_running_while_no_file_can_be_opened(folder, monkeypatch):
-    def full(*_: Any, **__: Any) -> int:
+    def full(*_, **__):
         raise OSError(24, "Too many open files")
 
     with announced(GRAPH), monkeypatch.context() as patch:

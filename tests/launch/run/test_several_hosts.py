@@ -6,7 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from conftest import Program, StartProgram, free_port, wait_until
+from conftest import free_port, wait_until
 
 from sparseskin.nodes.network.keys import make_key_files
 
@@ -35,7 +35,7 @@ host = "desk"
 """
 
 
-def write(folder: Path, rate_hz: int = 500, allow: str = "", security: bool = True) -> None:
+def write(folder, rate_hz=500, allow="", security=True):
     shutil.copy(STATIONS, folder / "stations.py")
     for name in ("edge", "desk"):
         if not (folder / "keys").exists() or not (folder / f"keys/{name}.key").exists():
@@ -49,14 +49,12 @@ def write(folder: Path, rate_hz: int = 500, allow: str = "", security: bool = Tr
     (folder / "two.toml").write_text(text)
 
 
-def part(start: StartProgram, host: str, *more: str) -> Program:
+def part(start, host, *more):
     return start("launch", "two.toml", "--host", host, "--summary", f"{host}.json", *more)
 
 
-def summary(folder: Path, host: str) -> dict[str, dict[str, dict[str, dict[str, int]]]]:
-    found: dict[str, dict[str, dict[str, dict[str, int]]]] = json.loads(
-        (folder / f"{host}.json").read_text()
-    )
+def summary(folder, host):
+    found = json.loads((folder / f"{host}.json").read_text())
     return found
 
 

@@ -4,10 +4,9 @@ import json
 import os
 import signal
 from pathlib import Path
-from typing import Any
 
 import pytest
-from conftest import Program, StartProgram, wait_until
+from conftest import wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,7 +28,7 @@ def frames():
 GRAPH = (BUNDLED / "path_40.toml").read_text()
 
 
-def with_keys(graph: str = "", **nodes: str) -> str:
+def with_keys(graph="", **nodes):
     """A launch file with keys more in [graph] and in [nodes.NAME]."""
     text = GRAPH.replace("[graph]", f"[graph]\n{graph}")
     for name, keys in nodes.items():
@@ -37,7 +36,7 @@ def with_keys(graph: str = "", **nodes: str) -> str:
     return text
 
 
-def policy_of(path: Path, text: str) -> dict[str, RestartPolicy]:
+def policy_of(path, text):
     path.write_text(text)
     return {name: spec.restart for name, spec in load(str(path)).nodes.items()}
 
@@ -99,7 +98,7 @@ def test_a_wrong_key_is_named_with_its_line_and_what_is_allowed(tmp_path, monkey
     }
 
 
-def launched(start: StartProgram, tmp_path: Path, keys: str, *arguments: str) -> Program:
+def launched(start, tmp_path, keys, *arguments):
     """A graph of 1000 frames, 5 s, that runs; what it says goes to out.json."""
     (tmp_path / "graph.toml").write_text(with_keys(keys))
     program = start(
@@ -110,12 +109,12 @@ def launched(start: StartProgram, tmp_path: Path, keys: str, *arguments: str) ->
     return program
 
 
-def connected(program: Program) -> ControlClient:
+def connected(program):
     """Connect to the control socket of a graph as soon as its launcher listens there."""
     path = program.cwd / "graphs" / f"{program.process.pid}.sock"
-    found: list[ControlClient] = []
+    found = []
 
-    def listens() -> bool:
+    def listens():
         try:
             found.append(ControlClient(str(path)))
         except SparseskinError:
@@ -126,7 +125,7 @@ def connected(program: Program) -> ControlClient:
     return found[0]
 
 
-def killed(program: Program, node: str) -> None:
+def killed(program, node):
     """Kill a node that is there, and wait until the launcher says so."""
     wait_until(lambda: node in program.nodes(), f"the {node}")
     os.kill(program.pid_of(node), signal.SIGKILL)
@@ -142,10 +141,10 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(start, 
     acquired = tmp_path / "acquired"
     wait_until(lambda: acquired.stat().st_size > 1, "a frame after that which shows the shape")
 
-    def wait_for(node: str, **wanted: Any) -> None:
+    def wait_for(node, **wanted):
         """Wait for news of a node in which it is as stated."""
 
-        def has_come() -> bool:
+        def has_come():
             news = [fields["graph"] for fields in client.receive() or () if "graph" in fields]
             nodes = [state for graph in news for state in graph["nodes"] if state["name"] == node]
             return any(wanted.items() <= state.items() for state in nodes)
@@ -175,7 +174,7 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(start, 
     assert "[launch] reconstructor is started again (restart 1)" in stderr
     assert "[launch] sensor is started again (restart 1)" in stderr
     assert "Traceback" not in stderr
-    summary: dict[str, Any] = json.loads((tmp_path / "out.json").read_text())
+    summary = json.loads((tmp_path / "out.json").read_text())
     restarts = {name: node["restarts"] for name, node in summary["nodes"].items()}
     assert restarts == {"sensor": 1, "compressor": 1, "reconstructor": 1, "monitor": 1}
     assert summary["nodes"]["sensor"]["failures"] == ["ended too early: killed by SIGKILL"]

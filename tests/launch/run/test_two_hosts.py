@@ -12,8 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import Program, StartProgram
-from namespaces import ADDRESSES, TwoHosts, two_hosts
+from namespaces import ADDRESSES, two_hosts
 
 from sparseskin.nodes.network.keys import make_key_files
 
@@ -84,13 +83,13 @@ def hosts(tmp_path):
         yield made
 
 
-def part(start: StartProgram, hosts: TwoHosts, host: str, name: str = "two.toml") -> Program:
+def part(start, hosts, host, name="two.toml"):
     arguments = ("launch", name, "--host", host, "--summary", f"{host}.json")
     arguments += ("--frames", str(N_FRAMES)) if name == "robot.toml" else ()
     return start(*arguments, prefix=hosts.prefix(host))
 
 
-def finish(folder: Path, edge: Program, desk: Program) -> tuple[dict[str, int], dict[str, int]]:
+def finish(folder, edge, desk):
     """Stop the edge, and so the stream; what was sent, received and lost of it."""
     edge.process.send_signal(signal.SIGINT)
     for program in (edge, desk):

@@ -1,7 +1,5 @@
 """Warnings about settings of the compressor that are valid but reconstruct badly."""
 
-from typing import Any
-
 import pytest
 
 from sparseskin.nodes.bus import Bus
@@ -32,7 +30,7 @@ def test_settings_that_reconstruct_badly_are_warned_of_in_a_line(kind, m, block,
         assert "\n" not in warning
 
 
-def running(**compressor: Any) -> Bus:
+def running(**compressor):
     bus = Bus(
         {
             "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),

@@ -1,7 +1,6 @@
 """Figures of the monitor, against values computed by hand."""
 
 import dataclasses
-from typing import Any
 
 import bags
 import numpy as np
@@ -10,11 +9,9 @@ from exported import contacts
 
 from sparseskin.messages import (
     Measurements,
-    Message,
     PhiState,
     Reconstruction,
     Resultant,
-    SkinState,
     SolverState,
     Taxels,
     Truth,
@@ -23,7 +20,7 @@ from sparseskin.messages import (
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ManualClock
 from sparseskin.nodes.compressor.node import Compressor
-from sparseskin.nodes.graph import NodeSpecs, join
+from sparseskin.nodes.graph import join
 from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, psnr_db
 from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.monitor.table import status_line, summary_table
@@ -33,29 +30,27 @@ from sparseskin.nodes.sensor.node import Sensor
 
 SHAPE = (4, 5)
 MS = 1_000_000
-HEAD: dict[str, Any] = {"patch": "skin", "run_id": "0" * 16}
-SOLVED: dict[str, Any] = {
-    **{"phi": "0" * 16, "iterations": (1,), "residual": (0.0,), "solve_ns": (2 * MS,)}
-}
+HEAD = {"patch": "skin", "run_id": "0" * 16}
+SOLVED = {**{"phi": "0" * 16, "iterations": (1,), "residual": (0.0,), "solve_ns": (2 * MS,)}}
 PHI = PhiState(**HEAD, stamp_ns=0, kind="sbhe", n=20, m=7, block=4, seed=0, fingerprint="0" * 16)
 SOLVER = SolverState(
     **HEAD, stamp_ns=0, solver="fista", basis="haar", preset="paper", iterations=30, lambda_n=0.1
 )
 
 
-def skin(**changes: Any) -> SkinState:
+def skin(**changes):
     values = {"n_rows": SHAPE[0], "n_cols": SHAPE[1], "mask": None, "source": "a scene"}
     return bags.skin_state(**values | {"sigma_mid": 0.0, "sigma_end": 0.0} | changes)
 
 
-def frame(seq: int, truth: float | None, taxels: float, restored: float | None) -> list[Message]:
+def frame(seq, truth, taxels, restored):
     """One frame of uniform maps."""
 
-    def uniform(value: float) -> np.ndarray:
+    def uniform(value):
         return np.full(SHAPE, value, np.float32)
 
-    origin: dict[str, Any] = {**HEAD, "seq": seq, "stamp_ns": 1000 * seq}
-    messages: list[Message] = [Taxels(**origin, forces=uniform(taxels))]
+    origin = {**HEAD, "seq": seq, "stamp_ns": 1000 * seq}
+    messages = [Taxels(**origin, forces=uniform(taxels))]
     if truth is not None:
         messages.append(Truth(**origin, forces=uniform(truth)))
     messages.append(Measurements(**origin, y=np.ones(7, np.float32), phi="0" * 16))
@@ -68,7 +63,7 @@ def frame(seq: int, truth: float | None, taxels: float, restored: float | None) 
     return messages
 
 
-def metrics_of(*messages: Message) -> PatchMetrics:
+def metrics_of(*messages):
     metrics = PatchMetrics()
     for message in messages:
         metrics.add(message)
@@ -289,7 +284,7 @@ def test_a_status_line_of_80_columns_has_the_contacts():
     assert "| 18 contacts, 45 N" in status_line(many, 1000.0)[:79]
 
 
-def estimated(seq: int, force: float, trusted: bool, error: float | None = 0.1) -> list[Message]:
+def estimated(seq, force, trusted, error=0.1):
     """A frame whose solver estimates its error."""
     *others, last = frame(seq, force, force, force)
     return [*others, dataclasses.replace(last, error=error, trusted=trusted)]
@@ -347,7 +342,7 @@ def test_untouched_frames_of_a_noisy_recording_are_not_in_contact(stated, clippe
     assert relative == pytest.approx(expected, rel=0.02)
 
 
-def resultant(k: int) -> Resultant:
+def resultant(k):
     return Resultant(
         stamp_ns=k * bags.PERIOD_NS, patch="skin", total=float(k), total_sd=0.1, done_ns=0
     )
@@ -371,7 +366,7 @@ def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares():
 def test_a_monitor_reads_resultants_where_they_are_written():
     settings = Monitor.Settings()
     for told in (False, True):
-        nodes: NodeSpecs = {
+        nodes = {
             "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
             "compressor": (Compressor, Compressor.Settings()),
             "reconstructor": (Reconstructor, Reconstructor.Settings(resultant=told)),

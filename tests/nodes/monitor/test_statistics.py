@@ -18,12 +18,12 @@ def test_a_quantile_is_right_within_a_quarter_percent(values, q):
     assert quantiles.quantile_ms(q) == pytest.approx(exact, rel=0.0026)
 
 
-def row(time_s: float) -> tuple[float, ...]:
+def row(time_s):
     """A row whose every value follows from its time."""
     return (time_s, *(time_s + k for k in range(1, len(COLUMNS))))
 
 
-def filled(n_rows: int, period_s: float) -> History:
+def filled(n_rows, period_s):
     history = History()
     for k in range(n_rows):
         history.add(*row(k * period_s))

@@ -3,8 +3,6 @@
 import contextlib
 import socket
 import time
-from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +20,7 @@ from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context
 TAXELS = "/skin/taxels"
 
 
-def key_pair() -> KeyPair:
+def key_pair():
     public, secret = zmq.curve_keypair()
     return KeyPair(public.decode(), secret.decode())
 
@@ -33,20 +31,20 @@ SERVER, LISTED, UNLISTED = key_pair(), key_pair(), key_pair()
 class Station:
     """A writer behind a gate, served as a runner serves it."""
 
-    def __init__(self, endpoint: str, keys: KeyPair | None) -> None:
+    def __init__(self, endpoint, keys):
         self.context = make_context()
-        self.lines: list[str] = []
+        self.lines = []
         known = {UNLISTED.public: "mallory", LISTED.public: "desk"}
         self.gate = Gate(
             self.context, keys, {LISTED.public: "desk"}, known, lambda line: self.lines.append(line)
         )
         self.writer = Writer(self.context, endpoint, gate=self.gate)
 
-    def serve(self) -> None:
+    def serve(self):
         self.gate.serve()
         self.writer.serve_subscriptions()
 
-    def until(self, done: Callable[[], bool], what: str) -> None:
+    def until(self, done, what):
         poller = zmq.Poller()
         for served in (*self.gate.sockets, self.writer.socket):
             poller.register(served, zmq.POLLIN)
@@ -56,7 +54,7 @@ class Station:
             poller.poll(10)
             self.serve()
 
-    def said(self, words: str) -> bool:
+    def said(self, words):
         return any(words in line for line in self.lines)
 
 
@@ -67,15 +65,13 @@ def station():
 
 
 @contextlib.contextmanager
-def closing_station(
-    keys: KeyPair | None = SERVER, endpoint: str = "tcp://127.0.0.1:*"
-) -> Iterator[Station]:
+def closing_station(keys=SERVER, endpoint="tcp://127.0.0.1:*"):
     made = Station(endpoint, keys)
     yield made
     made.context.destroy(linger=0)
 
 
-def half_open(station: Station) -> socket.socket:
+def half_open(station):
     """A connection whose peer says nothing."""
     stranger = socket.create_connection(
         ("127.0.0.1", int(station.writer.endpoint.rsplit(":", 1)[1]))
@@ -84,10 +80,8 @@ def half_open(station: Station) -> socket.socket:
     return stranger
 
 
-def listen(
-    context: zmq.Context[Any], station: Station, keys: KeyPair | None, server_key: str
-) -> tuple[Reader, Peers, list[str]]:
-    lines: list[str] = []
+def listen(context, station, keys, server_key):
+    lines = []
     reader = Reader(context, "reader", (), [TAXELS], keys=keys)
     peers = Peers(lines.append)
     peers.watch(reader)
@@ -180,7 +174,7 @@ def test_a_refused_reader_tries_again_by_itself(station, context):
     station.until(lambda: station.said("mallory"), "the refusal")
     now_ns = 0
 
-    def served_again() -> bool:
+    def served_again():
         nonlocal now_ns
         now_ns += 100_000_000
         peers.serve(now_ns)
@@ -226,7 +220,7 @@ def test_half_open_connections_are_bounded_and_keep_no_reader_out(station, conte
 
 
 def test_of_too_many_connections_one_of_the_address_with_the_most_is_closed(station, monkeypatch):
-    closed: list[str] = []
+    closed = []
     monkeypatch.setattr(gate_module, "_shut_down", lambda fd, address: closed.append(address))
     station.gate._pending = {3: "10.0.0.1:1", 4: "10.0.0.7:1", 5: "10.0.0.7:2", 6: "10.0.0.2:1"}
     station.gate._close_one()

@@ -1,7 +1,6 @@
 """Other hosts: their clocks by topic, who is asked for them, access control, and the end."""
 
 import time
-from typing import Any
 
 import pytest
 import zmq
@@ -19,8 +18,8 @@ SECURITY = {"own": [k.decode() for k in zmq.curve_keypair()], "allowed": {}, "kn
 AHEAD_NS = {"left": 7_000_000_000, "right": -3_000_000_000}
 
 
-def network(context: zmq.Context[Any], **config: Any) -> tuple[Network, list[str]]:
-    lines: list[str] = []
+def network(context, **config):
+    lines = []
     stated = {"name": "monitor", "endpoint": "inproc://monitor", **config}
     return Network(context, stated, time.monotonic_ns, lines.append), lines
 
@@ -40,7 +39,7 @@ def test_each_topic_has_the_clock_of_its_writers_host(context):
     node.connect(reader, peers)
     assert node.peers.heard == {"sensor_left": False, "sensor_right": False}
 
-    def known() -> bool:
+    def known():
         for writer in writers.values():
             writer.serve_subscriptions()
         node.serve()
@@ -58,7 +57,7 @@ def test_each_topic_has_the_clock_of_its_writers_host(context):
     assert node.clock_of(HERE) == SAME_CLOCK
     writers["left"].socket.close()
 
-    def is_silent() -> bool:
+    def is_silent():
         node.serve()
         return not node.peers.heard["sensor_left"]
 
@@ -72,7 +71,7 @@ def test_other_hosts_are_asked_for_the_time_once_a_period_and_oftener_at_first(
     context, monkeypatch, n_times, period_ns
 ):
     reader = Reader(context, "monitor", (), [LEFT])
-    asked: list[int] = []
+    asked = []
     monkeypatch.setattr(reader, "ask_time", asked.append)
     peers = Peers(lambda line: None)
     peers.watch(reader)
@@ -125,7 +124,7 @@ def test_the_end_is_received_once_every_distant_reader_has_answered(context):
     wait_for_reader(node.writer, "desk")
     assert not node.end_received()
 
-    def answered() -> bool:
+    def answered():
         if (parts := reader.receive()) is not None:
             reader.answer(bytes(parts[1]))
         node.writer.serve_subscriptions()

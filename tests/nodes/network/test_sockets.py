@@ -1,16 +1,12 @@
 """The sockets: nothing is lost for want of a subscription, what is latched reaches all."""
 
-from typing import Any
-
 import numpy as np
 import pytest
-import zmq
 from conftest import wait_until
 from zmq_contexts import context as context
 from zmq_contexts import wait_for_reader
 
 from sparseskin.messages import PhiState, Taxels, TruncatedError, decode
-from sparseskin.messages.wire import Payload
 from sparseskin.nodes.network.sockets import Reader, Writer
 
 TAXELS, PHI = "/skin/taxels", "/skin/phi"
@@ -19,20 +15,20 @@ TAXELS, PHI = "/skin/taxels", "/skin/phi"
 class Pair:
     """A writer and its readers over one endpoint."""
 
-    def __init__(self, context: zmq.Context[Any], endpoint: str = "inproc://writer") -> None:
+    def __init__(self, context, endpoint="inproc://writer"):
         self._context = context
         self.writer = Writer(context, endpoint)
 
-    def reader(self, *topics: str, name: str = "reader") -> Reader:
+    def reader(self, *topics, name="reader"):
         """A reader that is present."""
         reader = Reader(self._context, name, [self.writer.endpoint], topics)
         wait_for_reader(self.writer, name)
         return reader
 
-    def next_messages(self, reader: Reader, n: int = 1) -> list[tuple[bytes, Payload]]:
-        found: list[tuple[bytes, Payload]] = []
+    def next_messages(self, reader, n=1):
+        found = []
 
-        def came() -> bool:
+        def came():
             while len(found) < n and (parts := reader.receive()) is not None:
                 found.append(parts)
             return len(found) == n
@@ -46,7 +42,7 @@ def pair(context):
     return Pair(context)
 
 
-def taxels(seq: int) -> Taxels:
+def taxels(seq):
     return Taxels(stamp_ns=seq, patch="skin", seq=seq, forces=np.ones((2, 2), np.float32))
 
 
@@ -60,7 +56,7 @@ def test_a_reader_misses_nothing_while_it_is_present(context, endpoint, tmp_path
     assert found == list(range(500))
     reader.socket.close()
 
-    def has_left() -> bool:
+    def has_left():
         pair.writer.serve_subscriptions()
         return not pair.writer.present
 
@@ -89,7 +85,7 @@ def test_a_writer_knows_when_all_that_it_sent_is_processed(pair):
     assert reader.is_ask(topic)
     reader.answer(bytes(note))
 
-    def has_answered() -> bool:
+    def has_answered():
         pair.writer.serve_subscriptions()
         return not pair.writer.awaits(ask)
 

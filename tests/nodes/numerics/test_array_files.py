@@ -4,8 +4,6 @@ import contextlib
 import io
 import tracemalloc
 import zipfile
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,20 +16,20 @@ from sparseskin.nodes.sensor.files.file_source import open_file
 MB = 1_000_000
 
 
-def npy(array: Any) -> bytes:
+def npy(array):
     made = io.BytesIO()
     np.save(made, array)
     return made.getvalue()
 
 
-def npz(**arrays: Any) -> bytes:
+def npz(**arrays):
     made = io.BytesIO()
     np.savez_compressed(made, **arrays)
     return made.getvalue()
 
 
 @contextlib.contextmanager
-def peak_below(n_bytes: float) -> Iterator[None]:
+def peak_below(n_bytes):
     """No more memory than that is allocated within."""
     tracemalloc.start()
     try:

@@ -1,8 +1,6 @@
 """Compiled loops: used where numba is installed, else refused in one line; compiled once."""
 
 import importlib.util
-from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -30,7 +28,7 @@ def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(monkeyp
     assert not use_compiled("auto")
     with pytest.raises(SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"):
         use_compiled("on")
-    lines: list[str] = []
+    lines = []
     compile_loops("skin", "auto", lines.append)
     (line,) = lines
     assert line.endswith("pip install 'sparseskin[fast]'")
@@ -41,12 +39,12 @@ def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(monkeyp
 
 
 def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(monkeypatch):
-    def fail(name: str) -> None:
+    def fail(name):
         raise ImportError("Numba needs NumPy 2.3 or less. Got NumPy 2.9.")
 
     monkeypatch.setattr(fast, "find_spec", lambda name: name)
     monkeypatch.setattr(fast, "import_module", fail)
-    lines: list[str] = []
+    lines = []
     compile_loops("skin", "auto", lines.append)
     assert lines == ["compiled loops: numba cannot be imported; numpy is used"]
     with pytest.raises(SettingsError, match=r"fast: importing numba failed: .*Got NumPy 2\.9"):
@@ -71,7 +69,7 @@ def test_the_environment_replaces_auto(monkeypatch):
 def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path):
     loop, lines = _module_of(tmp_path).double, []
 
-    def log(line: str) -> None:
+    def log(line):
         lines.append((line, list(loop.signatures)))
 
     ready(loop, log=log)
@@ -106,7 +104,7 @@ def double(k):
 """
 
 
-def _module_of(folder: Path) -> ModuleType:
+def _module_of(folder):
     path = folder / "loops.py"
     path.write_text(LOOP)
     spec = importlib.util.spec_from_file_location("loops", path)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bags import MASK, PERIOD_NS, make_bag, skin_state
 
-from sparseskin.messages import Measurements, Message, PhiState, Reconstruction
+from sparseskin.messages import Measurements, PhiState, Reconstruction
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.player.node import Player
@@ -19,7 +19,7 @@ PHIS = [make_phi("sbhe", N, m, 0) for m in (N // 3, N // 2)]
 @pytest.fixture
 def recording(tmp_path):
     """Twenty frames; before the eleventh M was changed."""
-    messages: list[Message] = [skin_state()]
+    messages = [skin_state()]
     for k in range(N_FRAMES):
         phi = PHIS[k >= CHANGED_AT]
         stamp_ns = (k + 1) * PERIOD_NS
@@ -38,7 +38,7 @@ def recording(tmp_path):
     return str(path)
 
 
-def graph(recording: str, **settings: object) -> Bus:
+def graph(recording, **settings):
     player = PlayerSettings(file=recording, rate=0.0, **settings)
     return Bus({
         "player": (Player, player),
@@ -46,7 +46,7 @@ def graph(recording: str, **settings: object) -> Bus:
     })  # fmt: skip
 
 
-def restored(bus: Bus, n_ticks: int | None = None) -> list[Reconstruction]:
+def restored(bus, n_ticks=None):
     made = [message for messages in bus.frames(n_ticks) for message in messages]
     return [message for message in made if isinstance(message, Reconstruction)]
 

@@ -1,13 +1,10 @@
 """The player: what it publishes, in what order, under which names and stamps."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import LaunchError, load
-from sparseskin.messages import Measurements, Message, Reconstruction, decode, encode
+from sparseskin.messages import Measurements, Reconstruction, decode, encode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
@@ -25,7 +22,7 @@ N_FRAMES = 20
 BEGIN_NS = 10**15
 
 
-def record(path: Path) -> list[Message]:
+def record(path):
     """A recording of 20 frames, 10 ms apart, and the messages it was made of."""
     clock = ManualClock(BEGIN_NS)
     bus = Bus(
@@ -51,11 +48,11 @@ def recording(tmp_path_factory):
     return path, record(path)
 
 
-def player(path: Path, **settings: Any) -> Player:
+def player(path, **settings):
     return Player(Player.Settings(file=str(path), **settings), Context("player", ManualClock()))
 
 
-def play(node: Player, n_ticks: int = 1000) -> list[list[Message]]:
+def play(node, n_ticks=1000):
     """All frames that the player gives, tick by tick."""
     frames = []
     for k in range(n_ticks):

@@ -1,14 +1,11 @@
 """A player at the controls: seek, rate, step and pause."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 from bags import PERIOD_NS, frames, make_bag
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.messages import Message, Taxels
+from sparseskin.messages import Taxels
 from sparseskin.nodes.bus import LOCAL_RUN_ID
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError
@@ -35,7 +32,7 @@ def bag(tmp_path_factory):
 class Deck:
     """A player, its clock, and who presses its keys."""
 
-    def __init__(self, bag: Path, **values: Any) -> None:
+    def __init__(self, bag, **values):
         self.clock = ManualClock(10**9)
         settings = Player.Settings(file=str(bag), **values)
         self.player = Player(settings, Context("player", self.clock))
@@ -43,26 +40,26 @@ class Deck:
         self.player.begin(self.clock.now_ns())
         self._n_ticks = self._stamp_ns = 0
 
-    def press(self, name: str, value: Any = None) -> str:
+    def press(self, name, value=None):
         return self.player.command(name, value)
 
-    def play(self, n_frames: int) -> list[list[Message]]:
+    def play(self, n_frames):
         """The next frames, each when it is due."""
         return [self.play_one() for _ in range(n_frames)]
 
-    def play_one(self) -> list[Message]:
+    def play_one(self):
         due_ns = self.player.next_tick_ns()
         self.clock.advance(max(0, due_ns - self.clock.now_ns()))
         self._stamp_ns = max(self.clock.now_ns(), self._stamp_ns + 1)
         self._n_ticks += 1
         return list(self.host.tick(Tick(self._stamp_ns, self._n_ticks - 1)))
 
-    def due_in_ns(self) -> int | None:
+    def due_in_ns(self):
         due_ns = self.player.next_tick_ns()
         return None if due_ns is None else due_ns - self.clock.now_ns()
 
 
-def recorded(messages: list[Message]) -> int:
+def recorded(messages):
     """Number of the recorded frame, by its forces, which no other frame has."""
     (taxels,) = [message for message in messages if isinstance(message, Taxels)]
     (number,) = [k for k, forces in enumerate(TAXELS) if forces == taxels.forces.tobytes()]

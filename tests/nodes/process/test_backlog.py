@@ -1,13 +1,11 @@
 """Of what waits for a node that is behind, the newest frames are taken in; all are counted."""
 
-from collections.abc import Iterable, Mapping
-
 import numpy as np
 from conftest import wait_until
 from zmq_contexts import context as context
 from zmq_contexts import wait_for_reader
 
-from sparseskin.messages import End, Message, PhiState, Taxels
+from sparseskin.messages import End, PhiState, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.network.sockets import Reader, Writer
 from sparseskin.nodes.node import Context, Node
@@ -18,7 +16,7 @@ from sparseskin.nodes.settings import Settings
 TAXELS, PHI = "/skin/taxels", "/skin/phi"
 
 
-def taxels(seq: int) -> Taxels:
+def taxels(seq):
     forces = np.ones((2, 2), np.float32)
     return Taxels(stamp_ns=seq, patch="skin", run_id="0" * 16, seq=seq, forces=forces)
 
@@ -26,20 +24,20 @@ def taxels(seq: int) -> Taxels:
 class Tap(Node[Settings]):
     """Keeps the numbers of the frames that it is given."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(Settings(), Context("tap", ManualClock()))
-        self.given: list[int] = []
-        self.overtaken_by_newer: list[int] = []
+        self.given = []
+        self.overtaken_by_newer = []
 
     @classmethod
-    def inputs(cls, settings: Settings) -> tuple[str, ...]:
+    def inputs(cls, settings):
         return (TAXELS,)
 
-    def step(self, message: Message) -> Iterable[Message]:
+    def step(self, message):
         self.given.append(message.seq)
         return ()
 
-    def overtaken(self, message: Message) -> None:
+    def overtaken(self, message):
         self.overtaken_by_newer.append(message.seq)
 
 
@@ -59,9 +57,9 @@ def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(context):
     node = Tap()
     host = NodeHost(node, "1" * 16, print)
     backlog = Backlog(reader, frozenset([TAXELS.encode()]))
-    kept: list[Mapping[bytes, bytes]] = []
+    kept = []
 
-    def ended() -> bool:
+    def ended():
         while (waiting := backlog.take(3)) is not None:
             kept.extend(host.receive_bytes(*waiting))
         return host.finished

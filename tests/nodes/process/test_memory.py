@@ -9,7 +9,7 @@ LEAST = 50_000_000
 
 
 def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown(monkeypatch):
-    trims: list[int] = []
+    trims = []
     resident = LEAST
     monkeypatch.setattr(memory, "_trim", lambda: trims.append)
     monkeypatch.setattr(memory, "resident_bytes", lambda _pid: resident)

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -32,7 +31,7 @@ print(json.dumps([scheduled(), within, in_thread()]))
 """
 
 
-def applied(cpus: tuple[int, ...], priority: int) -> Any:
+def applied(cpus, priority):
     """CPUs and policy of a process, of a thread started within and of one started after it."""
     code = APPLIED.format(cpus=cpus, priority=priority)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -71,7 +70,7 @@ def test_a_priority_without_the_privilege_is_refused(monkeypatch):
     before = os.sched_getscheduler(0)
     calls = []
 
-    def refuse(pid: int, policy: int, parameters: os.sched_param) -> None:
+    def refuse(pid, policy, parameters):
         calls.append(policy)
         if policy == os.SCHED_FIFO:
             raise PermissionError(1, "Operation not permitted")

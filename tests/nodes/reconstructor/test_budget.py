@@ -1,13 +1,12 @@
 """The time of a frame is bounded: the number of iterations is chosen when the graph begins."""
 
 import time
-from typing import Any
 
 import numpy as np
 import pytest
 from bags import skin_state
 
-from sparseskin.messages import Measurements, PhiState, Reconstruction, SolverState
+from sparseskin.messages import Measurements, PhiState
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
@@ -21,13 +20,13 @@ N, M = 64, 32
 class Clockwork:
     """A clock that a slow solver moves on."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_ns = 0
 
-    def perf_counter_ns(self) -> int:
+    def perf_counter_ns(self):
         return self.now_ns
 
-    def perf_counter(self) -> float:
+    def perf_counter(self):
         return self.now_ns / 1e9
 
 
@@ -37,21 +36,21 @@ class SlowSolver(Solver):
     clockwork: Clockwork
     n_steps = 10
 
-    def setup(self, y: Any, warm: Any = None) -> None:
+    def setup(self, y, warm=None):
         self.done = 0
 
-    def step(self) -> None:
+    def step(self):
         self.done += 1
         self.clockwork.now_ns += 1_000_000
 
-    def finish(self) -> Any:
+    def finish(self):
         return np.full((8, 8), self.done, np.float32)
 
-    def reset(self) -> None:
+    def reset(self):
         pass
 
 
-def restored(budget_ms: float | None, monkeypatch: pytest.MonkeyPatch) -> Reconstruction:
+def restored(budget_ms, monkeypatch):
     clockwork = Clockwork()
     SlowSolver.clockwork = clockwork
     monkeypatch.setattr(time, "perf_counter_ns", clockwork.perf_counter_ns)
@@ -84,7 +83,7 @@ def test_as_many_steps_are_done_as_fit_into_the_budget_and_three_in_any_case(
     assert found.solve_ns == (steps * 1_000_000,)
 
 
-def states(rate_hz: float, live: bool = True, **settings: Any) -> SolverState:
+def states(rate_hz, live=True, **settings):
     """What the reconstructor of 32 x 32 taxels states at a rate, in a live graph by default."""
     phi = make_phi("sbhe", 1024, 342, 0)
     context = Context("", ManualClock(0), live=live)

@@ -1,7 +1,6 @@
 """Contacts: closed forms of what is found, ids from frame to frame, events, messages, a graph."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from sparseskin.messages.contacts import EVENTS
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.contact_tracks import ContactTracker, joined
 from sparseskin.nodes.reconstructor.contacts import SD_SCALE, Limits, components, find_contacts
 from sparseskin.nodes.reconstructor.node import Reconstructor
@@ -22,7 +20,7 @@ from sparseskin.nodes.sensor.node import Sensor
 SHAPE, NOISE_N, PITCH_M, DT_NS = (32, 40), 0.0141, 0.002, 10_000_000
 
 
-def boxes(*corners: tuple[int, int], force: float = 0.5, size: tuple[int, int] = (4, 6)) -> Floats:
+def boxes(*corners, force=0.5, size=(4, 6)):
     """Uniform forces on boxes of 4 x 6 taxels, by their first rows and columns."""
     forces = np.zeros(SHAPE, np.float32)
     for row, col in corners:
@@ -30,8 +28,8 @@ def boxes(*corners: tuple[int, int], force: float = 0.5, size: tuple[int, int] =
     return forces
 
 
-def state(**changes: Any) -> SkinState:
-    stated: dict[str, Any] = {"stamp_ns": 0, "patch": "skin", "n_rows": SHAPE[0]}
+def state(**changes):
+    stated = {"stamp_ns": 0, "patch": "skin", "n_rows": SHAPE[0]}
     stated |= {"n_cols": SHAPE[1], "f_max": 2.5, "unit": "N", "pitch_m": PITCH_M, "mask": None}
     stated |= {"source": "", "seed": 0, "rate_hz": 100.0, "has_truth": False}
     return SkinState(**{**stated, "sigma_mid": NOISE_N, "sigma_end": NOISE_N, **changes})
@@ -40,11 +38,11 @@ def state(**changes: Any) -> SkinState:
 class Stream:
     """Contacts of frames, 10 ms apart."""
 
-    def __init__(self, limits: Limits | None = None, **changes: Any) -> None:
+    def __init__(self, limits=None, **changes):
         self.tracker, self.stamp_ns = ContactTracker(state(**changes)), 0
         self.tracker.limits = limits or Limits()
 
-    def __call__(self, forces: Floats, error: float | None = None) -> Contacts:
+    def __call__(self, forces, error=None):
         self.stamp_ns += DT_NS
         followed = self.tracker.update(forces, error, self.stamp_ns)
         fields = joined([followed])

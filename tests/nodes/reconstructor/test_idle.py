@@ -1,7 +1,6 @@
 """Idle patches: false alarms as stated, contacts noticed, forces as if all had been solved."""
 
 import functools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.frozen import FRAMES
 from sparseskin.nodes.reconstructor.idle import FALSE_ALARMS, REFRESH, IdleWatch
 from sparseskin.nodes.reconstructor.node import Reconstructor
@@ -23,11 +21,11 @@ from sparseskin.nodes.sensor.scenes.tiled import TiledScene
 
 SIDE = 32
 UNTOUCHED = np.zeros(SKIN.shape, np.float32)
-BATCH: dict[str, Any] = {"patch": "body", "patches": ("left", "right", "back", "hand")}
+BATCH = {"patch": "body", "patches": ("left", "right", "back", "hand")}
 
 
 @functools.cache
-def batches(skip_idle: bool = True) -> list[Reconstruction]:
+def batches(skip_idle=True):
     """Reconstructions of a walking body, two patches of which are idle."""
     skin = {"simulated": {"rows": SIDE, "cols": SIDE}}
     sensor = skin | {"source": "scene:walk", "active": 0.5}
@@ -79,8 +77,8 @@ def test_a_skin_that_states_no_noise_is_always_solved():
 
 def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_solve():
     found = batches()
-    held: dict[str, Any] = {}
-    last: dict[str, bytes] = {}
+    held = {}
+    last = {}
     n_unchanged = dict.fromkeys(BATCH["patches"], 0)
     for batch in found:
         for part in batch.split(held):
@@ -95,7 +93,7 @@ def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_s
 
 
 def test_without_the_skip_all_are_solved_and_with_it_the_forces_are_nearly_the_same():
-    held: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+    held = ({}, {})
     differences = []
     for skipping, solving in zip(batches(), batches(skip_idle=False), strict=True):
         assert not any(solving.unchanged)
@@ -133,7 +131,7 @@ def test_a_patch_that_is_served_alone_is_skipped_too():
 def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes():
     """No change is no reason to solve it, so that its frames are published as unchanged."""
     names, n, rng = ("left", "right"), SIDE * SIDE, np.random.default_rng(0)
-    lines: list[str] = []
+    lines = []
     node = Reconstructor(
         Reconstructor.Settings(patch="body", patches=names, skip_idle=True),
         Context("node", ManualClock(1), lines.append),
@@ -147,7 +145,7 @@ def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes():
     for message in (state, phi_state):
         list(node.step(message))
 
-    def frame(hung: Floats | None) -> tuple[Floats, Reconstruction]:
+    def frame(hung):
         y = phi.forward(np.maximum(rng.normal(0, 0.02, (2, n)), 0).astype(np.float32))
         y[0] = y[0] if hung is None else hung
         made = list(node.step(Measurements(

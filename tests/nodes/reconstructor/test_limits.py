@@ -10,7 +10,6 @@ from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import SettingsError, SolverError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.limits import (
     MIN_ITERATIONS,
@@ -28,7 +27,7 @@ N = 1600
 EVERYWHERE = np.ones(SHAPE, np.bool_)
 
 
-def warnings_of(solver: str, basis: str = "haar", n_per_m: int = 3, **options: float) -> list[str]:
+def warnings_of(solver, basis="haar", n_per_m=3, **options):
     return reconstruction_warnings(solver, basis, N, N // n_per_m, options)
 
 
@@ -87,16 +86,16 @@ class OwnPhi(SbhePhi):
     order_in: Any = slice(None)
     order_out: Any = slice(None)
 
-    def _forward(self, x: Floats, out: Floats) -> None:
+    def _forward(self, x, out):
         super()._forward(np.ascontiguousarray(x[self.order_in]), out)
         out *= self.times
 
-    def _adjoint(self, y: Floats, out: Floats) -> None:
+    def _adjoint(self, y, out):
         super()._adjoint(y, out)
         out[:] = self.times * out[self.order_out]
 
 
-def own(n_per_m: int = 3, **changes: Any) -> OwnPhi:
+def own(n_per_m=3, **changes):
     phi = OwnPhi(N, N // n_per_m, seed=0)
     vars(phi).update(changes)
     return phi
@@ -135,7 +134,7 @@ def test_a_matrix_that_measures_contacts_unevenly_is_warned_of():
     assert "some contacts are measured far better than others" in warning
 
 
-def lines_of(phi: str = "", **reconstructor: Any) -> list[str]:
+def lines_of(phi="", **reconstructor):
     nodes = {
         "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
         "compressor": (Compressor, Compressor.Settings(phi=phi or "sbhe")),

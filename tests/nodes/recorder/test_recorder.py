@@ -4,14 +4,14 @@ import functools
 
 from bags import PHI, FakeClock, frame, on_disk, skin_state
 
-from sparseskin.messages import Message, PhiState, SolverState
+from sparseskin.messages import PhiState, SolverState
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.recorder import node as recorder_module
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 from sparseskin.nodes.recorder.node import Recorder
 
-STATES: list[Message] = [
+STATES = [
     skin_state(),
     PhiState(stamp_ns=0, patch="skin", kind="sbhe", n=34, m=12, block=32, seed=0, fingerprint=PHI),
     SolverState(

@@ -4,7 +4,6 @@ import json
 import os
 import re
 import signal
-from pathlib import Path
 
 import pytest
 from conftest import note_of_graph, wait_until
@@ -18,7 +17,7 @@ N_FRAMES = 400
 """Of path_40, which is touched from frame 320 on."""
 
 
-def contents(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+def contents(path):
     """Stamps and payloads of a whole recording, by topic."""
     with BagReader(path) as bag:
         assert bag.recovered == ""
@@ -28,7 +27,7 @@ def contents(path: Path) -> dict[str, list[tuple[int, bytes]]]:
         }
 
 
-def topics(path: Path) -> set[str]:
+def topics(path):
     """Topics that have a message in a recording, which may still be written, or just begun."""
     if not path.exists():
         return set()

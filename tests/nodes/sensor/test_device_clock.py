@@ -1,7 +1,6 @@
 """Stamps of a source on the graph's clock, against delays and drifts that are known."""
 
 import random
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from sparseskin.nodes.sensor.device_clock import DeviceClock, Point, line_below
+from sparseskin.nodes.sensor.device_clock import DeviceClock, line_below
 
 S, MS = 1_000_000_000, 1_000_000
 JITTER = 5 * MS
@@ -22,7 +21,7 @@ Reading = tuple[int, int, int]
 
 @given(heights=st.lists(st.integers(0, 10**6), min_size=2, max_size=64), slope=st.floats(-1, 1))
 def test_the_line_is_that_of_the_linear_program(heights, slope):
-    points: list[Point] = [(1e6 * k, slope * 1e6 * k + h) for k, h in enumerate(heights)]
+    points = [(1e6 * k, slope * 1e6 * k + h) for k, h in enumerate(heights)]
     found = line_below(points)
     assert found is not None
     (x0, y0), b = found
@@ -33,14 +32,7 @@ def test_the_line_is_that_of_the_linear_program(heights, slope):
     assert left.sum() == pytest.approx(y.sum() + best.fun, abs=1e-6)
 
 
-def run(
-    clock: DeviceClock,
-    stamp: Callable[[int], int],
-    seconds: float,
-    rate_hz: int = 100,
-    begin_s: float = 0,
-    seed: int = 0,
-) -> list[Reading]:
+def run(clock, stamp, seconds, rate_hz=100, begin_s=0, seed=0):
     """Frames whose delay is uniform in 0 to 5 ms; `stamp` of a true time."""
     rng, arrived, found = random.Random(seed), 0, []
     for k in range(int(seconds * rate_hz)):
@@ -50,14 +42,14 @@ def run(
     return found
 
 
-def check_order(readings: list[Reading]) -> None:
+def check_order(readings):
     times = [time for _, _, time in readings]
     assert all(b > a for a, b in pairwise(times))
     # Frames that arrive at once are a nanosecond apart.
     assert all(time <= arrived + len(times) for _, arrived, time in readings)
 
 
-def worst(readings: list[Reading], from_s: float) -> int:
+def worst(readings, from_s):
     return max(abs(time - true) for true, _, time in readings if true >= from_s * S)
 
 
@@ -76,7 +68,7 @@ def test_after_5_s_a_frame_has_its_true_time_within_half_a_millisecond(
     wrap = None if bits is None else 1 << bits
     clock = DeviceClock("board", pytest.fail, tick_ns, wrap)
 
-    def stamp(true_ns: int) -> int:
+    def stamp(true_ns):
         ticks = first + int(true_ns * (1 + ppm * 1e-6) / tick_ns)
         return ticks if wrap is None else ticks % wrap
 
@@ -100,7 +92,7 @@ def test_after_5_s_a_frame_has_its_true_time_within_half_a_millisecond(
     ],
 )
 def test_a_clock_that_was_set_is_noticed_and_mapped_anew(set_ns, known_s):
-    lines: list[str] = []
+    lines = []
     clock = DeviceClock("board", lines.append)
     readings = run(clock, lambda true: true, 20)
     readings += run(clock, set_ns, 20, begin_s=20)
@@ -113,7 +105,7 @@ def test_a_clock_that_was_set_is_noticed_and_mapped_anew(set_ns, known_s):
 
 @pytest.mark.parametrize("stamp", [lambda true: 2 * true, lambda true: 7, lambda true: true // MS])
 def test_stamps_that_do_not_run_as_time_are_not_used(stamp):
-    lines: list[str] = []
+    lines = []
     clock = DeviceClock("driver", lines.append)
     readings = run(clock, stamp, 15)
     check_order(readings)

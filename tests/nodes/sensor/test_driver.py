@@ -22,7 +22,7 @@ def module(tmp_path, monkeypatch):
     """Write a module into the current directory and return its name."""
     monkeypatch.chdir(tmp_path)
 
-    def write(body: str) -> str:
+    def write(body):
         name = f"a_driver_{len(list(tmp_path.iterdir()))}"
         text = "import numpy as np\n" + textwrap.dedent(body)
         (tmp_path / f"{name}.py").write_text(text)
@@ -31,7 +31,7 @@ def module(tmp_path, monkeypatch):
     return write
 
 
-def yielding(module: Writer, *pairs: str) -> DriverSource:
+def yielding(module, *pairs):
     """Open a generator of the given pairs, written as Python expressions."""
     lines = "\n".join(f"    yield {pair}" for pair in pairs)
     return open_callable(module(f"def frames():\n{lines}\n") + ":frames")

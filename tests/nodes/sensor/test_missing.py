@@ -1,8 +1,6 @@
 """Readings that are missing: filled, marked, counted, and nowhere taken for measurements."""
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +47,7 @@ def driver(tmp_path, monkeypatch):
     """A function that returns the address of a driver of frames, 1 s apart."""
     monkeypatch.chdir(tmp_path)
 
-    def write(frames: Any) -> str:
+    def write(frames):
         np.save("frames.npy", frames)
         Path("silent_skin.py").write_text(
             "import numpy as np\n\n\ndef made():\n"
@@ -92,14 +90,14 @@ def test_a_taxel_that_was_silent_during_the_tare_has_no_force_before_the_next_on
         assert not frame.taxels.any()
 
 
-def replayed(readings: Any, folder: Path, way: str) -> Iterator[Any]:
+def replayed(readings, folder, way):
     np.save(folder / "a.npy", readings)
     source = f"sensor.source=file:{folder / 'a.npy'}"
     options = (source, "sensor.f_max=2.5", f"sensor.nan={way}")
     return sparseskin.run_launch("replay", None, options)
 
 
-def rms(values: Any) -> float:
+def rms(values):
     return float(np.sqrt(np.mean(values**2)))
 
 

@@ -3,14 +3,13 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 
-def forces(*values: float) -> npt.NDArray[np.float32]:
+def forces(*values):
     return np.array(values, dtype=np.float32)
 
 

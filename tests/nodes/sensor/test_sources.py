@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from sparseskin.messages import Message, SkinState, Taxels
+from sparseskin.messages import SkinState, Taxels
 from sparseskin.nodes import extensions
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
@@ -83,10 +83,10 @@ def test_a_sensor_reads_a_kind_of_source_that_another_package_brings():
     settings = SensorSettings(source="glove:left")
     settings.check()
     assert Sensor.facts(settings) == {"/skin/skin": 6}
-    logged: list[str] = []
+    logged = []
     clock = ManualClock(100)
     sensor = Sensor(settings, Context("sensor", clock, log=logged.append))
-    messages: list[Message] = [*sensor.start()]
+    messages = [*sensor.start()]
     for number in range(3):
         clock.advance(10)
         messages += sensor.acquire(Tick(clock.now_ns(), number))

@@ -14,7 +14,7 @@ INDEXED = Chunks((0x10,), 4, 20, 6, 1, 1)
 frames = st.lists(st.binary(min_size=20, max_size=20), min_size=1, max_size=8, unique=True)
 
 
-def spread(chunks: Chunks, frame: bytes, counter: int) -> list[tuple[int, bytes]]:
+def spread(chunks, frame, counter):
     """CAN frames of a frame, as a board sends them."""
     sent = []
     for k in range(chunks.n_chunks):
@@ -25,7 +25,7 @@ def spread(chunks: Chunks, frame: bytes, counter: int) -> list[tuple[int, bytes]
     return sent
 
 
-def assembled(chunks: Chunks, sent: list[tuple[int, bytes]]) -> tuple[list[bytes], Counts]:
+def assembled(chunks, sent):
     counts = Counts()
     assembler = Assembler(chunks, counts)
     found = [assembler.add(*one) for one in sent]

@@ -1,7 +1,6 @@
 """Frames in a stream of bytes: found whatever is lost, extra or wrong, and however it is cut."""
 
 import random
-from collections.abc import Sequence as Items
 from itertools import pairwise
 
 import pytest
@@ -25,18 +24,18 @@ PLAIN = Framing(12, start=MARK)
 WITH_CRC = Framing(12, start=MARK, sequence_bytes=2, checksum="crc32")
 
 
-def parsed(framing: Framing, pieces: Items[bytes]) -> tuple[list[Frame], FrameParser]:
+def parsed(framing, pieces):
     parser = FrameParser(framing)
     return [frame for piece in pieces for frame in parser.feed(piece)], parser
 
 
-def cut(data: bytes, cuts: Items[int]) -> list[bytes]:
+def cut(data, cuts):
     """Bytes in pieces, cut at some places."""
     ends = sorted({min(one, len(data)) for one in cuts} | {0, len(data)})
     return [data[a:b] for a, b in pairwise(ends)]
 
 
-def is_subsequence(part: Items[bytes], whole: Items[bytes]) -> bool:
+def is_subsequence(part, whole):
     left = iter(whole)
     return all(one in left for one in part)
 
@@ -141,7 +140,7 @@ class TestWithoutErrors:
         assert [frame.payload for frame in frames] == [b"\x05" * 12] + [held] * 5
 
 
-def damaged(pieces: list[bytes], data: st.DataObject, safe: bool) -> list[bytes]:
+def damaged(pieces, data, safe):
     """Frames with bytes lost, extra or wrong; `safe`: each is followed by a whole one."""
     out, k = [], 0
     while k < len(pieces):
@@ -204,7 +203,7 @@ class TestWithErrors:
         self, monkeypatch
     ):
         framing = Framing(1000, start=b"\x00", checksum="crc32")
-        checked: list[int] = []
+        checked = []
         whole = Framing.is_whole
         monkeypatch.setattr(
             Framing, "is_whole", lambda self, raw: checked.append(1) or whole(self, raw)

@@ -62,18 +62,18 @@ def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path):
         line.sending(flexitac(k % 160) for k in range(10**9))
         shown = bytearray()
 
-        def read() -> None:
+        def read():
             if select.select([screen], [], [], 0.05)[0]:
                 try:
                     shown.extend(os.read(screen, 65536))
                 except OSError:  # the other end is closed
                     return
 
-        def has_drawn() -> bool:
+        def has_drawn():
             read()
             return shown.count(b"\x1b[H") >= 3 and "▀".encode() in shown
 
-        def has_ended() -> bool:
+        def has_ended():
             read()
             return process.poll() is not None and b"frames; min" in shown
 

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs/howto/boards.md"
 
 
-def fenced(language: str) -> str:
+def fenced(language):
     """The first fenced block of a language."""
     found = re.search(rf"^```{language}\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
     assert found

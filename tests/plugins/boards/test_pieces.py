@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.plugins.boards.board import Board, describe_board
+from sparseskin.plugins.boards.board import describe_board
 from sparseskin.plugins.boards.framing import Counts, Frame, FrameParser
 from sparseskin.plugins.boards.pieces import Pieces
 
@@ -18,7 +18,7 @@ N = 10
 MODULUS = 1 << 8
 
 
-def cut(frames: list[bytes], size: int, numbered: bool) -> list[Frame]:
+def cut(frames, size, numbered):
     """Pieces of `size` readings of a byte each of frames that follow one another."""
     stream = b"".join(frames)
     starts = range(0, len(stream) - size + 1, size)
@@ -51,11 +51,11 @@ def test_frames_are_whole_or_counted_whatever_pieces_are_lost(n, size, numbered,
     assert counts.dropped_bytes == len(came) * size - len(found) * N
 
 
-def board(query: str) -> Board:
+def board(query):
     return describe_board(f"serial:/dev/ttyUSB0?{query}")
 
 
-def read(found: Board, stream: bytes) -> tuple[list[Frame], Counts]:
+def read(found, stream):
     parser = FrameParser(found.framing)
     pieces = [stream[k : k + 997] for k in range(0, len(stream), 997)]
     return [frame for piece in pieces for frame in parser.feed(piece)], parser.counts
@@ -80,7 +80,7 @@ def test_packets_of_a_wiresens_board_become_frames_whose_readings_rise_with_the_
     assert (found.skin.f_max, found.skin.shape) == (4095, (32, 32))
 
 
-def taxelscan(readings: bytes, number: int, n_contacts: int, rows: int = 16) -> bytes:
+def taxelscan(readings, number, n_contacts, rows=16):
     """A frame of version 2, as emitBinV2 packs it."""
     payload = readings + random.Random(number).randbytes(20 * n_contacts + 28)
     head = struct.pack("<2sBBHBBH", b"FT", 2, 7, number, rows, 32, len(payload))

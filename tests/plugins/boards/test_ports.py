@@ -11,14 +11,12 @@ import uuid
 from binascii import crc_hqx
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from board_lines import a_line, flexitac, send_packets
 from conftest import free_port, wait_until
 
-from sparseskin.messages import Message
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context, Tick
@@ -43,9 +41,9 @@ def line(tmp_path):
 @pytest.fixture
 def opened():
     """Open a board; it is closed at the end."""
-    made: list[BoardSource] = []
+    made = []
 
-    def make(source: str, policy: Policy = DEFAULT_POLICY) -> BoardSource:
+    def make(source, policy=DEFAULT_POLICY):
         found = open_source(source, seed=0, policy=policy)
         made.append(found)
         return found
@@ -55,11 +53,11 @@ def opened():
         one.close()
 
 
-def taken(source: BoardSource, n: int) -> list[tuple[int, np.ndarray[Any, Any]]]:
+def taken(source, n):
     """The next frames of a board, waited for."""
-    frames: list[Any] = []
+    frames = []
 
-    def enough() -> bool:
+    def enough():
         frame = source.next_frame(WAIT_S)
         frames.extend([] if frame is None else [frame])
         return len(frames) >= n
@@ -68,11 +66,11 @@ def taken(source: BoardSource, n: int) -> list[tuple[int, np.ndarray[Any, Any]]]
     return frames
 
 
-def logged(source: BoardSource, text: str) -> str:
+def logged(source, text):
     """The next line of the log that holds a text."""
-    found: list[str] = []
+    found = []
 
-    def said() -> bool:
+    def said():
         assert source.next_frame(WAIT_S) is None
         found.extend(source.take_lines())
         return any(text in one for one in found)
@@ -125,7 +123,7 @@ class TestUdp:
     NUMBERED = Framing(6 * 4, start=b"", sequence_bytes=2, checksum="crc32")
     QUERY = "rows=2&cols=3&dtype=float32&sequence=u16&checksum=crc32&f_max=4&unit=N"
 
-    def frame(self, value: float, number: int) -> bytes:
+    def frame(self, value, number):
         return self.NUMBERED.encode(np.full(6, value, "<f4").tobytes(), number)
 
     def test_packets_of_one_or_more_frames_are_read_and_others_counted(self, opened):
@@ -224,8 +222,8 @@ def test_frames_before_the_start_and_while_paused_are_counted_as_unused(line):
     board = sensor._source
     assert isinstance(board, BoardSource)
 
-    def idle_until(n_unused: int) -> None:
-        def reached() -> bool:
+    def idle_until(n_unused):
+        def reached():
             sensor.idle()
             return board.n_unused == n_unused
 
@@ -250,13 +248,13 @@ def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
     here = SimpleNamespace(monotonic_ns=now.now_ns, monotonic=time.monotonic)
     monkeypatch.setattr(serial_port, "time", here)
     monkeypatch.setattr(source_module, "time", here)
-    logged: list[str] = []
+    logged = []
     source = f"serial:{line.device}?{query}"
     sensor = Sensor(Sensor.Settings(source=source, clock=clock), Context("s", now, logged.append))
     list(sensor.start())
     sensor.begin(now.now_ns())
     rng, begin_ns = random.Random(0), now.now_ns()
-    stamps: list[int] = []
+    stamps = []
     late_ms = []
     for k in range(1700):
         true_ns = begin_ns + k * 10**7
@@ -281,17 +279,17 @@ def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
     assert sensor.report()["clock_jitter_after_ms"] < 0.1 < 1 < state["clock_jitter_before_ms"]
 
 
-def frame_with_stamp(number: int, stamp: int) -> bytes:
+def frame_with_stamp(number, stamp):
     """A frame with a stamp: A5 5A, u16 number, u32 stamp, 6 readings, CRC-16."""
     body = struct.pack("<HI6B", number, stamp, *range(6))
     return b"\xa5\x5a" + body + struct.pack("<H", crc_hqx(body, 0xFFFF))
 
 
-def next_stamp(sensor: Sensor, now_ns: int) -> int:
+def next_stamp(sensor, now_ns):
     """Stamp of the next frame, waited for."""
-    found: list[Message] = []
+    found = []
 
-    def came() -> bool:
+    def came():
         found.extend(sensor.acquire(Tick(now_ns, 0)))
         return bool(found)
 

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.sources import find_address
-from sparseskin.plugins.boards.board import Board, describe_board
+from sparseskin.plugins.boards.board import describe_board
 from sparseskin.plugins.boards.readings import DTYPES, Decoder
 from sparseskin.plugins.boards.settings import profile_names
 
 PLAIN = "rows=2&cols=3&start=AA55"
 
 
-def serial(query: str, **stated: object) -> Board:
+def serial(query, **stated):
     return describe_board(f"serial:/dev/ttyUSB0?{query}", **stated)
 
 

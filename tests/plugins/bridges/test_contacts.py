@@ -1,7 +1,5 @@
 """Contacts as other tools take them."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from bags import skin_state
@@ -10,7 +8,7 @@ from sparseskin.messages import Contacts
 from sparseskin.plugins.bridges.contacts import STATE, shapes, state, state_names, wrench
 
 
-def made(totals: list[float], trusted: bool = True, **more: Any) -> Contacts:
+def made(totals, trusted=True, **more):
     """Contacts at rows 0, 1, ... of column 2."""
     n = len(totals)
     total = np.array(totals, np.float32)

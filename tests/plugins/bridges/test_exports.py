@@ -2,23 +2,17 @@
 
 import io
 import json
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from bags import LAG_NS, MASK, N_COLS, N_ROWS, frame, make_bag
 from exported import N_FRAMES, contacts, points_bag, rich_frames
 
-from sparseskin.messages import Contacts, Measurements, Message, Reconstruction, Resultant, Taxels
+from sparseskin.messages import Contacts, Measurements, Reconstruction, Resultant, Taxels
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges.exports.foxglove import export_foxglove, figures_of
 from sparseskin.plugins.bridges.exports.ros2 import export_ros2
-
-Held = dict[str, list[tuple[int, str, Any]]]
-"""Log time, schema and content of the messages of each topic."""
 
 
 @pytest.fixture
@@ -27,7 +21,7 @@ def rich(tmp_path):
     return tmp_path / "a.mcap"
 
 
-def images() -> Iterator[tuple[str, Message, Any]]:
+def images():
     """Topic, message and pixels of every frame of the bag."""
     for message in rich_frames():
         if isinstance(message, Measurements):
@@ -38,11 +32,11 @@ def images() -> Iterator[tuple[str, Message, Any]]:
             yield f"{message.topic}/sd", message, message.sd[0]
 
 
-def read_mcap(path: Path, decoders: str) -> Held:
-    """Messages of an .mcap by the official reader, decoded by a package of `mcap`."""
+def read_mcap(path, decoders):
+    """Log time, schema, content of each message by topic, by the official reader and a decoder."""
     reader = pytest.importorskip("mcap.reader")
     factory = pytest.importorskip(f"{decoders}.decoder", reason="not installed").DecoderFactory()
-    found: Held = {}
+    found = {}
     for schema, channel, message in reader.make_reader(
         io.BytesIO(path.read_bytes())
     ).iter_messages():
@@ -62,7 +56,7 @@ def foxglove(rich):
     return read_mcap(path, "mcap_protobuf")
 
 
-def stamp_of(message: Any) -> int:
+def stamp_of(message):
     return int(message.timestamp.seconds * 10**9 + message.timestamp.nanos)
 
 
@@ -172,7 +166,7 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich):
         assert (image.height, image.width, image.step) == (*array.shape, 4 * array.shape[1])
         assert np.array_equal(np.frombuffer(bytes(image.data), "<f4"), array.ravel())
     for message in rich_frames():
-        expected: dict[str, Any] = {}
+        expected = {}
         if (forces := getattr(message, "forces", None)) is not None:
             expected["total_force"] = np.float32(forces.sum(dtype=np.float64))
         if isinstance(message, Reconstruction):
@@ -192,7 +186,7 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich):
     assert np.array_equal([[cell == "1" for cell in row] for row in states["skin"]["mask"]], MASK)
 
 
-def check_contacts(sent: Contacts, held: dict[str, tuple[int, str, Any]]) -> None:
+def check_contacts(sent, held):
     kinds = {name: schema for name, (_, schema, _) in held.items()}
     assert kinds["wrench"] == "geometry_msgs/msg/WrenchStamped"
     assert kinds["markers"] == "visualization_msgs/msg/MarkerArray"

@@ -3,7 +3,6 @@
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -54,7 +53,7 @@ def peer(tmp_path_factory):
 
 
 @contextmanager
-def started(peer: Path, action: str, topic: str, n: int) -> Iterator[subprocess.Popen[str]]:
+def started(peer, action, topic, n):
     words = [peer, action, str(DOMAIN), topic, str(n)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:

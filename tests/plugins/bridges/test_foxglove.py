@@ -25,7 +25,7 @@ ROWS, COLS = 5, 8
 SKIN = skin_state(n_rows=ROWS, n_cols=COLS, mask=None)
 
 
-def taxels(k: int) -> Taxels:
+def taxels(k):
     forces = np.random.default_rng(k).random((ROWS, COLS)).astype(np.float32)
     stamp_ns = 1_700_000_000_000_000_000 + k
     return Taxels(stamp_ns=stamp_ns, patch="skin", forces=forces).published("0" * 16, k)
@@ -39,7 +39,7 @@ def bridge():
     made.close({})
 
 
-def subscribed(bridge: FoxgloveBridge, *topics: str) -> FoxgloveClient:
+def subscribed(bridge, *topics):
     client = FoxgloveClient(bridge.where())
     client.wait_for_channels(*topics)
     client.subscribe(*topics)

@@ -12,14 +12,13 @@ from exported import contacts
 from processes import announced
 
 from sparseskin.launch.run.running import GraphError, RunningGraph, RunningNode
-from sparseskin.messages import Message, Reconstruction
 from sparseskin.nodes.network.sockets import Writer, make_context
-from sparseskin.plugins.bridges.latest import Latest, LatestFrames
+from sparseskin.plugins.bridges.latest import LatestFrames
 
 TOPICS = ["/skin/skin", "/skin/reconstruction", "/skin/contacts"]
 
 
-def solved(k: int) -> Reconstruction:
+def solved(k):
     found = frame(k)[3]
     return found
 
@@ -41,7 +40,7 @@ def reader(publisher):
     made = LatestFrames(None, "skin", with_contacts=True)
     assert made.newest() is None
 
-    def subscribed() -> bool:
+    def subscribed():
         publisher.serve_subscriptions()
         send(publisher, 0, skin_state(), solved(0), contacts(0))
         return made.newest() is not None
@@ -51,12 +50,12 @@ def reader(publisher):
     made.close()
 
 
-def send(writer: Writer, seq: int, *messages: Message) -> None:
+def send(writer, seq, *messages):
     for message in messages:
         writer.send(message.published("0" * 16, seq))
 
 
-def frame_of(reader: LatestFrames, k: int) -> Latest:
+def frame_of(reader, k):
     """Frame k, and none between it and those that came before."""
     after = 0
     while True:
@@ -76,7 +75,7 @@ def test_a_frame_comes_with_its_contacts_and_each_once(publisher, reader):
 
 
 def test_forces_that_a_frame_refers_to_are_those_of_the_frame_before_or_none(publisher, reader):
-    def idle(k: int) -> Reconstruction:
+    def idle(k):
         return replace(solved(k), forces=solved(k).forces[:0], unchanged=(True,))
 
     send(publisher, 1, solved(1), contacts(1))

@@ -1,8 +1,6 @@
 """The export to LeRobot, read by the rules of its layout v3.0 alone, with pandas and pyarrow."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,7 +21,7 @@ DTYPES = {"float32": np.float32, "int64": np.int64}
 class Dataset:
     """What LeRobotDataset reads of a folder: its info, episodes, tasks, statistics and rows."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root):
         self.info = json.loads((root / "meta/info.json").read_text())
         self.stats = json.loads((root / "meta/stats.json").read_text())
         self.tasks = pd.read_parquet(root / "meta/tasks.parquet")
@@ -34,7 +32,7 @@ class Dataset:
         )
         self.rows = pd.read_parquet(root / data)
 
-    def column(self, key: str) -> np.ndarray[Any, Any]:
+    def column(self, key):
         """A feature as an array of its declared dtype and shape, a row each."""
         feature = self.info["features"][key]
         rows = [np.array(value.tolist() if hasattr(value, "tolist") else value)

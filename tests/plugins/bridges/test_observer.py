@@ -68,7 +68,7 @@ port = 0
     note_of_graph(graph.notes)
     found = choose_graph(None)
 
-    def sensor_has_ended() -> bool:
+    def sensor_has_ended():
         return ("sensor", "ended") in {
             (n["name"], n["condition"]) for n in describe(found)["nodes"]
         }

@@ -1,8 +1,6 @@
 """Recordings of ROS 1 and ROS 2, written by rosbags, as files of readings."""
 
 import sqlite3
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +23,7 @@ ANY = Policy("zero", "zero")
 UINTS = "std_msgs/msg/UInt16MultiArray"
 
 
-def messages(ros: int, frame: np.ndarray, stamp_ns: int) -> dict[str, tuple[str, Any]]:
+def messages(ros, frame, stamp_ns):
     """A message on each topic."""
     made = cdr.types(ros).types
     time = made["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
@@ -61,13 +59,13 @@ def messages(ros: int, frame: np.ndarray, stamp_ns: int) -> dict[str, tuple[str,
     )
 
 
-def write(folder: Path, kind: str, topics: tuple[str, ...], begin_ns: int = BEGIN_NS) -> Path:
+def write(folder, kind, topics, begin_ns=BEGIN_NS):
     """A recording of some topics, as a file or the folder of a bag of ROS 2."""
     ros = 1 if kind == "bag" else 2
     store = cdr.types(ros)
     path = folder / ("a.bag" if ros == 1 else "bag")
     if ros == 1:
-        writer: Any = rosbag1.Writer(path)
+        writer = rosbag1.Writer(path)
         writer.set_compression(writer.CompressionFormat.BZ2)
     else:
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3

@@ -8,9 +8,7 @@ import re
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ from conftest import wait_until
 from exported import contacts
 from ros2_peer import forces
 
-from sparseskin.messages import Message, Taxels
+from sparseskin.messages import Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context
@@ -49,36 +47,34 @@ def this_host_alone(monkeypatch):
 class Peer:
     """The other process; it ends by itself with its `with`, so that no reader of it is left."""
 
-    def __init__(self, action: str, topic: str, kind: str, n: int) -> None:
+    def __init__(self, action, topic, kind, n):
         self.process = subprocess.Popen(
             [sys.executable, str(PEER), action, topic, kind, str(n), str(DOMAIN)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
 
-    def __enter__(self) -> Peer:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         try:
             self.process.communicate(timeout=10)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.communicate()
 
-    def line(self) -> str:
+    def line(self):
         return self.process.stdout.readline().strip()
 
 
-def frame(k: int) -> Taxels:
+def frame(k):
     made = forces(k)
     made[~MASK] = 0
     stamp_ns = 1_700_000_000_999_999_990 + k  # over the border of a second
     return Taxels(stamp_ns=stamp_ns, patch="skin", forces=made)
 
 
-def sent(
-    messages: list[Message], kind: str, topic: str, **of_skin: Any
-) -> Iterator[dict[str, Any]]:
+def sent(messages, kind, topic, **of_skin):
     """What the other process received of these messages, of a skin with these properties, too."""
     bridge = Ros2Bridge(
         Ros2Settings(domain=DOMAIN, messages=(kind,), history=1000), Context("ros2", ManualClock(0))
@@ -109,7 +105,7 @@ def test_images_arrive_in_another_process_each_with_its_pixels_and_stamp():
 def test_points_are_the_taxels_that_exist_with_their_place_and_row(of_file):
     at_rows, at_cols = np.nonzero(MASK)
     places = np.stack([0.25 * at_cols, 0.25 * at_rows, 0 * at_rows], axis=1)
-    of_skin: dict[str, Any] = {}
+    of_skin = {}
     if of_file:
         places = np.random.default_rng(0).normal(size=places.shape).astype(np.float32)
         order = np.random.default_rng(1).permutation(len(places)).astype(np.int32)

@@ -1,7 +1,6 @@
 """Accuracy of a design: scenes, readers, the light touch, and bands."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import pytest
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES
 from sparseskin.plugins.design.accuracy import band, simulated
 from sparseskin.plugins.design.accuracy import simulate as simulate_on
-from sparseskin.plugins.design.budget import Accuracy, budget
+from sparseskin.plugins.design.budget import budget
 from sparseskin.plugins.design.simulation import (
     ACTIVE,
     F_MAX_N,
@@ -26,7 +25,7 @@ from sparseskin.plugins.design.strategies import FEW_SCENES, N_SCENES, STRATEGIE
 ALL = np.ones((12, 12), dtype=np.bool_)
 
 
-def simulate(name: str, n_rows: int, n_cols: int, *given: Any, **more: Any) -> Accuracy:
+def simulate(name, n_rows, n_cols, *given, **more):
     """Simulate a strategy by its name, on a skin without a mask."""
     mask = np.ones((n_rows, n_cols), dtype=np.bool_)
     return simulate_on(STRATEGIES[name], mask, *given, **more)
@@ -59,7 +58,7 @@ def test_readings_held_in_turn_are_those_of_a_raster_once_all_taxels_were_read()
 
 
 def test_the_light_touch_of_a_raster_grows_with_the_noise():
-    def found(noise: float) -> float:
+    def found(noise):
         reader = make_reader(STRATEGIES["all taxels"], ALL, noise, 24, seed=0)
         return light_touch(reader, ALL, noise, seed=0)
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,15 +9,7 @@ from measured_costs import SIZES, measure
 
 from sparseskin.plugins.design import text
 from sparseskin.plugins.design.accuracy import grid_of
-from sparseskin.plugins.design.budget import (
-    NO_GRID,
-    STAGES,
-    Accuracy,
-    Row,
-    budget,
-    frame_bytes,
-    row_of,
-)
+from sparseskin.plugins.design.budget import NO_GRID, STAGES, Accuracy, budget, frame_bytes, row_of
 from sparseskin.plugins.design.models.costs import FIGURES, HOP_S, LARGEST, cost, stored
 from sparseskin.plugins.design.spec import make_design
 from sparseskin.plugins.design.strategies import STRATEGIES
@@ -26,7 +17,7 @@ from sparseskin.plugins.design.strategies import STRATEGIES
 PALM = {"rows": 64, "cols": 64}
 
 
-def row(name: str, **keys: Any) -> Row:
+def row(name, **keys):
     return row_of(STRATEGIES[name], make_design({**PALM, **keys}))
 
 
@@ -123,7 +114,7 @@ def test_costs_are_measured_on_the_nodes_themselves():
     assert min(found.values()) > 0
 
 
-def with_db(rows: list[Row], **db: float) -> list[Row]:
+def with_db(rows, **db):
     """Rows with a PSNR of 40 dB, or that stated by their names."""
     found = []
     for one in rows:

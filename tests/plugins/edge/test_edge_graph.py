@@ -6,8 +6,6 @@ import pty
 import subprocess
 import threading
 import tty
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ pytest.importorskip("serial", reason="pyserial is not installed")
 N_FRAMES = 40
 
 
-def _feed(edge: subprocess.Popen[bytes], counts: bytes) -> None:
+def _feed(edge, counts):
     """Write counts to a program again and again, as fast as it reads them, until it ends."""
     with contextlib.suppress(OSError):
         while True:
@@ -32,7 +30,7 @@ def _feed(edge: subprocess.Popen[bytes], counts: bytes) -> None:
         edge.stdin.close()
 
 
-def recorded(path: Path, kind: type[Any]) -> list[Any]:
+def recorded(path, kind):
     with BagReader(path) as bag:
         topics = [f"/skin/{kind.schema}"]
         return [decode(m.topic.encode(), m.payload) for m in bag.messages(topics)]

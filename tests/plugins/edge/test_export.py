@@ -3,7 +3,6 @@
 import re
 import shutil
 import subprocess
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from sparseskin.plugins.edge.export import COPIED, export
 from sparseskin.plugins.edge.frames import compressed, framing_of, read_frame
 
 
-def described(n_rows: int, n_cols: int, ratio: float = 3, holes: bool = False, **more: Any) -> Any:
+def described(n_rows, n_cols, ratio=3, holes=False, **more):
     mask = None
     if holes:
         mask = np.random.default_rng(1).random((n_rows, n_cols)) < 0.8
@@ -178,7 +177,7 @@ def test_a_cortex_m4_sends_the_expected_bytes_and_its_instructions_are_counted(t
     out = tmp_path / "edge"
     export(d := described(16, 32), out)
 
-    def printed() -> dict[str, int]:
+    def printed():
         command = ["make", "--silent", "cortex-m4"]
         done = subprocess.run(command, cwd=out, capture_output=True, text=True, check=True)
         text = done.stdout + done.stderr

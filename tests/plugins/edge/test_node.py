@@ -1,7 +1,6 @@
 """The edge node: frames from a wire that loses, damages and invents bytes."""
 
 import socket
-from typing import Any
 
 import numpy as np
 import pytest
@@ -41,13 +40,13 @@ def line(tmp_path):
         yield found
 
 
-def opened(lines: list[str] | None = None, **settings: Any) -> Edge:
+def opened(lines=None, **settings):
     log = (lines if lines is not None else []).append
     return Edge(Edge.Settings(**settings), Context("edge", ManualClock(5), log))
 
 
-def received(node: Edge, n: int) -> list[Measurements]:
-    found: list[Any] = []
+def received(node, n):
+    found = []
     wait_until(lambda: len(found) >= n or bool(found.extend(node.tick(Tick(0, 0)))), "frames")
     assert all(isinstance(message, Measurements) for message in found)
     return found
@@ -77,7 +76,7 @@ def test_it_publishes_skin_phi_and_codes_times_a_step_in_the_unit_of_the_forces(
 
 
 def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described, line):
-    lines: list[str] = []
+    lines = []
     node = opened(lines, source=f"serial:{line.device}", description=described)
     damaged = FRAMES[3][:20] + b"\x00\x01" + FRAMES[3][22:]
     parts = [FRAMES[0][5:], b"\xaa", FRAMES[1], FRAMES[2][:7], damaged, b"\xaa\xaa\x55", FRAMES[5]]

@@ -1,7 +1,5 @@
 """Readers of layouts: what they read, and what they refuse in one line."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ taxel2Repr          (-1 0 1 -2 2 3)
 """
 
 
-def saved(folder: Path, text: str, name: str = "skin.csv") -> str:
+def saved(folder, text, name="skin.csv"):
     path = folder / name
     path.write_text(text)
     return str(path)

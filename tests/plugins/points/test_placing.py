@@ -8,20 +8,20 @@ from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.plugins.points.examples import grip, torso
-from sparseskin.plugins.points.placing import Placement, place
+from sparseskin.plugins.points.placing import place
 from sparseskin.plugins.points.points import Points, estimated_normals
 
 Array = npt.NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def points(places: Array, normals: Array | None = None) -> Points:
+def points(places, normals=None):
     n = len(places)
     return Points("test", places, estimated_normals(places) if normals is None else normals,
                   np.arange(n), n)  # fmt: skip
 
 
-def adjacent(placement: Placement) -> Array:
+def adjacent(placement):
     """Distances in space of all pairs in neighbouring cells, in those of neighbours on the skin."""
     number = np.full(placement.shape, -1)
     number.reshape(-1)[placement.cells] = np.arange(placement.points.n)
@@ -33,7 +33,7 @@ def adjacent(placement: Placement) -> Array:
     return np.concatenate(found) / placement.pitch_m
 
 
-def turned(places: Array, seed: int) -> Array:
+def turned(places, seed):
     axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     return places @ (axes * [np.sign(np.linalg.det(axes)), 1, 1]).T
 
@@ -68,7 +68,7 @@ def test_a_grid_with_cells_removed_is_found_again(removed):
     assert found.pitch_m == pytest.approx(0.004)
 
 
-def hexagonal() -> tuple[Array, Array]:
+def hexagonal():
     """Rows of taxels half a pitch apart in turn, on a part of a cylinder."""
     row, col = (k.ravel() for k in np.indices((16, 24)))
     angle = 0.1 * (col + 0.5 * (row % 2))

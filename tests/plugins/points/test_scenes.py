@@ -1,7 +1,6 @@
 """Scenes on points: forces in balance with the push, where the body touches, and in the sensor."""
 
 from itertools import islice
-from typing import Any
 
 import numpy as np
 import pytest
@@ -53,14 +52,14 @@ def test_a_scene_presses_and_repeats_itself(name):
 class Run:
     """A sensor with its settings checked, its log and what it publishes."""
 
-    def __init__(self, **values: Any) -> None:
-        self.log: list[str] = []
+    def __init__(self, **values):
+        self.log = []
         self.settings = Sensor.Settings(**values)
         self.settings.check()
         self.sensor = Sensor(self.settings, Context("s", ManualClock(), log=self.log.append))
         (self.state,) = (m for m in self.sensor.start() if isinstance(m, SkinState))
 
-    def frame(self) -> list[Any]:
+    def frame(self):
         return list(self.sensor.tick(Tick(1, 0)))
 
 

@@ -2,7 +2,6 @@
 
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,9 +35,7 @@ def direct(request, monkeypatch):
         monkeypatch.setattr(name, lambda address, n_bytes: MujocoSource(address).pad.shape)
 
 
-def model_of(
-    bodies: str, folder: Path, site: str = 'type="box" size="0.02 0.015 0.005"', more: str = ""
-) -> str:
+def model_of(bodies, folder, site='type="box" size="0.02 0.015 0.005"', more=""):
     """Write a model with a fixed skin of 8 x 6 taxels whose plane is z = 0; its address."""
     path = folder / "model.xml"
     path.write_text(
@@ -49,7 +46,7 @@ def model_of(
     return f"{path}#pad"
 
 
-def read_once(address: str, move: Any = None) -> Any:
+def read_once(address, move=None):
     """Forces of the first state of a model, (n_rows, n_cols) in newtons; `move` changes it."""
     path, _, site = address.rpartition("#")
     model = load_model(path)
@@ -87,7 +84,7 @@ def test_damping_acts_on_the_rate_of_penetration_of_each_point(tmp_path, of, spe
         '<body pos="0 0 0.009"><freejoint/><geom type="box" size="0.1 0.1 0.01" mass="1"/></body>'
     )
 
-    def move(data: Any) -> None:
+    def move(data):
         data.qvel[of] = speed
 
     forces = read_once(model_of(slab_, tmp_path), move)
@@ -191,9 +188,9 @@ def test_where_the_skin_collides_the_contact_of_mujoco_bears_the_load(tmp_path):
 
 
 def test_a_control_of_your_own_drives_the_model():
-    seen: list[float] = []
+    seen = []
 
-    def control(model: Any, data: Any, time_s: float) -> None:
+    def control(model, data, time_s):
         seen.append(time_s)
         data.ctrl[:] = 0.01
 

@@ -1,7 +1,5 @@
 """Vendors' exports: what shows at their begin, and what becomes of damaged ones."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from damaged import refusal
@@ -10,7 +8,7 @@ from hypothesis import strategies as st
 from vendor_texts import emed_text, tekscan_text, xsensor_text
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.file_source import RecordedSource, n_taxels, open_file
+from sparseskin.nodes.sensor.files.file_source import n_taxels, open_file
 
 TEXTS = {
     "foot.lst": emed_text(),
@@ -22,12 +20,12 @@ TEXTS = {
 PIECES = ["", "9", "-", "\t", ",", "\n", "\f", "\xb2", "nan", "SENSELS\n", "FRAME,"]
 
 
-def opened(folder: Path, name: str, text: str) -> RecordedSource | None:
+def opened(folder, name, text):
     """A file with a text; None where it is refused, in one line."""
     path = folder / name
     path.write_bytes(text.encode("latin-1"))
     f_max = 100.0 if name in ("foot.lst", "sole.csv") else None
-    found: list[RecordedSource] = []
+    found = []
     assert refusal(lambda: found.append(open_file(path, f_max=f_max))).isprintable()
     return found[0] if found else None
 

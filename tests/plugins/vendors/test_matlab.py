@@ -1,8 +1,6 @@
 """Arrays in files of MATLAB and HDF5: which one is taken, in which order, and what is refused."""
 
 import io
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,13 +16,13 @@ FRAMES = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
 LAST = np.moveaxis(FRAMES, 0, -1)
 
 
-def mat(packed: bool = True, **arrays: Any) -> bytes:
+def mat(packed=True, **arrays):
     buffer = io.BytesIO()
     savemat(buffer, arrays, do_compression=packed)
     return buffer.getvalue()
 
 
-def hdf5(**arrays: Any) -> bytes:
+def hdf5(**arrays):
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         for name, array in arrays.items():
@@ -32,7 +30,7 @@ def hdf5(**arrays: Any) -> bytes:
     return buffer.getvalue()
 
 
-def read(folder: Path, name: str, raw: bytes, **stated: Any) -> Any:
+def read(folder, name, raw, **stated):
     (folder / name).write_bytes(raw)
     return open_file(folder / name, **stated)
 

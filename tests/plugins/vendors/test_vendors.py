@@ -1,25 +1,19 @@
 """Recordings of vendors' formats: what the parsers read, and what they refuse."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from recordings import recording
 from vendor_texts import EMED_KPA, XSENSOR_FRAMES, emed_text, tekscan_text, xsensor_text
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
-
-Opener = Callable[..., RecordedSource]
+from sparseskin.nodes.sensor.files.file_source import open_file
 
 
-def frames_of(source: RecordedSource) -> npt.NDArray[np.float32]:
+def frames_of(source):
     return np.stack([forces for _, forces in source])
 
 
-def stamps_of(source: RecordedSource) -> list[int]:
+def stamps_of(source):
     return [stamp for stamp, _ in source]
 
 
@@ -27,7 +21,7 @@ def stamps_of(source: RecordedSource) -> list[int]:
 def opened(tmp_path):
     """Write a text to a file of the given name and open it."""
 
-    def write_and_open(name: str, text: str, **stated: Any) -> RecordedSource:
+    def write_and_open(name, text, **stated):
         path = tmp_path / name
         path.write_bytes(text.encode("latin-1"))
         return open_file(path, **stated)

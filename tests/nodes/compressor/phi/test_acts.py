@@ -1,7 +1,6 @@
 """Adaptive sampling: the choice of taxels, and how it travels with their readings."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,16 +10,15 @@ from sparseskin.messages import Measurements, MessageError
 from sparseskin.nodes.compressor.phi.acts import ActsSearch, follow, packed_places
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats
 
 THRESHOLD = 0.05
 
 
-def everywhere(*shape: int) -> npt.NDArray[np.bool_]:
+def everywhere(*shape):
     return np.ones(shape, np.bool_)
 
 
-def read_cells(image: Floats, m: int) -> npt.NDArray[np.bool_]:
+def read_cells(image, m):
     """The cells that a search reads of a frame."""
     search = ActsSearch(everywhere(*image.shape), m, THRESHOLD)
     is_read = np.zeros(image.size, np.bool_)
@@ -34,9 +32,9 @@ def test_m_existing_taxels_are_read_each_once_on_any_grid(exists, data):
     n = int(exists.sum())
     m = data.draw(st.integers(1, n))
     x = np.maximum(rng.normal(-0.5, 1, n), 0).astype(np.float32)
-    asked: list[int] = []
+    asked = []
 
-    def read(taxels: npt.NDArray[np.intp]) -> Floats:
+    def read(taxels):
         asked.extend(taxels)
         return x.take(taxels)
 

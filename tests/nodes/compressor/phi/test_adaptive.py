@@ -1,37 +1,28 @@
 """Rows that are chosen anew in each frame: what is chosen, how it travels, and what is refused."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.checks import check_phi
-from sparseskin.nodes.compressor.phi.adaptive import (
-    AdaptiveChoice,
-    AdaptivePhi,
-    HeldRows,
-    follow_nodes,
-)
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, HeldRows, follow_nodes
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats
 
 
-def phi_of(exists: npt.NDArray[np.bool_], m: int) -> AdaptivePhi:
+def phi_of(exists, m):
     phi = make_phi("adaptive", int(exists.sum()), m, seed=0)
     phi.lay_out(exists)
     return phi
 
 
-def measured(phi: AdaptivePhi, choice: AdaptiveChoice, x: npt.NDArray[Any]) -> Floats:
+def measured(phi, choice, x):
     return choice.measure(phi.tree.analysis(x.reshape(-1)).take)
 
 
-def press(n_rows: int, n_cols: int, row: int, col: int) -> Floats:
+def press(n_rows, n_cols, row, col):
     frame = np.zeros((n_rows, n_cols), np.float32)
     frame[row : row + 3, col : col + 4] = [[0.2, 0.5, 0.4, 0.1]] * 3
     return frame
@@ -48,7 +39,7 @@ def test_m_rows_are_read_each_once_and_are_those_of_the_code(exists, data):
         x = np.maximum(rng.normal(-0.5, 1, phi.n), 0).astype(np.float32)
         w, asked = phi.tree.analysis(x), []
 
-        def read(wanted: npt.NDArray[np.intp], w: Any = w, asked: Any = asked) -> Any:
+        def read(wanted, w=w, asked=asked):
             asked.extend(wanted)
             return w[wanted]
 
@@ -109,7 +100,7 @@ def test_fewer_measurements_than_a_sum_and_a_node_are_refused(n, m, least):
         make_phi("adaptive", n, m, seed=0)
 
 
-def code_of(phi: AdaptivePhi, n_nodes: int) -> npt.NDArray[np.uint8]:
+def code_of(phi, n_nodes):
     return phi.tree.coded(np.arange(phi.tree.n_nodes) < n_nodes)
 
 

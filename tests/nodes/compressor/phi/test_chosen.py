@@ -1,7 +1,5 @@
 """Kinds whose taxels or rows are chosen anew in each frame, in a graph: acts and adaptive."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -16,12 +14,12 @@ ADAPTIVE = ("compressor.phi=adaptive",)
 KINDS = pytest.mark.parametrize("chosen", [ACTS, ADAPTIVE])
 
 
-def graph(*overrides: str, name: str = "path_40", record: str | None = None) -> Bus:
+def graph(*overrides, name="path_40", record=None):
     nodes = load(name, [*overrides], record).nodes.values()
     return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
 
 
-def reconstructions(bus: Bus, n_frames: int) -> list[Reconstruction]:
+def reconstructions(bus, n_frames):
     found = [m for frame in bus.frames(n_frames) for m in frame if isinstance(m, Reconstruction)]
     bus.close()
     return found
@@ -30,7 +28,7 @@ def reconstructions(bus: Bus, n_frames: int) -> list[Reconstruction]:
 @pytest.mark.parametrize("overrides", [ACTS, ADAPTIVE])
 def test_m_changes_while_the_graph_runs(overrides):
     bus = graph(*overrides, "compressor.bits=12")
-    messages: list[Any] = []
+    messages = []
     for k, frame in enumerate(bus.frames(6), start=1):
         messages += frame
         if k == 3:

@@ -4,7 +4,6 @@ import subprocess
 import sys
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sparseskin.checks import check_phi
@@ -15,7 +14,7 @@ from sparseskin.nodes.errors import PhiError
 KINDS = ["sbhe", "full", "subsample", "gaussian"]
 
 
-def normal(shape: int | tuple[int, ...], seed: int = 5) -> npt.NDArray[np.float32]:
+def normal(shape, seed=5):
     return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
 
 

@@ -1,7 +1,6 @@
 """W of a quad tree: orthonormal on any grid, and the code of its nodes."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,7 +9,7 @@ from matrices import grids
 from sparseskin.nodes.compressor.phi.quadtree import Quadtree
 
 
-def dense(tree: Quadtree) -> npt.NDArray[np.float64]:
+def dense(tree):
     return np.stack([tree.analysis(one) for one in np.eye(tree.n)], axis=1)
 
 

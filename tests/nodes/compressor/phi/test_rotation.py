@@ -63,7 +63,7 @@ class Unmoved(Phi):
     kind = f"{__name__}:Unmoved"
 
 
-def by_function(n: int, m: int, seed: int, block: int) -> Phi:
+def by_function(n, m, seed, block):
     """One that a function makes."""
     return make_phi("sbhe", n, m, seed, block)
 

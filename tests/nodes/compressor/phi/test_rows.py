@@ -8,26 +8,24 @@ from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, SPREAD, block_of, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.numerics.arrays import Indices
 
 SIZES = st.integers(1, 700)
 BLOCKS = st.sampled_from([1, 2, 4, 8, 32, 64, 256, 1024])
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def sbhe(n: int, m: int, seed: int = 0, block: int = 256, rule: int = SPREAD) -> SbhePhi:
+def sbhe(n, m, seed=0, block=256, rule=SPREAD):
     phi = make_phi("sbhe", n, m, seed, block, rule)
     return phi
 
 
-def starts(phi: SbhePhi) -> Indices:
+def starts(phi):
     """The sum of each block is its first row."""
-    ends: Indices = np.cumsum(phi.sizes)
+    ends = np.cumsum(phi.sizes)
     return ends - phi.sizes
 
 
-def numbers_of(phi: SbhePhi, rows: Indices) -> Indices:
+def numbers_of(phi, rows):
     """Number of rows of each block."""
     blocks = np.searchsorted(np.cumsum(phi.sizes), rows, side="right")
     return np.bincount(blocks, minlength=len(phi.sizes))

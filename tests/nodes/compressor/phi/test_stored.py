@@ -1,9 +1,5 @@
 """A sparse matrix from a file: its operators, and what is refused of a hostile file."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import scipy.sparse
@@ -17,7 +13,7 @@ from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
 from sparseskin.nodes.errors import PhiError
 
 
-def matrix_of(m: int, n: int, seed: int = 0) -> Any:
+def matrix_of(m, n, seed=0):
     rng = np.random.default_rng(seed)
     dense = rng.standard_normal((m, n)) * (rng.random((m, n)) < 0.2)
     dense[np.arange(m), rng.integers(0, n, m)] = 1.0
@@ -39,7 +35,7 @@ def test_operators_are_adjoint_and_are_those_of_the_file(m, n, tmp_path):
     assert make_phi(f"file:{path}", n, m, 0).fingerprint != phi.fingerprint
 
 
-def parts() -> dict[str, Any]:
+def parts():
     matrix = matrix_of(4, 6)
     return {
         "indices": matrix.indices,
@@ -50,14 +46,14 @@ def parts() -> dict[str, Any]:
     }
 
 
-def changed(name: str, change: Callable[[Any], Any]) -> dict[str, Any]:
+def changed(name, change):
     arrays = parts()
     arrays[name] = change(arrays[name].copy())
     return arrays
 
 
-def first(value: Any) -> Callable[[Any], Any]:
-    def change(array: Any) -> Any:
+def first(value):
+    def change(array):
         array[0] = value
         return array
 
@@ -106,11 +102,11 @@ def test_objects_bombs_and_folders_are_refused(tmp_path, monkeypatch):
         make_phi("file:none.npz", 6, 4, 0)
 
 
-def stack_of(k: int, m: int, n: int) -> Any:
+def stack_of(k, m, n):
     return np.stack([(1 + one) * matrix_of(m, n, one).toarray() for one in range(k)])
 
 
-def saved(path: Path, stack: Any) -> Path:
+def saved(path, stack):
     """The file of a stack, in the form that its name states."""
     if path.suffix == ".npz":
         np.savez_compressed(path, stack)

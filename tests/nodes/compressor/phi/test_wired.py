@@ -5,7 +5,7 @@ import pytest
 
 from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.phi.adaptive import layout
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -14,7 +14,7 @@ from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 SHAPES = [(8, 8), (5, 7), (1, 9)]
 
 
-def laid_out(kind: str, shape: tuple[int, int], m: int, seed: int = 0) -> Phi:
+def laid_out(kind, shape, m, seed=0):
     phi = make_phi(kind, shape[0] * shape[1], m, seed)
     layout(phi, np.ones(shape, dtype=np.bool_))
     return phi

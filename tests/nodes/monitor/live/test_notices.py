@@ -1,12 +1,10 @@
 """Notices: shown while a fault lasts, and no longer."""
 
-from typing import Any
-
 import pytest
 from feeds import FakeTime, Graph, graph_state, node_state
 
 from sparseskin.nodes.monitor.live.feed import STALE_S, Feed
-from sparseskin.nodes.monitor.live.notices import BAD, GRAPH_S, NOTE, RECENT_S, Notice, Notices, ago
+from sparseskin.nodes.monitor.live.notices import BAD, GRAPH_S, NOTE, RECENT_S, Notices, ago
 
 PAUSE = {"pause": "acquire no frame"}
 
@@ -14,21 +12,21 @@ PAUSE = {"pause": "acquire no frame"}
 class Desk:
     """A person who looks at the notices of a graph that is otherwise alive."""
 
-    def __init__(self, clock: FakeTime, *patches: str) -> None:
+    def __init__(self, clock, *patches):
         self.clock = clock
         self.graph = Graph(*patches)
         self.feed = self.graph.feed
         self._notices = Notices(self.feed)
 
-    def look(self, after_s: float = 0.0) -> list[Notice]:
+    def look(self, after_s=0.0):
         self.clock.advance(after_s)
         self.feed.pulse()
         return self._notices.all(self.clock.now_s)
 
-    def news(self, *nodes: dict[str, Any]) -> None:
+    def news(self, *nodes):
         self.feed.update(graph=graph_state(*nodes))
 
-    def lose(self, total: int) -> list[Notice]:
+    def lose(self, total):
         """A frame comes, and with it how many were lost so far."""
         self.graph.frame()
         self.feed.patches["skin"].lost = total
@@ -110,7 +108,7 @@ def test_lost_frames_are_reported_for_some_seconds(desk):
 
 
 def test_refusals_are_reported_for_some_seconds_with_their_reason(desk):
-    def refuse(count: int, reason: str, after_s: float = 0.0) -> list[Notice]:
+    def refuse(count, reason, after_s=0.0):
         desk.clock.advance(after_s)
         desk.news(node_state("reconstructor", refused=count, refusal=reason))
         desk.graph.frame()
@@ -127,7 +125,7 @@ def test_refusals_are_reported_for_some_seconds_with_their_reason(desk):
 
 
 def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_some_seconds(desk):
-    def news(restarts: int, condition: str, after_s: float = 0.0) -> list[Notice]:
+    def news(restarts, condition, after_s=0.0):
         desk.clock.advance(after_s)
         desk.news(node_state("sensor", restarts=restarts, condition=condition))
         desk.graph.frame()

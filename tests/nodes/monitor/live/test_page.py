@@ -5,13 +5,12 @@ import math
 import os
 import re
 import signal
-from typing import Any
 
 import numpy as np
 import pytest
 from bags import N_COLS, N_ROWS
 from browser import browser, lack
-from conftest import Program, StartProgram, wait_until
+from conftest import wait_until
 from exported import contacts
 from feeds import Graph, graph_state, served
 
@@ -32,7 +31,7 @@ def page(tmp_path_factory):
         yield driver
 
 
-def open_page(start: StartProgram, page: Any, *arguments: str) -> Program:
+def open_page(start, page, *arguments):
     """Launch a graph and open its page; the page shows frames."""
     program = start("launch", *arguments, "--set", "monitor.port=0")
     url = program.wait_for("live page: ")
@@ -44,17 +43,17 @@ def open_page(start: StartProgram, page: Any, *arguments: str) -> Program:
     return program
 
 
-def drawn(page: Any) -> str:
+def drawn(page):
     return str(page.execute_script("return document.body.dataset.drawn ?? '0'"))
 
 
-def text(page: Any, selector: str) -> str:
+def text(page, selector):
     # In one go: an element found first and read later may be gone in between.
     script = "return [...document.querySelectorAll(arguments[0])].map((e) => e.innerText).join(' ')"
     return str(page.execute_script(script, selector))
 
 
-def pixels(page: Any, which: str) -> str:
+def pixels(page, which):
     return str(
         page.execute_script(
             f"return document.querySelector('canvas[data-map={which}]').toDataURL()"
@@ -62,7 +61,7 @@ def pixels(page: Any, which: str) -> str:
     )
 
 
-def set_field(page: Any, field: str, value: str) -> None:
+def set_field(page, field, value):
     """Type a value into a control, once it is there, and press Enter."""
     there = "return document.getElementById(arguments[0]) !== null"
     wait_until(lambda: bool(page.execute_script(there, field)), f"the control {field}")
@@ -75,7 +74,7 @@ def set_field(page: Any, field: str, value: str) -> None:
     )
 
 
-def choose(page: Any, field: str, value: str) -> None:
+def choose(page, field, value):
     """Choose a value, and wait until the solver shown is the one of that name."""
     script = "const s = document.getElementById(arguments[0]); s.value = arguments[1];"
     page.execute_script(f"{script} s.dispatchEvent(new Event('change'));", field, value)
@@ -83,15 +82,15 @@ def choose(page: Any, field: str, value: str) -> None:
     wait_until(lambda: page.execute_script(solver) == value, "the solver")
 
 
-def answer(page: Any, field: str) -> str:
+def answer(page, field):
     return text(page, f'output[data-answer="{field}"]')
 
 
-def frames_shown(page: Any) -> int:
+def frames_shown(page):
     return int(text(page, '[data-tile="frames"] strong'))
 
 
-def frames_played(page: Any, stamps_ns: list[int]) -> int:
+def frames_played(page, stamps_ns):
     """Frames of a recording before the player's position, which is the next frame's."""
     position_s = float(page.find_element("css selector", "[data-seek]").get_property("value"))
     return sum((ns - stamps_ns[0]) / 1e9 < position_s - 1e-6 for ns in stamps_ns)
@@ -145,7 +144,7 @@ def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(start,
     assert page.find_elements("css selector", "#maps figure.stale") == []
 
 
-def nothing_is_asked_of_another_host(page: Any) -> None:
+def nothing_is_asked_of_another_host(page):
     entries = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]
     asked = [
         entry["params"]["request"]["url"]
@@ -199,11 +198,11 @@ def test_contacts_are_rings_with_their_force_rows_that_stay_and_marks(page):
         ".map((e) => [e.innerText, e.className]);"
     )
 
-    def row(k: int) -> str:
+    def row(k):
         shown = page.execute_script(rows)
         return " ".join(" ".join(shown[k]).split()) if shown else ""
 
-    def touch(k: int, **estimate: Any) -> None:
+    def touch(k, **estimate):
         graph.frame(**estimate)
         graph.take(contacts(k))
 
@@ -365,7 +364,7 @@ def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(start, page, tmp_pa
     )  # fmt: skip
     button, taxels = '[data-tare="sensor"]', '[data-panel="taxels"] figcaption'
 
-    def total_n() -> float:
+    def total_n():
         found = re.search(r"total ([0-9.]+) N", text(page, taxels))
         return float(found[1]) if found else math.nan
 

@@ -24,7 +24,7 @@ def clock(monkeypatch):
     return FakeTime(monkeypatch)
 
 
-def filled(clock: FakeTime, n_frames: int = 50) -> Graph:
+def filled(clock, n_frames=50):
     """A graph at 100 Hz in which one taxel bears 2 N, uniformly wrong by ERROR_N."""
     graph = Graph()
     graph.skin(n_rows=SHAPE[0], n_cols=SHAPE[1], mask=None, source="a scene")
@@ -47,7 +47,7 @@ def filled(clock: FakeTime, n_frames: int = 50) -> Graph:
     return graph
 
 
-def lines_of(graph: Graph) -> list[str]:
+def lines_of(graph):
     lines = screen(graph.feed, Notices(graph.feed), STATUS).split("\n")
     assert max(map(len, lines)) <= WIDTH == 79
     return lines
@@ -66,7 +66,7 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_nee
     graph.skin()
     graph.n["skin"] = 50
 
-    def marked(trusted: bool) -> bool:
+    def marked(trusted):
         graph.frame(error=0.1, trusted=trusted, reason="" if trusted else "error")
         return "!! skin: not trusted (error)" in lines_of(graph)
 

@@ -3,8 +3,7 @@
 import contextlib
 import json
 import socket
-from http.client import HTTPConnection, HTTPResponse
-from typing import Any
+from http.client import HTTPConnection
 from urllib.parse import urlsplit
 
 import pytest
@@ -31,17 +30,15 @@ GOOD = {"id": "1", "node": "sensor", "command": "pause", "value": True}
 class Site:
     """A served page, who reads it, and what it was asked to pass on."""
 
-    def __init__(self, *patches: str, port: int = 0, token: str = "") -> None:
+    def __init__(self, *patches, port=0, token=""):
         self.graph = Graph(*patches)
-        self.asked: list[dict[str, Any]] = []
+        self.asked = []
         notices = Notices(self.graph.feed)
         self.page = PageServer(self.graph.feed, notices, port, self.asked.append, token)
         self.host = urlsplit(self.page.url).netloc
-        self._clients: list[HTTPConnection] = []
+        self._clients = []
 
-    def send(
-        self, method: str, path: str, body: bytes | None = None, **headers: str
-    ) -> HTTPResponse:
+    def send(self, method, path, body=None, **headers):
         """One request with exactly these headers; "_" in a name stands for "-"."""
         client = HTTPConnection(self.host, timeout=60.0)
         self._clients.append(client)
@@ -51,12 +48,12 @@ class Site:
         client.endheaders(body)
         return client.getresponse()
 
-    def post(self, body: bytes | None = None, **headers: str) -> int:
+    def post(self, body=None, **headers):
         body = json.dumps(GOOD).encode() if body is None else body
         given = {"Content_Type": "application/json", "Content_Length": str(len(body))} | headers
         return self.send("POST", "/request", body, **given).status
 
-    def connect(self, sent: str = "") -> socket.socket:
+    def connect(self, sent=""):
         """A connection on which these characters were sent."""
         host, _, port = self.host.partition(":")
         made = socket.create_connection((host, int(port)), timeout=60.0)
@@ -64,7 +61,7 @@ class Site:
         made.sendall(sent.encode())
         return made
 
-    def close(self) -> None:
+    def close(self):
         for client in self._clients:
             client.close()
         self.page.close()
@@ -222,7 +219,7 @@ def test_a_request_that_drips_is_given_up(make, monkeypatch):
     site = make()
     drips = site.connect("GET / HTTP/1.1\r\nHost: ")
 
-    def is_ended() -> bool:
+    def is_ended():
         with contextlib.suppress(OSError):
             drips.sendall(b"x")
             return False
@@ -240,7 +237,7 @@ def test_whoever_holds_all_connections_locks_nobody_out(make):
 
 
 def test_a_browser_is_started_without_the_token_in_its_arguments(monkeypatch, tmp_path):
-    opened: list[str] = []
+    opened = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr("webbrowser.open", lambda url: bool(opened.append(url)) or True)
     page = tmp_path / "7.0.html"

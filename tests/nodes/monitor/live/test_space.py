@@ -1,9 +1,7 @@
 """Skins of points on the live page, in a real browser: turned, zoomed, pointed at."""
 
 import contextlib
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +11,7 @@ from conftest import wait_until
 from exported import contacts
 from feeds import Graph, graph_state, node_state, served
 
-from sparseskin.messages import Measurements, Message, Reconstruction, Taxels, Truth
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.messages import Measurements, Reconstruction, Taxels, Truth
 
 pytestmark = [
     pytest.mark.slow,
@@ -27,7 +24,7 @@ MASK = np.ones((N_ROWS, N_COLS), np.bool_)
 MASK[:, 40] = False
 FRONT, BACK = (0.11, 0.0, 0.0), (-0.11, 0.0, 0.0)
 PEAK_N, RADIUS_M = 2.0, 0.06
-NODE: dict[str, Any] = {"type": "reconstructor", "patches": [], "controls": [], "settings": {}}
+NODE = {"type": "reconstructor", "patches": [], "controls": [], "settings": {}}
 CHOOSE = (
     "const select = document.getElementById(arguments[0]); select.value = arguments[1];"
     "select.dispatchEvent(new Event('change'));"
@@ -57,7 +54,7 @@ def graph(page, points):
 
 
 @contextlib.contextmanager
-def opened(page: Any, points: Floats) -> Iterator[Graph]:
+def opened(page, points):
     """A torso without a frame, on the open page; its file has the taxels in reverse order."""
     graph = Graph()
     rows = np.arange(len(points), dtype=np.int32)[::-1].copy()
@@ -71,16 +68,14 @@ def opened(page: Any, points: Floats) -> Iterator[Graph]:
         assert not [text for text in errors if "ERR_" not in text]
 
 
-def press(
-    graph: Graph, points: Floats, at: tuple[float, float, float], peak_n: float = PEAK_N
-) -> None:
+def press(graph, points, at, peak_n=PEAK_N):
     """The next frame, without noise: the truth is pressed, and reconstructed exactly."""
     n, graph.n["skin"] = graph.n["skin"], graph.n["skin"] + 1
-    of_frame: dict[str, Any] = {"stamp_ns": n * 10_000_000, "patch": "skin"}
+    of_frame = {"stamp_ns": n * 10_000_000, "patch": "skin"}
     forces = np.zeros((N_ROWS, N_COLS), np.float32)
     forces[MASK] = pressed(points, at, peak_n, RADIUS_M)
-    made: dict[str, Any] = {"phi": "0" * 16, "iterations": 1, "residual": 0.0}
-    frame: list[Message] = [
+    made = {"phi": "0" * 16, "iterations": 1, "residual": 0.0}
+    frame = [
         Taxels(**of_frame, forces=forces),
         Truth(**of_frame, forces=forces),
         Measurements(**of_frame, y=np.zeros(12, np.float32), phi="0" * 16),
@@ -90,21 +85,21 @@ def press(
         graph.take(message.published("0" * 16, n))
 
 
-def run(page: Any, script: str, *arguments: Any) -> Any:
+def run(page, script, *arguments):
     return page.execute_script(script, *arguments)
 
 
-def figures(page: Any) -> str:
+def figures(page):
     return str(run(page, "return document.querySelector('[data-panel=reconstruction] figcaption')"
                          "?.innerText ?? ''"))  # fmt: skip
 
 
-def image(page: Any, which: str = "reconstruction") -> str:
+def image(page, which="reconstruction"):
     canvas = f"document.querySelector('canvas[data-map={which}]')"
     return str(run(page, f"return {canvas}.toDataURL()"))
 
 
-def pixels(page: Any, colour: tuple[int, int, int]) -> tuple[int, float, float]:
+def pixels(page, colour):
     """Number of pixels of a colour in the reconstruction, and their middle, 0 to 1 of its sides."""
     n, x, y = run(
         page,
@@ -127,7 +122,7 @@ def pixels(page: Any, colour: tuple[int, int, int]) -> tuple[int, float, float]:
     return int(n), float(x or 0), float(y or 0)
 
 
-def drag(page: Any, by_x: int, by_y: int = 0) -> None:
+def drag(page, by_x, by_y=0):
     from selenium.webdriver.common.action_chains import ActionChains
 
     canvas = page.find_element("css selector", "canvas[data-map=reconstruction]")
@@ -135,12 +130,12 @@ def drag(page: Any, by_x: int, by_y: int = 0) -> None:
     chain.move_by_offset(by_x, by_y).release().perform()
 
 
-def width(page: Any) -> int:
+def width(page):
     canvas = "document.querySelector('canvas[data-map=reconstruction]')"
     return int(run(page, f"return {canvas}.clientWidth"))
 
 
-def settled(page: Any) -> None:
+def settled(page):
     """Wait until the view that was turned is drawn in full again: two pixels for one."""
     canvas = "document.querySelector('canvas[data-map=reconstruction]')"
     fine = f"return {canvas}.width > 1.4 * {canvas}.clientWidth"
@@ -297,7 +292,7 @@ def test_patches_of_a_body_stand_at_their_poses_with_what_they_do(page, points):
             graph.skin(patch, mask=None, f_max=0.5, pitch_m=0.05)
         graph.skin("torso", n_rows=N_ROWS, n_cols=N_COLS, mask=MASK, points=points)
 
-        def is_pressed() -> bool:
+        def is_pressed():
             graph.frame("front", unchanged=True)
             graph.frame("back", forces=np.zeros((1, 5, 7), np.float32), unchanged=True)
             return run(page, now, "front") == "pressed" and run(page, now, "back") == "idle"

@@ -4,13 +4,12 @@ import io
 import math
 import queue
 import threading
-from typing import Any
 
 import numpy as np
 import pytest
 from bags import MASK, N_COLS, N_ROWS
 from exported import contacts
-from feeds import BEGIN_S, FakeTime, Graph, Record, graph_state, node_state, read_records
+from feeds import BEGIN_S, FakeTime, Graph, graph_state, node_state, read_records
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
@@ -38,26 +37,26 @@ def clock(monkeypatch):
     return FakeTime(monkeypatch)
 
 
-def parsed(data: bytes) -> list[Record]:
+def parsed(data):
     return list(read_records(io.BytesIO(data).read))
 
 
 class Page:
     """A page that reads whenever it is told to."""
 
-    def __init__(self, graph: Graph, clock: FakeTime, patch: str | None = "skin") -> None:
+    def __init__(self, graph, clock, patch="skin"):
         self._clock = clock
         self._records = StreamReader(graph.feed, Notices(graph.feed), patch).records()
 
-    def pull(self) -> list[Record]:
+    def pull(self):
         self._clock.advance(PULL_S)
         return parsed(next(self._records))
 
-    def kinds(self) -> list[str]:
+    def kinds(self):
         return [header["kind"] for header, _ in self.pull()]
 
 
-def only(records: list[Record], kind: str) -> Record:
+def only(records, kind):
     (found,) = [(header, arrays) for header, arrays in records if header["kind"] == kind]
     return found
 
@@ -161,7 +160,7 @@ def test_contacts_come_with_their_frame_and_each_event_once(clock, monkeypatch):
     assert page.kinds() == ["state"]
     graph.frame()
     graph.take(contacts(3))
-    woken: list[bool] = []
+    woken = []
     graph.feed.n_waiting = 1
     monkeypatch.setattr(graph.feed.changed, "notify_all", lambda: woken.append(True))
     graph.frame()
@@ -204,9 +203,9 @@ def test_the_end_is_reported_at_once_and_ends_the_stream(clock):
 def test_a_reader_that_waits_is_woken_by_a_frame_an_answer_and_the_end():
     graph = Graph()
     graph.skin()
-    kinds: queue.Queue[str] = queue.Queue()
+    kinds = queue.Queue()
 
-    def read() -> None:
+    def read():
         for data in StreamReader(graph.feed, Notices(graph.feed), "skin").records():
             for header, _ in parsed(data):
                 kinds.put(header["kind"])
@@ -239,7 +238,7 @@ def test_the_state_has_the_age_of_every_map_and_graph_and_summaries_once(clock):
     assert "summary" not in state["patches"]["skin"]
 
 
-def without_nan(value: Any) -> Any:
+def without_nan(value):
     if isinstance(value, list):
         return [without_nan(part) for part in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

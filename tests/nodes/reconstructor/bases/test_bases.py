@@ -1,7 +1,6 @@
 """Bases: orthonormal at any size, and what their definitions, PyWavelets and SciPy say."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import pywt
 from hypothesis import given
@@ -10,17 +9,16 @@ from scipy.fft import dctn
 
 from sparseskin.checks import check_basis
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.reconstructor.bases.base import BASES, make_basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.bases.separable import DctBasis, WaveletBasis
 
 
-def normal(shape: tuple[int, ...], seed: int = 5) -> npt.NDArray[np.float32]:
+def normal(shape, seed=5):
     return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
 
 
-def paired(samples: Doubles) -> tuple[Doubles, int]:
+def paired(samples):
     """One level along axis 0 from the definition; also how many approximations there are."""
     pairs = len(samples) // 2
     a, b = samples[0 : 2 * pairs : 2], samples[1 : 2 * pairs : 2]
@@ -28,7 +26,7 @@ def paired(samples: Doubles) -> tuple[Doubles, int]:
     return np.concatenate([approximations, (a - b) / np.sqrt(2)]), len(approximations)
 
 
-def haar_by_definition(image: npt.NDArray[np.float32]) -> Doubles:
+def haar_by_definition(image):
     pyramid = image.astype(np.float64)
     rows, cols = pyramid.shape
     while rows > 1 or cols > 1:

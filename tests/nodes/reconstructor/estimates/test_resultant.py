@@ -12,13 +12,12 @@ from sparseskin.messages import Reconstruction, Resultant
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.estimates.resultant import T
 from sparseskin.nodes.reconstructor.node import ReconstructorSettings
 from sparseskin.nodes.sensor.scenes.presses import press_frames
 
 
-def resultants(truth: Floats, ratio: int = 3, rows: str = FIXED) -> list[Resultant]:
+def resultants(truth, ratio=3, rows=FIXED):
     desk = Desk(make_phi("sbhe", N, N // ratio, seed=0), rows=rows, preset="skin", resultant=True)
     taxels = zip(noisy(truth).reshape(-1, N), itertools.cycle(desk.subsets), strict=False)
     found = desk.messages(phi.forward(frame) for frame, phi in taxels)
@@ -91,7 +90,7 @@ def test_a_contact_that_jumps_has_its_new_centre_at_once_and_bounded_bands():
 def test_bands_hold_in_taps_and_where_most_rows_are_never_read(course, rows, held):
     # A tap has a centre from its first frames on; fixed rows do not measure parts of the sum.
     truth = np.array([frame for frame, _ in press_frames("peg", SHAPE, 150, 1, course=course)])
-    inside: dict[str, list[bool]] = {name: [] for name in held}
+    inside = {name: [] for name in held}
     for frame, one in zip(truth.astype(np.float64), resultants(truth, 8, rows), strict=True):
         if frame.max() > 0.01:
             row, col = (np.indices(SHAPE) * frame).sum(axis=(1, 2)) / frame.sum()

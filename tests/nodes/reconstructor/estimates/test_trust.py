@@ -1,7 +1,5 @@
 """A solver's estimate of its own error is published with each frame."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from doubting import DOUBTING, ERROR
@@ -10,18 +8,17 @@ from watched import Desk, N
 from sparseskin.messages import Reconstruction, decode, encode
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import RefusedError
-from sparseskin.nodes.numerics.arrays import Floats
 
 PHI = make_phi("sbhe", N, N // 3, seed=0)
 
 
-def untouched(n_frames: int) -> Floats:
+def untouched(n_frames):
     """Measurements of the noise of a skin that nothing touches, float32 (n_frames, m)."""
     found = np.random.default_rng(0).normal(scale=0.01, size=(n_frames, PHI.m))
     return found.astype(np.float32)
 
 
-def reconstructions(desk: Desk, n_frames: int) -> list[Reconstruction]:
+def reconstructions(desk, n_frames):
     found = desk.messages(untouched(n_frames))
     return [message for message in found if isinstance(message, Reconstruction)]
 
@@ -43,7 +40,7 @@ def test_an_estimate_that_is_none_is_refused(wrong, monkeypatch):
     solver = desk.node._patches[0].solver
     finish = solver.finish
 
-    def finish_wrongly() -> Any:
+    def finish_wrongly():
         forces = finish()
         for name, value in wrong.items():
             setattr(solver, name, value)

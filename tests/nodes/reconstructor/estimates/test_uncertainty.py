@@ -9,7 +9,6 @@ from watched import Desk, N
 from sparseskin.messages import Reconstruction, decode, encode
 from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SPREAD, make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
-from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
 from sparseskin.nodes.reconstructor.settings import PRESETS
@@ -21,7 +20,7 @@ from sparseskin.nodes.sensor.scenes.presses import press_frames
 HELD = {"plate": (0.85, 0.97), "peg": (0.75, 0.96), "gaussian": (0.9, 1.0)}
 
 
-def held(preset: str, body: str) -> tuple[float, float]:
+def held(preset, body):
     """Parts of the touched and of the untouched taxels whose true force is within the band."""
     chosen = dict(PRESETS[preset])
     name = chosen.pop("solver")
@@ -62,7 +61,7 @@ def test_deviations_scale_with_the_range_of_the_skin_and_are_0_without_a_taxel()
         np.testing.assert_allclose(large.update(1000 * frame, 20.0), 1000 * sd, rtol=1e-4)
 
 
-def deviations_by_definition(frame: Floats, r: float, factor: float) -> Doubles:
+def deviations_by_definition(frame, r, factor):
     """Standard deviations of a first frame, taxel by taxel: no mean of frames is there yet."""
     x = frame.astype(np.float64)
     edged = np.pad(x, ((0, 1), (0, 1)), mode="edge")
@@ -72,7 +71,7 @@ def deviations_by_definition(frame: Floats, r: float, factor: float) -> Doubles:
     for row, col in np.ndindex(x.shape):
         g[row, col] = around[row : row + 3, col : col + 3].mean()
     p = (0.2 * x**2 + 0.03 * r**2) / (x + 0.3 * r)
-    deviations: Doubles = factor * np.sqrt(r * np.sqrt(p * np.sqrt(g**2 + r**2)))
+    deviations = factor * np.sqrt(r * np.sqrt(p * np.sqrt(g**2 + r**2)))
     return deviations
 
 
@@ -87,7 +86,7 @@ def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin():
     np.testing.assert_allclose(sd, expected, rtol=1e-4)
 
 
-def reconstructed(**settings: object) -> tuple[Reconstruction, list[str]]:
+def reconstructed(**settings):
     phi = make_phi("sbhe", N, N // 3, seed=0)
     desk = Desk(phi, **settings)
     found = desk.messages(np.zeros((1, phi.m), np.float32))

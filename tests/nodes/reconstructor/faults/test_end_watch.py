@@ -6,7 +6,6 @@ from watched import SKIN_SHAPE as SHAPE
 from watched import Skin, pad
 
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.taxels import (
     BELIEVED,
     ENOUGH,
@@ -15,24 +14,22 @@ from sparseskin.nodes.reconstructor.faults.taxels import (
     EndWatch,
 )
 
-DEAD = 10 * 28 + 14
-
 
 @pytest.fixture(scope="module")
 def phi():
     return make_phi("sbhe", 784, 784 // 3, seed=0)
 
 
-def watch() -> EndWatch:
+def watch():
     return EndWatch(np.ones(SHAPE, np.bool_), 2.5)
 
 
-def block(row: int, col: int) -> Floats:
+def block(row, col):
     """A square of 9 x 9 taxels around a place."""
     return pad((slice(row - 4, row + 5), slice(col - 4, col + 5)))
 
 
-def holed(row: int, col: int) -> Floats:
+def holed(row, col):
     frame = block(row, col)
     frame[10, 14] = 0
     return frame
@@ -42,14 +39,14 @@ def holed(row: int, col: int) -> Floats:
 PASSED = [holed(10, col) for col in (11, 14, 17)]
 
 
-def ring(col: int) -> Floats:
+def ring(col):
     """A square with a hole in its middle."""
     frame = block(10, col)
     frame[10, col] = 0
     return frame
 
 
-def lying(end: int) -> Floats:
+def lying(end):
     """Pressed around the hole from column 10 up to this one."""
     frame = pad((slice(6, 15), slice(10, end)))
     frame[10, 14] = 0

@@ -13,7 +13,6 @@ from sparseskin.messages import Reconstruction, SkinState
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.frame import SWINGS, FrameWatch
 from sparseskin.nodes.reconstructor.faults.rows import Subset
 
@@ -35,12 +34,12 @@ CHOSEN = [CHOICE.measure(ADAPTIVE.tree.analysis(f.reshape(-1)).take) for f in no
 """Measurements of the disc in frame 20, with noise, of rows that were chosen."""
 
 
-def measured(k: int) -> Floats:
+def measured(k):
     """Measurements of the disc in frame k, with noise."""
     return PHI.forward(noisy(DISC[k : k + 1], seed=k)[0].reshape(-1))
 
 
-def expected(k: int) -> Floats:
+def expected(k):
     return PHI.forward(DISC[k].reshape(-1))
 
 
@@ -156,7 +155,7 @@ def test_frames_with_faults_are_as_accurate_as_those_without_or_state_a_reason(r
     assert reasons == {35: "constant"}
     np.testing.assert_array_equal(found[35].forces, found[34].forces)
 
-    def error(forces: Floats, k: int) -> float:
+    def error(forces, k):
         return float(np.linalg.norm(forces - DISC[k]))
 
     for k in (30, 31, 36, 40, 41, 50):

@@ -9,13 +9,12 @@ from watched import DESK_SHAPE, Desk, N
 from sparseskin.messages import Reconstruction
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.frozen import FRAMES, FrozenWatch
 
 SIGMA = 0.02
 
 
-def noisy(seed: int, force: float = 0.0) -> Floats:
+def noisy(seed, force=0.0):
     return np.random.default_rng(seed).normal(force, SIGMA, 30).astype(np.float32)
 
 

@@ -6,10 +6,9 @@ from pressed import noisy, psnr_db, sliding_disc
 from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
-from sparseskin.nodes.compressor.phi.base import RANDOM, Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import RANDOM, make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK, row_subsets
 from sparseskin.nodes.compressor.quantiser import quantised
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.rows import CONSTANT, HEALED, RowWatch
 
 M = 533
@@ -27,7 +26,7 @@ def phi():
     return make_phi("sbhe", N, M, seed=0)
 
 
-def spoilt(y: Floats, fault: str) -> Floats:
+def spoilt(y, fault):
     """Measurements with faulty ones from the first frame on."""
     rng = np.random.default_rng(1)
     wrong = {
@@ -123,13 +122,11 @@ def test_a_row_that_works_again_is_used_again_and_logged(phi):
     assert sorted(map(int, again.split(", "))) == list(FAULTY)
 
 
-def noise(m: int = M, seed: int = 0, n_frames: int = 30) -> Floats:
+def noise(m=M, seed=0, n_frames=30):
     return np.random.default_rng(seed).normal(0, 0.01, (n_frames, m)).astype(np.float32)
 
 
-def left_out_of(
-    phi: Phi, y: Floats, fitted: Floats | None = None, unfitted: list[int] | None = None
-) -> list[int]:
+def left_out_of(phi, y, fitted=None, unfitted=None):
     """Rows left out of frames of measurements, which are reconstructed as 0 or as stated."""
     watch = RowWatch(phi)
     for one, estimate in zip(y, np.zeros_like(y) if fitted is None else fitted, strict=True):

@@ -6,7 +6,6 @@ from watched import NOISE, Skin, pad
 from watched import SKIN_SHAPE as SHAPE
 
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.faults.taxels import MEASURED, TaxelWatch
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -39,7 +38,7 @@ RING = pad((slice(8, 20), slice(8, 20))) - pad((slice(13, 14), slice(14, 15)))
 QUIET = NoiseModel(2.5, 0.006, 0.0014)
 
 
-def pegs(force: float) -> Floats:
+def pegs(force):
     """A peg of one taxel, and an edge."""
     return pad((slice(5, 6), slice(5, 6)), (slice(20, 21), slice(3, 22)), force=force)
 

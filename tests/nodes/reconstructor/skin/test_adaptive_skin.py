@@ -6,30 +6,28 @@ import numpy as np
 import pytest
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.adaptive import AdaptiveSkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import press_frames
-from sparseskin.studies.evaluate import Method, Reading, Scores, make_method
+from sparseskin.studies.evaluate import Reading, Scores, make_method
 
 
-def method(shape: tuple[int, int], ratio: float, mask: Mask | None = None, **more: float) -> Method:
+def method(shape, ratio, mask=None, **more):
     return make_method(
         PRESETS["skin"], shape, ratio, 0, phi="adaptive", rows="fixed", mask=mask, **more
     )
 
 
-def frames_of(shape: tuple[int, int], n: int, body: str = "peg", **how: object) -> list[Floats]:
+def frames_of(shape, n, body="peg", **how):
     return [truth for truth, _ in press_frames(body, shape, n, 0, **how)]
 
 
-def error(found: Floats, truth: Floats) -> float:
+def error(found, truth):
     return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
 
 
@@ -117,7 +115,7 @@ def test_after_reset_and_in_steps_the_same_frames_give_the_same_bits():
         np.testing.assert_array_equal(made.solver.finish(), before)
 
 
-def adaptive(n: int, m: int) -> AdaptivePhi:
+def adaptive(n, m):
     phi = make_phi("adaptive", n, m, seed=0)
     return phi
 

@@ -1,20 +1,16 @@
 """Denoisers of tiles: learned gates and their file, Haar shrinkage by a formula."""
 
-from collections.abc import Callable
 from io import BytesIO
 
 import numpy as np
 import pytest
 
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.skin.formula import shrink
 from sparseskin.nodes.reconstructor.skin.gates import INNER, WINDOW, Gates, gates_of
 
-Denoise = Callable[[Floats], tuple[Floats, Floats]]
 
-
-def stored_gates() -> Gates:
+def stored_gates():
     found = gates_of(None)
     return found
 
@@ -64,7 +60,7 @@ def test_haar_coefficients_of_one_group_are_shrunk_alike():
     np.testing.assert_allclose(tiles.reshape(8, 8)[[0, -1], 0], expected, atol=1e-5)
 
 
-def written(**changes: object) -> bytes:
+def written(**changes):
     stored = stored_gates()
     names = ("filters", "hidden", "hidden_0", "gates", "gates_0", "synthesis", "error", "error_0")
     arrays = {name: getattr(stored, name) for name in names} | changes

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from stretched import Stretched
 
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.reconstructor.skin.rows import HadamardRows, WhitenedRows, rows_of
 
 KINDS = ("sbhe", "gaussian", "subsample", "full", "local:4")
 
 
-def made(kind: str) -> Phi:
+def made(kind):
     n, m = 144, 144 if kind == "full" else 48
     if kind == "stretched":
         return Stretched(make_phi("gaussian", n, m, seed=0))

@@ -1,16 +1,13 @@
 """Solver `skin`: accuracy, constant work, no amplified rounding, an error that means something."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from pressed import noisy, psnr_db, sliding_disc
 from stretched import Stretched
 
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, row_subsets
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
@@ -19,14 +16,12 @@ from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 SHAPE, N = (24, 24), 576
 
 
-def solver_of(phis: list[Phi], **settings: Any) -> SkinSolver:
+def solver_of(phis, **settings):
     made = make_rotating_solver("skin", phis, HaarBasis(*SHAPE), **settings)
     return made
 
 
-def reconstructed(
-    solver: SkinSolver, phis: list[Phi], frames: Floats, change: float = 0.0
-) -> tuple[Floats, list[float]]:
+def reconstructed(solver, phis, frames, change=0.0):
     """Forces and estimated errors; `change`: of each measurement, in the largest."""
     rng, found, errors = np.random.default_rng(1), [], []
     for k, frame in enumerate(frames):
@@ -39,7 +34,7 @@ def reconstructed(
     return np.array(found), errors
 
 
-def phis_of(rows: str) -> list[Phi]:
+def phis_of(rows):
     return row_subsets(make_phi("sbhe", N, N // 3, seed=0), rows)
 
 
@@ -103,7 +98,7 @@ def test_rows_of_any_length_give_the_same_forces():
     phi = make_phi("gaussian", N, N // 3, seed=0)
     frames = noisy(sliding_disc(SHAPE, 20))
     plain, _ = reconstructed(solver_of([phi]), [phi], frames)
-    stretched: list[Phi] = [Stretched(phi)]
+    stretched = [Stretched(phi)]
     found, _ = reconstructed(solver_of(stretched), stretched, frames)
     truth = sliding_disc(SHAPE, 20)
     assert abs(psnr_db(found, truth) - psnr_db(plain, truth)) < 0.5

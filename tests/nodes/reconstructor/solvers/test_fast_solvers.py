@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from pressed import noisy, sliding_disc
 
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
-from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import Solver, make_solver
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
 
 if importlib.util.find_spec("numba") is None:
     pytest.skip("numba is not installed (extra fast)", allow_module_level=True)
@@ -19,13 +18,13 @@ from sparseskin.nodes.reconstructor.skin.compiled import CompiledVectors
 from sparseskin.nodes.reconstructor.solvers.fast import CompiledFista
 
 
-def mask_of(shape: tuple[int, int], n_missing: int) -> Mask:
+def mask_of(shape, n_missing):
     mask = np.ones(shape, dtype=np.bool_)
     mask.reshape(-1)[np.random.default_rng(0).permutation(mask.size)[:n_missing]] = False
     return mask
 
 
-def made(name: str, phi: Phi, mask: Mask, how: str) -> Solver:
+def made(name, phi, mask, how):
     return make_solver(name, phi, make_basis("haar", *mask.shape), mask, fast=how)
 
 

@@ -12,9 +12,8 @@ from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, row_subsets
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, Solver, make_rotating_solver
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, make_rotating_solver
 
 FORMS = ["off", *(["on"] if find_spec("numba") else [])]
 #: Rows that each frame chooses anew: phi "adaptive".
@@ -29,7 +28,7 @@ CASES = [
 class Stream:
     """Frames of a skin of side x side taxels, measured at N/3 and reconstructed by a solver."""
 
-    def __init__(self, name: str, side: int, rows: str, fast: str) -> None:
+    def __init__(self, name, side, rows, fast):
         kind = "subsample" if name == "interpolation" else "sbhe"
         n = side * side
         phi = make_phi("adaptive" if rows == CHOSEN else kind, n, -(-n // 3), seed=0)
@@ -39,10 +38,10 @@ class Stream:
             self._choice, rows = AdaptiveChoice(phi), FIXED
         self.phis = row_subsets(phi, rows)
         basis = make_basis("haar", side, side)
-        self.solver: Solver = make_rotating_solver(name, self.phis, basis, fast=fast)
+        self.solver = make_rotating_solver(name, self.phis, basis, fast=fast)
         self._n_frames = 0
 
-    def frame(self, taxels: Floats) -> Floats:
+    def frame(self, taxels):
         phi = self.phis[self._n_frames % len(self.phis)]
         self._n_frames += 1
         self.solver.use(phi)
@@ -51,7 +50,7 @@ class Stream:
             return self.solver.solve(self._choice.measure(phi.tree.analysis(x).take))
         return self.solver.solve(phi.forward(x))
 
-    def press(self, row: float, col: float) -> Floats:
+    def press(self, row, col):
         rows, cols = np.mgrid[: self.side, : self.side]
         return np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 4).astype(np.float32)
 
@@ -63,7 +62,7 @@ def test_a_contact_after_identical_frames_is_reconstructed(name, side, rows, fas
         assert np.isfinite(stream.frame(stream.press(2, 2))).all()
     moved = stream.press(5, 4)
 
-    def error(one: Stream) -> float:
+    def error(one):
         frames = [one.frame(moved) for _ in range(8)]
         return float(np.linalg.norm(frames[-1] - moved) / np.linalg.norm(moved))
 

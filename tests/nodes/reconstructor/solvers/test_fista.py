@@ -9,15 +9,14 @@ import pytest
 
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
-from sparseskin.nodes.reconstructor.bases.base import Basis, make_basis
+from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 
 
-def sliding_box(shape: tuple[int, int], n_frames: int, seed: int = 0) -> Floats:
+def sliding_box(shape, n_frames, seed=0):
     """A box with a rim, sliding by one taxel a frame after an untouched one; noisy, newtons."""
     rows, cols = shape
     noise = np.random.default_rng(seed).normal(0, 0.03, (n_frames, rows, cols))
@@ -30,16 +29,14 @@ def sliding_box(shape: tuple[int, int], n_frames: int, seed: int = 0) -> Floats:
     return np.clip(frames + noise, 0, 2.5).astype(np.float32)
 
 
-def matrix_of(basis: Basis) -> Doubles:
+def matrix_of(basis):
     """Psi, column by column."""
     n = basis.n_rows * basis.n_cols
     units = np.eye(n, dtype=np.float32).reshape(n, basis.n_rows, basis.n_cols)
     return np.stack([basis.synthesis(u).ravel() for u in units], axis=1).astype(np.float64)
 
 
-def dense_fista(
-    A: Doubles, y: Doubles, lam: float, L: float, iterations: int, start: Doubles
-) -> Doubles:
+def dense_fista(A, y, lam, L, iterations, start):
     """FISTA with constant step size, line by line from Beck and Teboulle (2009), section 4."""
     x_last, y_k, t_k = start, start, 1.0
     for _ in range(iterations):
@@ -51,7 +48,7 @@ def dense_fista(
     return x_last
 
 
-def ring_mask(shape: tuple[int, int]) -> Mask:
+def ring_mask(shape):
     """A grid whose corners and one dead taxel are missing."""
     mask = np.ones(shape, dtype=np.bool_)
     mask[:2, :3] = mask[-2:, -4:] = False
@@ -99,7 +96,7 @@ class CountedSteps(FistaSolver):
 
     n_done = 0
 
-    def step(self) -> None:
+    def step(self):
         self.n_done += 1
         super().step()
 
@@ -190,10 +187,10 @@ def test_measurements_and_warm_starts_of_the_wrong_kind_are_named(y, warm, said)
 class TooShortLipschitz(HaarBasis):
     """A basis that is not orthonormal, so that the step 1/L is too long."""
 
-    def _synthesis(self, coefficients: Floats, out: Floats) -> None:
+    def _synthesis(self, coefficients, out):
         super()._synthesis(100 * coefficients, out)
 
-    def _analysis(self, image: Floats, out: Floats) -> None:
+    def _analysis(self, image, out):
         super()._analysis(100 * image, out)
 
 

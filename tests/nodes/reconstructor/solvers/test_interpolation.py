@@ -1,7 +1,6 @@
 """Interpolation between taxels: exact where a force is linear, on any grid and any sampling."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,18 +11,18 @@ from sparseskin.nodes.reconstructor.bases.base import IdentityBasis
 from sparseskin.nodes.reconstructor.solvers.interpolation import InterpolationSolver
 
 
-def slope(rows: int, cols: int) -> npt.NDArray[np.float32]:
+def slope(rows, cols):
     i, j = np.indices((rows, cols))
     return (0.2 + 0.03 * i + 0.01 * j).astype(np.float32)
 
 
-def acts(shape: tuple[int, int], taxels: npt.NDArray[np.intp]) -> ActsPhi:
+def acts(shape, taxels):
     phi = ActsPhi(shape[0] * shape[1], len(taxels), seed=0)
     phi.choose(np.sort(taxels))
     return phi
 
 
-def fixed(shape: tuple[int, int], taxels: npt.NDArray[np.intp]) -> SubsamplePhi:
+def fixed(shape, taxels):
     phi = SubsamplePhi(shape[0] * shape[1], len(taxels), seed=0)
     phi._keep(np.sort(taxels))
     return phi

@@ -4,22 +4,21 @@ import numpy as np
 import pytest
 from pressed import noisy, psnr_db, sliding_disc
 
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
-from sparseskin.nodes.reconstructor.solvers.base import RotatingSolver, Solver, make_rotating_solver
+from sparseskin.nodes.reconstructor.solvers.base import RotatingSolver, make_rotating_solver
 
 SHAPE, N = (24, 24), 576
 
 
-def phases_for(ratio: int) -> list[Phi]:
+def phases_for(ratio):
     return row_subsets(make_phi("sbhe", N, N // ratio, seed=0), "rotating")
 
 
-def restored(solver: Solver, phases: list[Phi], frames: Floats) -> Floats:
+def restored(solver, phases, frames):
     found = []
     for k, taxels in enumerate(frames):
         phi = phases[k % len(phases)]
@@ -28,7 +27,7 @@ def restored(solver: Solver, phases: list[Phi], frames: Floats) -> Floats:
     return np.array(found)
 
 
-def solver_for(name: str, phases: list[Phi]) -> Solver:
+def solver_for(name, phases):
     return make_rotating_solver(name, phases, make_basis("haar", *SHAPE))
 
 

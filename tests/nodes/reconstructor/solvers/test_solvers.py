@@ -1,39 +1,31 @@
 """Facts that hold for every registered solver, whatever its method."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from pressed import noisy, psnr_db, sliding_disc
 
 from sparseskin.checks import check_solver
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import (
-    SOLVERS,
-    Solver,
-    make_rotating_solver,
-    make_solver,
-)
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, make_rotating_solver, make_solver
 
 SHAPE, N = (16, 16), 256
 #: All but the one that needs taxels read one by one: it has tests of its own.
 INVERTING = sorted(SOLVERS.keys() - {"interpolation"})
 
 
-def solver_for(name: str, phi: Phi, shape: tuple[int, int] = SHAPE, **settings: Any) -> Solver:
+def solver_for(name, phi, shape=SHAPE, **settings):
     return make_solver(name, phi, make_basis("haar", *shape), **settings)
 
 
-def phi_for(name: str, n: int = N, m: int = 100) -> Phi:
+def phi_for(name, n=N, m=100):
     """A measurement matrix that the solver can use."""
     return make_phi("subsample" if name == "interpolation" else "sbhe", n, m, seed=2)
 
 
-def measured(phi: Phi, n_frames: int = 12) -> Floats:
+def measured(phi, n_frames=12):
     return phi.forward(noisy(sliding_disc(SHAPE, n_frames)).reshape(n_frames, -1))
 
 

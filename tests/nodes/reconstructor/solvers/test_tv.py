@@ -6,7 +6,6 @@ from pressed import noisy, psnr_db, sliding_disc
 
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
-from sparseskin.nodes.reconstructor.solvers.base import Solver
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 from sparseskin.nodes.reconstructor.solvers.tv import TvSolver
 
@@ -17,7 +16,7 @@ def test_a_sliding_disc_is_reconstructed_better_than_by_fista():
     y = phi.forward(noisy(truth).reshape(-1, 1600))
     psnr = []
     for cls in (TvSolver, FistaSolver):
-        solver: Solver = cls(phi, HaarBasis(40, 40))
+        solver = cls(phi, HaarBasis(40, 40))
         psnr.append(psnr_db(np.array([solver.solve(one) for one in y])[15:], truth[15:]))
     assert psnr[0] > psnr[1] + 3
 

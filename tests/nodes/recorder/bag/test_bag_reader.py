@@ -5,8 +5,6 @@ import random
 import re
 import tracemalloc
 import zlib
-from collections.abc import Callable
-from pathlib import Path
 
 import lz4.frame
 import mcap.writer
@@ -41,7 +39,7 @@ def whole(tmp_path_factory):
     return path.read_bytes(), payloads
 
 
-def survivors(path: Path, data: bytes) -> tuple[list[bytes], str] | None:
+def survivors(path, data):
     """The messages read from a file with these bytes, and the warnings; None if it is refused."""
     path.write_bytes(data)
     try:
@@ -53,7 +51,7 @@ def survivors(path: Path, data: bytes) -> tuple[list[bytes], str] | None:
         return None
 
 
-def check_damaged(path: Path, data: bytes, payloads: list[bytes]) -> int:
+def check_damaged(path, data, payloads):
     """A damaged file gives the first payloads and their number, or is refused."""
     found = survivors(path, data)
     if found is None:
@@ -64,7 +62,7 @@ def check_damaged(path: Path, data: bytes, payloads: list[bytes]) -> int:
     return len(read)
 
 
-def chunk_ends(data: bytes) -> list[int]:
+def chunk_ends(data):
     """Where each chunk record ends."""
     ends, offset = [], 8
     while offset < len(data) - 8:
@@ -201,13 +199,13 @@ def test_a_bag_that_another_tool_wrote_anew_can_be_read(whole, tmp_path):
 
 
 def foreign(
-    path: Path,
-    encoding: str = "msgpack",
-    schema: str = "sparseskin/taxels",
-    version: str = "1",
-    topic: str = "/skin/taxels",
-    chunked: bool = True,
-) -> None:
+    path,
+    encoding="msgpack",
+    schema="sparseskin/taxels",
+    version="1",
+    topic="/skin/taxels",
+    chunked=True,
+):
     with open(path, "wb") as file:
         writer = mcap.writer.Writer(file, use_chunking=chunked)
         writer.start(library="robot logger 7")
@@ -218,19 +216,19 @@ def foreign(
         writer.finish()
 
 
-def no_channels(path: Path) -> None:
+def no_channels(path):
     with open(path, "wb") as file:
         writer = mcap.writer.Writer(file)
         writer.start(library="robot logger 7")
         writer.finish()
 
 
-def ros2_folder(path: Path) -> None:
+def ros2_folder(path):
     path.mkdir()
     (path / "metadata.yaml").touch()
 
 
-BAD: dict[str, tuple[Callable[[Path], object], str]] = {
+BAD = {
     "missing": (lambda path: None, "no such file"),
     "not complete": (
         lambda path: path.with_name("a.mcap.part").touch(),
@@ -306,7 +304,7 @@ def test_a_newer_version_is_refused_also_where_our_own_index_states_it(tmp_path)
 
 
 def test_a_chunk_that_decompresses_to_too_much_is_refused():
-    def chunk_of(n_bytes: int) -> Record:
+    def chunk_of(n_bytes):
         plain, builder = bytes(n_bytes), RecordBuilder()
         packed = lz4.frame.compress(plain)
         Chunk("lz4", packed, 0, 0, zlib.crc32(plain), n_bytes).write(builder)

@@ -129,9 +129,9 @@ def small_disk(mount_disk):
     return mount_disk("400k")
 
 
-def fill(writer: BagWriter) -> list[bytes]:
+def fill(writer):
     """Write until the disk is full; what the writer was given."""
-    payloads: list[bytes] = []
+    payloads = []
     for k in range(100_000):
         payloads.append(encode(frame(k)[0])[1])
         try:

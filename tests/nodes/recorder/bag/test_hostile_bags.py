@@ -2,10 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,14 +19,13 @@ from sparseskin.nodes.recorder.bag.writer import BagWriter
 from sparseskin.nodes.recorder.convert.npz import export_npz
 
 N_FRAMES = 6
-Forge = Callable[[str, dict[str, str]], dict[str, str]]
 
 
 @pytest.fixture
 def forged(tmp_path, monkeypatch):
     """A bag whose metadata records are forged; the rest, and all checksums, are right."""
 
-    def make(forge: Forge) -> Path:
+    def make(forge):
         add = Writer.add_metadata
         path = tmp_path / "a.mcap"
         with monkeypatch.context() as patch:
@@ -44,14 +40,14 @@ def forged(tmp_path, monkeypatch):
     return make
 
 
-def forged_topics(values: dict[str, str], **changes: Any) -> dict[str, str]:
+def forged_topics(values, **changes):
     topics = json.loads(values["json"])
     for info in topics.values():
         info.update(changes)
     return {"json": json.dumps(topics)}
 
 
-def look(path: Path, out: Path) -> None:
+def look(path, out):
     """All that a user does with a bag; what is refused is one line that can be printed."""
     try:
         with BagReader(path) as bag:
@@ -66,7 +62,7 @@ def look(path: Path, out: Path) -> None:
     assert line.isprintable()
 
 
-def resealed(data: bytearray) -> bytes:
+def resealed(data):
     """A file with its two checksums made right."""
     start = int.from_bytes(data[-28:-20], "little")
     if 21 <= start <= len(data) - 37:

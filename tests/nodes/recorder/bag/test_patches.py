@@ -18,12 +18,12 @@ FORCES = np.random.default_rng(0).random((N_FRAMES, 3, N_ROWS, N_COLS), dtype=np
 """Of each frame and patch."""
 
 
-def unchanged(k: int) -> tuple[bool, ...]:
+def unchanged(k):
     """Of patch 1 every second frame is unchanged."""
     return (False, k % 2 == 1, False)
 
 
-def reconstructed(k: int) -> Reconstruction:
+def reconstructed(k):
     return Reconstruction(
         stamp_ns=k,
         patch="body",

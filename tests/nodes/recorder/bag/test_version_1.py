@@ -9,7 +9,6 @@ import pytest
 from sparseskin.messages import (
     MalformedError,
     Measurements,
-    Message,
     PhiState,
     Reconstruction,
     SkinState,
@@ -30,7 +29,7 @@ BITS = RECORDINGS / "form_1_bits.mcap"
 """6 frames of one patch, measurements of 8 bits, standard deviations, resultants."""
 
 
-def messages(path: Path) -> list[Message]:
+def messages(path):
     with BagReader(path) as bag:
         return [decode(one.topic.encode(), one.payload) for one in bag.messages()]
 

@@ -1,7 +1,5 @@
 """Bags made of other files: complete, or absent."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from bags import frames, make_bag
@@ -16,7 +14,7 @@ from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 SIZE = {"n_rows": 2, "n_cols": 3}
 
 
-def write_frames(path: Path, lines: list[str]) -> Path:
+def write_frames(path, lines):
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -43,7 +41,7 @@ def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path, monkeyp
     source = write_frames(tmp_path / "a.csv", ["0,1,2,3,4,5"] * 5)
     seen = []
 
-    def break_off(items: object, total: int, doing: str) -> object:
+    def break_off(items, total, doing):
         for item in items:
             yield item
             seen.extend(path.name for path in tmp_path.glob("*.part"))

@@ -1,7 +1,5 @@
 """From counts to newtons: each step in closed form."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,11 +14,11 @@ SHAPE = (3, 4)
 SECOND = 1_000_000_000
 
 
-def skin(**changes: Any) -> SkinDescription:
+def skin(**changes):
     return SkinDescription("palm", *SHAPE, 2.5, **changes)
 
 
-def still(description: SkinDescription) -> Chain:
+def still(description):
     """A chain that follows no drift."""
     return Chain(description, drift_rate=0.0)
 
@@ -92,7 +90,7 @@ def test_a_lower_end_below_0_keeps_the_mean_of_noise_centred_on_0():
     assert clipped == pytest.approx(0.01 / np.sqrt(2 * np.pi), rel=0.02)
 
 
-def run(chain: Chain, force: Any, seconds: float, rate_hz: float = 100.0) -> np.ndarray:
+def run(chain, force, seconds, rate_hz=100.0):
     """Forces at the end of `seconds` under a force, a number or a function of time in seconds."""
     n = round(seconds * rate_hz)
     for k in range(n + 1):
@@ -118,9 +116,7 @@ FOLLOWED = np.ones(PAD, np.bool_)
 FOLLOWED[2:10, 2:10] = False  # a press holds the taxels around it
 
 
-def drift_under_a_light_press(
-    percent: float, noise: float, *, drift: float = 0.0, seconds: float = 62.0
-) -> np.ndarray:
+def drift_under_a_light_press(percent, noise, *, drift=0.0, seconds=62.0):
     """Drift followed, in parts of f_max, under a press of some % from second 2 on."""
     chain = Chain(SkinDescription("palm", *PAD, 2.5, noise=noise or None))
     rng = np.random.default_rng(0)

@@ -1,7 +1,6 @@
 """Gains, curves, noise and faulty taxels from presses, against the skin that made the readings."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,21 +23,21 @@ GAIN = RNG.lognormal(0, 0.3, SHAPE)
 ALL = np.ones(SHAPE, np.bool_)
 
 
-def linear(force: Any) -> np.ndarray:
+def linear(force):
     """Counts of a linear skin: 500 a newton for a taxel of gain 1."""
     return BASELINE + 500 * GAIN * force
 
 
-def saturating(force: Any) -> np.ndarray:
+def saturating(force):
     """Counts of a skin whose response is concave, of one shape for all taxels."""
     return BASELINE + 1500 * GAIN * force / (force + 1.0)
 
 
-def frames(counts: np.ndarray, n: int = 50, sigma: float = 0.0) -> np.ndarray:
+def frames(counts, n=50, sigma=0.0):
     return counts + np.random.default_rng(0).normal(0, sigma, (n, *SHAPE))
 
 
-def even(model: Any, force: float, **noise: Any) -> Press:
+def even(model, force, **noise):
     return Press(f"{force:g}", force * N, frames(model(force), **noise), ALL)
 
 
@@ -78,7 +77,7 @@ def test_a_curve_through_even_loads_is_exact_at_them_and_within_its_chords_betwe
 def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each():
     knee = RNG.uniform(0.5, 3.0, SHAPE)
 
-    def model(force: float) -> np.ndarray:
+    def model(force):
         return BASELINE + 1500 * force / (force + knee)
 
     presses = [even(model, force) for force in LEVELS]
@@ -174,7 +173,7 @@ def test_taxels_under_no_even_load_get_the_median_gain():
     ],
 )
 def test_what_cannot_be_calibrated_is_refused(change, line):
-    values: dict[str, Any] = {"untouched": frames(BASELINE), "presses": [], "f_max": None}
+    values = {"untouched": frames(BASELINE), "presses": [], "f_max": None}
     with pytest.raises(CalibrationError) as raised:
         fit("p", **(values | change))
     assert line in str(raised.value)

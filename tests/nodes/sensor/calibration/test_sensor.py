@@ -1,11 +1,9 @@
 """The sensor node with the file of a skin: what it publishes, tares and refuses."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from sparseskin.messages import Calibration, Message, SkinState, Taxels
+from sparseskin.messages import Calibration, SkinState, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
@@ -45,17 +43,17 @@ def folder(tmp_path, monkeypatch):
 class Run:
     """A sensor, its log and what it publishes."""
 
-    def __init__(self, **settings: Any) -> None:
-        self.log: list[str] = []
+    def __init__(self, **settings):
+        self.log = []
         self.clock = ManualClock()
         context = Context("s", self.clock, log=self.log.append)
         self.settings = Sensor.Settings(**{"source": "file:counts.npy", **settings})
         self.settings.check()
         self.sensor = Sensor(self.settings, context)
-        self.published: list[Message] = list(self.sensor.start())
+        self.published = list(self.sensor.start())
         self.n = 0
 
-    def frames(self, n: int) -> list[np.ndarray]:
+    def frames(self, n):
         found = []
         for _ in range(n):
             made = list(self.sensor.acquire(Tick(self.n, self.n)))
@@ -64,7 +62,7 @@ class Run:
             found += [one.forces[0] for one in made if isinstance(one, Taxels)]
         return found
 
-    def of(self, kind: type[Message]) -> list[Any]:
+    def of(self, kind):
         return [one for one in self.published if isinstance(one, kind)]
 
 

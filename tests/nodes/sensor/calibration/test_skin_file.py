@@ -3,7 +3,6 @@
 import os
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,13 +22,13 @@ from sparseskin.nodes.sensor.calibration.skin_file import (
 HEAD = "rows = 2\ncols = 3\nf_max = 2.5\n"
 
 
-def write(folder: Path, text: str) -> Path:
+def write(folder, text):
     path = folder / "palm.toml"
     path.write_text(text)
     return path
 
 
-def assert_same(a: Any, b: Any) -> None:
+def assert_same(a, b):
     """Equal field by field, arrays with their dtype."""
     for field in fields(a):
         one, other = getattr(a, field.name), getattr(b, field.name)
@@ -70,7 +69,7 @@ sizes = st.floats(1e-3, 1e3)
 
 
 @st.composite
-def skins(draw: st.DrawFn) -> SkinDescription:
+def skins(draw):
     shape = draw(st.tuples(st.integers(1, 5), st.integers(1, 5)))
     k = draw(st.integers(1, 4))
     steps = draw(arrays(np.float64, k, elements=sizes))
@@ -164,7 +163,7 @@ def test_a_hostile_file_is_refused_in_one_line(tmp_path, text, line):
     assert len(shown) < len(str(path)) + 250
 
 
-def save_arrays(path: Path, **held: Any) -> None:
+def save_arrays(path, **held):
     with path.open("wb") as file:
         np.savez_compressed(file, **held)
 

@@ -1,11 +1,8 @@
 """Plain arrays: what .npy, .npz and .csv files must hold, and what is refused."""
 
 import io
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -13,7 +10,7 @@ from hypothesis import strategies as st
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.sensor.files.file_source import UNTIMED_PERIOD_NS, RecordedSource, open_file
+from sparseskin.nodes.sensor.files.file_source import UNTIMED_PERIOD_NS, open_file
 from sparseskin.nodes.sensor.files.recording import ZERO, Policy
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import find_address
@@ -21,23 +18,23 @@ from sparseskin.nodes.sensor.sources import find_address
 FORCES = np.arange(24, dtype=np.float64).reshape(2, 3, 4) / 10
 
 
-def frames_of(source: RecordedSource) -> npt.NDArray[np.float32]:
+def frames_of(source):
     return np.stack([forces for _, forces in source])
 
 
-def npy_bytes(array: npt.NDArray[Any], **kwargs: Any) -> bytes:
+def npy_bytes(array, **kwargs):
     buffer = io.BytesIO()
     np.save(buffer, array, **kwargs)
     return buffer.getvalue()
 
 
-def npz_bytes(**arrays: Any) -> bytes:
+def npz_bytes(**arrays):
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 
-def open_bytes(folder: Path, name: str, raw: bytes, **stated: Any) -> RecordedSource:
+def open_bytes(folder, name, raw, **stated):
     path = folder / name
     path.write_bytes(raw)
     return open_file(path, **stated)
@@ -172,7 +169,7 @@ class TestAnyBytes:
         for _ in range(data.draw(st.integers(0, 4))):
             start = data.draw(st.integers(0, max(len(raw) - 1, 0)))
             raw[start : start + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=2))
-        stated: dict[str, Any] = {"n_rows": 1, "unit": "N"} if suffix == "csv" else {}
+        stated = {"n_rows": 1, "unit": "N"} if suffix == "csv" else {}
         try:
             source = open_bytes(tmp_path, f"any.{suffix}", bytes(raw), **stated)
         except SourceError as error:

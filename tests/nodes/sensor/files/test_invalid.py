@@ -1,8 +1,5 @@
 """Readings of recordings that are not valid: refused, or treated as settings say."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -17,7 +14,7 @@ from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 BAD = np.array([[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32)
 
 
-def treated(policy: Policy, folder: Path) -> Any:
+def treated(policy, folder):
     np.save(folder / "a.npy", BAD)
     return open_file(folder / "a.npy", f_max=10.0, policy=policy)
 
@@ -60,7 +57,7 @@ def test_invalid_readings_are_refused_unless_a_setting_treats_them(tmp_path, pol
 
 def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path):
     (tmp_path / "a.csv").write_text("1,,NaN,4\n-2,5,6,7\n")
-    options: dict[str, Any] = {"n_rows": 2, "n_cols": 2, "unit": "N"}
+    options = {"n_rows": 2, "n_cols": 2, "unit": "N"}
     source = open_file(tmp_path / "a.csv", **options, policy=Policy("zero", "offset"))
     found = np.nan_to_num(source.frames, nan=-1).reshape(2, 4)
     assert found.tolist() == [[3, -1, -1, 6], [0, 7, 8, 9]]
@@ -76,7 +73,7 @@ def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path):
 
 def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):
     np.save(tmp_path / "a.npy", BAD)
-    lines: list[str] = []
+    lines = []
     chosen = SensorSettings(source=f"file:{tmp_path / 'a.npy'}", nan="hold", negative="offset")
     sensor = Sensor(chosen, Context("sensor", ManualClock(0), lines.append))
     list(sensor.start())

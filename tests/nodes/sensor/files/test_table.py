@@ -1,8 +1,5 @@
 """Tables of text: separators, headers, times, the choice of columns, and what is asked for."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,7 +9,7 @@ from sparseskin.nodes.sensor.files.file_source import n_taxels, open_file
 GRID = np.arange(12.0).reshape(2, 2, 3)
 
 
-def read(folder: Path, text: str, **stated: Any) -> Any:
+def read(folder, text, **stated):
     (folder / "log.csv").write_text(text)
     return open_file(folder / "log.csv", **{"unit": "N", **stated})
 

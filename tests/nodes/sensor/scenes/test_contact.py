@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2, Bed, RigidBody
 
 MASS_KG = 0.5
@@ -14,7 +13,7 @@ N_CELLS = N_SIDE**2
 PITCH_M = 0.005
 
 
-def square_bed(stiffness: float, damping: float, with_pitch: bool = False) -> Bed:
+def square_bed(stiffness, damping, with_pitch=False):
     """N_SIDE x N_SIDE equal cells about the origin, under a flat sole."""
     x = (np.arange(N_SIDE) - (N_SIDE - 1) / 2) * PITCH_M
     columns = [np.ones(N_CELLS)]
@@ -28,20 +27,18 @@ def square_bed(stiffness: float, damping: float, with_pitch: bool = False) -> Be
     )
 
 
-def falling_body(*inertia_kg_m2: float) -> RigidBody:
+def falling_body(*inertia_kg_m2):
     forces = np.zeros(1 + len(inertia_kg_m2))
     forces[0] = -MASS_KG * GRAVITY_M_S2
     return RigidBody(np.array([MASS_KG, *inertia_kg_m2]), forces)
 
 
-def bed_of(omega: float, zeta: float) -> Bed:
+def bed_of(omega, zeta):
     """A bed on which MASS_KG has the given frequency (rad/s) and damping ratio."""
     return square_bed(MASS_KG * omega**2 / N_CELLS, 2 * zeta * omega * MASS_KG / N_CELLS)
 
 
-def run(
-    body: RigidBody, bed: Bed, q: list[float], v: list[float], dt_s: float, n_steps: int
-) -> tuple[Doubles, Doubles]:
+def run(body, bed, q, v, dt_s, n_steps):
     """Coordinates and rates at steps 0..n_steps, each of shape (n_steps + 1, n_dof)."""
     qs, vs = [np.array(q)], [np.array(v)]
     for _ in range(n_steps):

@@ -5,7 +5,6 @@ state is asserted here to its digits.
 """
 
 import itertools
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,18 +28,12 @@ TIES = 2
 F_MAX_N = 2.5
 
 
-def press(k: Array | float, c: Array | float, depth: Array, rate: Array) -> Array:
+def press(k, c, depth, rate):
     """Forces of unilateral spring-dampers in N, from penetrations in m and their rates in m/s."""
     return np.where(depth > 0.0, np.maximum(0.0, k * depth + c * rate), 0.0)
 
 
-def exact(
-    acceleration: Callable[[float, Array, Array], list[float]],
-    q0: list[float],
-    times_s: Array,
-    method: str = "DOP853",
-    rtol: float = 1e-10,
-) -> tuple[Array, Array]:
+def exact(acceleration, q0, times_s, method="DOP853", rtol=1e-10):
     """Coordinates and rates of a body that starts at rest; each of shape (n_dof, n_times)."""
     n = len(q0)
     found = solve_ivp(
@@ -57,18 +50,18 @@ def exact(
     return found.y[:n], found.y[n:]
 
 
-def psnr_db(squares: Array | float) -> float:
+def psnr_db(squares):
     return float(10.0 * np.log10(F_MAX_N**2 / np.mean(squares)))
 
 
-def published(raw: Array) -> Array:
+def published(raw):
     """Frames as a sensor publishes them: mean of the last 10, limited to the range."""
     padded = np.concatenate([np.zeros((9, raw.shape[1])), raw])
     mean = np.stack([padded[i : i + 10].mean(axis=0) for i in range(len(raw))])
     return np.minimum(mean, F_MAX_N)
 
 
-def compare(frames: Array, expected: Array) -> tuple[Array, Array]:
+def compare(frames, expected):
     """Mean squared difference and mean square of the noise, in N^2, of each frame in contact."""
     noisy = NoiseModel().apply(frames.astype(np.float32), np.random.default_rng(0))
     touched = np.maximum(frames, expected).max(axis=1) > CONTACT_FRACTION * F_MAX_N
@@ -78,12 +71,12 @@ def compare(frames: Array, expected: Array) -> tuple[Array, Array]:
     )
 
 
-def counts(change: Array, noise: Array) -> tuple[int, int]:
+def counts(change, noise):
     """Frames that differ by more than their noise, and all in contact."""
     return np.count_nonzero(change > noise), change.size
 
 
-def frames_of(source: SceneSource, n_frames: int) -> Array:
+def frames_of(source, n_frames):
     return np.stack([f.ravel() for _, f in itertools.islice(source, n_frames)]).astype(np.float64)
 
 
@@ -106,10 +99,10 @@ def test_body_lands_and_bounces_as_the_exact_solution(
     jacobian = state.bed.jacobian[reached]
     inertia = np.array([body.mass_kg, body.inertia_kg_m2])[: jacobian.shape[1]]
 
-    def forces(q: Array, v: Array) -> Array:
+    def forces(q, v):
         return press(k, c, -gap - jacobian @ q, -jacobian @ v)
 
-    def acceleration(t: float, q: Array, v: Array) -> list[float]:
+    def acceleration(t, q, v):
         found = jacobian.T @ forces(q, v) / inertia
         found[0] -= G_M_S2
         return list(found)
@@ -137,7 +130,7 @@ def test_tilted_body_lands_and_rocks_as_the_exact_solution():
     )
     bed = Bed(np.full(100, k), np.full(100, c), np.zeros(100), np.stack([np.ones(100), -x], axis=1))
 
-    def acceleration(t: float, q: Array, v: Array) -> list[float]:
+    def acceleration(t, q, v):
         f = press(k, c, x * q[1] - q[0], x * v[1] - v[0])
         moment = mass_kg * G_M_S2 * off_m - f @ x
         return [f.sum() / mass_kg - G_M_S2, moment / inertia_kg_m2]
@@ -160,7 +153,7 @@ def test_body_dragged_over_the_skin_follows_the_exact_solution():
     slope, speed_m_s, side_m, mass_kg = 0.1, 0.05, 0.07, 0.3
     half = side_m / 2
 
-    def wedge(x: Array, y: Array) -> Array:
+    def wedge(x, y):
         inside = np.maximum(np.abs(x), np.abs(y)) <= half
         return np.where(inside, slope * (x + half), FAR_M)
 
@@ -179,7 +172,7 @@ def test_body_dragged_over_the_skin_follows_the_exact_solution():
     x = np.tile((np.arange(6) - 2.5) * 0.005, 6)
     times_s = 1e-4 * np.arange(scene.n_steps)
 
-    def acceleration(t: float, q: Array, v: Array) -> list[float]:
+    def acceleration(t, q, v):
         middle = -0.01 + speed_m_s * max(0.0, t - 0.1)
         depth = -(q[0] + slope * (x - middle + half))
         return [press(122.24, 0.4, depth, np.full(36, -v[0])).sum() / mass_kg - G_M_S2]
@@ -216,7 +209,7 @@ def test_first_landing_has_the_stated_depth_and_peaks(
 class ExactDisc(Sole):
     """The sole of the peg by exact distances: a disc of 10 mm radius, felt by spheres."""
 
-    def sample(self, x: Array, y: Array) -> Array:
+    def sample(self, x, y):
         beyond = np.maximum(np.hypot(x, y) - 0.010, 0.0)
         flank = TAXEL_RADIUS_M - np.sqrt(np.maximum(TAXEL_RADIUS_M**2 - beyond**2, 0.0))
         return np.where(beyond < TAXEL_RADIUS_M, flank, FAR_M)

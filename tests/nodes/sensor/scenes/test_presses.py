@@ -1,7 +1,6 @@
 """Analytic presses: their size, speed, course and their noise."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +21,7 @@ from sparseskin.nodes.sensor.scenes.presses import (
 Frames = npt.NDArray[np.float32]
 
 
-def frames_of(
-    body: str = "peg", shape: tuple[int, int] = (20, 20), n: int = 80, seed: int = 0, **chosen: Any
-) -> tuple[Frames, Frames]:
+def frames_of(body="peg", shape=(20, 20), n=80, seed=0, **chosen):
     pairs = list(press_frames(body, shape, n, seed, **chosen))
     return np.array([truth for truth, _ in pairs]), np.array([reading for _, reading in pairs])
 

@@ -36,7 +36,7 @@ REST = {"lift_box_40": 670, "lift_box_64": 7500, "path_40": 990}
 
 
 @cache
-def played(name: str) -> Played:
+def played(name):
     side, n_steps, _ = TABLE[name]
     peak, total, at_rest = np.empty(n_steps), np.empty(n_steps), np.empty(0, np.float32)
     for step, (_, forces) in enumerate(open_scene(name, 0)):
@@ -50,7 +50,7 @@ def played(name: str) -> Played:
     return Played(peak, total, at_rest)
 
 
-def frames(name: str, start: int, stop: int, seed: int = 0) -> list[npt.NDArray[np.float32]]:
+def frames(name, start, stop, seed=0):
     return [f for _, f in itertools.islice(open_scene(name, seed), start, stop)]
 
 

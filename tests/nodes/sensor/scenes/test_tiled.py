@@ -11,7 +11,7 @@ SKIN = Skin(12, 16, PAPER_F_MAX_N, pitch_m=0.005)
 STEP_S = 0.05
 
 
-def touched(scene: TiledScene, seconds: float) -> np.ndarray:
+def touched(scene, seconds):
     """True where a patch is touched, (n_frames, n_patches)."""
     frames = [scene.forces(k * STEP_S) for k in range(round(seconds / STEP_S))]
     return np.array([f.max(axis=(1, 2)) > CONTACT_FRACTION * PAPER_F_MAX_N for f in frames])

@@ -18,7 +18,7 @@ from sparseskin.plugins.edge.description import EdgeDescription
 RIGS = Path(__file__).parents[1] / "rigs.toml"
 
 
-def a_length(text: object) -> float:
+def a_length(text):
     return quantity(text, LENGTH, "4mm", 0.0, 1.0)
 
 
