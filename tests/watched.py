@@ -5,8 +5,9 @@ import itertools
 from collections.abc import Iterable, Iterator
 
 import numpy as np
+from bags import skin_state
 
-from sparseskin.messages import Measurements, Message, PhiState, Reconstruction, SkinState
+from sparseskin.messages import Measurements, Message, PhiState, Reconstruction
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import Phi
@@ -37,12 +38,8 @@ class Desk:
         self.subsets = row_subsets(phi, rows)
         self._stamps = itertools.count(1)
         sigmas = (0.0628, 0.0141) if states_noise else (0.0, 0.0)
-        skin = SkinState(
-            stamp_ns=0, patch="skin", n_rows=DESK_SHAPE[0], n_cols=DESK_SHAPE[1], f_max=2.5,
-            unit="N",
-            pitch_m=None, mask=None, source="", seed=0, rate_hz=0.0, has_truth=False,
-            sigma_mid=sigmas[0], sigma_end=sigmas[1],
-        )  # fmt: skip
+        grid = {"n_rows": DESK_SHAPE[0], "n_cols": DESK_SHAPE[1], "mask": None, "rate_hz": 0.0}
+        skin = skin_state(**grid, sigma_mid=sigmas[0], sigma_end=sigmas[1], has_truth=False)
         told = PhiState(
             stamp_ns=0,
             patch="skin",

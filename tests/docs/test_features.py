@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import skin_state
 
-from sparseskin.messages import Contacts, Reconstruction, Resultant, SkinState, Taxels
+from sparseskin.messages import Contacts, Reconstruction, Resultant, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import KINDS
@@ -36,11 +37,8 @@ def works(phi, solver, feature=""):
         place = np.mgrid[: SHAPE[0], : SHAPE[1]].reshape(2, -1) * 0.004
         points = np.zeros((place.shape[1], 6), np.float32)
         points[:, :2], points[:, 5] = place.T, 1
-    skin = SkinState(
-        **of_skin, n_rows=SHAPE[0], n_cols=SHAPE[1], f_max=2.5, unit="N", pitch_m=None, mask=mask,
-        points=points, source="", seed=0, rate_hz=100.0, has_truth=False, sigma_mid=0.02,
-        sigma_end=0.01,
-    )  # fmt: skip
+    grid = {"n_rows": SHAPE[0], "n_cols": SHAPE[1], "mask": mask, "points": points}
+    skin = skin_state(**grid, sigma_mid=0.02, has_truth=False)
     context = Context("", ManualClock(1), live=False)
     edge_settings = {"phi": phi, "patches": names, "ratio": 3.0}
     edge_settings |= {"rows": "rotating"} if feature == "rotating rows" else {}

@@ -46,17 +46,6 @@ def test_stamps_differ_even_on_a_clock_that_stands_still():
     assert stamps == [7, 8, 9, 10]
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not():
-    def restored(seed):
-        nodes = graph()
-        nodes["sensor"] = (Sensor, Sensor.Settings(source="scene:path_40", seed=seed))
-        made = [m for messages in Bus(nodes).frames(5) for m in messages]
-        return b"".join(m.forces.tobytes() for m in made if isinstance(m, Reconstruction))
-
-    assert restored(3) == restored(3)
-    assert restored(3) != restored(4)
-
-
 def test_measurements_of_another_phi_are_refused_by_name():
     bus = Bus(graph())
     measured = [m for m in next(bus.frames(1)) if isinstance(m, Measurements)]

@@ -232,17 +232,8 @@ def test_a_run_in_which_a_node_raised_errors_is_no_success(start, tmp_path):
     text = BUNDLED / "path_40.toml"
     (tmp_path / "own.toml").write_text(text.read_text() + '\n[nodes.own]\ntype = "mine:Tap"\n')
     code, stdout, stderr = start(
-        *(
-            "launch",
-            "own.toml",
-            "--frames",
-            "20",
-            "--summary",
-            "out.json",
-            "--set",
-            "graph.log_dir=logs",
-        ),
-        *("--set", "monitor.page=false"),
+        *("launch", "own.toml", "--frames", "20", "--summary", "out.json"),
+        *("--set", "graph.log_dir=logs", "--set", "monitor.page=false"),
     ).finish()
     assert code == 1
     assert "reconstructed 20, lost 0" in stdout

@@ -166,15 +166,8 @@ def test_a_full_disk_keeps_neither_table_nor_summary_back(start, mount_disk, tmp
         "        yield k, np.ones((8, 8))\n"
     )
     program = start(
-        *(
-            "launch",
-            "replay",
-            "--set",
-            "sensor.source=wordy:frames",
-            "--set",
-            f"graph.log_dir={disk}",
-        ),
-        *("--set", "monitor.page=false", "--summary", "summary.json"),
+        *("launch", "replay", "--set", "sensor.source=wordy:frames", "--summary", "summary.json"),
+        *("--set", f"graph.log_dir={disk}", "--set", "monitor.page=false"),
     )
     code, stdout, stderr = program.finish()
     assert code == 0, stderr
@@ -205,15 +198,8 @@ def test_a_run_that_fails_reports_where_its_logs_are(start, tmp_path):
         "    print('a word')\n    1 / 0\n"
     )
     program = start(
-        *(
-            "launch",
-            "replay",
-            "--set",
-            "sensor.source=broken:frames",
-            "--set",
-            "graph.log_dir=logs",
-        ),
-        *("--set", "monitor.page=false"),
+        *("launch", "replay", "--set", "sensor.source=broken:frames"),
+        *("--set", "graph.log_dir=logs", "--set", "monitor.page=false"),
     )
     code, stdout, stderr = program.finish()
     assert code == 2

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bags import skin_state
 
 import sparseskin
-from sparseskin.messages import Contacts, SkinState
+from sparseskin.messages import Contacts
 from sparseskin.messages.contacts import EVENTS
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.node import Compressor
@@ -29,10 +30,8 @@ def boxes(*corners, force=0.5, size=(4, 6)):
 
 
 def state(**changes):
-    stated = {"stamp_ns": 0, "patch": "skin", "n_rows": SHAPE[0]}
-    stated |= {"n_cols": SHAPE[1], "f_max": 2.5, "unit": "N", "pitch_m": PITCH_M, "mask": None}
-    stated |= {"source": "", "seed": 0, "rate_hz": 100.0, "has_truth": False}
-    return SkinState(**{**stated, "sigma_mid": NOISE_N, "sigma_end": NOISE_N, **changes})
+    grid = {"n_rows": SHAPE[0], "n_cols": SHAPE[1], "pitch_m": PITCH_M, "mask": None}
+    return skin_state(**{**grid, "sigma_mid": NOISE_N, "sigma_end": NOISE_N, **changes})
 
 
 class Stream:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from bags import frame, skin_state
 from conftest import wait_until
-from exported import contacts
 from foxglove_client import FoxgloveClient, pixels
 
 from sparseskin.messages import Taxels
@@ -70,17 +69,6 @@ def test_a_frame_that_was_not_solved_has_the_forces_of_the_one_before(bridge):
             got = client.data()
             assert got.log_time_ns == stamp_ns
             assert np.array_equal(pixels(got.content), solved.forces[0])
-
-
-def test_contacts_arrive_as_numbers_and_as_a_scene(bridge):
-    topics = ("/skin/contacts", "/skin/contacts/scene")
-    list(bridge.step(SKIN))
-    list(bridge.step(contacts(0)))  # announces the channels
-    with subscribed(bridge, *topics) as client:
-        list(bridge.step(contacts(5)))
-        got = {data.topic: data.content for data in (client.data(), client.data())}
-    assert [one["total"] for one in got[topics[0]]["contacts"]] == [5.5, 5.5]
-    assert [one.id for one in got[topics[1]].entities] == ["1", "2"]
 
 
 def test_frames_before_the_skin_and_of_another_shape_are_not_sent(bridge):

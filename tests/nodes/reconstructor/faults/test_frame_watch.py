@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bags import skin_state
 from hypothesis import given
 from hypothesis import strategies as st
 from pressed import noisy, sliding_disc
 from watched import DESK_SHAPE, NOISE, Desk, N
 
-from sparseskin.messages import Reconstruction, SkinState
+from sparseskin.messages import Reconstruction
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
@@ -19,11 +20,8 @@ from sparseskin.nodes.reconstructor.faults.rows import Subset
 PHI = make_phi("sbhe", N, N // 3, seed=0)
 ROWS = Subset(PHI)
 MASK = np.ones(DESK_SHAPE, np.bool_)
-STATE = SkinState(
-    stamp_ns=0, patch="skin", n_rows=DESK_SHAPE[0], n_cols=DESK_SHAPE[1], f_max=2.5, unit="N",
-    pitch_m=None, mask=None, source="", seed=0, rate_hz=0.0, has_truth=False,
-    sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end,
-)  # fmt: skip
+STATE = skin_state(n_rows=DESK_SHAPE[0], n_cols=DESK_SHAPE[1], mask=None, has_truth=False)
+STATE = replace(STATE, rate_hz=0.0, sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end)
 DISC = sliding_disc(DESK_SHAPE, 60, touch_at=0)
 
 

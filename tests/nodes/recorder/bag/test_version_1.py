@@ -17,7 +17,10 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.quantised import Quantised
 from sparseskin.messages.version_1 import payload_today, topic_today
-from sparseskin.nodes.reconstructor.node import ReconstructorSettings, phis_to_invert
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.compressor.phi.base import RANDOM
+from sparseskin.nodes.player.node import Player
+from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings, phis_to_invert
 from sparseskin.nodes.recorder.bag.patches import split_bag
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.to_bag import recover_bag
@@ -27,6 +30,8 @@ BODY = RECORDINGS / "form_1_body.mcap"
 """20 frames of 3 patches of 6 x 8 taxels, two of which are idle at the end."""
 BITS = RECORDINGS / "form_1_bits.mcap"
 """6 frames of one patch, measurements of 8 bits, standard deviations, resultants."""
+RULE_1 = [RECORDINGS / f"rule_1_{rows}.mcap" for rows in ("fixed", "rotating")]
+"""12 frames of 96 taxels of 9 x 11 cells by version 0.1, which states no rule of rows: rule 1."""
 
 
 def messages(path):
@@ -34,21 +39,32 @@ def messages(path):
         return [decode(one.topic.encode(), one.payload) for one in bag.messages()]
 
 
-@pytest.mark.parametrize("path", [BODY, BITS])
-def test_measurements_are_those_of_the_taxels(path):
+@pytest.mark.parametrize(("path", "n"), [(BODY, 20), (BITS, 6), *((path, 12) for path in RULE_1)])
+def test_measurements_are_those_of_the_taxels(path, n):
     found = messages(path)
     (skin,) = (one for one in found if isinstance(one, SkinState))
     (state,) = (one for one in found if isinstance(one, PhiState))
     phis = {phi.fingerprint: phi for phi in phis_to_invert(ReconstructorSettings(), skin, state)}
     taxels = {one.stamp_ns: one for one in found if isinstance(one, Taxels)}
     measured = [one for one in found if isinstance(one, Measurements)]
-    assert len(measured) == len(taxels) == (20 if path == BODY else 6)
+    assert len(measured) == len(taxels) == n
+    assert (state.rule, state.rows) == (RANDOM, path.stem[7:]) or path not in RULE_1
     for one in measured:
         of = taxels[one.stamp_ns]
         assert of.patches == one.patches == (("p0", "p1", "p2") if path == BODY else ("skin",))
-        y = phis[one.phi].forward(of.forces.reshape(len(of.forces), -1))
+        y = phis[one.phi].forward(of.forces[:, skin.skin.exists])
         within = one.y.step / 2 * 1.001 if isinstance(one.y, Quantised) else 0.0
         np.testing.assert_allclose(one.y, y, atol=within, rtol=0)
+
+
+@pytest.mark.parametrize("path", RULE_1)
+def test_measurements_of_version_0_1_are_reconstructed(path):
+    player = Player.Settings(file=str(path), rate=0.0)
+    host = (Reconstructor, ReconstructorSettings())
+    bus = Bus({"player": (Player, player), "reconstructor": host})
+    made = [message for messages in bus.frames() for message in messages]
+    assert sum(isinstance(message, Reconstruction) for message in made) == 12
+    assert bus.hosts["reconstructor"].counts.refused == {}
 
 
 def test_patches_that_are_unchanged_have_the_forces_of_the_frame_before():
