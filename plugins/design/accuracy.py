@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 from tqdm import tqdm
 
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
@@ -123,6 +123,6 @@ def band(db: Doubles) -> tuple[float, float]:
     Wiley, 1991, section 4.7.
     """
     n = len(db)
-    factor = float(student.ppf((1 + WITHIN) / 2, n - 1)) * math.sqrt(1 + 1 / n)
+    factor = float(stdtrit(n - 1, (1 + WITHIN) / 2)) * math.sqrt(1 + 1 / n)
     mean, half = float(db.mean()), factor * float(db.std(ddof=1))
     return mean - half, mean + half

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy.optimize import minimize_scalar
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -41,7 +41,7 @@ def weak_threshold(delta: float) -> float:
     """
 
     def negative_rho(z: float) -> float:
-        tail = (1.0 + z * z) * norm.cdf(-z) - z * norm.pdf(z)
+        tail = (1.0 + z * z) * ndtr(-z) - z * np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
         return -float((1.0 - 2.0 / delta * tail) / (1.0 + z * z - 2.0 * tail))
 
     found = minimize_scalar(negative_rho, bounds=(0.0, 8.0), method="bounded")

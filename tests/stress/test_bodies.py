@@ -40,11 +40,8 @@ def open_page(url):
 def run_at(rate_hz, patches, active, seconds, warm_up_s):
     """Run a walking body at a rate, with its page open, and return its figures.
 
-    Returns
-    -------
-    dict
-        rate_hz asked, held_hz (frames reconstructed a second after the warm-up), skipped, lost (of
-        the worst patch), unchanged (part of all frames), p50_ms, p99_ms (of the worst patch).
+    rate_hz asked, held_hz (frames reconstructed a second after the warm-up), skipped, lost (of
+    the worst patch), unchanged (part of all frames), p50_ms, p99_ms (of the worst patch).
     """
     settings = {
         **{"skin.patches": patches, "sensor.source": "scene:walk", "sensor.active": active},

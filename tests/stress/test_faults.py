@@ -61,13 +61,10 @@ os.kill(os.getpid(), signal.SIGSTOP)
 def strike(graph, node, number, stop_s, rate_hz):
     """Send a node a signal, and wait until the graph runs as before.
 
-    Returns
-    -------
-    dict
-        recover_s: from the signal, or from SIGCONT, until the reconstruction of a frame acquired
-        after it came, half a second old at most; of a monitor or recorder, until it runs again.
-        lost: frames acquired and not reconstructed. not_sensed: frames due by the sensor's rate
-        and not acquired. stopped: other nodes that stopped too.
+    recover_s: from the signal, or from SIGCONT, until the reconstruction of a frame acquired
+    after it came, half a second old at most; of a monitor or recorder, until it runs again.
+    lost: frames acquired and not reconstructed. not_sensed: frames due by the sensor's rate
+    and not acquired. stopped: other nodes that stopped too.
     """
     probe, before = graph.probe, graph.nodes()
     restarts = graph.state().get(node, {}).get("restarts", 0)

@@ -35,13 +35,10 @@ NAMES = {LAUNCHER, "sensor", "compressor", "reconstructor", "monitor", "recorder
 def measure(seconds, rate_hz, side):
     """Run a graph for a while, sample its processes at intervals, and end it.
 
-    Returns
-    -------
-    dict
-        samples: time_s, and of each process, by name, memory_mb (resident), files (open
-        descriptors) and cpu_s. frames: the monitor's count of sensed, reconstructed and lost.
-        lost: messages that each node missed on its inputs. restarts, exit_code. contacts: of the
-        first and the last minute, or fifth of a shorter run, means of number and total force.
+    samples: time_s, and of each process, by name, memory_mb (resident), files (open
+    descriptors) and cpu_s. frames: the monitor's count of sensed, reconstructed and lost.
+    lost: messages that each node missed on its inputs. restarts, exit_code. contacts: of the
+    first and the last minute, or fifth of a shorter run, means of number and total force.
     """
     source = f"sparseskin.studies.looped:truth_{side}"
     nodes = {
@@ -93,12 +90,9 @@ def _contacts(path, part_s):
 def verdict(samples, name):
     """Figures of one process after the warm-up, or after a third of a short run.
 
-    Returns
-    -------
-    dict
-        before_mb, after_mb: medians over the first and the last fifth, which a queue that is long
-        for some seconds does not change. files_before, files_after: the most before the last fifth
-        and in it; a file may be open for a moment. cpu: cores.
+    before_mb, after_mb: medians over the first and the last fifth, which a queue that is long
+    for some seconds does not change. files_before, files_after: the most before the last fifth
+    and in it; a file may be open for a moment. cpu: cores.
     """
     time_s = np.array(samples["time_s"])
     after = time_s >= min(WARM_UP_S, time_s[-1] / 3)

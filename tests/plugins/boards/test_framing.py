@@ -18,7 +18,7 @@ from sparseskin.plugins.boards.framing import (
     Sequence,
 )
 
-few = settings(max_examples=40)
+few = settings(max_examples=25)
 MARK = b"\xaa\x55"
 PLAIN = Framing(12, start=MARK)
 WITH_CRC = Framing(12, start=MARK, sequence_bytes=2, checksum="crc32")

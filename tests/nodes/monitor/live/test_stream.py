@@ -19,8 +19,10 @@ from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import MOST, StreamReader, record
 from sparseskin.nodes.monitor.statistics import COLUMNS
 
-NUMBERS = st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats()
-HEADERS = st.dictionaries(st.text(), st.recursive(NUMBERS | st.text(), st.lists, max_leaves=8))
+VALUES = (
+    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats() | st.text(max_size=9)
+)
+HEADERS = st.dictionaries(st.text(max_size=9), VALUES | st.lists(VALUES, max_size=4), max_size=4)
 ARRAYS = st.dictionaries(
     st.text(max_size=8),
     st_numpy.arrays(
