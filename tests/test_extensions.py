@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from sparseskin.launch.commands import cli
 from sparseskin.nodes import extensions
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.recorder.bag.format import BagError
@@ -39,6 +40,12 @@ class Own(Node):
 
 COUNTED = Format({".csv": "counts"}, Counted, lambda begin: begin.startswith(b"counts"))
 TEXT = Export(".txt", "brought:write")
+HELP = "greet 100 %"
+
+
+def configure(parser):
+    parser.add_argument("--name", required=True)
+    parser.set_defaults(run=lambda chosen: print("hello", chosen.name) or 0)
 """
 
 
@@ -56,13 +63,18 @@ def brought(monkeypatch, tmp_path, offering):
     ):
         one = {name.lower(): f"brought:{name}"} if name else {"points": "absent:POINTS"}
         offering(group, broken="absent:THING", **one)
+    offering(extensions.COMMANDS, greet="brought", broken="absent", launch="brought")
     yield
     sys.modules.pop("brought", None)
     suffixes.cache_clear()
 
 
 @pytest.mark.usefixtures("brought")
-def test_what_another_package_brings_is_used(tmp_path):
+def test_what_another_package_brings_is_used(tmp_path, capsys):
+    assert cli.main(["greet", "--name", "you"]) == 0
+    assert capsys.readouterr().out == "hello you\n"
+    assert sorted(cli.plugins()) == ["broken", "greet"]  # none replaces a command of the core
+    assert cli.about("launch") == cli.COMMANDS["launch"][::2]
     assert node_class("own").__module__ == "brought"
     (tmp_path / "own.csv").write_text("counts\n1 2 3\n4 5 6\n")
     read = open_file(tmp_path / "own.csv")
@@ -89,3 +101,15 @@ def test_without_the_plug_in_skins_of_points_are_refused(offering):
     offering(extensions.POINTS)
     with pytest.raises(SourceError, match="need the plug-in points, which is not installed"):
         point_skins()
+
+
+@pytest.mark.usefixtures("brought")
+def test_a_command_that_cannot_be_imported_is_named_and_stops_no_other(capsys):
+    assert cli.main(["broken"]) == 2
+    assert capsys.readouterr().err.startswith("broken: plug-in absent: ModuleNotFoundError")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["--help"])
+    assert ended.value.code == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "greet greet 100 %" in shown
+    assert "broken cannot be used: broken: plug-in absent: ModuleNotFoundError" in shown

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sparseskin.checks import check_phi
+from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError
@@ -18,13 +19,14 @@ def normal(shape, seed=5):
     return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "local:3", "local:100", "row_local"])
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (33, 1), (95, 31), (95, 95)])
 def test_adjoint_passes_the_dot_test_both_are_the_dense_matrix_and_rows_are_orthonormal(kind, n, m):
     m = n if kind == "full" else m
     phi = make_phi(kind, n, m, seed=3)
+    layout(phi, np.ones((5, 19) if n == 95 else (1, n), np.bool_))
     check_phi(phi)
-    if kind != "gaussian":
+    if kind not in ("gaussian", "row_local"):
         matrix = phi.dense()
         np.testing.assert_allclose(matrix @ matrix.T, np.eye(m), atol=1e-12)
 
