@@ -82,8 +82,7 @@ def small(monkeypatch):
         cls = getattr(frames, kind)
 
         def opened(self, seed, n=n_frames, whole=cls.open):
-            take = whole(replace(self, n_frames=min(self.n_frames, n)), seed)
-            return take
+            return whole(replace(self, n_frames=min(self.n_frames, n)), seed)
 
         monkeypatch.setattr(cls, "open", opened)
 

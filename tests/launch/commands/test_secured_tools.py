@@ -11,29 +11,14 @@ from sparseskin.nodes.network.keys import make_key_files
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
 GRAPH = """\
-[hosts.edge]
-address = "127.0.0.1"
-base_port = {edge_port}
-[hosts.desk]
-address = "127.0.0.1"
-[security]
-keys = "keys"
-[nodes.sensor]
-type = "sensor"
-source = "loop:path_40"
-rate_hz = 50
-host = "edge"
-[nodes.compressor]
-type = "compressor"
-host = "edge"
-[nodes.reconstructor]
-type = "reconstructor"
-host = "edge"
-[nodes.recorder]
-type = "recorder"
-out = "desk.mcap"
-topics = ["/skin/taxels"]
-host = "desk"
+hosts.edge = {{ address = "127.0.0.1", base_port = {edge_port} }}
+hosts.desk.address = "127.0.0.1"
+security.keys = "keys"
+[nodes]
+sensor = {{ type = "sensor", source = "loop:path_40", rate_hz = 50, host = "edge" }}
+compressor = {{ type = "compressor", host = "edge" }}
+reconstructor = {{ type = "reconstructor", host = "edge" }}
+recorder = {{ type = "recorder", out = "desk.mcap", topics = ["/skin/taxels"], host = "desk" }}
 """
 N_BYTES = 50_000
 

@@ -12,41 +12,23 @@ from sparseskin.nodes.network.keys import make_key_files
 
 STATIONS = Path(__file__).parent / "stations.py"
 TWO = """\
-[hosts.edge]
-address = "127.0.0.1"
-base_port = {edge_port}
-[hosts.desk]
-address = "127.0.0.1"
-base_port = {desk_port}
-{security}
-[nodes.sensor]
-type = "sensor"
-source = "scene:path_40"
-rate_hz = {rate_hz}
-host = "edge"
-[nodes.echo]
-type = "stations:Echo"
-host = "desk"
-[nodes.recorder]
-type = "recorder"
-out = "two.mcap"
-topics = ["/skin/*"]
-host = "desk"
+hosts.edge = {{ address = "127.0.0.1", base_port = {edge_port} }}
+hosts.desk = {{ address = "127.0.0.1", base_port = {desk_port} }}
+security.keys = "keys"
+{allow}
+[nodes]
+sensor = {{ type = "sensor", source = "scene:path_40", rate_hz = {rate_hz}, host = "edge" }}
+echo = {{ type = "stations:Echo", host = "desk" }}
+recorder = {{ type = "recorder", out = "two.mcap", topics = ["/skin/*"], host = "desk" }}
 """
 
 
-def write(folder, rate_hz=500, allow="", security=True):
+def write(folder, rate_hz=500, allow=""):
     shutil.copy(STATIONS, folder / "stations.py")
     for name in ("edge", "desk"):
-        if not (folder / "keys").exists() or not (folder / f"keys/{name}.key").exists():
-            make_key_files(name, folder / "keys")
-    text = TWO.format(
-        edge_port=free_port(),
-        desk_port=free_port(),
-        rate_hz=rate_hz,
-        security=f'[security]\nkeys = "keys"\n{allow}' if security else "",
-    )
-    (folder / "two.toml").write_text(text)
+        make_key_files(name, folder / "keys")
+    ports = {"edge_port": free_port(), "desk_port": free_port()}
+    (folder / "two.toml").write_text(TWO.format(**ports, rate_hz=rate_hz, allow=allow))
 
 
 def part(start, host, *more):
@@ -54,8 +36,7 @@ def part(start, host, *more):
 
 
 def summary(folder, host):
-    found = json.loads((folder / f"{host}.json").read_text())
-    return found
+    return json.loads((folder / f"{host}.json").read_text())
 
 
 def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_end(start, tmp_path):
@@ -102,7 +83,7 @@ def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(start, 
 
 
 def test_a_host_that_is_not_on_the_list_gets_nothing_and_is_named(start, tmp_path):
-    write(tmp_path, allow='allow = ["edge"]')
+    write(tmp_path, allow='security.allow = ["edge"]')
     edge = part(start, "edge")
     desk = part(start, "desk")
     line = edge.wait_for("[sensor] turned away 127.0.0.1: ")

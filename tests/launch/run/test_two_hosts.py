@@ -20,56 +20,30 @@ Record = Callable[[str, object], None]
 CUT_S = float(os.environ.get("SPARSESKIN_LINK_CUT_S", "5"))
 STATIONS = Path(__file__).parent / "stations.py"
 HOSTS = """\
-[hosts.edge]
-address = "10.203.7.1"
-[hosts.desk]
-address = "10.203.7.2"
-[security]
-keys = "keys"
+hosts.edge.address = "10.203.7.1"
+hosts.desk.address = "10.203.7.2"
+security.keys = "keys"
 """
 GRAPH = f"""{HOSTS}\
-[nodes.sensor]
-type = "sensor"
-source = "scene:path_40"
-rate_hz = 100
-host = "edge"
-[nodes.echo]
-type = "stations:Echo"
-host = "desk"
+[nodes]
+sensor = {{ type = "sensor", source = "scene:path_40", rate_hz = 100, host = "edge" }}
+echo = {{ type = "stations:Echo", host = "desk" }}
 """
 N_FRAMES = 60
 BODY = """\
-[[patches]]
-name = "palm"
-rows = 16
-cols = 16
-host = "edge"
-[[patches]]
-name = "thumb"
-rows = 16
-cols = 16
-host = "edge"
-[[patches]]
-name = "sole"
-rows = 12
-cols = 24
-host = "desk"
+patches = [
+    { name = "palm", rows = 16, cols = 16, host = "edge" },
+    { name = "thumb", rows = 16, cols = 16, host = "edge" },
+    { name = "sole", rows = 12, cols = 24, host = "desk" },
+]
 """
 BODY_GRAPH = f"""{HOSTS}\
-[skin]
-body = "body.toml"
-[nodes.sensor]
-type = "sensor"
-source = "scene:lying"
-rate_hz = 20
-[nodes.compressor]
-type = "compressor"
-[nodes.reconstructor]
-type = "reconstructor"
-[nodes.monitor]
-type = "monitor"
-host = "desk"
-page = false
+skin.body = "body.toml"
+[nodes]
+sensor = {{ type = "sensor", source = "scene:lying", rate_hz = 20 }}
+compressor.type = "compressor"
+reconstructor.type = "reconstructor"
+monitor = {{ type = "monitor", host = "desk", page = false }}
 """
 
 

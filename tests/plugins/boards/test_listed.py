@@ -93,22 +93,13 @@ def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path):
 
 
 TWO_HOSTS = """
-[hosts.edge]
-address = "192.168.1.10"
-[hosts.desk]
-address = "192.168.1.20"
-[security]
-keys = "keys"
-[nodes.sensor]
-type = "sensor"
-source = "serial:/dev/a-board-of-the-edge?profile=flexitac_16x32"
-host = "edge"
-[nodes.compressor]
-type = "compressor"
-host = "edge"
-[nodes.reconstructor]
-type = "reconstructor"
-host = "desk"
+hosts.edge.address = "192.168.1.10"
+hosts.desk.address = "192.168.1.20"
+security.keys = "keys"
+[nodes]
+sensor = { type = "sensor", source = "serial:/dev/none?profile=flexitac_16x32", host = "edge" }
+compressor = { type = "compressor", host = "edge" }
+reconstructor = { type = "reconstructor", host = "desk" }
 """
 
 

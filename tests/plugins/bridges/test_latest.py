@@ -19,8 +19,7 @@ TOPICS = ["/skin/skin", "/skin/reconstruction", "/skin/contacts"]
 
 
 def solved(k):
-    found = frame(k)[3]
-    return found
+    return frame(k)[3]
 
 
 @pytest.fixture

@@ -44,21 +44,12 @@ def test_a_stopped_bridge_holds_up_no_source_that_follows_its_readers(start, tmp
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     (tmp_path / "observed.toml").write_text(
         """
-[nodes.sensor]
-type = "sensor"
-source = "scene:path_40"
-rate_hz = 0
-[nodes.compressor]
-type = "compressor"
-[nodes.reconstructor]
-type = "reconstructor"
-iterations = 1
-[nodes.monitor]
-type = "monitor"
-page = false
-[nodes.fox]
-type = "foxglove"
-port = 0
+[nodes]
+sensor = { type = "sensor", source = "scene:path_40", rate_hz = 0 }
+compressor.type = "compressor"
+reconstructor = { type = "reconstructor", iterations = 1 }
+monitor = { type = "monitor", page = false }
+fox = { type = "foxglove", port = 0 }
 """
     )
     graph = start("launch", "observed.toml", "--frames", "1200", "--summary", "out.json")

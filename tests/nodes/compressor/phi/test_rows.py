@@ -15,8 +15,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def sbhe(n, m, seed=0, block=256, rule=SPREAD):
-    phi = make_phi("sbhe", n, m, seed, block, rule)
-    return phi
+    return make_phi("sbhe", n, m, seed, block, rule)
 
 
 def starts(phi):

@@ -71,8 +71,7 @@ def deviations_by_definition(frame, r, factor):
     for row, col in np.ndindex(x.shape):
         g[row, col] = around[row : row + 3, col : col + 3].mean()
     p = (0.2 * x**2 + 0.03 * r**2) / (x + 0.3 * r)
-    deviations = factor * np.sqrt(r * np.sqrt(p * np.sqrt(g**2 + r**2)))
-    return deviations
+    return factor * np.sqrt(r * np.sqrt(p * np.sqrt(g**2 + r**2)))
 
 
 def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin():

@@ -116,8 +116,7 @@ def test_after_reset_and_in_steps_the_same_frames_give_the_same_bits():
 
 
 def adaptive(n, m):
-    phi = make_phi("adaptive", n, m, seed=0)
-    return phi
+    return make_phi("adaptive", n, m, seed=0)
 
 
 def test_a_phi_gets_the_grid_of_the_solver_and_keeps_the_one_it_has():

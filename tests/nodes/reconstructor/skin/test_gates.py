@@ -11,8 +11,7 @@ from sparseskin.nodes.reconstructor.skin.gates import INNER, WINDOW, Gates, gate
 
 
 def stored_gates():
-    found = gates_of(None)
-    return found
+    return gates_of(None)
 
 
 def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters():

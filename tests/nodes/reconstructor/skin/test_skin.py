@@ -17,8 +17,7 @@ SHAPE, N = (24, 24), 576
 
 
 def solver_of(phis, **settings):
-    made = make_rotating_solver("skin", phis, HaarBasis(*SHAPE), **settings)
-    return made
+    return make_rotating_solver("skin", phis, HaarBasis(*SHAPE), **settings)
 
 
 def reconstructed(solver, phis, frames, change=0.0):
