@@ -28,7 +28,7 @@ _ROOT_2 = np.float32(np.sqrt(2.0))
 # Types of signatures: vector, matrix, places in 32 and in 16 bits and tables of them, groups, grid,
 # numbers and tables of them.
 V, M, P, S = "float32[::1]", "float32[:,::1]", "uint32[::1]", "uint16[::1]"
-P2 = "uint32[:,::1]"
+P2, P3 = "uint32[:,::1]", "uint32[:,:,::1]"
 G, L, D, DM = "int64[:,::1]", "int64[::1]", "float64[::1]", "float64[:,::1]"
 
 
@@ -382,11 +382,35 @@ def skin_filter(
 
 
 @compiled(
-    f"float64({V}, {V}, {V}, {V}, {L}, {V}, {G}, {V}, {V}, {P2}, {P}, {V}, "
+    f"void({V}, {M}, {V}, {V}, {L}, {V}, {G}, {V}, {V}, {P3}, {P2}, {M}, {L}, int64, int64, {DM}, "
     f"{M}, {M}, {V}, {M}, {V}, {M}, {V}, {D}, "
     f"{M}, {M}, {M}, {M}, {M}, {M}, {M}, {M}, {M}, {V}, {L})",
     sums_in_any_order=True,
 )
+def skin_steps(
+    z: A, estimates: A, target: A, variance: A, read: A, off_target: A, groups: A, scale: A, v: A,
+    windows: A, back: A, share: A, counts: A, first: int, n_formula: int, found: A,
+    filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A, numbers: A,
+    w: A, a: A, levels: A, h: A, g: A, out: A, tiles: A, sums: A, details: A, parts: A, busy: A,
+) -> None:  # fmt: skip
+    """The steps of a frame, as in `FrameVectors`: found (steps, 2) gets expected squared error and
+    squared residual of each, estimates the last ones. windows, back and share are of each shift,
+    counts its tiles; others as of `skin_step`.
+    """
+    n, n_kept = found.shape[0], estimates.shape[0]
+    for k in range(n):
+        shift, x = (first + k) % counts.size, estimates[max(0, k - (n - n_kept))]
+        numbers[14] = 1.0 if k < n_formula else 0.0
+        found[k, 0] = skin_step(
+            z, x, target, variance, read, off_target, groups, scale, v,
+            windows[shift, : counts[shift]], back[shift], share[shift],
+            filters, hidden, hidden_0, gates, gates_0, synthesis, error, numbers,
+            w, a, levels, h, g, out, tiles, sums, details, parts, busy,
+        )  # fmt: skip
+        found[k, 1] = numbers[15]
+
+
+@compiled(sums_in_any_order=True)
 def skin_step(
     z: A, x: A, target: A, variance: A, read: A, off_target: A, groups: A, scale: A, v: A,
     windows: A, back: A, share: A,
@@ -606,7 +630,7 @@ def components(forces: A, low: float, variances: A, places: A) -> tuple[A, A, A]
 
 
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
-    "skin": (orthonormal, skin_predict, skin_filter, skin_step, skin_settle),
+    "skin": (orthonormal, skin_predict, skin_filter, skin_steps, skin_settle),
     "fista": (fista, haar_image),
 }
 """Loops of each solver, by its name.

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
 from sparseskin.nodes.numerics.compiled import ready
-from sparseskin.nodes.numerics.kernels import skin_filter, skin_predict, skin_settle, skin_step
+from sparseskin.nodes.numerics.kernels import skin_filter, skin_predict, skin_settle, skin_steps
 
 from .formula import LEAST, STRICT
-from .gates import CLEARLY, QUIET, STANDS_OUT, TILE, WINDOW, Gates, Tiles
+from .gates import CLEARLY, QUIET, SHIFTS, STANDS_OUT, TILE, WINDOW, Gates, Tiles
 from .rows import HadamardRows, Rows
 from .tuning import SkinTuning
-from .vectors import FrameVectors, Settled
+from .vectors import FrameVectors, Settled, Steps
 
 
 class CompiledVectors(FrameVectors):
@@ -25,7 +24,7 @@ class CompiledVectors(FrameVectors):
         self, rows: Rows, tiles: Tiles, gates: Gates | None, places: Indices, tuning: SkinTuning
     ) -> None:
         super().__init__(rows, tiles, gates, places, tuning)
-        ready(skin_predict, skin_filter, skin_step, skin_settle)
+        ready(skin_predict, skin_filter, skin_steps, skin_settle)
         assert isinstance(rows, HadamardRows)
         t, n = tuning, rows.n
         self._order = rows.groups, rows.scale
@@ -83,20 +82,25 @@ class CompiledVectors(FrameVectors):
         )
         self.variance_of_read = float(self._of_filter[-1])
 
-    def step(self, shift: int, floor: float, formula: bool) -> tuple[Floats, float, float]:
-        x = np.empty_like(self.z)
+    def steps(self, first: int, floor: float, n_formula: int, n: int) -> Steps:
+        tiles, total = self._tiles, n_formula + n
+        for k in range(min(total, len(SHIFTS))):
+            tiles.tables((first + k) % len(SHIFTS))
+        estimates = np.empty((min(n, self._t.averaged), self.z.size), dtype=np.float32)
+        found = np.empty((total, 2))
         self._of_step[:2] = self.variance_of_read, floor
-        self._of_step[-2] = formula or self._gates is None
-        error2 = skin_step(
-            *(self.z, x, self._target, self._variance, self._rows.read, self.off_target),
-            *(*self._order, self._scaled, *self._tiles.tables(shift), *self._weights),
-            *(self._of_step, *self._scratch),
+        skin_steps(
+            *(self.z, estimates, self._target, self._variance, self._rows.read, self.off_target),
+            *(*self._order, self._scaled, tiles.windows, tiles.back, tiles.share, tiles.counts),
+            *(first, n_formula if self._gates else total, found),
+            *(*self._weights, self._of_step, *self._scratch),
         )
-        return x, error2, float(self._of_step[-1])
+        errors, residuals = found[n_formula:].T.tolist()
+        return Steps(estimates, errors, residuals)
 
     def settle(
         self,
-        estimates: Sequence[Floats],
+        estimates: Floats,
         part: float,
         values: Floats,
         ones: Floats,
@@ -107,7 +111,7 @@ class CompiledVectors(FrameVectors):
         forces = np.empty_like(self.x)
         self._of_settle[:4] = part, bias, 2 * noise_sd + math.sqrt(TINY), least
         skin_settle(
-            *(np.stack(estimates), self.predicted, values, ones, self._rows.read, self._moved),
+            *(estimates, self.predicted, values, ones, self._rows.read, self._moved),
             *(*self._order, self._of_settle, self.x, self._whole, self._correction, forces),
         )
         return Settled(forces, *self._of_settle[4:].tolist())

@@ -232,6 +232,10 @@ class Tiles:
     ----------
     most : int
         Largest number of tiles at any shift.
+    windows, back, share : ndarray
+        What `tables` returns, of all shifts; not set before it was called.
+    counts : ndarray of int64, shape (len(SHIFTS),)
+        Tiles of each shift; 0 before `tables` was called.
     strictness : float
         Factor of `STANDS_OUT`, above 0 to 1: of fewer windows, noise exceeds less in any case.
         Derived: the largest of n normal numbers grows with the root of log n.
@@ -243,7 +247,11 @@ class Tiles:
         n_rows, n_cols = mask.shape
         self.most = (-(-n_rows // TILE) + 1) * (-(-n_cols // TILE) + 1)
         self.strictness = min(max(math.sqrt(math.log(self.most) / math.log(MANY)), 1e-6), 1.0)
-        self._tables: dict[int, tuple[Places, Places, Floats]] = {}
+        n_shifts = len(SHIFTS)
+        self.windows = np.empty((n_shifts, self.most, WINDOW * WINDOW), dtype=np.uint32)
+        self.back = np.empty((n_shifts, n), dtype=np.uint32)
+        self.share = np.empty((n_shifts, self.most), dtype=np.float32)
+        self.counts = np.zeros(n_shifts, dtype=np.int64)
 
     def tables(self, number: int) -> tuple[Places, Places, Floats]:
         """Return the gathers of a shift, by its number.
@@ -257,9 +265,12 @@ class Tiles:
         share : ndarray of float32, shape (t,)
             Part of the taxels that lie in each tile. Tiles without a taxel are left out.
         """
-        if number not in self._tables:
-            self._tables[number] = self._made(*SHIFTS[number])
-        return self._tables[number]
+        if not self.counts[number]:
+            windows, self.back[number], share = self._made(*SHIFTS[number])
+            self.counts[number] = n = len(share)
+            self.windows[number, :n], self.share[number, :n] = windows, share
+        n = self.counts[number]
+        return self.windows[number, :n], self.back[number], self.share[number, :n]
 
     def _made(self, row: int, col: int) -> tuple[Places, Places, Floats]:
         n_rows, n_cols = self._places.shape
@@ -282,7 +293,7 @@ class Tiles:
         exists = inner < self._n
         back[inner[exists]] = np.flatnonzero(exists)
         share = (counts[counts > 0] / self._n).astype(np.float32)
-        return np.ascontiguousarray(windows.reshape(len(windows), -1), np.uint32), back, share
+        return windows.reshape(len(windows), -1), back, share
 
 
 def nearest_taxels(mask: Mask) -> Indices:

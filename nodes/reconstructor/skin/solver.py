@@ -19,7 +19,7 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 from .gates import SHIFTS, Gates, Tiles, gates_of
 from .rows import rows_of
 from .tuning import SkinTuning
-from .vectors import FrameVectors, Settled
+from .vectors import FrameVectors, Settled, Steps
 
 RESOLUTION = float(np.finfo(np.float32).eps)
 """Relative resolution of measurements: a noise below it does not show in them."""
@@ -186,15 +186,11 @@ class SkinSolver(Solver):
         # A measurement that repeats exactly is not another one.
         doubt = REPEATED * noise if self._repeats else noise
         vectors.filter_rows(self._values, doubt, signal, least, self._floor)
-        self._estimates: list[Floats] = []
-        self._errors, self._residuals = [signal], [e2]
+        self._steps = Steps(vectors.predicted[np.newaxis], [signal], [e2])
         # Noise grows with the forces, but not without bound: what exceeds it, no force explains.
         known = self._n_seen > 1 / t.noise_rate
         self._judged_noise = min(noise, t.louder * self._least_noise) if known else noise
-        if self.n_steps < CONVERGED:
-            for _ in range(N_FORMULA):
-                self._step(formula=True)
-        self._steps_left = self.n_steps
+        self._steps_left, self._n_asked = self.n_steps, 0
 
     def _ones_of(self) -> tuple[Floats, float]:
         """Phi 1 of the row subset, float32 (n_read,), and its squared length."""
@@ -240,29 +236,23 @@ class SkinSolver(Solver):
 
     def step(self) -> None:
         self._count_step()
-        x, error2, residual2 = self._step()
-        if not self._estimates:  # those of the prediction no longer count
-            self._errors, self._residuals = [], []
-        self._estimates.append(x)
-        self._errors.append(error2)
-        self._residuals.append(residual2)
-
-    def _step(self, formula: bool = False) -> tuple[Floats, float, float]:
-        """Move z; parameters and result as of `FrameVectors.step`."""
-        found = self._vectors.step(self._n_shifts, self._floor, formula)
-        self._n_shifts = (self._n_shifts + 1) % len(SHIFTS)
-        return found
+        self._n_asked += 1  # `finish` does them in one call
 
     def finish(self) -> Floats:
         self._steps_left = 0
         t, noise = self._t, self._judged_noise
+        if n := self._n_asked:
+            n_formula = N_FORMULA if self.n_steps < CONVERGED else 0
+            self._steps = self._vectors.steps(self._n_shifts, self._floor, n_formula, n)
+            self._n_shifts = (self._n_shifts + n_formula + n) % len(SHIFTS)
         error2 = self._error2()
         prior = t.blend * max(self._signal, self._last_error2, self._floor)
         part = error2 / (error2 + prior)
-        estimates = self._estimates[-t.averaged :] or [self._vectors.predicted]
         sds = math.sqrt(self._least_noise), INVISIBLE * math.sqrt(noise)
         ones = self._ones_of()[0]
-        settled = self._vectors.settle(estimates, part, self._values, ones, self._bias, *sds)
+        settled = self._vectors.settle(
+            self._steps.estimates, part, self._values, ones, self._bias, *sds
+        )
         power = settled.power
         # What the noise of measurements left in the last estimate, the same measurements leave.
         left = min(self._last_error2, noise) if self._repeats else 0.0
@@ -288,7 +278,7 @@ class SkinSolver(Solver):
         noise by them. Where that is not significant, the gates' own expectation counts.
         """
         t, noise = self._t, self._judged_noise
-        own = _mean(self._errors[-t.averaged :])
+        own = _mean(self._steps.errors[-t.averaged :])
         seen = max(0.0, self._residual2() - noise)
         doubt = t.doubtful * (seen + noise) * math.sqrt(2 / self._values.size)
         share = seen * seen / (seen * seen + doubt * doubt + TINY)
@@ -296,7 +286,7 @@ class SkinSolver(Solver):
 
     def _residual2(self) -> float:
         """Mean squared residual of the last z."""
-        return _mean(self._residuals[-self._t.averaged :])
+        return _mean(self._steps.residuals[-self._t.averaged :])
 
     def _follow_bias(self, settled: Settled) -> None:
         """Update the mean reading of an untouched taxel: by residual along Phi 1, and taxels."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
 
 from .formula import shrink
-from .gates import Gates, Tiles
+from .gates import SHIFTS, Gates, Tiles
 from .rows import Rows
 from .tuning import SkinTuning
 
@@ -20,6 +19,16 @@ UNKNOWN = 1e34
 
 NEGLIGIBLE = 1e-3
 """Length of a change, in that of an innovation, which does not show its direction."""
+
+
+class Steps(NamedTuple):
+    """Steps of a frame: the last `averaged` estimates, float32 (k, n); of each step the expected
+    squared error, and the mean squared residual before it, of the rows read.
+    """
+
+    estimates: Floats
+    errors: list[float]
+    residuals: list[float]
 
 
 class Settled(NamedTuple):
@@ -181,6 +190,16 @@ class FrameVectors:
         ridge = t.recall_ridge * noise * sums[2]
         return np.float32(min(max((sums[0] + ridge) / (sums[1] + ridge + TINY), 0.0), 1.0))
 
+    def steps(self, first: int, floor: float, n_formula: int, n: int) -> Steps:
+        """Do `n_formula` steps by the formula, then n by the weights, with the tiles of the shifts
+        from the number `first` on.
+        """
+        found = [
+            self.step((first + k) % len(SHIFTS), floor, k < n_formula) for k in range(n_formula + n)
+        ]
+        estimates, errors, residuals = zip(*found[n_formula:], strict=True)
+        return Steps(np.stack(estimates[-self._t.averaged :]), [*errors], [*residuals])
+
     def step(self, shift: int, floor: float, formula: bool) -> tuple[Floats, float, float]:
         """Move z, with the tiles of a shift; floor is the least variance. `formula` is True for
         `shrink` in place of the weights, which is used where there are none, too.
@@ -219,7 +238,7 @@ class FrameVectors:
 
     def settle(
         self,
-        estimates: Sequence[Floats],
+        estimates: Floats,
         part: float,
         values: Floats,
         ones: Floats,
@@ -227,7 +246,7 @@ class FrameVectors:
         noise_sd: float,
         least: float,
     ) -> Settled:
-        """Take the mean of some estimates, float32 (n,), and `part` of the prediction for x.
+        """Take the mean of some estimates, float32 (k, n), and `part` of the prediction for x.
 
         values and ones, float32 (n_read,), are those of the rows read and Phi 1. Readings of mean
         bias + u are of the force u + bias (1 - exp(-u / bias)), which is not clipped as often;
