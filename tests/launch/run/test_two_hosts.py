@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,6 @@ from namespaces import ADDRESSES, two_hosts
 
 from sparseskin.nodes.network.keys import make_key_files
 
-Record = Callable[[str, object], None]
 CUT_S = float(os.environ.get("SPARSESKIN_LINK_CUT_S", "5"))
 STATIONS = Path(__file__).parent / "stations.py"
 HOSTS = """\

@@ -15,7 +15,6 @@ S, MS = 1_000_000_000, 1_000_000
 JITTER = 5 * MS
 SETTLED_S = 5
 WITHIN = MS // 2
-Reading = tuple[int, int, int]
 """True time, arrival, and time of a frame, nanoseconds."""
 
 

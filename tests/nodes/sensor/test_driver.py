@@ -2,7 +2,6 @@
 
 import sys
 import textwrap
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,8 +12,6 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.driver import DriverSource, open_callable
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import open_source
-
-Writer = Callable[[str], str]
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """Points on a virtual grid: each has a cell of its own, and neighbours remain neighbours."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +10,6 @@ from sparseskin.plugins.points.examples import grip, torso
 from sparseskin.plugins.points.placing import place
 from sparseskin.plugins.points.points import Points, estimated_normals
 
-Array = npt.NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
 
 

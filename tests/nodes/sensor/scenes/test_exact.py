@@ -8,7 +8,6 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -21,7 +20,6 @@ from sparseskin.nodes.sensor.scenes.motion import Drag
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, SKIN, TAXEL_RADIUS_M, open_scene
 from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
 
-Array = npt.NDArray[np.float64]
 G_M_S2 = 9.81
 #: Frames so near to a limit that the rounding of another processor decides how they are counted.
 TIES = 2

@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -17,8 +16,6 @@ from sparseskin.nodes.sensor.scenes.presses import (
     press_frames,
     scattered_mask,
 )
-
-Frames = npt.NDArray[np.float32]
 
 
 def frames_of(body="peg", shape=(20, 20), n=80, seed=0, **chosen):
