@@ -1,4 +1,4 @@
-"""The commands `sources` and `scope`."""
+"""The commands `scenes`, `sources` and `scope`."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from sparseskin.launch.commands.cli import main
+from sparseskin.launch.launchfile import bundled_names
 from sparseskin.nodes import extensions
+
+
+def test_scenes_names_every_launch_file(capsys):
+    assert main(["scenes"]) == 0
+    out = capsys.readouterr().out
+    assert all(f"  {name} " in out for name in bundled_names())
+    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_sources_lists_what_there_is(tmp_path, monkeypatch, capsys, offering):

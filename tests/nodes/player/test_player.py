@@ -2,7 +2,6 @@
 
 import pytest
 
-from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.messages import Measurements, Reconstruction, decode, encode
 from sparseskin.nodes.bus import Bus
@@ -155,18 +154,3 @@ def test_a_number_of_frames_is_played_with_all_their_messages(recording, tmp_pat
     assert frames == counts | {"skipped": 0, "lost": 0, "unpaired": 0}
     assert bus.reports()["player"]["played"]["frames"] == n_frames
     assert bus.hosts["player"].counts.published["/skin/measurements"] == n_frames
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ("--rate 2000", "--rate: 2000.0 is outside 0.0..1000.0"),
-        ("--start 100", "--start: 100: the recording lasts 0."),
-        ("--remap /left:=/right", "--remap: /left: not in the file (known: /skin/"),
-    ],
-)
-def test_play_names_the_option_that_is_wrong(recording, capsys, options, text):
-    assert main(["play", str(recording[0]), *options.split()]) == 2
-    captured = capsys.readouterr()
-    assert captured.err.startswith(text)
-    assert (captured.out, captured.err.count("\n")) == ("", 1)
