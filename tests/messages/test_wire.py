@@ -28,10 +28,11 @@ from sparseskin.messages import (
     VersionError,
     decode,
     encode,
+    size_bytes,
 )
 from sparseskin.messages.buffers import MARK
 from sparseskin.messages.fields import Real
-from sparseskin.messages.wire import MAX_MESSAGE_BYTES, is_end
+from sparseskin.messages.wire import MAX_MESSAGE_BYTES, is_end, wire_bytes
 
 MISSING = object()
 
@@ -54,16 +55,14 @@ def decode_body(body, topic=b"/skin/taxels"):
 
 
 @given(messages)
-def test_decoding_undoes_encoding(message):
+def test_decoding_undoes_encoding_in_both_forms(message):
     topic, payload = encode(message)
-    twin = decode(topic, payload)
-    assert twin == message
+    twin, arrived = decode(topic, payload), decode(*sent(message))
+    assert twin == arrived == message
+    assert list(twin.__dict__) == list(arrived.__dict__)
     assert encode(twin) == (topic, payload)
-
-
-@given(messages)
-def test_an_end_is_recognised_by_its_payload(message):
-    assert is_end(encode(message)[1]) is isinstance(message, End)
+    assert size_bytes(message) == len(wire_bytes(message))
+    assert is_end(payload) is isinstance(message, End)
 
 
 FORMS = pytest.mark.parametrize("form", [encode, sent])

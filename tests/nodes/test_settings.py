@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import pytest
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.settings import PatchSettings, Settings, setting
 
 
@@ -48,9 +47,3 @@ def test_a_wrong_value_is_named_with_what_is_allowed(values, text):
 def test_a_patch_needs_a_name(patch):
     with pytest.raises(SettingsError, match="patch"):
         PatchSettings(patch=patch)
-
-
-def test_a_near_miss_is_proposed_and_anything_else_gets_the_list():
-    assert did_you_mean("fist", ["fista", "omp"]) == " (did you mean 'fista'?)"
-    assert did_you_mean("xyz", ["fista", "omp"]) == " (known: fista, omp)"
-    assert did_you_mean("xyz", []) == ""

@@ -60,15 +60,6 @@ def test_a_long_text_is_cut_and_of_one_of_many_lines_their_number_is_shown():
     assert shown_value("a\nb\nc\n") == "(3 lines: param get prints them)"
 
 
-def test_columns_are_as_wide_as_what_stands_in_them_and_numbers_flush_right():
-    rows = [["sensor", 5, "a"], ["compressor", 12345, "bb"]]
-    assert table(["NODE", "SENT", "READ BY"], rows) == [
-        "NODE         SENT  READ BY",
-        "sensor          5  a",
-        "compressor  12345  bb",
-    ]
-
-
 def test_the_last_column_is_wrapped_under_itself(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     lines = table(["KEY", "WHAT"], [["key", "many words " * 20]])

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
 
@@ -116,14 +115,3 @@ def test_ground_takes_its_part_as_the_wrench_leaves_the_skin():
     weight = 1.0 * GRAVITY_M_S2
     mean = played("drag_wrench_40").total[4700:4900].mean()
     assert 0.0 < mean < 0.5 * weight
-
-
-@pytest.mark.parametrize(
-    ("name", "hint"),
-    [("lift_bx_40", "did you mean 'lift_box_40'?"), ("zzz", "(known: drag_wrench_40, ")],
-)
-def test_unknown_scene_is_an_error_with_a_hint(name, hint):
-    with pytest.raises(SourceError) as error:
-        open_scene(name, 0)
-    assert repr(name) in str(error.value)
-    assert hint in str(error.value)
