@@ -89,7 +89,7 @@ class TestNpy:
         ("value", "message"),
         [
             (np.nan, "nan is not finite"),
-            (-0.5, "-0.5 is below 0; a range starts at 0"),
+            (-0.5, "-0.5 is below 0; a range starts at 0; add negative=zero"),
             (1e39, r"1e\+39 is above 1e\+30"),
         ],
     )

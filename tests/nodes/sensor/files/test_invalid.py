@@ -39,22 +39,6 @@ def test_invalid_readings_become_what_the_settings_say(tmp_path, nan, negative, 
     assert held == mask
 
 
-@pytest.mark.parametrize(
-    ("policy", "text"),
-    [
-        (Policy(), "frame 1, row 0, column 0: nan is not finite; add nan=hold, or zero or mask"),
-        (
-            Policy("zero"),
-            "frame 1, row 0, column 1: -1 is below 0; a range starts at 0; add negative=zero",
-        ),
-    ],
-)
-def test_invalid_readings_are_refused_unless_a_setting_treats_them(tmp_path, policy, text):
-    with pytest.raises(SourceError) as refused:
-        treated(policy, tmp_path)
-    assert text in str(refused.value)
-
-
 def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path):
     (tmp_path / "a.csv").write_text("1,,NaN,4\n-2,5,6,7\n")
     options = {"n_rows": 2, "n_cols": 2, "unit": "N"}
