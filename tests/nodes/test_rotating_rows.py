@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from bags import record_scene
 
-from sparseskin.launch.commands.cli import main
 from sparseskin.launch.launchfile.load import load
-from sparseskin.messages import Measurements, Reconstruction, decode
+from sparseskin.messages import Measurements, Reconstruction
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.base import make_phi
@@ -14,7 +12,6 @@ from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.limits import OTHER_ROWS
 from sparseskin.nodes.reconstructor.node import Reconstructor
-from sparseskin.nodes.recorder.bag.reader import BagReader
 
 FIXED, ROTATING = "compressor.rows=fixed", "compressor.rows=rotating"
 
@@ -113,31 +110,3 @@ def test_an_untouched_skin_at_the_start_logs_no_doubt(rows, some_doubted):
     doubted = [not only(messages, Reconstruction).trusted[0] for messages in frames_of(bus, 40)]
     assert any(doubted) == some_doubted
     assert not [line for line in bus.lines if "not to be trusted" in line]
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    """A recording of 12 bits a measurement, rows rotating."""
-    folder = tmp_path_factory.mktemp("rotating")
-    source = record_scene(folder / "peg.mcap", "path_40", 310, 120, 2)
-    path = folder / "rotating.mcap"
-    changes = [ROTATING, "compressor.bits=12", "reconstructor.preset=skin"]
-    sets = [text for change in changes for text in ("--set", change)]
-    assert main(["reprocess", str(source), "--out", str(path), *sets]) == 0
-    return path
-
-
-def messages_of(path, kind):
-    with BagReader(path) as bag:
-        topics = [f"/skin/{kind.schema}"]
-        return [decode(m.topic.encode(), m.payload) for m in bag.messages(topics)]
-
-
-def test_reprocessed_from_its_measurements_a_recording_is_the_same_to_the_bit(recording, tmp_path):
-    out = tmp_path / "again.mcap"
-    sets = ["--set", "reconstructor.preset=skin", "--from", "measurements"]
-    assert main(["reprocess", str(recording), "--out", str(out), *sets]) == 0
-    old, new = (messages_of(path, Reconstruction) for path in (recording, out))
-    assert len(old) > 100
-    assert [m.forces.tobytes() for m in old] == [m.forces.tobytes() for m in new]
-    assert len({m.phi for m in new}) == 3

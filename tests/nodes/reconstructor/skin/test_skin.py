@@ -55,8 +55,7 @@ def test_few_measurements_in_small_blocks_do_not_make_it_diverge(block):
         assert solver.solve(y).max() < 10
 
 
-@pytest.mark.parametrize("settings", [{}, {"iterations": 3}])
-@pytest.mark.parametrize("rows", [FIXED, ROTATING])
+@pytest.mark.parametrize(("rows", "settings"), [(FIXED, {"iterations": 3}), (ROTATING, {})])
 def test_a_change_of_rounding_stays_one(rows, settings):
     truth = np.concatenate([np.zeros((15, *SHAPE), np.float32), sliding_disc(SHAPE, 45)])
     frames, phis = noisy(truth), phis_of(rows)
