@@ -56,7 +56,7 @@ test-core: .venv/installed-dev
 # Faults, fuzz, attacks, soak, endurance and the costs of bridges and of readers, at the sizes whose
 # figures are in docs/ (6 hours; the quick ones 5 minutes); some: make stress STRESS=test_soak.py.
 stress stress-quick: .venv/installed-dev
-	$(if $(findstring quick,$@),,SPARSESKIN_STRESS=full) $(ONE_THREAD) $(BIN)/python -m pytest -q \
+	$(if $(findstring quick,$@),,SPARSESKIN_STRESS=full SPARSESKIN_FAST=auto) $(ONE_THREAD) $(BIN)/python -m pytest -q \
 	    -p no:xdist --timeout=0 $(addprefix tests/stress/,$(or $(STRESS),.))
 
 # The same with the coverage of what runs in the test processes, which takes them half as long again.
