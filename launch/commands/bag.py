@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,23 +55,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
     export = add(
         "export", _export, "convert a recording to NumPy, CSV or the format of another tool"
     )
-    export.add_argument("bag", metavar="F.mcap", type=Path, help=f"NAME{FILE_SUFFIX}")
+    about = f"NAME{FILE_SUFFIX}; several for lerobot: an episode each"
+    export.add_argument("bags", metavar="F.mcap", type=Path, nargs="+", help=about)
     export.add_argument("--to", choices=export_names(), required=True, help="the format")
     about = "default: NAME and the ending of the format, as NAME.npz, NAME_csv, NAME_ros2"
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
     about = "only these topics; default: all with frames"
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
-    for option, (takers, metavar, what) in _export_options().items():
+    for option, (takers, metavar, what, kind) in _export_options().items():
         about = f"of {', '.join(takers)}: {what}"
-        rare(export).add_argument(f"--{option}", metavar=metavar, type=whole(1), help=about)
+        rare(export).add_argument(f"--{option}", metavar=metavar, type=kind, help=about)
 
 
-def _export_options() -> dict[str, tuple[list[str], str, str]]:
-    """Options that exports have of their own: the exports, metavar and help of each."""
-    found: dict[str, tuple[list[str], str, str]] = {}
+def _export_options() -> dict[str, tuple[list[str], str, str, Any]]:
+    """Options that exports have of their own: the exports, metavar, help and type of each."""
+    found: dict[str, tuple[list[str], str, str, Any]] = {}
     for name, export in {**loaded(EXPORTS), **OWN}.items():
-        for option, (metavar, about) in export.options.items():
-            found.setdefault(option, ([], metavar, about))[0].append(name)
+        for option, (metavar, about, *kind) in export.options.items():
+            found.setdefault(option, ([], metavar, about, *kind, whole(1))[:4])[0].append(name)
     return found
 
 
@@ -163,11 +165,16 @@ def _export(arguments: argparse.Namespace) -> int:
         if arguments.to not in takers:
             raise BagError(f"--{option}: goes with --to {' or '.join(takers)}")
         options[option] = value
-    with BagReader(arguments.bag) as bag:
-        out = arguments.out or bag.path.with_name(_stem(bag.path) + export.ending)
-        if bag.recovered:
-            print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
-        for path in write(split_bag(bag), out, arguments.topics, **options):
+    if len(arguments.bags) > 1 and not export.several:
+        raise BagError(f"{arguments.bags[1]}: --to {arguments.to} takes one recording")
+    with ExitStack() as stack:
+        bags = [stack.enter_context(BagReader(path)) for path in arguments.bags]
+        for bag in bags:
+            if bag.recovered:
+                print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
+        out = arguments.out or bags[0].path.with_name(_stem(bags[0].path) + export.ending)
+        given = [split_bag(bag) for bag in bags]
+        for path in write(given if export.several else given[0], out, arguments.topics, **options):
             print(path)
     return 0
 

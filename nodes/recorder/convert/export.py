@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.extensions import EXPORTS, added, load
@@ -23,12 +24,16 @@ class Export:
         `BagReader`, a path and topics (None: all with frames), returns the paths written. It raises
         BagError.
     options : mapping
-        Options of its own that take a whole number, 1 or more: metavar and help of each.
+        Options of its own: metavar and help of each, and its type, as in argparse; by default a
+        whole number, 1 or more.
+    several : bool
+        True if `bag` is a list of them.
     """
 
     ending: str
     target: str
-    options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    options: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    several: bool = False
 
 
 _HERE = __name__.rpartition(".")[0]

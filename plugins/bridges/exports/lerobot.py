@@ -1,33 +1,23 @@
-"""Export of a bag to a dataset of LeRobot: for each video frame a window of tactile frames, and the
-strongest contacts.
-
-Source of the layout: huggingface/lerobot, `src/lerobot/datasets/`, codebase version v3.0, read in
-lerobot 0.4.4 and 0.6.2.
+"""Export of bags to a dataset of LeRobot, new or joined to one that exists: for each row a window
+of tactile frames, the newest forces, and the strongest contacts.
 """
 
 from __future__ import annotations
 
-import json
+import contextlib
 import math
+import sys
 import tempfile
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import (
-    Contacts,
-    Measurements,
-    Message,
-    Reconstruction,
-    SkinState,
-    Taxels,
-)
+from sparseskin.messages import Contacts, Measurements, Message, Reconstruction, SkinState, Taxels
 from sparseskin.messages.topics import split_topic
-from sparseskin.nodes.files import whole_folder
+from sparseskin.nodes.files import OutputError, whole_folder
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
@@ -41,96 +31,216 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges.base import check_installed
 from sparseskin.plugins.bridges.contacts import N_STATE, state, state_names
 
-VERSION = "v3.0"
-TASK = "touch"
+from .lerobot_dataset import (
+    ACTION,
+    FORCES,
+    STATE,
+    Dataset,
+    Feature,
+    Part,
+    Times,
+    make_dataset,
+)
+
 FPS = 30
-MAX_FPS, MAX_WINDOW, MAX_CONTACTS = 1000, 4096, 100
-STATE_KEY = "observation.state"
-BLOCK_BYTES = 1 << 26
-"""Size of what is held in memory at once, bytes: a recording may be larger than the memory."""
-QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-CHUNK, TASKS = "chunk-000/file-000.parquet", "meta/tasks.parquet"
-INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+MAX_FPS, MAX_WINDOW, MAX_CONTACTS, MAX_OFFSET_S = 1000, 4096, 100, 86400
 
 
 @dataclass(frozen=True)
 class _Stream:
-    """One topic: feature, frames in a row, all frames (n_frames, N), their stamps, nanoseconds."""
+    """One topic: feature, frames in a row, all frames (n_frames, N), and their times."""
 
     topic: str
     key: str
     size: int
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
     skin: SkinState | None
-    stamps_ns: npt.NDArray[np.int64]
-    values: npt.NDArray[np.float32]
+    times_ns: Times
+    values: Floats
 
-    def window(self, times_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Numbers of the last `size` frames at or before each time, shape (n_times, size); the
-        first frame again where there were fewer.
-        """
-        last = np.searchsorted(self.stamps_ns, times_ns, side="right") - 1
-        chosen: npt.NDArray[np.int64] = last[:, None] - np.arange(self.size - 1, -1, -1)
-        return np.maximum(chosen, 0)
+    @property
+    def period_ns(self) -> float:
+        """Mean time from a frame to the next."""
+        return float(self.times_ns[-1] - self.times_ns[0]) / max(1, len(self.times_ns) - 1)
 
-    def ages(self, times_ns: npt.NDArray[np.int64]) -> Floats:
+    def newest(self, times_ns: Times, back: int = 0) -> npt.NDArray[np.intp]:
+        """Number of the frame `back` before the last one at or before each time, at least 0."""
+        last = np.searchsorted(self.times_ns, times_ns, side="right") - 1
+        return np.maximum(last - back, 0)
+
+    def part(self, back: int = 0, missing: float = math.nan) -> Part:
+        """The values of those frames, with a number for readings that are missing."""
+
+        def take(times_ns: Times, columns: slice) -> Floats:
+            found = self.values[self.newest(times_ns, back), columns]
+            return np.nan_to_num(found, copy=False, nan=missing)
+
+        return self.values.shape[1], take
+
+    def ages(self, times_ns: Times, columns: slice) -> Floats:
         """How long before each time the frames of its window were acquired, seconds."""
-        ages = (times_ns[:, None] - self.stamps_ns[self.window(times_ns)]) / 1e9
-        return np.asarray(ages, np.float32)
+        window = range(self.size - 1, -1, -1)[columns]
+        frames = np.stack([self.newest(times_ns, back) for back in window], axis=1)
+        return ((times_ns[:, None] - self.times_ns[frames]) / 1e9).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Episode:
+    """What is read of a bag: the stamp of its first row, maps and contacts."""
+
+    path: Path
+    begin_ns: int
+    maps: list[_Stream]
+    contacts: list[_Stream]
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last time between which there are frames of all topics."""
+        times = [one.times_ns for one in self.maps + self.contacts]
+        return max(int(each[0]) for each in times), min(int(each[-1]) for each in times)
+
+    def check(self, rows_ns: Times, period_ns: float) -> None:
+        """Raise BagError if rows lie before the first frame, or more than a period after the last;
+        log frames after the last row.
+        """
+        (first, last), begin, end = self.span_ns, int(rows_ns[0]), int(rows_ns[-1])
+        late = max(period_ns, *(one.period_ns for one in self.maps + self.contacts))
+        if begin < first or end > last + late:
+            raise BagError(
+                f"{self.path}: lasts {(last - first) / 1e9:.3f} s, but the rows of its episode are "
+                f"those of {(begin - first) / 1e9:.3f} to {(end - first) / 1e9:.3f} s; state "
+                "--offset, or the recording of that episode"
+            )
+        if end + late < last:
+            left = (last - end) / 1e9
+            print(f"{self.path}: its last {left:.3f} s have no rows", file=sys.stderr)
+
+    def features(self, rows_ns: Times | None) -> dict[str, Feature]:
+        """Those of maps and contacts; of a dataset that has no other, with rows at these times,
+        a state and an action in any case.
+        """
+        found = {}
+        for one in self.maps:
+            n, window = one.values.shape[1], range(one.size - 1, -1, -1)
+            found[one.key] = Feature((one.size, n), None, [one.part(back) for back in window])
+            found[f"{one.key}.age"] = Feature((one.size,), None, [(one.size, one.ages)])
+        parts = [one.part(missing=0) for one in self.maps]
+        found[FORCES] = Feature((sum(width for width, _ in parts),), None, parts)
+        if self.contacts:
+            named = [(split_topic(one.topic)[0], one.shape[0]) for one in self.contacts]
+            names = [name for patch, k in named for name in state_names(patch, k)]
+            found[STATE] = Feature((len(names),), names, [one.part() for one in self.contacts])
+        if rows_ns is not None:
+            touch = found.setdefault(STATE, found[FORCES])
+            parts = [_following(rows_ns, part) for part in touch.parts]
+            found[ACTION] = Feature(touch.shape, touch.names, parts)
+        return found
+
+
+def _following(rows_ns: Times, part: Part) -> Part:
+    """A block of columns at the row after each, or at the last one."""
+
+    def take(times_ns: Times, columns: slice) -> Floats:
+        after = np.searchsorted(rows_ns, times_ns, side="right")
+        return part[1](rows_ns[np.minimum(after, len(rows_ns) - 1)], columns)
+
+    return part[0], take
 
 
 def export_lerobot(
-    bag: BagReader,
+    bags: Sequence[BagReader],
     out: Path,
     topics: Iterable[str] | None = None,
-    fps: int = FPS,
+    fps: int | None = None,
     window: int | None = None,
     contacts: int = N_STATE,
+    into: str | None = None,
+    offset: str = "0",
 ) -> list[Path]:
-    """Write a dataset of one episode into a new folder `out`; the paths of its files.
+    """Write a dataset into a new folder `out`, bag k being its episode k; the paths of its files.
 
     Parameters
     ----------
     topics
         Topics of maps and contacts; by default the reconstructions, or else the taxels, and all
         contacts.
-    fps : int
-        Rows a second, the rate of the video that the dataset is for.
+    fps : int, optional
+        Rows a second, the rate of the video that the dataset is for; by default 30.
     window : int, optional
         Number K of tactile frames a row; by default as many as come in 1 / fps, rounded up.
     contacts : int
         Number of contacts of a patch in the state.
+    into : str, optional
+        Folder of a dataset with an episode for each bag, which `out` has, too. It is not changed.
+    offset : str
+        Time of the first row after the first frame, seconds; of all episodes, or of each, separated
+        by commas.
 
-    Row k is that of the time t = t0 + k / fps, where t0 is the stamp from which on there are frames
-    of all topics. Its feature observation.tactile.NAME, float32 (K, N), holds the last K frames at
-    or before t, the newest last, each row after row; observation.tactile.NAME.age, float32 (K,),
-    how long before t each was acquired, in seconds. Before K frames have come, the first stands
-    in place of those that are missing. NAME is PATCH for reconstructions, PATCH_SCHEMA for others.
-    Where there are contacts, observation.state, float32, holds `state` of the last of each patch at
-    or before t, one patch after the other, with the names of its numbers.
+    A row whose timestamp is s is that of the time t = t0 + offset + s, where t0 is the stamp from
+    which on there are frames of all topics; without `into` there is one each 1 / fps, up to the
+    last frame. Its feature observation.tactile.NAME, float32 (K, N), holds the last K frames at or
+    before t, the newest last, each row after row; observation.tactile.NAME.age, float32 (K,), how
+    long before t each was acquired, in seconds. Before K frames have come, the first stands in
+    place of those that are missing. NAME is PATCH for reconstructions, PATCH_SCHEMA for others.
+    observation.environment_state, float32, holds the newest frame of each map, 0 where a reading is
+    missing. Where there are contacts, observation.state, float32, holds `state` of the last of each
+    patch, with the names of its numbers. These two are appended to those of `into`. Without it,
+    observation.state holds the forces if there are no contacts, and action the state of the next
+    row, or of the last.
 
-    Raises BagError if pyarrow is not installed, the bag has no such frames, or a number is out of
-    its range; OutputError if the folder exists or cannot be written.
+    Raises BagError if pyarrow is not installed, the bags have no such frames or those of different
+    skins, a number is out of its range, `into` is no such dataset, or an episode is not within its
+    bag; OutputError if the folder exists or cannot be written.
     """
     check_installed("writing for LeRobot", "lerobot", "pyarrow", error=BagError)
-    if not 1 <= fps <= MAX_FPS:
-        raise BagError(f"--fps: {fps} is outside 1..{MAX_FPS}")
-    if window is not None and not 1 <= window <= MAX_WINDOW:
-        raise BagError(f"--window: {window} is outside 1..{MAX_WINDOW}")
-    if not 1 <= contacts <= MAX_CONTACTS:
-        raise BagError(f"--contacts: {contacts} is outside 1..{MAX_CONTACTS}")
-    with whole_folder(out), tempfile.TemporaryDirectory(dir=out, prefix=".frames") as scratch:
-        folder = Path(scratch)
-        maps, touched = _wanted(bag, topics)
-        read = [_read_map(bag, topic, folder, fps, window) for topic in maps]
-        states = [_read_contacts(bag, topic, folder, contacts) for topic in touched]
-        first_ns = max(int(stream.stamps_ns[0]) for stream in read + states)
-        last_ns = min(int(stream.stamps_ns[-1]) for stream in read + states)
-        if last_ns < first_ns:
-            raise BagError(f"{bag.path}: its topics have no time in common")
-        n = int((last_ns - first_ns) * fps // 1_000_000_000) + 1
-        times_ns = first_ns + (np.arange(n, dtype=np.int64) * 1_000_000_000) // fps
-        return _write(out, bag, read, states, times_ns, fps)
+    limits = {"fps": (fps, MAX_FPS), "window": (window, MAX_WINDOW)}
+    for name, (number, high) in (limits | {"contacts": (contacts, MAX_CONTACTS)}).items():
+        if number is not None and not 1 <= number <= high:
+            raise BagError(f"--{name}: {number} is outside 1..{high}")
+    if into is not None and fps is not None:
+        raise BagError("--fps: is that of the dataset of --into")
+    if into is not None and out.resolve().is_relative_to(Path(into).resolve()):
+        raise OutputError(f"{out}: is within the dataset of --into; state another --out")
+    offsets_ns = _offsets_ns(offset, len(bags))
+    joined = None if into is None else Dataset(Path(into))
+    if joined and (n := len(joined.times_ns)) != len(bags):
+        raise BagError(f"{into}: has {n} episodes; state as many recordings, not {len(bags)}")
+    rate = joined.fps if joined else fps or FPS
+    with whole_folder(out):
+        with tempfile.TemporaryDirectory(dir=out, prefix=".frames") as name:
+            folder, sizes = Path(name), dict[str, int]()
+            episodes = []
+            for bag, offset_ns in zip(bags, offsets_ns, strict=True):
+                maps, touched = _wanted(bag, topics)
+                read = [_read_map(bag, one, folder, rate, window, sizes) for one in maps]
+                states = [_read_contacts(bag, one, folder, contacts) for one in touched]
+                episodes.append(_episode(bag.path, read, states, offset_ns))
+            lengths = [max(0, one.span_ns[1]) * rate // 10**9 + 1 for one in episodes]
+            dataset = joined or make_dataset(folder / "rows", lengths, rate)
+            added = []
+            for one, rows_ns in zip(episodes, dataset.times_ns, strict=True):
+                one.check(rows_ns, 1e9 / rate)
+                added.append(one.features(None if joined else rows_ns))
+                shapes = [{k: f.shape for k, f in features.items()} for features in added]
+                if shapes[-1] != shapes[0]:
+                    raise BagError(
+                        f"{one.path}: its features differ from those of {bags[0].path}: "
+                        f"{shapes[-1]}, not {shapes[0]}"
+                    )
+            dataset.join(out, added, _readme(episodes))
+        return sorted(path for path in out.rglob("*") if path.is_file())
+
+
+def _offsets_ns(text: str, n: int) -> list[int]:
+    """Offsets of n episodes."""
+    with contextlib.suppress(ValueError):
+        found = [float(word) for word in text.split(",")]
+        if len(found) in (1, n) and all(abs(one) <= MAX_OFFSET_S for one in found):
+            return [round(1e9 * one) for one in found] * (n // len(found))
+    raise BagError(
+        f"--offset: {text[:40]!r}; allowed is a number of seconds up to {MAX_OFFSET_S}, or one for "
+        f"each of {n} recordings, separated by commas"
+    )
 
 
 def _wanted(bag: BagReader, topics: Iterable[str] | None) -> tuple[list[str], list[str]]:
@@ -154,12 +264,11 @@ def _wanted(bag: BagReader, topics: Iterable[str] | None) -> tuple[list[str], li
 
 def _read(
     bag: BagReader, topic: str, folder: Path, values_in: Callable[[Message], Floats | None]
-) -> tuple[tuple[int, ...], npt.NDArray[np.int64], Floats]:
+) -> tuple[tuple[int, ...], Times, Floats]:
     """Shape of the values of a message, stamps, and all values, each flat."""
     stamps: list[int] = []
     shape: tuple[int, ...] = ()
-    path = folder / topic.strip("/").replace("/", "_")
-    with path.open("wb") as file:
+    with tempfile.TemporaryFile(dir=folder) as file:
         for message, _ in streams(bag, [topic], "read"):
             if (values := values_in(message)) is None:
                 continue
@@ -170,238 +279,80 @@ def _read(
                 continue  # played again, or late
             file.write(np.ascontiguousarray(values, "<f4").tobytes())
             stamps.append(message.stamp_ns)
-    if not stamps:
-        raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
-    held = np.memmap(path, "<f4", "r", shape=(len(stamps), math.prod(shape)))
+        if not stamps:
+            raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
+        file.flush()
+        held = np.memmap(file, "<f4", "r", shape=(len(stamps), math.prod(shape)))
     return shape, np.array(stamps, np.int64), held
 
 
-def _read_map(bag: BagReader, topic: str, folder: Path, fps: int, size: int | None) -> _Stream:
+def _read_map(
+    bag: BagReader,
+    topic: str,
+    folder: Path,
+    fps: float,
+    size: int | None,
+    sizes: dict[str, int],
+) -> _Stream:
+    """A map; `sizes` has the windows of the first bag."""
     patch, schema = split_topic(topic)
     name = patch if schema == Reconstruction.schema else f"{patch}_{schema}"
     shape, stamps_ns, values = _read(bag, topic, folder, values_of)
+    found = _Stream(
+        topic, f"observation.tactile.{name}", 1, shape, skin_of(bag, patch), stamps_ns, values
+    )
     if size is None:
-        rate_hz = (len(stamps_ns) - 1) * 1e9 / max(1, int(stamps_ns[-1] - stamps_ns[0]))
-        size = min(max(1, math.ceil(rate_hz / fps - 1e-6)), MAX_WINDOW)
-    key, sides = f"observation.tactile.{name}", (shape[0], shape[1])
-    return _Stream(topic, key, size, sides, skin_of(bag, patch), stamps_ns, values)
+        per_row = 1e9 / (fps * found.period_ns) if found.period_ns else 1
+        size = sizes.setdefault(topic, min(max(1, math.ceil(per_row - 1e-6)), MAX_WINDOW))
+    return replace(found, size=size)
 
 
 def _read_contacts(bag: BagReader, topic: str, folder: Path, k: int) -> _Stream:
     def values_in(message: Message) -> Floats | None:
         return state(message, k) if isinstance(message, Contacts) else None
 
-    shape, stamps_ns, values = _read(bag, topic, folder, values_in)
+    _, stamps_ns, values = _read(bag, topic, folder, values_in)
     skin = skin_of(bag, split_topic(topic)[0])
-    return _Stream(topic, STATE_KEY, 1, (k, shape[0]), skin, stamps_ns, values)
+    return _Stream(topic, STATE, 1, (k,), skin, stamps_ns, values)
 
 
-def _state(states: list[_Stream], times_ns: npt.NDArray[np.int64]) -> Floats:
-    """The state at each time, of all patches: shape (n_times, n_numbers)."""
-    parts = [stream.values[stream.window(times_ns)[:, 0]] for stream in states]
-    return np.concatenate(parts, axis=1)
+def _episode(path: Path, maps: list[_Stream], contacts: list[_Stream], offset_ns: int) -> _Episode:
+    """An episode with times after its begin."""
+    first_ns, last_ns = _Episode(path, 0, maps, contacts).span_ns
+    if last_ns < first_ns:
+        raise BagError(f"{path}: its topics have no time in common")
+    begin_ns = first_ns + offset_ns
+    moved = [
+        [replace(one, times_ns=one.times_ns - begin_ns) for one in group]
+        for group in (maps, contacts)
+    ]
+    return _Episode(path, begin_ns, *moved)
 
 
-def _write(
-    out: Path,
-    bag: BagReader,
-    streams: list[_Stream],
-    states: list[_Stream],
-    times_ns: npt.NDArray[np.int64],
-    fps: int,
-) -> list[Path]:
-    features: dict[str, dict[str, Any]] = {}
-    stats: dict[str, dict[str, Any]] = {}
-    for stream in streams:
-        key, shape = stream.key, [stream.size, stream.values.shape[1]]
-        features[key] = {"dtype": "float32", "shape": shape, "names": None}
-        features[f"{key}.age"] = {"dtype": "float32", "shape": shape[:1], "names": None}
-        stats[key] = _window_stats(stream, stream.window(times_ns))
-        stats[f"{key}.age"] = _stats(stream.ages(times_ns))
-    if states:
-        names = [n for s in states for n in state_names(split_topic(s.topic)[0], s.shape[0])]
-        features[STATE_KEY] = {"dtype": "float32", "shape": [len(names)], "names": names}
-        stats[STATE_KEY] = _stats(_state(states, times_ns))
-    n = len(times_ns)
-    for name in INDICES:
-        dtype = "float32" if name == "timestamp" else "int64"
-        features[name] = {"dtype": dtype, "shape": [1], "names": None}
-        stats[name] = _stats(_index(name, 0, n, fps)[:, None])
-    texts = {
-        "meta/info.json": json.dumps(_info(features, n, fps), indent=4),
-        "meta/stats.json": json.dumps(stats, default=np.ndarray.tolist),
-        "README.md": _readme(bag, streams, states, int(times_ns[0]), fps),
-    }
-    paths = [out / name for name in (*texts, f"data/{CHUNK}", TASKS, f"meta/episodes/{CHUNK}")]
-    for path in paths:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    for name, text in texts.items():
-        (out / name).write_text(text, encoding="utf-8")
-    _write_rows(paths[3], streams, states, features, times_ns, fps)
-    _write_tasks(paths[4])
-    _write_episode(paths[5], stats, n)
-    return paths
-
-
-def _info(features: dict[str, Any], n: int, fps: int) -> dict[str, Any]:
-    return {
-        "codebase_version": VERSION,
-        "robot_type": None,
-        "total_episodes": 1,
-        "total_frames": n,
-        "total_tasks": 1,
-        "chunks_size": 1000,
-        "data_files_size_in_mb": 100,
-        "video_files_size_in_mb": 200,
-        "fps": fps,
-        "splits": {"train": "0:1"},
-        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
-        "video_path": None,
-        "features": features,
-    }
-
-
-def _index(name: str, begin: int, end: int, fps: int) -> npt.NDArray[Any]:
-    """A column that every dataset has, of rows begin to end - 1 of the only episode."""
-    if name == "timestamp":
-        return (np.arange(begin, end) / fps).astype(np.float32)
-    if name in ("frame_index", "index"):
-        return np.arange(begin, end, dtype=np.int64)
-    return np.zeros(end - begin, np.int64)
-
-
-def _stats(values: npt.NDArray[Any]) -> dict[str, Any]:
-    """Statistics over the rows (axis 0): arrays of the shape of a row, and the number of rows."""
-    wide = values.astype(np.float64)
-    levels = np.quantile(values, list(QUANTILES.values()), axis=0)
-    return {
-        **{name: getattr(wide, name)(axis=0) for name in ("min", "max", "mean", "std")},
-        **dict(zip(QUANTILES, levels, strict=True)),
-        "count": np.array([len(values)]),
-    }
-
-
-def _window_stats(stream: _Stream, chosen: npt.NDArray[np.int64]) -> dict[str, Any]:
-    """Statistics of the windows of a stream, (K, N) each; a block of taxels at a time."""
-    n, size = chosen.shape
-    block = max(1, BLOCK_BYTES // (8 * n))
-    found: dict[str, Any] = {}
-    for begin in range(0, stream.values.shape[1], block):
-        of_block = [_stats(stream.values[chosen[:, k], begin : begin + block]) for k in range(size)]
-        for name in of_block[0]:
-            found.setdefault(name, []).append(np.stack([one[name] for one in of_block]))
-    return {name: np.concatenate(parts, axis=1) for name, parts in found.items()} | {
-        "count": np.array([n])
-    }
-
-
-def _write_rows(
-    path: Path,
-    streams: list[_Stream],
-    states: list[_Stream],
-    features: dict[str, dict[str, Any]],
-    times_ns: npt.NDArray[np.int64],
-    fps: int,
-) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    fields: dict[str, Any] = {}
-    for name, feature in features.items():
-        fields[name] = getattr(pa, feature["dtype"])()
-        for _ in () if name in INDICES else feature["shape"]:
-            fields[name] = pa.list_(fields[name])
-    schema = pa.schema(fields)
-    widest = sum(4 * s.size * s.values.shape[1] for s in streams + states)
-    with pq.ParquetWriter(path, schema, compression="snappy") as writer:
-        block = max(1, BLOCK_BYTES // widest)
-        for begin in range(0, len(times_ns), block):
-            times = times_ns[begin : begin + block]
-            columns = []
-            for stream in streams:
-                columns.append(_nested(stream.values[stream.window(times)]))
-                columns.append(_nested(stream.ages(times)))
-            if states:
-                columns.append(_nested(_state(states, times)))
-            columns += [pa.array(_index(name, begin, begin + len(times), fps)) for name in INDICES]
-            writer.write_table(pa.Table.from_arrays(columns, schema=schema))
-
-
-def _nested(values: Floats) -> Any:
-    """An array of Arrow, of lists for each dimension after the first."""
-    import pyarrow as pa
-
-    made = pa.array(np.ascontiguousarray(values).ravel())
-    for k in range(values.ndim - 1, 0, -1):
-        n = int(np.prod(values.shape[:k]))
-        offsets = np.arange(n + 1, dtype=np.int32) * values.shape[k]
-        made = pa.ListArray.from_arrays(pa.array(offsets), made)
-    return made
-
-
-def _write_tasks(path: Path) -> None:
-    """The task by its number; pandas reads the text as the index."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    def column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
-        types = {"pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
-        return {"name": name, "field_name": name, **types}
-
-    described = {
-        "index_columns": ["task"],
-        "column_indexes": [],
-        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
-        "pandas_version": "2.0.0",
-    }
-    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": pa.array([TASK])})
-    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(described)}), path)
-
-
-def _write_episode(path: Path, stats: dict[str, dict[str, Any]], n: int) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    row: dict[str, Any] = {
-        "episode_index": 0,
-        "tasks": [TASK],
-        "length": n,
-        "data/chunk_index": 0,
-        "data/file_index": 0,
-        "dataset_from_index": 0,
-        "dataset_to_index": n,
-        "meta/episodes/chunk_index": 0,
-        "meta/episodes/file_index": 0,
-    }
-    for feature, found in stats.items():
-        row |= {f"stats/{feature}/{name}": value.tolist() for name, value in found.items()}
-    pq.write_table(pa.table({name: [value] for name, value in row.items()}), path)
-
-
-def _readme(
-    bag: BagReader, streams: list[_Stream], states: list[_Stream], first_ns: int, fps: int
-) -> str:
+def _readme(episodes: Sequence[_Episode]) -> str:
+    """What the features are, in Markdown."""
+    maps, contacts = episodes[0].maps, episodes[0].contacts
     lines = [
-        "---", "task_categories:", "- robotics", "tags:", "- LeRobot", "- tactile", "---", "",
-        f"# {bag.path.name}", "",
-        f"LeRobot dataset, codebase version {VERSION}, {fps} rows a second, one episode. Row 0 is "
-        f"that of the stamp {first_ns} ns. Of each row the last frames at or before its time, the "
-        "newest last; `.age` is the time since each was acquired, in seconds.", "",
+        "# Tactile frames", "",
+        "Of each row the last frames at or before its time, the newest last; `.age` is the time "
+        f"since each was acquired, in seconds. `{FORCES}` ends with the newest of each.", "",
         "| feature | frames a row | taxels (rows x columns) | unit | range | pitch, m | topic |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
-    for stream in streams:
+    for stream in maps:
         skin, (n_rows, n_cols) = stream.skin, stream.shape
         known = (skin.unit, f"0..{skin.f_max:g}", skin.pitch_m or "-") if skin else ("-",) * 3
         cells = (stream.key, stream.size, f"{n_rows} x {n_cols}", *known, stream.topic)
         lines.append(f"| {' | '.join(map(str, cells))} |")
-    if states:
-        of = [f"{s.topic} ({s.shape[0]}, {s.skin.unit if s.skin else '-'})" for s in states]
+    if contacts:
+        of = [f"{s.topic} ({s.shape[0]}, {s.skin.unit if s.skin else '-'})" for s in contacts]
         lines += [
             "",
-            f"`{STATE_KEY}` has the contacts of the largest forces, the largest first, of "
+            f"`{STATE}` ends with the contacts of the largest forces, the largest first, of "
             f"{', '.join(of)}: 1 where their frame is trusted, then of each contact total force "
             "and its standard deviation in that unit, centre and velocity in mm, area in mm2 "
             "(taxels where no pitch is known), and age in seconds; zeros where there are fewer.",
         ]
-    return "\n".join([*lines, ""])
+    lines += ["", "| episode | recording | stamp of timestamp 0, ns |", "|---|---|---|"]
+    lines += [f"| {k} | {one.path.name} | {one.begin_ns} |" for k, one in enumerate(episodes)]
+    return "\n".join(lines)

@@ -27,10 +27,13 @@ class Dataset:
         self.tasks = pd.read_parquet(root / "meta/tasks.parquet")
         (path,) = root.glob("meta/episodes/*/*.parquet")
         self.episode = pd.read_parquet(path).iloc[0]
-        data = self.info["data_path"].format(
-            chunk_index=self.episode["data/chunk_index"], file_index=self.episode["data/file_index"]
-        )
-        self.rows = pd.read_parquet(root / data)
+        places = [
+            self.info["data_path"].format(
+                chunk_index=one["data/chunk_index"], file_index=one["data/file_index"]
+            )
+            for _, one in pd.read_parquet(path).iterrows()
+        ]
+        self.rows = pd.concat([pd.read_parquet(root / data) for data in places], ignore_index=True)
 
     def column(self, key):
         """A feature as an array of its declared dtype and shape, a row each."""
@@ -51,12 +54,12 @@ def bag(tmp_path):
 @pytest.fixture
 def exported(bag, tmp_path):
     with BagReader(bag) as reader:
-        export_lerobot(reader, tmp_path / "out", fps=FPS, window=WINDOW)
+        export_lerobot([reader], tmp_path / "out", fps=FPS, window=WINDOW)
     assert not list((tmp_path / "out").glob(".*"))
     return Dataset(tmp_path / "out")
 
 
-KEY = "observation.tactile.skin"
+KEY, FORCES = "observation.tactile.skin", "observation.environment_state"
 
 
 def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported):
@@ -113,6 +116,72 @@ def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path):
     assert "/skin/contacts (2, N)" in (out / "README.md").read_text()
 
 
+@pytest.fixture
+def truths(bag, tmp_path):
+    """A dataset of the truth of two episodes, and the words of a join of the reconstructions."""
+    root, out = tmp_path / "truths", tmp_path / "joined"
+    with BagReader(bag) as reader:
+        export_lerobot([reader] * 2, root, ["/skin/truth"], fps=FPS, window=1)
+    words = ["recording", "export", str(bag), str(bag), "--to", "lerobot", "--into", str(root)]
+    return root, [*words, "--out", str(out)]
+
+
+def test_frames_are_joined_into_the_episodes_of_a_dataset_by_their_stamps(
+    truths, bag, tmp_path, capsys
+):
+    root, words = truths
+    later = tmp_path / "later.mcap"  # begins earlier, ends later
+    make_bag(later, [skin_state(), *(m for k in range(N_FRAMES + 107) for m in frame(k))])
+    words[3] = str(later)
+    before = {path: path.read_bytes() for path in root.rglob("*.*") if path.is_file()}
+    assert main([*words, "--offset", "0,0.07"]) == 0
+    assert "later.mcap: its last 1.0" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in root.rglob("*.*") if path.is_file()} == before
+    old, made = Dataset(root), Dataset(tmp_path / "joined")
+    n = old.info["total_frames"]
+    assert set(made.info["features"]) == {*old.info["features"], KEY, f"{KEY}.age"}
+    both, truth = made.column(FORCES), old.column(FORCES)
+    assert both.shape == (n, 2 * N_ROWS * N_COLS)
+    assert np.array_equal(both[:, : N_ROWS * N_COLS], truth)
+    for row in range(n):
+        k = row % (n // 2) * 10**9 // FPS // PERIOD_NS + 7 * (row >= n // 2)
+        (sent,) = (m.forces[0].ravel() for m in frame(k) if isinstance(m, Reconstruction))
+        assert np.array_equal(made.column(KEY)[row, -1], sent), row
+        assert np.array_equal(both[row, N_ROWS * N_COLS :], sent), row
+    for name in ("min", "max", "mean", "std"):
+        expected = getattr(both.astype("f8"), name)(axis=0)
+        assert np.allclose(made.stats[FORCES][name], expected, atol=1e-5), name
+
+
+@pytest.mark.parametrize(
+    ("more", "broken", "fault"),
+    [
+        (["--offset", "0.5"], None, "the rows of its episode are those of 0.500 to 1.067 s"),
+        (["--offset", "-1"], None, "lasts 0.590 s"),
+        (["--offset", "1,2,3"], None, "or one for each of 2 recordings"),
+        (["--fps", "30"], None, "--fps: is that of the dataset"),
+        (["--topics", "/skin/truth"], None, "has a feature observation.tactile.skin_truth"),
+        (["{bag}"], None, "has 2 episodes; state as many recordings, not 3"),
+        ([], "meta/info.json", "no dataset of LeRobot that can be read"),
+        ([], "meta/stats.json", "no dataset of LeRobot that can be read"),
+        ([], "data/chunk-000/file-000.parquet", "no dataset of LeRobot that can be read"),
+    ],
+)
+def test_what_cannot_be_joined_is_one_line_and_leaves_nothing(
+    truths, bag, more, broken, fault,
+    capsys,
+):  # fmt: skip
+    root, words = truths
+    if broken:
+        (root / broken).write_bytes((root / broken).read_bytes()[:-30])
+    words[3:3] = [str(bag) for word in more if word == "{bag}"]
+    assert main([*words, *(word for word in more if word != "{bag}")]) == 2
+    error = capsys.readouterr().err
+    assert fault in error
+    assert error.count("\n") == 1
+    assert not (root.parent / "joined").exists()
+
+
 def test_statistics_are_those_of_the_rows(exported):
     for key in exported.info["features"]:
         rows = exported.column(key).astype(np.float64)
@@ -153,6 +222,6 @@ def test_what_makes_no_sense_is_one_line(bag, more, fault, capsys):
 
 def test_other_maps_have_names_of_their_own(bag, tmp_path):
     with BagReader(bag) as reader:
-        export_lerobot(reader, tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1)
+        export_lerobot([reader], tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1)
     features = Dataset(tmp_path / "o").info["features"]
     assert {"observation.tactile.skin_truth", "observation.tactile.skin_taxels"} <= set(features)

@@ -1,0 +1,342 @@
+"""Datasets of LeRobot on disk: rows, episodes and statistics in Parquet and JSON.
+
+Source of the layout: huggingface/lerobot, `src/lerobot/datasets/`, codebase version v3.0, read in
+lerobot 0.4.4 and 0.6.2.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.recorder.bag.format import BagError
+
+VERSION = "v3.0"
+TASK = "touch"
+STATE, FORCES, ACTION = "observation.state", "observation.environment_state", "action"
+CHUNK = 1000
+"""Files of a folder."""
+TOLERANCE_S = 1e-4
+"""Deviation of a timestamp from a multiple of 1 / fps that is rounding; as in LeRobot."""
+BLOCK_BYTES = 1 << 26
+"""Size of what is held in memory at once, bytes: a recording may be larger than the memory."""
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+INFO, STATS, TASKS, README = "meta/info.json", "meta/stats.json", "meta/tasks.parquet", "README.md"
+CARD = "---\ntask_categories:\n- robotics\ntags:\n- LeRobot\n- tactile\n---\n"
+Times = npt.NDArray[np.int64]
+"""Times after the begin of an episode, nanoseconds, shape (n_times,)."""
+Stats = dict[str, Any]
+"""Minimum, mean ... of a feature, each of the shape of a row, and the number of rows."""
+Part = tuple[int, Callable[[Times, slice], Floats]]
+"""Width of a block of columns, and some of its columns at some times, (n_times, n_columns)."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A feature, float32: shape of a row, names of its numbers, and the blocks of its columns."""
+
+    shape: tuple[int, ...]
+    names: list[str] | None
+    parts: Sequence[Part]
+
+    def rows(self, times_ns: Times) -> Floats:
+        """Values at each time, (n_times, *shape)."""
+        parts = [take(times_ns, slice(None)) for _, take in self.parts]
+        return np.concatenate(parts, axis=1).reshape(len(times_ns), *self.shape)
+
+    def stats(self, times_ns: Times) -> Stats:
+        """Statistics over the times, computed by blocks of columns."""
+        block = max(1, BLOCK_BYTES // (8 * len(times_ns)))
+        found = [
+            _stats(take(times_ns, slice(begin, begin + block)))
+            for width, take in self.parts
+            for begin in range(0, width, block)
+        ]
+        joined = {k: np.concatenate([one[k] for one in found]) for k in found[0] if k != "count"}
+        shaped = {name: values.reshape(self.shape) for name, values in joined.items()}
+        return shaped | {"count": found[0]["count"]}
+
+
+class Dataset:
+    """The dataset in a folder: `fps`, rows a second, and `times_ns`, of each episode the times of
+    its rows after its begin.
+
+    Raises BagError if it is no dataset of codebase version v3.0.
+    """
+
+    def __init__(self, root: Path) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        self.root = root
+        with self._refused():
+            self._info = json.loads((root / INFO).read_text())
+            self._stats = json.loads((root / STATS).read_text())
+            if (version := self._info["codebase_version"]) != VERSION:
+                raise ValueError(f"codebase version {version!r:.20}; allowed is {VERSION!r}")
+            self.fps, self._features = self._info["fps"], self._info["features"]
+            self._data = sorted(root.glob("data/*/*.parquet"))
+            names = ["episode_index", "timestamp"]
+            table = pa.concat_tables(pq.read_table(path, columns=names) for path in self._data)
+            episodes, seconds = (table[name].to_numpy() for name in names)
+            found, counts = np.unique(episodes, return_counts=True)
+            if not np.array_equal(found, np.arange(self._info["total_episodes"])):
+                raise ValueError(f"rows of {len(found)} episodes, not of those that it states")
+            times_ns = self._in_ns(seconds[np.argsort(episodes, kind="stable")])
+            self.times_ns = np.split(times_ns, np.cumsum(counts)[:-1])
+
+    def join(self, out: Path, added: Sequence[Mapping[str, Feature]], about: str) -> None:
+        """Write the dataset and features of each episode into the folder `out`. States are appended
+        to those of the dataset, `about` to its README. Files that stay as they are become hard
+        links where possible.
+
+        Raises BagError if the dataset cannot be read, or has another of the features.
+        """
+        for key in added[0].keys() & self._features.keys() - {STATE, FORCES}:
+            raise BagError(f"{self.root}: has a feature {key} already")
+        replaced = {self.root / name for name in (INFO, STATS, README, "data", "meta/episodes")}
+        with self._refused():
+            shutil.copytree(
+                self.root,
+                out,
+                ignore=lambda folder, names: [n for n in names if Path(folder, n) in replaced],
+                copy_function=_link,
+                dirs_exist_ok=True,
+            )
+            found = [
+                {key: one.stats(times_ns) for key, one in features.items()}
+                for features, times_ns in zip(added, self.times_ns, strict=True)
+            ]
+            self._join_rows(out, added)
+            self._join_episodes(out, found)
+            for key, feature in added[0].items():
+                of_all = _pooled([one[key] for one in found])
+                self._stats[key] = _appended(self._stats.get(key), of_all)
+                self._features[key] = self._with(key, feature)
+            readme = self.root / README
+            text = readme.read_text(encoding="utf-8") if readme.exists() else CARD
+        (out / INFO).write_text(json.dumps(self._info, indent=4), encoding="utf-8")
+        (out / STATS).write_text(json.dumps(self._stats, default=np.ndarray.tolist))
+        (out / README).write_text(f"{text}\n{about}\n", encoding="utf-8")
+
+    def _in_ns(self, seconds: npt.NDArray[Any]) -> Times:
+        """Timestamps, float32, in nanoseconds: multiples of 1 / fps where they are."""
+        wide = seconds.astype(np.float64)
+        row = np.rint(wide * self.fps)
+        regular = np.abs(wide - row / self.fps) < TOLERANCE_S
+        exact = row.astype(np.int64) * 1_000_000_000 // self.fps
+        return np.where(regular, exact, np.rint(wide * 1e9)).astype(np.int64)
+
+    def _with(self, key: str, feature: Feature) -> dict[str, Any]:
+        """A feature as info.json states it, appended to that of the dataset."""
+        old, names, n = self._features.get(key), feature.names, feature.shape[0]
+        if old is None:
+            return {"dtype": "float32", "shape": [*feature.shape], "names": names}
+        before = old["names"]
+        if isinstance(before, dict) and len(before) == 1:  # of datasets that were converted
+            (before,) = before.values()
+        both = [*before, *names] if names and isinstance(before, list) else None
+        return {"dtype": "float32", "shape": [old["shape"][0] + n], "names": both}
+
+    def _join_rows(self, out: Path, added: Sequence[Mapping[str, Feature]]) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        n_columns = sum(width for one in added[0].values() for width, _ in one.parts)
+        block = max(1, BLOCK_BYTES // (4 * n_columns))
+        for path in self._data:
+            writer = None
+            for batch in pq.ParquetFile(path).iter_batches(block):
+                # Without the description of the columns by the package `datasets`.
+                table = pa.Table.from_batches([batch]).replace_schema_metadata(None)
+                numbers = table["episode_index"].to_numpy()
+                times_ns = self._in_ns(table["timestamp"].to_numpy())
+                borders = [0, *(np.flatnonzero(np.diff(numbers)) + 1), len(numbers)]
+                runs = [slice(*ends) for ends in itertools.pairwise(borders)]
+                for key in added[0]:
+                    of_runs = [added[numbers[run.start]][key].rows(times_ns[run]) for run in runs]
+                    rows = np.concatenate(of_runs)
+                    if key in self._features:
+                        old = table[key].combine_chunks()
+                        wide = np.asarray(old.flatten() if pa.types.is_nested(old.type) else old)
+                        rows = np.hstack([wide.reshape(len(rows), -1), rows]).astype(np.float32)
+                    table = _set(table, key, _nested(rows))
+                if writer is None:
+                    made = _make(out / path.relative_to(self.root))
+                    writer = pq.ParquetWriter(made, table.schema, compression="snappy")
+                writer.write_table(table)
+            if writer is not None:
+                writer.close()
+
+    def _join_episodes(self, out: Path, found: Sequence[Mapping[str, Stats]]) -> None:
+        import pyarrow.parquet as pq
+
+        for path in sorted(self.root.glob("meta/episodes/*/*.parquet")):
+            table = pq.read_table(path)
+            numbers = table["episode_index"].to_pylist()
+            for key in found[0]:
+                prefix = f"stats/{key}/"
+                held = [name for name in table.column_names if name.startswith(prefix)]
+                before = table.select(held).to_pylist()
+                rows = [
+                    _appended({n.removeprefix(prefix): v for n, v in old.items()}, found[k][key])
+                    for k, old in zip(numbers, before, strict=True)
+                ]
+                table = table.drop_columns(held)
+                for name in rows[0]:
+                    column = [np.asarray(row[name]).tolist() for row in rows]
+                    table = _set(table, prefix + name, [column])
+            pq.write_table(table, _make(out / path.relative_to(self.root)))
+
+    @contextlib.contextmanager
+    def _refused(self) -> Iterator[None]:
+        """Turn errors of reading and of contents into a BagError."""
+        import pyarrow as pa
+
+        kinds = (OSError, LookupError, TypeError, ValueError, AttributeError, pa.ArrowException)
+        try:
+            yield
+        except kinds as error:
+            text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            raise BagError(
+                f"{self.root}: no dataset of LeRobot that can be read: {text}"
+            ) from error
+
+
+def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
+    """Write a dataset of episodes of so many rows, without features of its own, into a folder."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    begins = np.cumsum([0, *lengths])
+    episodes, stats = [], []
+    for k, n in enumerate(lengths):
+        columns = {
+            "timestamp": (np.arange(n) / fps).astype(np.float32),
+            "frame_index": np.arange(n),
+            "episode_index": np.full(n, k),
+            "index": begins[k] + np.arange(n),
+            "task_index": np.zeros(n, np.int64),
+        }
+        places = {"chunk_index": k // CHUNK, "file_index": k % CHUNK}
+        pq.write_table(pa.table(columns), _make(root / DATA_PATH.format(**places)))
+        stats.append({name: _stats(values[:, None]) for name, values in columns.items()})
+        episodes.append(
+            {"episode_index": k, "tasks": [TASK], "length": n}
+            | {"dataset_from_index": begins[k], "dataset_to_index": begins[k + 1]}
+            | {f"data/{name}": place for name, place in places.items()}
+            | {f"meta/episodes/{name}": 0 for name in places}
+            | {f"stats/{key}/{n}": v for key, one in stats[k].items() for n, v in one.items()}
+        )
+    features = {
+        name: {"dtype": str(values.dtype), "shape": [1], "names": None}
+        for name, values in columns.items()
+    }
+    info = {
+        **{"codebase_version": VERSION, "robot_type": None, "total_episodes": len(lengths)},
+        **{"total_frames": sum(lengths), "total_tasks": 1, "chunks_size": CHUNK},
+        **{"data_files_size_in_mb": 100, "video_files_size_in_mb": 200, "fps": fps},
+        **{"splits": {"train": f"0:{len(lengths)}"}, "data_path": DATA_PATH, "video_path": None},
+        "features": features,
+    }
+    of_all = {key: _pooled([one[key] for one in stats]) for key in features}
+    table = pa.Table.from_pylist(episodes)
+    pq.write_table(table, _make(root / "meta/episodes/chunk-000/file-000.parquet"))
+    (root / INFO).write_text(json.dumps(info))
+    (root / STATS).write_text(json.dumps(of_all, default=np.ndarray.tolist))
+    (root / README).write_text(CARD)
+    _write_tasks(root / TASKS)
+    return Dataset(root)
+
+
+def _write_tasks(path: Path) -> None:
+    """The task by its number; pandas reads the text as the index."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": of, "metadata": None}
+        for name, (kind, of) in kinds.items()
+    ]
+    described = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+    text = json.dumps(described | {"pandas_version": "2.0.0"})
+    table = pa.table({"task_index": [0], "task": [TASK]})
+    pq.write_table(table.replace_schema_metadata({"pandas": text}), path)
+
+
+def _stats(values: npt.NDArray[Any]) -> Stats:
+    """Statistics over the rows (axis 0)."""
+    wide = values.astype(np.float64)
+    levels = np.quantile(values, list(QUANTILES.values()), axis=0)
+    return {
+        **{name: getattr(wide, name)(axis=0) for name in ("min", "max", "mean", "std")},
+        **dict(zip(QUANTILES, levels, strict=True)),
+        "count": np.array([len(values)]),
+    }
+
+
+def _pooled(parts: Sequence[Stats]) -> Stats:
+    """Statistics of the rows of all episodes; quantiles are means of theirs, as in LeRobot."""
+    of = {name: np.stack([one[name] for one in parts]) for name in parts[0]}
+    n = of["count"][:, 0]
+    means = {name: np.average(of[name], axis=0, weights=n) for name in ("mean", *QUANTILES)}
+    square = np.average(of["std"] ** 2 + (of["mean"] - means["mean"]) ** 2, axis=0, weights=n)
+    ends = {"min": of["min"].min(axis=0), "max": of["max"].max(axis=0), "std": np.sqrt(square)}
+    return {**ends, **means, "count": np.array([n.sum()])}
+
+
+def _appended(old: Mapping[str, Any] | None, new: Stats) -> Stats:
+    """Statistics of the numbers of a feature and of those that are appended to it."""
+    if not old:
+        return new
+    both = {name: np.append(old[name], new[name]) for name in new if name in old}
+    return both | {"count": new["count"]}
+
+
+def _set(table: Any, name: str, column: Any) -> Any:
+    """A table of Arrow with a column in place of that of its name, or at the end."""
+    at = table.column_names.index(name) if name in table.column_names else None
+    return table.append_column(name, column) if at is None else table.set_column(at, name, column)
+
+
+def _nested(values: Floats) -> Any:
+    """An array of Arrow, of lists for each dimension after the first; rows of one number are no
+    lists in LeRobot.
+    """
+    import pyarrow as pa
+
+    if values.shape[1:] == (1,):
+        values = values[:, 0]
+    made = pa.array(np.ascontiguousarray(values).ravel())
+    for k in range(values.ndim - 1, 0, -1):
+        n = int(np.prod(values.shape[:k]))
+        offsets = np.arange(n + 1, dtype=np.int32) * values.shape[k]
+        made = pa.ListArray.from_arrays(pa.array(offsets), made)
+    return made
+
+
+def _make(path: Path) -> Path:
+    """The path, once its folder exists."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _link(source: str, target: str) -> None:
+    """Link a file, or copy it to another file system."""
+    try:
+        os.link(os.path.realpath(source), target)
+    except OSError:
+        shutil.copy2(source, target)
