@@ -14,15 +14,26 @@ from dataclasses import dataclass
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from cyclonedds.core import DDSException
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.core import (
+    DDSException,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import types as idl
+from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 from rosbags.interfaces import Nodetype
 
-from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.errors import SettingsError
 
 from . import cdr
 
@@ -30,9 +41,7 @@ TOPIC_PREFIX = "rt"
 """Begins the DDS name of a ROS topic: /skin/taxels is rt/skin/taxels."""
 BLOCK_MS = 10
 """Longest wait of a write for a reader that is behind, milliseconds; then the sample is dropped."""
-MAX_DOMAIN = 232
-RANGES = {"LOCALHOST": "lo", "SUBNET": "", "SYSTEM_DEFAULT": ""}
-"""Interface of each range of discovery of ROS 2."""
+BATCH = 256
 WHC_HIGH = "16 MB"
 """Unacknowledged bytes of a writer beyond which a write waits: far more than any history here."""
 
@@ -80,56 +89,97 @@ _domains: dict[int, tuple[str, Domain]] = {}
 """Domains that this process has configured, and their interfaces: it can do so once each."""
 
 
-def participant(domain: int | None, interface: str | None) -> tuple[DomainParticipant, str]:
-    """Join a domain by one network interface, "lo" for this host alone, "" as CYCLONEDDS_URI or
-    the defaults of cyclonedds have it; where None is stated, as the variables of ROS 2 have it.
-    Return the participant and the place at which it listens, in words.
+class Member:
+    """A participant in a domain; `where` it listens, in words."""
 
-    Raises SettingsError if that cannot be done.
-    """
-    domain = _ros_domain() if domain is None else domain
-    interface = _ros_interface() if interface is None else interface
-    before = _udp_sockets()
-    try:
-        if interface and _domains.get(domain, ("",))[0] != interface:
-            _domains[domain] = interface, Domain(domain, _config(interface))
-        joined = DomainParticipant(domain)
-        made = {fd: at for fd, at in _udp_sockets().items() if fd not in before}
-        for fd in made if interface == "lo" else ():
-            # cyclonedds 11 binds what it receives by to all interfaces, whichever is stated.
-            with socket.socket(fileno=os.dup(fd)) as one:
-                one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
-    except (DDSException, OSError) as error:
-        raise SettingsError(
-            f"interface: cannot join DDS domain {domain} by {interface or 'any interface'}: "
-            f"{getattr(error, 'msg', '') or error}"
-        ) from error
-    addresses = sorted({*made.values()} - {"0.0.0.0"})
-    by = interface or ", ".join(addresses) or "the interface of CYCLONEDDS_URI"
-    return joined, f"DDS domain {domain} by {by}"
+    def __init__(self, domain: int, interface: str) -> None:
+        before = _udp_sockets()
+        try:
+            if interface and _domains.get(domain, ("",))[0] != interface:
+                _domains[domain] = interface, Domain(domain, _config(interface))
+            self.participant = DomainParticipant(domain)
+            made = {fd: at for fd, at in _udp_sockets().items() if fd not in before}
+            for fd in made if interface == "lo" else ():
+                # cyclonedds 11 binds what it receives by to all interfaces, whichever is stated.
+                with socket.socket(fileno=os.dup(fd)) as one:
+                    one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+        except (DDSException, OSError) as error:
+            raise SettingsError(
+                f"interface: cannot join DDS domain {domain} by {interface or 'any interface'}: "
+                f"{getattr(error, 'msg', '') or error}"
+            ) from error
+        addresses = sorted({*made.values()} - {"0.0.0.0"})
+        by = interface or ", ".join(addresses) or "the interface of CYCLONEDDS_URI"
+        self.where = f"DDS domain {domain} by {by}"
+        self._discovered = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication)
+        self._publications: dict[str, tuple[str, bool]] = {}
+
+    def writer(self, topic: str, kind: str, depth: int, reliable: bool) -> Writer:
+        """A writer of messages of a type, as "sensor_msgs/msg/Image", with its hash for ROS 2."""
+        user = Policy.Userdata(f"typehash={cdr.types().hash_rihs01(kind)};".encode())
+        qos = Qos(user, base=quality(depth, reliable))
+        return Writer(DataWriter(self.participant, self._topic(topic, kind), qos=qos))
+
+    def reader(self, topic: str, kind: str, depth: int, reliable: bool) -> Reader:
+        """A reader of these messages."""
+        qos = quality(depth, reliable)
+        return Reader(DataReader(self.participant, self._topic(topic, kind), qos=qos))
+
+    def publications(self) -> dict[str, tuple[str, bool]]:
+        """Type of the messages on each topic, and True if they are sent reliably."""
+        for found in self._discovered.take(N=BATCH):
+            name, of = getattr(found, "topic_name", ""), getattr(found, "type_name", "")
+            if name.startswith(f"{TOPIC_PREFIX}/"):
+                reliable = Policy.Reliability.BestEffort not in found.qos
+                kind = of.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
+                self._publications[name.removeprefix(TOPIC_PREFIX)] = kind, reliable
+        return self._publications
+
+    def close(self) -> None:
+        """Leave the domain."""
+        del self.participant, self._discovered
+
+    def _topic(self, topic: str, kind: str) -> Topic[Any]:
+        return Topic(self.participant, TOPIC_PREFIX + topic, message_type(kind))
 
 
-def _ros_domain() -> int:
-    """Domain of ROS_DOMAIN_ID, 0 where it is not set."""
-    text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not (text.isascii() and text.isdecimal() and int(text[:4]) <= MAX_DOMAIN):
-        raise SettingsError(f"ROS_DOMAIN_ID: {text[:40]!r} is outside 0..{MAX_DOMAIN}")
-    return int(text)
+class Writer:
+    """A writer of DDS."""
+
+    def __init__(self, writer: Any) -> None:
+        self._writer = writer
+
+    def is_read(self) -> bool:
+        """True if somebody reads the topic."""
+        return bool(self._writer.get_matched_subscriptions())
+
+    def write(self, data: bytes) -> bool:
+        """Publish a message in CDR; False if a reader was behind and it is dropped."""
+        try:
+            self._writer.write(ready(self._writer.topic.data_type, data))
+        except DDSException:
+            return False
+        return True
 
 
-def _ros_interface() -> str:
-    """Interface of the range in which nodes of ROS 2 find each other, SUBNET where none is set.
-    Source: docs.ros.org, "Improved Dynamic Discovery".
-    """
-    if os.environ.get("ROS_LOCALHOST_ONLY") == "1":
-        return RANGES["LOCALHOST"]
-    found = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET"
-    if found not in RANGES:
-        raise SettingsError(
-            f"ROS_AUTOMATIC_DISCOVERY_RANGE: {found[:40]!r} is not allowed (allowed: "
-            f"{', '.join(RANGES)}); or state interface"
-        )
-    return RANGES[found]
+class Reader:
+    """A reader of DDS; `n_lost`, messages that were lost on the way."""
+
+    def __init__(self, reader: Any) -> None:
+        self._reader = reader
+        self._waiting = WaitSet(reader.participant)
+        anything = SampleState.Any | ViewState.Any | InstanceState.Any
+        self._waiting.attach(ReadCondition(reader, anything))
+
+    @property
+    def n_lost(self) -> int:
+        return int(self._reader.get_sample_lost_status().total_count)
+
+    def take(self, wait_s: float, n: int) -> list[bytes]:
+        """At most n messages in CDR, after a wait for the first one."""
+        self._waiting.wait(duration(seconds=wait_s))
+        found = (getattr(sample, "cdr", None) for sample in self._reader.take(N=n))
+        return [data for data in found if data is not None]  # or a note that its writer is gone
 
 
 def _udp_sockets() -> dict[int, str]:
@@ -171,10 +221,3 @@ def quality(depth: int, reliable: bool = True) -> Qos:
         Policy.History.KeepLast(depth),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )
-
-
-def dds_name(topic: str) -> str:
-    """Name on DDS of a ROS topic, /NAME."""
-    if not topic.startswith("/") or len(topic) < 2:
-        raise SparseskinError(f"{topic!r}: a topic of ROS begins with /")
-    return TOPIC_PREFIX + topic

@@ -1,4 +1,4 @@
-"""The bridge `ros2`: publishes forces and contacts of patches as messages of ROS 2, without ROS."""
+"""The bridge `ros2`: publishes forces and contacts of patches as messages of ROS 2."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from sparseskin.messages import Contacts, Message, SkinState, topic_of
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
-from . import cdr
-from .base import Bridge, BridgeSettings, Map, check_installed, check_words, point_columns
+from . import cdr, topics
+from .base import Bridge, BridgeSettings, Map, check_words, point_columns
 
 KINDS = {
     "image": ("", cdr.IMAGE),
@@ -50,11 +50,11 @@ class Ros2Settings(BridgeSettings):
         check_words("messages", self.messages, KINDS)
 
     def check(self) -> None:
-        check_installed("type ros2", "ros2", "cyclonedds", "rosbags")
+        topics.check("type ros2")
 
 
 class Ros2Bridge(Bridge[Ros2Settings]):
-    """Publishes each map on DDS; a topic that nobody reads costs nothing.
+    """Publishes each map on a topic; one that nobody reads costs nothing.
 
     A reader gets the last `history` samples of each topic; where it is further behind, the oldest
     are dropped by DDS, which tells that reader (its status "sample lost").
@@ -66,35 +66,28 @@ class Ros2Bridge(Bridge[Ros2Settings]):
     def __init__(self, settings: Ros2Settings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        from . import dds
-
-        self._dds = dds
-        self._participant, self._where = dds.participant(settings.domain, settings.interface)
+        self._member = topics.join(settings.domain, settings.interface, context.name)
         self._writers: dict[str, Any] = {}
 
     def start(self) -> Iterable[Message]:
-        from cyclonedds.pub import DataWriter
-        from cyclonedds.topic import Topic
-
-        dds, settings = self._dds, self.settings
-        quality = dds.quality(settings.history, settings.reliable)
+        settings = self.settings
         for patch in settings.patches:
             kinds_of = dict.fromkeys(settings.maps, OF_MAPS) | {Contacts.schema: OF_CONTACTS}
             for schema, kinds in kinds_of.items():
                 for kind in (kind for kind in kinds if kind in settings.messages):
                     ending, of = KINDS[kind]
-                    name = dds.dds_name(topic_of(patch, schema) + ending)
-                    topic = Topic(self._participant, name, dds.message_type(of))
-                    self._writers[f"{kind} {topic_of(patch, schema)}"] = DataWriter(
-                        self._participant, topic, qos=quality
+                    topic = topic_of(patch, schema)
+                    quality = settings.history, settings.reliable
+                    self._writers[f"{kind} {topic}"] = self._member.writer(
+                        topic + ending, of, *quality
                     )
         self.context.log(f"ros2: {self.where()}")
-        if not self._where.endswith(" by lo"):
+        if not self.where().endswith(" by lo"):
             self.context.log("ros2: whoever reaches that network can read the graph")
         return ()
 
     def where(self) -> str:
-        return self._where
+        return self._member.where
 
     def send(self, message: Map, skin: SkinState) -> None:
         stamp, patch, forces = _time(message), message.patch, message.forces[0]
@@ -114,18 +107,13 @@ class Ros2Bridge(Bridge[Ros2Settings]):
 
     def _write(self, kind: str, message: Message, make: Callable[[], bytes]) -> None:
         """Write what `make` returns, where that kind is wanted and somebody reads it."""
-        from cyclonedds.core import DDSException
-
         writer = self._writers.get(f"{kind} {message.topic}")
-        if writer is None or not writer.get_matched_subscriptions():
-            return
-        try:
-            writer.write(self._dds.ready(writer.topic.data_type, make()))
-        except DDSException:  # a reader is behind
-            self.n_dropped += 1
+        if writer is not None and writer.is_read():
+            self.n_dropped += not writer.write(make())
 
     def close(self, counts: dict[str, Any]) -> None:
         self._writers.clear()
+        self._member.close()
 
 
 def _time(message: Message) -> tuple[int, int]:

@@ -18,8 +18,7 @@ from sparseskin.nodes.sensor.source import Address
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.plugins.boards.settings import split_source, typed
 
-from . import cdr
-from .base import check_installed
+from . import cdr, topics
 from .frames import read_frame
 
 WAIT_S = 0.1
@@ -58,8 +57,7 @@ class Ros2Address(Address):
 
     def check(self) -> None:
         parse(self.source)
-        modules = ("cyclonedds", "rosbags")
-        check_installed(f"source {self.source}", "ros2", *modules, error=SourceError)
+        topics.check(f"source {self.source}", SourceError)
 
     def open(self) -> DriverSource:
         self.check()
@@ -74,39 +72,25 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
     has none, or 0.
 
     Messages that are malformed, or less than 1 s older than the last one, are dropped and counted
-    in the log, as are those that DDS has lost. Raises SourceError if nothing is published there, or
-    nothing comes for `timeout_s`.
+    in the log, as are those that DDS has lost, unless read by rclpy. Raises SourceError if nothing
+    is published there, or nothing comes for `timeout_s`.
     """
-    from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
-    from cyclonedds.sub import DataReader
-    from cyclonedds.topic import Topic
-    from cyclonedds.util import duration
-
-    from . import dds
-
-    name, query = parse(source)
-    member, where = dds.participant(query.domain, query.interface)
-    print(f"{source}: {where}", file=sys.stderr, flush=True)
-    kind, reliable = _publication(member, name, query.timeout_s, where)
-    topic = Topic(member, dds.dds_name(name), dds.message_type(kind))
-    reader = DataReader(member, topic, qos=dds.quality(HISTORY, reliable))
-    waiting = WaitSet(member)
-    anything = SampleState.Any | ViewState.Any | InstanceState.Any
-    waiting.attach(ReadCondition(reader, anything))
+    topic, query = parse(source)
+    member = topics.join(query.domain, query.interface, "source")
+    print(f"{source}: {member.where}", file=sys.stderr, flush=True)
+    kind, reliable = _publication(member, topic, query.timeout_s)
+    reader = member.reader(topic, kind, HISTORY, reliable)
     counted = _Counted(source)
     last_ns = -1
     heard_s = time.monotonic()
     while True:
-        waiting.wait(duration(seconds=WAIT_S))
-        samples = reader.take(N=BATCH)
-        counted.lost(reader)
-        if not samples and time.monotonic() - heard_s > query.timeout_s:
-            raise SourceError(f"{source}: nothing came for {query.timeout_s:g} s")
-        for sample in samples:
-            data = getattr(sample, "cdr", None)
-            if data is None:  # a note that its writer is gone
-                continue
+        messages = reader.take(WAIT_S, BATCH)
+        counted.lost(reader.n_lost)
+        if messages:
             heard_s = time.monotonic()
+        elif time.monotonic() - heard_s > query.timeout_s:
+            raise SourceError(f"{source}: nothing came for {query.timeout_s:g} s")
+        for data in messages:
             try:
                 received = read_frame(kind, data)
                 if received.values.ndim != 2:
@@ -122,36 +106,20 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
             yield stamp_ns, received.values
 
 
-def _publication(member: Any, topic: str, timeout_s: float, where: str) -> tuple[str, bool]:
-    """Type of the messages on a topic, of `READERS`, and True if they are sent reliably."""
-    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-    from cyclonedds.qos import Policy
-
-    from . import dds
-
-    types = {dds.message_type(kind).__idl_typename__: kind for kind in KINDS}
-    wanted = dds.dds_name(topic)
-    seen: set[str] = set()
-    reader = BuiltinDataReader(member, BuiltinTopicDcpsPublication)
+def _publication(member: Any, topic: str, timeout_s: float) -> tuple[str, bool]:
+    """Type of the messages on a topic, of `KINDS`, and True if they are sent reliably."""
     deadline_s = time.monotonic() + timeout_s
     while time.monotonic() < deadline_s:
-        for found in reader.take(N=BATCH):
-            name, type_name = getattr(found, "topic_name", None), getattr(found, "type_name", "")
-            if name is None:
-                continue
-            seen.add(name)
-            if name == wanted and type_name in types:
-                best_effort = Policy.Reliability.BestEffort in found.qos
-                return types[type_name], not best_effort
-            if name == wanted:
-                raise SourceError(
-                    f"ros2:{topic}: is of type {type_name[:80]}; allowed are {', '.join(KINDS)}"
-                )
+        if topic in (published := member.publications()):
+            kind, reliable = published[topic]
+            if kind in KINDS:
+                return kind, reliable
+            allowed = ", ".join(KINDS)
+            raise SourceError(f"ros2:{topic}: is of type {kind[:80]}; allowed are {allowed}")
         time.sleep(0.01)
-    topics = sorted(name.removeprefix("rt") for name in seen if name.startswith("rt/"))[:20]
-    hint = did_you_mean(topic, topics) if topics else ""
+    hint = did_you_mean(topic, sorted(published)[:20]) if published else ""
     raise SourceError(
-        f"ros2:{topic}: nobody publishes there on {where} within {timeout_s:g} s{hint}"
+        f"ros2:{topic}: nobody publishes there on {member.where} within {timeout_s:g} s{hint}"
     )
 
 
@@ -166,8 +134,8 @@ class _Counted:
         self._n_bad += 1
         self._log(why)
 
-    def lost(self, reader: Any) -> None:
-        self._n_lost = int(reader.get_sample_lost_status().total_count)
+    def lost(self, n: int) -> None:
+        self._n_lost = n
         self._log("lost on the way")
 
     def _log(self, why: str) -> None:

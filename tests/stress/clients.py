@@ -27,26 +27,17 @@ def foxglove(address: str) -> Iterator[Any]:
 
 def ros2(address: str) -> Iterator[Any]:
     """Subscribe to image, points and array of the reconstruction, on a DDS domain."""
-    from cyclonedds.sub import DataReader
-    from cyclonedds.topic import Topic
-    from cyclonedds.util import duration
-
-    from sparseskin.plugins.bridges import dds
+    from sparseskin.plugins.bridges.dds import Member
     from sparseskin.plugins.bridges.ros2 import KINDS
 
-    member, _ = dds.participant(int(address), "lo")
-    readers: list[Any] = [
-        DataReader(
-            member,
-            Topic(member, f"rt{MAP}{ending}", dds.message_type(kind)),
-            qos=dds.quality(HISTORY),
-        )
-        for ending, kind in KINDS.values()
+    member = Member(int(address), "lo")
+    readers = [
+        member.reader(f"{MAP}{ending}", kind, HISTORY, True) for ending, kind in KINDS.values()
     ]
     while True:
-        for image in readers[0].take_iter(timeout=duration(milliseconds=100)):
+        for image in readers[0].take(0.1, HISTORY):
             for other in readers[1:]:
-                other.take(N=100)
+                other.take(0, 100)
             yield image
 
 

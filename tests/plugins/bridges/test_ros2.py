@@ -26,7 +26,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.sources import find_address, open_source
-from sparseskin.plugins.bridges import cdr, dds
+from sparseskin.plugins.bridges import cdr, dds, topics
 from sparseskin.plugins.bridges.frames import read_frame
 from sparseskin.plugins.bridges.ros2 import Ros2Bridge, Ros2Settings
 from sparseskin.plugins.bridges.ros2_source import frames
@@ -84,7 +84,7 @@ def sent(messages, kind, topic, **of_skin):
     writer = bridge._writers[f"{kind} /skin/taxels"]
     with Peer("read", topic, kind, len(messages)) as peer:
         assert peer.line() == "MATCHED"
-        wait_until(lambda: bool(writer.get_matched_subscriptions()), "the reader")
+        wait_until(writer.is_read, "the reader")
         for message in (skin, *messages):
             list(bridge.step(message))
         assert bridge.n_dropped == 0
@@ -123,11 +123,6 @@ def test_arrays_have_rows_and_columns():
 
 
 def test_contacts_are_published_as_wrench_markers_and_array():
-    from cyclonedds.sub import DataReader
-    from cyclonedds.topic import Topic
-
-    from sparseskin.plugins.bridges import dds
-
     kinds = {"wrench": cdr.WRENCH, "markers": cdr.MARKERS, "array": cdr.ARRAY}
     bridge = Ros2Bridge(
         Ros2Settings(domain=DOMAIN, messages=tuple(kinds)), Context("ros2", ManualClock(0))
@@ -135,18 +130,14 @@ def test_contacts_are_published_as_wrench_markers_and_array():
     list(bridge.start())
     readers = {}
     for kind, of in kinds.items():
-        topic = Topic(
-            bridge._participant, dds.dds_name(f"/skin/contacts/{kind}"), dds.message_type(of)
-        )
-        readers[kind] = DataReader(bridge._participant, topic, qos=dds.quality(10))
-        writer = bridge._writers[f"{kind} /skin/contacts"]
-        wait_until(lambda writer=writer: bool(writer.get_matched_subscriptions()), kind)
+        readers[kind] = bridge._member.reader(f"/skin/contacts/{kind}", of, 10, True)
+        wait_until(bridge._writers[f"{kind} /skin/contacts"].is_read, kind)
     for message in (skin_state(), contacts(5)):
         list(bridge.step(message))
     got = {}
     for kind, reader in readers.items():
-        (sample,) = (reader.take_one(timeout=dds.duration(seconds=60)),)
-        got[kind] = cdr.types().deserialize_cdr(sample.cdr, kinds[kind])
+        (data,) = reader.take(60, 1)
+        got[kind] = cdr.types().deserialize_cdr(data, kinds[kind])
     bridge.close({})
     assert got["wrench"].header.frame_id == "skin"
     assert got["wrench"].wrench.force.z == -11
@@ -192,8 +183,8 @@ def test_an_interface_that_is_not_there_is_one_line():
 
 def test_by_lo_no_packet_of_another_host_is_received():
     before = dds._udp_sockets()
-    _, where = dds.participant(DOMAIN + 32, None)
-    assert where == f"DDS domain {DOMAIN + 32} by lo"
+    member = topics.join(DOMAIN + 32, None, "test")
+    assert member.where == f"DDS domain {DOMAIN + 32} by lo"
     made = dds._udp_sockets().keys() - before.keys()
     assert made
     for fd in made:
@@ -220,7 +211,7 @@ def test_domain_and_range_are_those_of_ros_2(variables, expected, monkeypatch):
     for key, value in variables.items():
         monkeypatch.setenv(names.get(key, "ROS_DOMAIN_ID"), value)
     try:
-        _, where = dds.participant(None, None)
+        where = topics.join(None, None, "test").where
     except SettingsError as error:
         where = str(error)
     else:

@@ -1,0 +1,74 @@
+"""Topics of ROS 2: by rclpy where it can be imported, else by DDS alone."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from sparseskin.nodes.errors import SettingsError, SparseskinError
+
+from .base import check_installed
+
+if TYPE_CHECKING:
+    from .dds import Member as DdsMember
+    from .rcl import Member as RclMember
+
+MAX_DOMAIN = 232
+RANGES = {"LOCALHOST": "lo", "SUBNET": "", "SYSTEM_DEFAULT": ""}
+"""Interface of each range of discovery of ROS 2."""
+
+
+def check(what: str, error: type[SparseskinError] = SettingsError) -> None:
+    """Raise `error` unless messages of ROS 2 can be made and sent."""
+    if not _has_rclpy():
+        text = f"{what}, outside of a terminal with ROS 2 (source /opt/ros/.../setup.bash),"
+        check_installed(text, "ros2", "cyclonedds", error=error)
+    check_installed(what, "ros2", "rosbags", error=error)
+
+
+def join(domain: int | None, interface: str | None, name: str) -> DdsMember | RclMember:
+    """Join a domain as a node of that name, by one network interface: "lo" for this host alone, ""
+    as the configuration of DDS has it. Where None is stated, as the variables of ROS 2 have it.
+
+    Raises SettingsError if that cannot be done.
+    """
+    domain = ros_domain() if domain is None else domain
+    interface = ros_interface() if interface is None else interface
+    if _has_rclpy():
+        from .rcl import Member as RclMember
+
+        return RclMember(domain, interface, name)
+    from .dds import Member as DdsMember
+
+    return DdsMember(domain, interface)
+
+
+def _has_rclpy() -> bool:
+    try:
+        import rclpy  # noqa: F401
+    except ImportError:  # that of another Python, too
+        return False
+    return True
+
+
+def ros_domain() -> int:
+    """Domain of ROS_DOMAIN_ID, 0 where it is not set."""
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (text.isascii() and text.isdecimal() and int(text[:4]) <= MAX_DOMAIN):
+        raise SettingsError(f"ROS_DOMAIN_ID: {text[:40]!r} is outside 0..{MAX_DOMAIN}")
+    return int(text)
+
+
+def ros_interface() -> str:
+    """Interface of the range in which nodes of ROS 2 find each other, SUBNET where none is set.
+    Source: docs.ros.org, "Improved Dynamic Discovery".
+    """
+    if os.environ.get("ROS_LOCALHOST_ONLY") == "1":
+        return RANGES["LOCALHOST"]
+    found = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET"
+    if found not in RANGES:
+        raise SettingsError(
+            f"ROS_AUTOMATIC_DISCOVERY_RANGE: {found[:40]!r} is not allowed (allowed: "
+            f"{', '.join(RANGES)}); or state interface"
+        )
+    return RANGES[found]
