@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import msgpack
+import numpy as np
+import numpy.typing as npt
 
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, MalformedError, OversizedError, TruncatedError, VersionError
@@ -40,6 +42,7 @@ MAX_STREAMS = 1024
 _LIMITS = {"max_str_len": 4096, "max_array_len": MAX_PATCHES, "max_map_len": 64, "max_ext_len": 0}
 _DESCRIPTION = frozenset({"wire", "schema", "version", "texts", "arrays"})
 _BEGIN = struct.Struct("<BH")
+_ZEROS = tuple(map(bytes, range(ALIGNMENT)))
 
 
 _Check = tuple[str, Callable[[str, Any], Any]]
@@ -77,9 +80,10 @@ class _Stream:
     `begin` is their topic and all that follows up to the numbers; `numbers` packs these, which
     begin in the payload at `numbers_at`; `checks` has the field and check of each number, `each`
     those of fields that hold one for each of several patches; `values` holds all fields in their
-    order, the texts set;
-    `arrays` has the name, kind, dtype and shape of the arrays that are sent, and where each begins
-    and ends in the payload, which has `n_bytes`.
+    order, the texts set; `arrays` has the name, kind, dtype and shape of the arrays that are sent,
+    and where each begins and ends in the payload, which has `n_bytes`. `record` reads from it the
+    `plain` ones, all bytes of which are valid but for floats; `runs` has begin and length of floats
+    that follow each other.
     """
 
     form: _Form
@@ -92,6 +96,9 @@ class _Stream:
     each: tuple[_Check, ...]
     values: dict[str, Any]
     arrays: tuple[tuple[str, Array, str, tuple[int, ...], int, int], ...]
+    plain: frozenset[str]
+    record: np.dtype[Any]
+    runs: tuple[tuple[int, int], ...]
     n_bytes: int
 
 
@@ -123,7 +130,11 @@ def frame_pieces(message: Message) -> list[Any]:
         if value is None:
             key.append(None)
             continue
-        key += (kind.dtype_of(value), value.shape)
+        key.append(value.shape)
+        if type(kind) is Array:
+            data.append(value)
+            continue
+        key.append(kind.dtype_of(value))
         numbers += kind.extra_of(value)
         data.append(kind.data_of(value))
     stream = _DESCRIBED.get(tuple(key))
@@ -133,16 +144,11 @@ def frame_pieces(message: Message) -> list[Any]:
     if None in numbers:
         numbers = [math.nan if number is None else number for number in numbers]
     pieces: list[Any] = [stream.begin, stream.numbers.pack(*numbers)]
-    pieces += data if len(data) == 1 else _padded(stream, data)
-    return pieces
-
-
-def _padded(stream: _Stream, data: list[Any]) -> list[Any]:
-    """Arrays, and the zeros between them."""
-    pieces: list[Any] = []
     end = stream.arrays[0][-2]
     for (*_, begin, last), one in zip(stream.arrays, data, strict=True):
-        pieces += (bytes(begin - end), one)
+        if begin > end:
+            pieces.append(_ZEROS[begin - end])
+        pieces.append(one)
         end = last
     return pieces
 
@@ -168,7 +174,14 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
     for name, check in stream.each:
         begin, n_read = n_read, n_read + stream.n_patches
         values[name] = tuple([check(name, number) for number in numbers[begin:n_read]])
+    record: npt.NDArray[Any] = np.ndarray((), stream.record, payload)
+    runs = (np.ndarray(n, "<f4", payload, begin) for begin, n in stream.runs)
+    # The sum of squares is not finite if a value is not, or if values are huge.
+    finite = all(math.isfinite(np.vdot(run, run)) for run in runs)
     for name, kind, dtype, shape, begin, end in stream.arrays:
+        if name in stream.plain:
+            values[name] = record[name] if finite else kind.check(name, record[name])
+            continue
         extra = None
         if dtype != kind.dtype:
             extra, n_read = numbers[n_read], n_read + 1
@@ -293,10 +306,19 @@ def _learn(description: bytes) -> _Stream:
     begin = topic + b"\0" + _BEGIN.pack(MARK, len(description)) + description
     n_numbers = struct.calcsize("<" + "".join(codes))
     n_zeros, at = -(len(begin) + n_numbers) % ALIGNMENT, len(begin) - len(topic) - 1
-    end, arrays = at + n_numbers + n_zeros, []
+    end = at + n_numbers + n_zeros
+    arrays: list[tuple[str, Array, str, tuple[int, ...], int, int]] = []
+    plain: Any = {}
+    runs: list[tuple[int, int]] = []
     for name, kind, dtype, shape, n_bytes in sent:
         first = end + -(len(topic) + 1 + end) % ALIGNMENT
         end = first + n_bytes
+        if dtype == kind.dtype and dtype != "|b1":
+            plain[name] = np.dtype((dtype, shape)), first
+        if dtype == "<f4" and runs and arrays[-1][2] == dtype:
+            runs[-1] = runs[-1][0], (end - runs[-1][0]) // 4
+        elif dtype == "<f4":
+            runs.append((first, n_bytes // 4))
         arrays.append((name, kind, dtype, shape, first, end))
     numbers = struct.Struct(f"<{''.join(codes)}{n_zeros}x")
     checks = tuple((name, kind.of_number) for name, kind in form.numbers)
@@ -314,6 +336,9 @@ def _learn(description: bytes) -> _Stream:
         each=tuple((name, kind.of_number) for name, kind in several),
         values=values,
         arrays=tuple(arrays),
+        plain=frozenset(plain),
+        record=np.dtype(plain),
+        runs=tuple(runs),
         n_bytes=end,
     )
     _remember(_STREAMS, description, stream)

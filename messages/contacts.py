@@ -122,9 +122,9 @@ class Contacts(Frames):
             parts.append(self._single(k, **ours, events=events, patch_of=None))
         return parts
 
-    def at(self, stamp_ns: int, done_ns: int, trusted: tuple[bool, ...]) -> Self:
-        """The same contacts at another time."""
-        return self._copy(stamp_ns=stamp_ns, done_ns=done_ns, trusted=trusted)
+    def at(self, stamp_ns: int, done_ns: int, trusted: tuple[bool, ...], **changes: Any) -> Self:
+        """Copy at another time with other fields, which are not checked."""
+        return self._copy(stamp_ns=stamp_ns, done_ns=done_ns, trusted=trusted, **changes)
 
     @property
     def named_events(self) -> list[tuple[int, str]]:

@@ -564,13 +564,16 @@ def root_of(parents: A, k: int) -> int:
     return k
 
 
-@compiled(f"Tuple(({L}, {L}, {DM}))({M}, float32, {V}, {DM})")
-def components(forces: A, low: float, variances: A, places: A) -> tuple[A, A, A]:
+@compiled(f"Tuple(({L}, {L}, {DM}, {G}))({M}, float32, float64, {V}, {DM}, int32[::1], int64)")
+def components(
+    forces: A, low: float, high: float, variances: A, places: A, regions: A, n_regions: int
+) -> tuple[A, A, A, A]:
     """The same as `components` of the module `contacts`, but for rounding, in one scan."""
     (n_rows, n_cols), k = forces.shape, places.shape[0]
     flat = forces.reshape(-1)
     index, grid = np.empty(flat.size, np.int64), np.empty(flat.size, np.int64)
-    parents = np.empty(((n_rows + 1) // 2) * ((n_cols + 1) // 2), np.int64)
+    most = ((n_rows + 1) // 2) * ((n_cols + 1) // 2)
+    parents, wanted = np.empty(most, np.int64), np.zeros(most, np.bool_)
     n_pressed, n_labels = 0, 0
     for i in range(n_rows):
         for j in range(n_cols):
@@ -596,18 +599,27 @@ def components(forces: A, low: float, variances: A, places: A) -> tuple[A, A, A]
                 parents[label] = label
                 n_labels += 1
             grid[p] = label
+            wanted[label] |= flat[p] > high or regions[p] > 0
+    for label in range(n_labels - 1, -1, -1):  # a parent has a lower label
+        wanted[parents[label]] |= wanted[label]
     n = 0
-    for label in range(n_labels):  # a parent has a lower label
-        if parents[label] == label:
+    for label in range(n_labels):
+        if parents[label] < label:
+            parents[label] = parents[parents[label]]
+        elif wanted[label]:
             parents[label] = n
             n += 1
         else:
-            parents[label] = parents[parents[label]]
-    index, labels = index[:n_pressed], np.empty(n_pressed, np.int64)
-    sums = np.zeros((4 + 2 * k, n))
+            parents[label] = -1
+    labels, n_kept = np.empty(n_pressed, np.int64), 0
+    sums, overlap = np.zeros((4 + 2 * k, n)), np.zeros((n, n_regions), np.int64)
     for t in range(n_pressed):
         p = index[t]
-        c = labels[t] = parents[grid[p]]
+        c = parents[grid[p]]
+        if c < 0:
+            continue
+        index[n_kept], labels[n_kept] = p, c
+        n_kept += 1
         value = np.float64(flat[p])
         sums[0, c] += value
         sums[1, c] += 1
@@ -615,10 +627,12 @@ def components(forces: A, low: float, variances: A, places: A) -> tuple[A, A, A]
         sums[3 + k, c] += variances[p]
         for d in range(k):
             sums[3 + d, c] += value * places[d, p]
+        if regions[p]:
+            overlap[c, regions[p] - 1] += 1
     for c in range(n):
         for d in range(k):
             sums[3 + d, c] /= sums[0, c]
-    for t in range(n_pressed):
+    for t in range(n_kept):
         p, c = index[t], labels[t]
         for d in range(k):
             off = places[d, p] - sums[3 + d, c]
@@ -626,7 +640,7 @@ def components(forces: A, low: float, variances: A, places: A) -> tuple[A, A, A]
     for c in range(n):
         for d in range(k):
             sums[4 + k + d, c] /= sums[0, c] ** 2
-    return index, labels, sums
+    return index[:n_kept], labels[:n_kept], sums, overlap
 
 
 LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {

@@ -16,7 +16,7 @@ from sparseskin.messages.contacts import BEGIN, END, OVER, SLIDE
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 
-from .contacts import HELD, ContactFinder, Features, Limits, overlaps
+from .contacts import HELD, ContactFinder, Found, Limits
 
 GATE = 4.0
 """Largest distance, in taxels, of a contact from the place of an earlier one that it does not
@@ -31,8 +31,8 @@ makes a speed of 0.4 taxels/s."""
 
 
 class Tracks(NamedTuple):
-    """The contacts of a frame, an entry or row each; places and velocities are in rows and columns,
-    then x, y, z in mm if known.
+    """The contacts of a frame, an entry or column each; the rows of places and velocities are row
+    and column, then x, y, z in mm if known.
     """
 
     ids: list[int]
@@ -56,7 +56,7 @@ class Tracks(NamedTuple):
         old = [k for k, one in enumerate(ids) if one in self.ids]
         rows = [self.ids.index(ids[k]) for k in old]
         for one, other in zip(made[1:], self[1:], strict=True) if old else ():
-            one[old] = other[rows]
+            one[..., old] = other[..., rows]
         return made
 
 
@@ -106,15 +106,12 @@ class ContactTracker:
         self._tracks = _NO_TRACKS
         #: Of contacts that met: where they were before, by id, by the id of the one that goes on.
         self._apart: dict[int, dict[int, Doubles]] = {}
-        self._map = np.zeros(skin.n_rows * skin.n_cols, dtype=np.int32)
-        self._waiting = np.zeros(self._map.size, dtype=np.bool_)
-        self._index: Indices = np.zeros(0, dtype=np.intp)
         self._last_id, self._last_ns, self._n_early = 0, 0, 0
 
     @property
     def regions(self) -> npt.NDArray[np.int32]:
         """Number of the contact of each cell in the last frame, from 1 on, flat; 0: none."""
-        return self._map
+        return self._finder.regions
 
     def fits(self, skin: SkinState) -> bool:
         """True if it follows contacts on the taxels of that skin."""
@@ -149,20 +146,15 @@ class ContactTracker:
             unit=max(self._floor, error or 0.0),
             is_mean=error is not None,
             sd=sd,
-            known=self._map if before.ids else None,
-            waiting=self._waiting,
         )
         elapsed_s, self._last_ns = 1e-9 * (stamp_ns - self._last_ns), stamp_ns
         if found is None:
             if not before.ids:
                 return None
             self._tracks, self._apart = _NO_TRACKS, {}
-            self._remember(self._index[:0], self._index[:0])
             return Followed(NOTHING, [(number, END) for number in before.ids])
-        places = found.centre
-        if found.place is not None:
-            places = np.concatenate([places, found.place], axis=1)
-        ids = self._ids(found, places) if before.ids else [0] * len(places)
+        places = found.sums[3 : min(8, len(found.sums) // 2 + 1)]
+        ids = self._ids(found, places) if before.ids else [0] * places.shape[1]
         for k in [k for k, one in enumerate(ids) if not one]:
             self._last_id += 1
             ids[k] = self._last_id
@@ -171,31 +163,21 @@ class ContactTracker:
         _, begins_ns, was, velocities, over, sliding = before.of(ids, places, stamp_ns)
         if elapsed_s > 0:
             gain = 1 - math.exp(-elapsed_s / SMOOTHING_S)
-            velocities = velocities + gain * ((places - was) / elapsed_s - velocities)
+            velocities = (1 - gain) * velocities + (gain / elapsed_s) * (places - was)
         if not math.isinf(limits.over):
-            over = _switched(over, found.total, limits.over, ids, OVER, events)
+            over = _switched(over, found.sums[0], limits.over, ids, OVER, events)
         if not math.isinf(limits.slide):
-            speeds = np.linalg.norm(velocities[:, 2 * (places.shape[1] > 2) :], axis=1)
+            speeds = np.linalg.norm(velocities[-3:], axis=0)
             sliding = _switched(sliding, speeds, limits.slide, ids, SLIDE, events)
         self._tracks = Tracks(ids, begins_ns, places, velocities, over, sliding)
         if self._apart:
             self._apart = {one: apart for one, apart in self._apart.items() if one in ids}
-        self._remember(found.index, found.labels)
-        return Followed(self._fields(found, stamp_ns), events)
+        return Followed(self._fields(found.sums, stamp_ns), events)
 
-    def _remember(self, index: Indices, labels: Indices) -> None:
-        self._map[self._index] = 0
-        self._index = index
-        self._map[index] = labels + 1
-
-    def _ids(self, found: Features, places: Doubles) -> list[int]:
+    def _ids(self, found: Found, places: Doubles) -> list[int]:
         """Ids of the contacts of a frame; 0: a new one."""
-        before, n, p = self._tracks, len(found.total), len(self._tracks.ids)
-        known = self._map[found.index]
-        if n == p == 1 and known.any():
-            return before.ids[:]
-        overlap = overlaps(found.labels, known, n, p)
-        rows = overlap.tolist()
+        before, overlap = self._tracks, found.overlap
+        (n, p), rows = overlap.shape, overlap.tolist()
         pairs = [q for row in rows for q in range(p) if row[q]]
         if n == p == len(pairs) == len(set(pairs)) and all(map(any, rows)):
             return [before.ids[q] for q in pairs]
@@ -213,14 +195,14 @@ class ContactTracker:
             if overlap[into, q] and ids[into] in before.ids:
                 one, other = ids[into], before.ids[q]
                 apart = self._apart.setdefault(one, {})
-                apart.setdefault(one, before.places[before.ids.index(one)])
-                apart |= {other: before.places[q], **self._apart.get(other, {})}
+                apart.setdefault(one, before.places[:, before.ids.index(one)])
+                apart |= {other: before.places[:, q], **self._apart.get(other, {})}
         left = [q for q in missing if not overlap[:, q].any()]
         new = [k for k in range(n) if not ids[k] and not overlap[k].any()]
         if left and new:
-            distances = np.linalg.norm(places[new, None, :2] - before.places[left, :2], axis=2)
+            distances = _distances(places[:, new], before.places[:, left])
             for k, q in zip(*linear_sum_assignment(distances), strict=True):
-                if distances[k, q] <= GATE + math.sqrt(found.area[new[k]]):
+                if distances[k, q] <= GATE + math.sqrt(found.sums[1, new[k]]):
                     ids[new[k]] = before.ids[left[q]]
         return ids
 
@@ -228,8 +210,7 @@ class ContactTracker:
         """Give the parts of merged contacts the ids that were nearest to them before."""
         apart = self._apart[one]
         known = list(apart)
-        before = np.array([apart[number][:2] for number in known])
-        distances = np.linalg.norm(places[parts, None, :2] - before, axis=2)
+        distances = _distances(places[:, parts], np.array([*apart.values()]).T)
         for k in parts:
             ids[k] = 0
         for k, j in zip(*linear_sum_assignment(distances), strict=True):
@@ -238,32 +219,43 @@ class ContactTracker:
         if one in apart or len(apart) < 2:
             del self._apart[one]
 
-    def _fields(self, found: Features, stamp_ns: int) -> dict[str, Any]:
+    def _fields(self, sums: Doubles, stamp_ns: int) -> dict[str, Any]:
         """Fields of the message."""
-        tracks = self._tracks
-        velocities = tracks.velocities.astype(np.float32)
+        tracks, k = self._tracks, len(sums) // 2 + 1
+        floats, velocities = sums.astype(np.float32, "C"), tracks.velocities.astype(np.float32)
         fields: dict[str, Any] = {
             "id": np.array(tracks.ids, dtype=np.int32),
-            "total": found.total.astype(np.float32),
-            "total_sd": found.total_sd.astype(np.float32),
-            "peak": found.peak.astype(np.float32),
-            "centre": found.centre.astype(np.float32),
-            "centre_sd": found.centre_sd.astype(np.float32),
-            "area": found.area.astype(np.int32),
-            "velocity": np.ascontiguousarray(velocities[:, :2]),
+            "total": floats[0],
+            "total_sd": floats[k],
+            "peak": floats[2],
+            "centre": _rows(floats[3:5]),
+            "centre_sd": _rows(floats[k + 1 : k + 3]),
+            "area": sums[1].astype(np.int32),
+            "velocity": _rows(velocities[:2]),
             "age_s": (1e-9 * np.maximum(0, stamp_ns - tracks.begins_ns)).astype(np.float32),
             "over": tracks.over,
             "sliding": tracks.sliding,
         }
-        if found.place is not None and found.place_sd is not None:
-            fields["place_mm"] = found.place.astype(np.float32)
-            fields["velocity_mm_s"] = np.ascontiguousarray(velocities[:, 2:])
-            fields["place_sd_mm"] = found.place_sd.astype(np.float32)
+        if k > 5:
+            fields["place_mm"] = _rows(floats[5:8])
+            fields["velocity_mm_s"] = _rows(velocities[2:])
+            fields["place_sd_mm"] = _rows(floats[k + 3 : k + 6])
         if self._pitch_mm:
-            fields["area_mm2"] = (self._pitch_mm**2 * found.area).astype(np.float32)
-        if found.normal is not None:
-            fields["normal"] = found.normal.astype(np.float32)
+            fields["area_mm2"] = floats[1] * np.float32(self._pitch_mm**2)
+        if k > 8:
+            fields["normal"] = _rows(floats[8:k])
         return fields
+
+
+def _rows(columns: Floats) -> Floats:
+    """A row for each contact of arrays with a column each."""
+    return np.ascontiguousarray(columns.T)
+
+
+def _distances(places: Doubles, others: Doubles) -> Doubles:
+    """Distances of places on the grid, (>= 2, n), from others, (>= 2, m), in taxels, (n, m)."""
+    apart: Doubles = np.linalg.norm(places[:2, :, None] - others[:2, None], axis=0)
+    return apart
 
 
 def _switched(
@@ -281,7 +273,7 @@ def _switched(
 
 
 _NO_TRACKS = Tracks(
-    [], *np.zeros((1, 0), np.intp), *np.zeros((2, 0, 2)), *np.zeros((2, 0), np.bool_)
+    [], *np.zeros((1, 0), np.intp), *np.zeros((2, 5, 0)), *np.zeros((2, 0), np.bool_)
 )
 _EMPTY, _EMPTY_2 = np.zeros(0, dtype=np.float32), np.zeros((0, 2), dtype=np.float32)
 NOTHING: dict[str, Any] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -61,10 +61,6 @@ class Features:
         Row and column of the centre of pressure, from the middle of taxel (0, 0), and deviations.
     area : ndarray of int64, shape (n,)
         Number of taxels.
-    place, place_sd : ndarray of float64, shape (n, 3), or None
-        Centre in mm and its deviations, where the pitch or the points of the skin are known.
-    normal : ndarray of float64, shape (n, 3), or None
-        Mean of the unit normals weighted by force, of a skin of points.
     index, labels : ndarray of int64, shape (n_pressed,)
         Taxels of the contacts in the flat grid, and the number of the contact of each.
     """
@@ -75,18 +71,28 @@ class Features:
     centre: Doubles
     centre_sd: Doubles
     area: Indices
-    place: Doubles | None
-    place_sd: Doubles | None
-    normal: Doubles | None
     index: Indices
     labels: Indices
 
 
+class Found(NamedTuple):
+    """Contacts of one frame: rows of `sums` as of `components`, with deviations in place of
+    variances and unit normals; `overlap` with those of the frame before; the flat indices of the
+    taxels, and the number of the contact of each.
+    """
+
+    sums: Doubles
+    overlap: Indices
+    taxels: Indices
+    labels: Indices
+
+
 class ContactFinder:
-    """Finds the contacts of frames of one skin.
+    """Finds the contacts of successive frames of one skin.
 
     Neighbours of a skin of points are those on its virtual grid, on which neighbours are
-    neighbours on the surface. `fast`: use of the compiled loop, as in `use_compiled`.
+    neighbours on the surface. `fast`: use of the compiled loop, as in `use_compiled`. `regions`:
+    number of the contact of each cell in the last frame, from 1 on, flat; 0: none.
     """
 
     def __init__(self, skin: Skin, fast: str = "off") -> None:
@@ -102,12 +108,16 @@ class ContactFinder:
         elif skin.pitch_m is not None:
             flat = 1e3 * skin.pitch_m * self._places[::-1]
             self._places = np.concatenate([self._places, flat, np.zeros_like(flat[:1])])
-        self._components: Callable[..., tuple[Indices, Indices, Doubles]] = components
+        self._components: Callable[..., tuple[Indices, Indices, Doubles, Indices]] = components
         if use_compiled(fast):
             from sparseskin.nodes.numerics import kernels  # needs numba
 
             ready(kernels.components)
             self._components = kernels.components
+        self.regions = np.zeros(self._alike.size, dtype=np.int32)
+        self._index, self._n = np.zeros(0, dtype=np.intp), 0
+        #: Cells of what exceeded the high threshold in the last frame, but not `AT_ONCE` times.
+        self._waiting = self._index
 
     def find(
         self,
@@ -118,80 +128,80 @@ class ContactFinder:
         unit: float | None = None,
         is_mean: bool = False,
         sd: Floats | None = None,
-        known: npt.NDArray[np.int32] | None = None,
-        waiting: Mask | None = None,
-    ) -> Features | None:
-        """Contacts of a frame, float32 (n_rows, n_cols), 0 in masked cells; None: there are none.
+    ) -> Found | None:
+        """Contacts of the next frame, float32 (n_rows, n_cols), 0 in masked cells; None: none.
 
         `error`: RMS error of a taxel, in the unit of the forces; `is_mean`: it is that over all
         taxels of the skin, of which those that are 0 have none. `unit`: that of the thresholds, by
-        default the error. `sd`: standard deviation of each force, in place of the error. `known`:
-        numbers of earlier contacts at their taxels, from 1 on, else 0, flat: what overlaps most
-        with one of them stays a contact above the low threshold, with half of the least force.
-        `waiting`: flat, the cells of what exceeded the high threshold in the frame before, but not
-        `AT_ONCE` times; becomes those of this frame. None: whatever exceeds it begins at once.
+        default the error. `sd`: standard deviation of each force, in place of the error. What
+        overlaps most with a contact of the frame before stays one above the low threshold, with
+        half of the least force.
         """
         unit = error if unit is None else unit
         low, high = np.float32(limits.low * unit), limits.high * unit
-        if known is None and float(forces.max()) <= high:
-            if waiting is not None:
-                waiting[:] = False
+        n_before, waiting, self._waiting = self._n, self._waiting, self._waiting[:0]
+        if not n_before and float(forces.max()) <= high:
             return None
         forces = np.ascontiguousarray(forces, dtype=np.float32)
         weights = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
-        index, labels, sums = self._components(forces, low, weights, self._places)
-        n, n_pressed = sums.shape[1], index.size
-        total, area, peak = sums[:3]
-        fits = (total >= limits.force) & (area >= limits.area)
-        kept = fits & (peak > (high if waiting is None else AT_ONCE * high))
-        if known is not None and not kept.all():
-            overlap = overlaps(labels, known[index], n, int(known.max()))
-            held = np.zeros(n, dtype=np.bool_)
-            held[overlap.argmax(axis=0)[overlap.any(axis=0)]] = True
-            kept |= held & (total >= HELD * limits.force)
-        if waiting is not None:
-            again = None if kept.all() else np.bincount(labels, waiting[index], n) > 0
-            waiting[:] = False
-            if again is not None:
-                weak = fits & (peak > high) & ~kept
-                kept |= weak & again
-                waiting[index[(weak & ~kept)[labels]]] = True
-        if not kept.any():
+        given = forces, low, high, weights, self._places, self.regions, n_before
+        index, labels, sums, overlap = self._components(*given)
+        held = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
+        again = set(labels[np.isin(index, waiting)].tolist()) if waiting.size else ()
+        kept, weak = [], []
+        for c, (total, area, peak) in enumerate(sums[:3].T.tolist()):
+            fits = total >= limits.force and area >= limits.area and peak > high
+            stays = c in held and total >= HELD * limits.force
+            if stays or (fits and (peak > AT_ONCE * high or c in again)):
+                kept.append(c)
+            elif fits:
+                weak.append(c)
+        if len(kept) < sums.shape[1]:
+            self._waiting = index[np.isin(labels, weak)]
+            inside = np.isin(labels, kept)
+            index, labels = index[inside], np.searchsorted(kept, labels[inside])
+            sums, overlap = sums[:, kept], overlap[kept]
+        self.regions[self._index] = 0
+        self.regions[index] = labels + 1
+        self._index, self._n = index, len(kept)
+        if not kept:
             return None
-        if not kept.all():
-            inside, numbers = kept[labels], np.cumsum(kept) - 1
-            index, labels, sums = index[inside], numbers[labels[inside]], sums[:, kept]
-            total, area, peak = sums[:3]
-        share = self._n_taxels / n_pressed if is_mean else 1.0
-        of_error = SD_SCALE**2 * share * error**2 if sd is None else 1.0
+        share = self._n_taxels / np.count_nonzero(forces > low) if is_mean else 1.0
         k = 3 + len(self._places)
-        means, deviations = sums[3:k].T, np.sqrt(of_error * sums[k:]).T
-        place = place_sd = normal = None
-        if k > 5:
-            place, place_sd = means[:, 2:5], deviations[:, 3:6]
+        sums[k:] = np.sqrt(sums[k:] * (SD_SCALE**2 * share * error**2 if sd is None else 1.0))
         if k > 8:
-            lengths = np.linalg.norm(means[:, 5:], axis=1, keepdims=True)
-            normal = means[:, 5:] / np.maximum(lengths, 1e-12)
-        centre, centre_sd, total_sd = means[:, :2], deviations[:, 1:3], deviations[:, 0]
-        one = total, total_sd, peak, centre, centre_sd, area.astype(np.intp)
-        return Features(*one, place, place_sd, normal, index, labels)
+            sums[8:k] /= np.maximum(np.linalg.norm(sums[8:k], axis=0), 1e-12)
+        return Found(sums, overlap, index, labels)
 
 
 def components(
-    forces: Floats, low: np.float32, variances: Floats, places: Doubles
-) -> tuple[Indices, Indices, Doubles]:
-    """Connected components of the taxels above a threshold, and their sums.
+    forces: Floats,
+    low: np.float32,
+    high: float,
+    variances: Floats,
+    places: Doubles,
+    regions: npt.NDArray[np.int32],
+    n_regions: int,
+) -> tuple[Indices, Indices, Doubles, Indices]:
+    """Connected components of the taxels above `low` of which one exceeds `high`, or lies in an
+    earlier region, and their sums.
 
-    `forces`: (n_rows, n_cols); `variances`, (n_cells,), of the forces; `places`: (k, n_cells).
-    Returns the flat indices of the taxels, the number of the component of each, and rows with an
-    entry for each component: total, area, peak, k centres, variance of the total, and by the delta
-    method those of the centres.
+    `forces`: (n_rows, n_cols); `variances`, (n_cells,), of the forces; `places`: (k, n_cells);
+    `regions`: (n_cells,), from 1 to `n_regions`, or 0. Returns the flat indices of the taxels, the
+    number of the component of each; rows with an entry for each component: total, area, peak, k
+    centres, variance of the total, and by the delta method those of the centres; and the numbers of
+    taxels in each region, (n, n_regions).
     """
     from scipy import ndimage  # half the time of the start of a process: only where it is used
 
     grid, n = ndimage.label(forces > low, NEIGHBOURS)
     index = np.flatnonzero(grid)
     labels = grid.reshape(-1)[index].astype(np.intp) - 1
+    peak = np.zeros(n)
+    np.maximum.at(peak, labels, forces.reshape(-1)[index])
+    kept = (peak > high) | (np.bincount(labels, regions[index], n) > 0)
+    index, labels = index[kept[labels]], (np.cumsum(kept) - 1)[labels[kept[labels]]]
+    peak, n, p = peak[kept], np.count_nonzero(kept), n_regions + 1
     values = forces.reshape(-1)[index].astype(np.float64)
     here, of_each = places[:, index], variances[index].astype(np.float64)
 
@@ -199,21 +209,10 @@ def components(
         return np.array([np.bincount(labels, row, n) for row in numbers])
 
     total, area, variance = summed(np.stack([values, np.ones(index.size), of_each]))
-    peak = np.zeros(n)
-    np.maximum.at(peak, labels, values)
     means = summed(values * here) / total
     apart = summed(of_each * np.square(here - means[:, labels])) / total**2
-    return index, labels, np.stack([total, area, peak, *means, variance, *apart])
-
-
-def overlaps(labels: Indices, known: npt.NDArray[np.int32], n: int, n_known: int) -> Indices:
-    """Numbers of taxels that contacts and earlier ones have in common, shape (n, n_known).
-
-    `labels`: number of the contact of each pressed taxel; `known`: that of the earlier one there,
-    from 1 on, or 0.
-    """
-    p = n_known + 1
-    return np.bincount(labels * p + known, minlength=n * p).reshape(n, p)[:, 1:]
+    overlap = np.bincount(labels * p + regions[index], minlength=n * p).reshape(n, p)[:, 1:]
+    return index, labels, np.stack([total, area, peak, *means, variance, *apart]), overlap
 
 
 def find_contacts(
@@ -275,13 +274,10 @@ def find_contacts(
     n_rows, n_cols = forces.shape
     skin = Skin(n_rows, n_cols, f_max=1.0, mask=mask)
     forces = np.where(skin.exists, forces, np.float32(0))
-    limits = Limits(low, high, force, area)
+    limits = Limits(low, high / AT_ONCE, force, area)
     found = ContactFinder(skin).find(forces, error, limits, is_mean=is_mean, sd=sd)
-    return Features(*_NOTHING) if found is None else found
-
-
-_NONE, _NONE_2, _NO_INDEX = np.zeros(0), np.zeros((0, 2)), np.zeros(0, dtype=np.intp)
-_NOTHING: Any = (
-    *(_NONE, _NONE, _NONE, _NONE_2, _NONE_2, _NO_INDEX),
-    *(None, None, None, _NO_INDEX, _NO_INDEX),
-)
+    none = np.zeros(0, dtype=np.intp)
+    sums, _, taxels, labels = found or Found(np.zeros((8, 0)), none, none, none)
+    total, n_taxels, peak, _, _, total_sd, _, _ = sums
+    centres = np.ascontiguousarray(sums[3:5].T), np.ascontiguousarray(sums[6:].T)
+    return Features(total, total_sd, peak, *centres, n_taxels.astype(np.intp), taxels, labels)

@@ -70,12 +70,12 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._log = PatchLog(self._names, context.log)
         self._patches = [Patch(settings, self._log.of(name)) for name in self._names]
         self._idle: IdleWatch | None = None
-        self._touched = ""
+        self._touching: Contacts | None = None
         if settings.contacts:
             from .contact_tracks import NOTHING, joined
 
-            self._head: dict[str, Any] = {"patch": settings.patch, "names": settings.patches}
-            self._untouched = Contacts(**self._head, stamp_ns=0, done_ns=0, **NOTHING)
+            head: dict[str, Any] = {"patch": settings.patch, "names": settings.patches}
+            self._untouched = Contacts(**head, stamp_ns=0, done_ns=0, **NOTHING)
             self._joined = joined
 
     @classmethod
@@ -157,10 +157,10 @@ class Reconstructor(Node[ReconstructorSettings]):
         basis = "" if chosen["solver"] in OWN_BASIS else f" in {chosen['basis']}"
         n = len(self._patches)
         several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
-        parts = (
-            *(f"solver {chosen['solver']}{basis}", self._left_out, several if n > 1 else ""),
-            self._touched,
-        )
+        found, skin = self._touching, self._skin
+        touched = found.summary(skin.unit) if found and skin and found.id.size else ""
+        solver = f"solver {chosen['solver']}{basis}"
+        parts = solver, self._left_out, several if n > 1 else "", touched
         return "; ".join(filter(None, parts))
 
     @property
@@ -295,14 +295,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         followed = [patch.contacts(stamp_ns) for patch in self._patches]
         trusted = tuple([not p.solved.reason for p in self._patches if p.solved is not None])
         done_ns = self.context.clock.now_ns()
-        self._touched = ""
-        if not any(followed):  # so are most frames of most skins
-            return self._untouched.at(stamp_ns, done_ns, trusted)
-        times: dict[str, Any] = {"stamp_ns": stamp_ns, "done_ns": done_ns}
-        found = Contacts(**self._head, **times, trusted=trusted, **self._joined(followed))
-        if found.id.size and self._skin is not None:
-            self._touched = found.summary(self._skin.unit)
-        return found
+        fields = self._joined(followed) if any(followed) else {}
+        self._touching = self._untouched.at(stamp_ns, done_ns, trusted, **fields)
+        return self._touching
 
     def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:
         row, col = found.centre or (None, None)

@@ -7,12 +7,13 @@ import pytest
 from bags import skin_state
 
 import sparseskin
-from sparseskin.messages import Contacts
+from sparseskin.messages import Contacts, decode
 from sparseskin.messages.contacts import EVENTS
+from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.reconstructor.contact_tracks import ContactTracker, joined
+from sparseskin.nodes.reconstructor.contact_tracks import NOTHING, ContactTracker, joined
 from sparseskin.nodes.reconstructor.contacts import SD_SCALE, Limits, components, find_contacts
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
@@ -34,6 +35,9 @@ def state(**changes):
     return skin_state(**{**grid, "sigma_mid": NOISE_N, "sigma_end": NOISE_N, **changes})
 
 
+UNTOUCHED = Contacts(stamp_ns=0, patch="skin", done_ns=0, **NOTHING)
+
+
 class Stream:
     """Contacts of frames, 10 ms apart."""
 
@@ -45,7 +49,10 @@ class Stream:
         self.stamp_ns += DT_NS
         followed = self.tracker.update(forces, error, self.stamp_ns)
         fields = joined([followed])
-        return Contacts(stamp_ns=self.stamp_ns, patch="skin", done_ns=0, **fields)
+        checked = Contacts(stamp_ns=self.stamp_ns, patch="skin", done_ns=0, **fields)
+        sent = UNTOUCHED.at(self.stamp_ns, 0, (True,), **fields)
+        assert decode(*received(wire_bytes(sent))) == checked
+        return checked
 
 
 def test_total_centre_area_and_deviations_of_boxes_are_those_of_their_closed_forms():
@@ -158,8 +165,9 @@ def test_the_compiled_loop_finds_the_same_components(shape, part):
     rng = np.random.default_rng(1)
     forces, variances = rng.random((2, *shape), dtype=np.float32)
     forces[rng.random(shape) >= part] = 0
-    places = rng.random((3, forces.size))
-    given = forces, np.float32(0.1), variances.reshape(-1), places
+    places, regions = rng.random((3, forces.size)), np.zeros(forces.size, np.int32)
+    regions[: shape[1]] = rng.integers(0, 3, shape[1])
+    given = forces, np.float32(0.1), 0.8, variances.reshape(-1), places, regions, 2
     for one, other in zip(components(*given), kernels.components(*given), strict=True):
         assert one == pytest.approx(other, rel=1e-9)
 
