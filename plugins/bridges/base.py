@@ -20,7 +20,7 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.messages.topics import split_topic
-from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
+from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
@@ -127,7 +127,8 @@ class Bridge(Node[S]):
     def __init__(self, settings: S, context: Context) -> None:
         super().__init__(settings, context)
         self.skins: dict[str, SkinState] = {}
-        self._held: dict[str, Floats] = {}
+        self._held: dict[str, dict[str, Floats]] = {}
+        self._next: dict[str, int] = {}
         self.n_sent = 0
         self.n_dropped = 0
 
@@ -148,16 +149,17 @@ class Bridge(Node[S]):
         if isinstance(message, SkinState):
             self.skins[message.patch] = message
         elif isinstance(message, Taxels | Truth | Reconstruction | Contacts):
-            if message.names:
-                raise RefusedError(f"{message.topic}: a bridge shows no patches of a batch")
-            for part in message.split(self._held):  # one, or none before the first that is solved
-                self._send(part)
+            topic, skin = message.topic, self.skins.get(message.patch)
+            if message.seq != self._next.get(topic):
+                self._held[topic] = {}  # a frame that a later one refers to may be dropped
+            self._next[topic] = message.seq + 1
+            for part in message.split(self._held[topic]):  # none before the first that is solved
+                self._send(part, skin)
         elif isinstance(message, Resultant):
             self.send_resultant(message)
         return ()
 
-    def _send(self, message: Map | Contacts) -> None:
-        skin = self.skins.get(message.patch)
+    def _send(self, message: Map | Contacts, skin: SkinState | None) -> None:
         if skin is None or not (
             isinstance(message, Contacts) or skin.skin.shape == message.forces.shape[1:]
         ):

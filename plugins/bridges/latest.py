@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from threading import Condition, Thread
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from sparseskin.launch.attach.stream import TopicStream
 from sparseskin.launch.run.running import GraphError, choose_graph
@@ -17,8 +17,11 @@ from sparseskin.messages import (
     decode,
     topic_of,
 )
+from sparseskin.messages.frames import Frames
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Floats
+
+Part = TypeVar("Part", bound=Frames)
 
 
 class Latest(NamedTuple):
@@ -41,7 +44,7 @@ class LatestFrames:
     graph : str or None
         Name or label of the graph; None: the only one that runs.
     patch : str
-        Name of the patch.
+        Name of the patch; of one in a batch BATCH/PATCH.
     with_contacts : bool
         True if each frame is to have its contacts.
 
@@ -54,6 +57,7 @@ class LatestFrames:
     def __init__(self, graph: str | None, patch: str, with_contacts: bool) -> None:
         found = choose_graph(graph)
         self._label, self._with_contacts = found.label, with_contacts
+        patch, _, self._part = patch.partition("/")
         schemas = [SkinState.schema, Reconstruction.schema, *[Contacts.schema] * with_contacts]
         topics, writers = [topic_of(patch, schema) for schema in schemas], found.writers()
         for topic in topics:
@@ -112,16 +116,24 @@ class LatestFrames:
         if isinstance(message, SkinState):
             self._skin = message
         elif isinstance(message, Reconstruction):
-            if message.names:
-                raise GraphError(f"{message.topic}: holds several patches, and none alone")
+            if self._part not in (message.names or ("",)):
+                patches = [f"{message.patch}/{name}" for name in message.names] or [message.patch]
+                hint = did_you_mean(f"{message.patch}/{self._part}", patches)
+                raise GraphError(
+                    f"{message.topic}: patch: {patches[0]} is one of {len(patches)}{hint}"
+                )
             if message.seq != self._seq + 1:
                 self._held.clear()  # a frame that a later one refers to may be lost
             self._seq = message.seq
-            self._frame = next(iter(message.split(self._held)), None)
+            self._frame = self._part_of(message.split(self._held))
             if not self._with_contacts:
                 self._publish(None)
         elif isinstance(message, Contacts):
-            self._publish(message)
+            self._publish(self._part_of(message.split()))
+
+    def _part_of(self, parts: list[Part]) -> Part | None:
+        """The message of the patch that is read, of those of a batch."""
+        return next((one for one in parts if self._part in ("", one.patch)), None)
 
     def _publish(self, contacts: Contacts | None) -> None:
         frame = self._frame

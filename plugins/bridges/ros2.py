@@ -68,23 +68,27 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         settings.check()
         self._member = topics.join(settings.domain, settings.interface, context.name)
         self._writers: dict[str, Any] = {}
+        self._announced: set[str] = set()
 
     def start(self) -> Iterable[Message]:
-        settings = self.settings
-        for patch in settings.patches:
-            kinds_of = dict.fromkeys(settings.maps, OF_MAPS) | {Contacts.schema: OF_CONTACTS}
-            for schema, kinds in kinds_of.items():
-                for kind in (kind for kind in kinds if kind in settings.messages):
-                    ending, of = KINDS[kind]
-                    topic = topic_of(patch, schema)
-                    quality = settings.history, settings.reliable
-                    self._writers[f"{kind} {topic}"] = self._member.writer(
-                        topic + ending, of, *quality
-                    )
+        for patch in self.settings.patches:
+            self._announce(patch)
         self.context.log(f"ros2: {self.where()}")
         if not self.where().endswith(" by lo"):
             self.context.log("ros2: whoever reaches that network can read the graph")
         return ()
+
+    def _announce(self, patch: str) -> None:
+        """Make the writers of a patch; those of a batch come with their first frame."""
+        settings = self.settings
+        quality = settings.history, settings.reliable
+        kinds_of = dict.fromkeys(settings.maps, OF_MAPS) | {Contacts.schema: OF_CONTACTS}
+        self._announced.add(patch)
+        for schema, kinds in kinds_of.items():
+            topic = topic_of(patch, schema)
+            for kind in (kind for kind in kinds if kind in settings.messages):
+                ending, of = KINDS[kind]
+                self._writers[f"{kind} {topic}"] = self._member.writer(topic + ending, of, *quality)
 
     def where(self) -> str:
         return self._member.where
@@ -107,6 +111,8 @@ class Ros2Bridge(Bridge[Ros2Settings]):
 
     def _write(self, kind: str, message: Message, make: Callable[[], bytes]) -> None:
         """Write what `make` returns, where that kind is wanted and somebody reads it."""
+        if message.patch not in self._announced:
+            self._announce(message.patch)
         writer = self._writers.get(f"{kind} {message.topic}")
         if writer is not None and writer.is_read():
             self.n_dropped += not writer.write(make())

@@ -440,7 +440,7 @@ def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
     panels = [(of, some) for of, some in means.groupby("recorded")]
     ratios = sorted(means["ratio"].unique())
     labels = [
-        f"{f'N/{ratio}' if ratio > 1 else 'all'}\n{VALUE_BYTES / ratio:.2g}" for ratio in ratios
+        f"{f'N/{ratio}' if ratio > 1 else 'all'}\n{VALUE_BYTES / ratio:.3g}" for ratio in ratios
     ]
     n = len(panels)
     with Chart(out, "contacts", caption, n, n, size_in=(9.5, 5.0), sharey=True) as chart:

@@ -1,10 +1,15 @@
 """Contacts as other tools take them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bags import skin_state
 
-from sparseskin.messages import Contacts
+from sparseskin.messages import Contacts, Reconstruction
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.node import Context
+from sparseskin.plugins.bridges.base import Bridge, BridgeSettings
 from sparseskin.plugins.bridges.contacts import STATE, shapes, state, state_names, wrench
 
 
@@ -34,6 +39,37 @@ def test_a_wrench_is_the_sum_of_forces_into_the_skin_and_of_their_torques():
     assert force.tolist() == [-2, 0, 3]
     assert torque.tolist() == [6, 0, 0]
     assert not np.any(wrench(made([])))
+
+
+class Listed(Bridge[BridgeSettings]):
+    """A bridge that lists what it sends."""
+
+    Settings = BridgeSettings
+
+    def __init__(self):
+        super().__init__(BridgeSettings(), Context("bridge", ManualClock(1), print))
+        self.seen = []
+
+    def send(self, message, skin):
+        self.seen.append((message.topic, float(message.forces.max())))
+
+    def send_contacts(self, message, skin):
+        self.seen.append((message.topic, message.id.size))
+
+
+def test_a_bridge_sends_patches_of_a_batch_and_no_forces_of_before_a_lost_frame():
+    bridge, skin = Listed(), skin_state()
+    two = {"names": ("left", "right"), "patch": "skin"}
+    forces = np.stack([np.full(skin.skin.shape, force, np.float32) for force in (1, 2)])
+    head = {**two, "phi": "0" * 16, "iterations": (1, 1), "residual": (0.0, 0.0), "done_ns": 0}
+    sent = Reconstruction(**head, stamp_ns=0, solve_ns=(1, 1), forces=forces)
+    idle = replace(sent, forces=forces[:1], unchanged=(False, True))
+    touched = replace(made([1.0]), **two, trusted=(), patch_of=np.ones(1, np.int32))
+    for message in (skin, sent, touched, replace(idle, seq=1), replace(idle, seq=3)):
+        bridge.step(message)
+    maps = [("/left/reconstruction", 1.0), ("/right/reconstruction", 2.0)]
+    assert bridge.seen == [*maps, ("/left/contacts", 0), ("/right/contacts", 1), *maps, maps[0]]
+    assert bridge.n_dropped == 0
 
 
 def test_shapes_point_at_contacts_on_points_along_the_force():

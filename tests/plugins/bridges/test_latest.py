@@ -88,13 +88,27 @@ def test_forces_that_a_frame_refers_to_are_those_of_the_frame_before_or_none(pub
     assert (found.number, found.frame.stamp_ns) == (first + 2, solved(5).stamp_ns)
 
 
-def test_a_batch_of_patches_is_refused_in_one_line(publisher, reader):
-    one = solved(1)
+def test_of_a_batch_one_patch_is_read_by_its_name(publisher, reader):
+    one, found = solved(1), contacts(1)
     of_both = dict.fromkeys(("error", "trusted", "unchanged", "reason"), ())
     of_both |= {name: 2 * getattr(one, name) for name in ("iterations", "residual", "solve_ns")}
-    forces = np.repeat(one.forces, 2, axis=0)
-    send(publisher, 1, replace(one, names=("a", "b"), forces=forces, **of_both))
-    with pytest.raises(GraphError, match="holds several patches"):
+    forces = np.concatenate([one.forces, 2 * one.forces])
+    batch = {"names": ("a", "b")}
+    touched = replace(found, **batch, trusted=(), patch_of=np.ones(1, np.int32), events=None)
+    both = replace(one, **batch, forces=forces, **of_both), touched
+    other = LatestFrames(None, "skin/b", with_contacts=True)
+
+    def came():
+        publisher.serve_subscriptions()
+        send(publisher, 1, skin_state(), *both)
+        return other.newest() is not None
+
+    wait_until(came, "a frame")
+    latest = other.newest()
+    assert latest.frame.forces.tolist() == forces[1:].tolist()
+    assert (latest.contacts.patch, latest.contacts.id.tolist()) == ("b", [1])
+    other.close()
+    with pytest.raises(GraphError, match="/skin/reconstruction: patch: skin/a is one of 2"):
         reader.newest(after=10**9, timeout_s=60)
 
 
