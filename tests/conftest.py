@@ -14,6 +14,7 @@ import pytest
 from processes import COMMAND, PATIENCE_S, PATIENT_COMMAND, Program, note_of_graph, wait_until
 
 from sparseskin.nodes import extensions
+from sparseskin.nodes.numerics.warm_up import compile_loops
 
 __all__ = ["COMMAND", "PATIENCE_S", "PATIENT_COMMAND", "note_of_graph", "wait_until"]
 
@@ -22,8 +23,6 @@ hypothesis.settings.register_profile(
     "busy host", deadline=None, max_examples=int(os.environ.get("SPARSESKIN_EXAMPLES", "25"))
 )
 hypothesis.settings.load_profile("busy host")
-# Numpy, the reference, in all processes, unless a test asks for compiled loops.
-os.environ.setdefault("SPARSESKIN_FAST", "off")
 
 
 def free_port(kind=socket.SOCK_STREAM):
@@ -33,17 +32,14 @@ def free_port(kind=socket.SOCK_STREAM):
         return int(probe.getsockname()[1])
 
 
+def pytest_sessionstart():
+    """Compile all loops where they are not yet, one test process for all."""
+    compile_loops("skin", "auto", lambda line: None)
+
+
 def pytest_collection_modifyitems(items):
-    """Run slow tests first, so that none is left for the end of a parallel run; and before these
-    the one that compiles all loops, which other processes would compile, too, until it has ended.
-    """
-    compiles = "tests/nodes/numerics/test_compiled"
-    items.sort(
-        key=lambda item: (
-            not item.nodeid.startswith(compiles),
-            item.get_closest_marker("slow") is None,
-        )
-    )
+    """Run slow tests first, so that none is left for the end of a parallel run."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 ONE_BY_ONE = (

@@ -61,8 +61,6 @@ def run(name, folder, monkeypatch, *arguments):
 def test_an_example_runs_and_prints_its_result(name, tmp_path, monkeypatch, capsys):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name], reason=f"{NEEDS[name]} is not installed")
-    if name == "choosing_m":
-        monkeypatch.setenv("SPARSESKIN_FAST", "auto")  # 4,800 frames
     arguments = ["out.png"] if name in WITH_PICTURE else ARGUMENTS.get(name, [])
     run(name, tmp_path, monkeypatch, *arguments)
     assert LAST_LINE[name] in capsys.readouterr().out.splitlines()[-1]
