@@ -12,7 +12,7 @@ install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(PIP) $(
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 ALL_TESTS = SPARSESKIN_EXAMPLES=100 $(ONE_THREAD) $(CURDIR)/$(BIN)/python -m pytest -q $(PARALLEL) --durations=20
 
-.PHONY: dist demo shots charts charts-quick stress stress-quick
+.PHONY: dist demo shots gallery charts charts-quick stress stress-quick
 .PHONY: test test-all test-dist test-core coverage test-kernels check mutants docs hooks clean
 .DELETE_ON_ERROR:
 
@@ -23,6 +23,10 @@ demo: .venv/installed
 # Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
 shots: .venv/installed-dev
 	PYTHONPATH=tests $(BIN)/python tests/shots.py $(SHOTS)
+
+# What the examples print and draw, for their pages in docs/ (three minutes).
+gallery: .venv/installed-dev
+	$(ONE_THREAD) $(BIN)/python docs/pictures/examples.py $(EXAMPLES)
 
 # The tables and charts of four studies, in out/ (50 minutes; the quick ones 8).
 charts charts-quick: .venv/installed-charts

@@ -22,6 +22,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+OUTPUTS = tomllib.loads((ROOT / "docs/reference/examples.toml").read_text(encoding="utf-8"))
 #: Pages of the site that stand at the top of the repository.
 TOP_PAGES = {
     "README.md": "index.md",
@@ -71,8 +72,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri == "reference/json.md":
         markdown += "".join(_tables(ROOT / "docs" / "reference" / "json.toml"))
     if page.file.src_uri == "reference/examples.md":
-        rows = [f"| [{p.name}](../../examples/{p.name}) | {_title(p)} |\n" for p in EXAMPLES]
-        markdown += "\n| file | shows |\n|---|---|\n" + "".join(rows)
+        cards = "".join(map(_card, sorted(EXAMPLES, key=lambda path: not _picture(path))))
+        markdown += f'\n<div class="grid cards" markdown>\n\n{cards}\n</div>\n'
     for source, page in TOP_PAGES.items():
         markdown = markdown.replace(f"](../../{source}", f"](../{page}")
     markdown = re.sub(
@@ -111,6 +112,22 @@ def _title(path: Path) -> str:
     return (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").splitlines()[0]
 
 
+def _picture(path: Path) -> str:
+    """The picture of an example, "" where it has none."""
+    made = ROOT / "docs" / "pictures" / f"{path.stem}.png"
+    return f"![{path.stem}](../pictures/{made.name})" if made.exists() else ""
+
+
+def _card(path: Path) -> str:
+    page = f"../../examples/{path.name}"
+    picture = f"[{_picture(path)}]({page})<br>" if _picture(path) else ""
+    return f"-   {picture}[**{path.name}**]({page})<br>{_title(path)}\n"
+
+
 def _example_page(path: Path) -> str:
     source = path.read_text(encoding="utf-8")
-    return f"# {path.name}\n\n{_title(path)}\n\n```python\n{source}```\n"
+    printed = OUTPUTS.get(path.stem)
+    output = f"It prints:\n\n```text\n{printed}```\n\n" if printed else ""
+    return (
+        f"# {path.name}\n\n{_title(path)}\n\n{_picture(path)}\n\n{output}```python\n{source}```\n"
+    )
