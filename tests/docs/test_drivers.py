@@ -1,14 +1,11 @@
 """The drivers in examples/ against simulated skins: frames, silence, floods, garbage."""
 
-from __future__ import annotations
-
 import os
 import pty
 import socket
 import sys
 import threading
 import tty
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,11 +16,10 @@ from conftest import free_port
 import sparseskin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable
-from sparseskin.nodes.sensor.driver import DriverSource, open_callable
+from sparseskin.nodes.sensor.driver import open_callable
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 UDP_SHAPE, SERIAL_SHAPE = (40, 40), (12, 32)
-Open = Callable[..., DriverSource]
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """The bridge to ROS 2, and ROS 2 as a source: against another process that has DDS alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
