@@ -1,7 +1,5 @@
 """Exported datasets, in LeRobot: python -m pytest tests/packages, where it is installed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bags import N_COLS, N_ROWS, PERIOD_NS, frame, make_bag, skin_state

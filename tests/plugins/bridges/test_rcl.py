@@ -3,14 +3,11 @@ that are used, which hands bytes from publisher to subscription within this proc
 calls and the flow of data, no behaviour of ROS 2 itself, which cannot be installed by pip.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections import deque
 from itertools import islice
 from types import ModuleType, SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,9 +29,9 @@ class QoSProfile:
         self.depth, self.reliability = depth, reliability
 
 
-PUBLISHED: dict[str, tuple[type, QoSProfile, deque[bytes]]] = {}
+PUBLISHED = {}
 """Type, quality and messages, not yet received, of each topic."""
-SUBSCRIBED: dict[str, Any] = {}
+SUBSCRIBED = {}
 
 
 class Node:
@@ -75,7 +72,7 @@ class Executor:
 @pytest.fixture
 def started(monkeypatch):
     """A stand-in for rclpy; what `init` and `create_node` were called with."""
-    calls: list[dict[str, Any]] = []
+    calls = []
 
     def init(*, args, context, domain_id):
         calls.append({"args": args, "domain_id": domain_id})
@@ -86,7 +83,7 @@ def started(monkeypatch):
 
     policy = SimpleNamespace(RELIABLE=1, BEST_EFFORT=2)
     of_std = {"Float32MultiArray": type("A", (), {"__doc__": "std_msgs/msg/Float32MultiArray"})}
-    made: dict[str, dict[str, Any]] = {
+    made = {
         "rclpy": {"init": init, "create_node": create_node},
         "rclpy.context": {"Context": lambda: SimpleNamespace(try_shutdown=lambda: None)},
         "rclpy.executors": {"SingleThreadedExecutor": Executor},
