@@ -132,10 +132,6 @@ class Contacts(Frames):
         rows = [] if self.events is None else self.events.tolist()
         return [(number, EVENTS[event]) for _, number, event in rows]
 
-    def summary(self, unit: str) -> str:
-        """Number of contacts and their total force, in a few words."""
-        return summary(self.id.size, float(self.total.sum()), unit)
-
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays with an entry for each contact, by the names of the columns of a table: `row` and
         `col` of `centre`, `x_mm`, ... of a place. What is not known is NaN.

@@ -20,6 +20,7 @@ from sparseskin.messages import (
     SolverState,
     topic_of,
 )
+from sparseskin.messages.contacts import summary
 from sparseskin.nodes.compressor.phi.acts import ActsPhi, follow
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, phis_for
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
@@ -158,7 +159,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         n = len(self._patches)
         several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
         found, skin = self._touching, self._skin
-        touched = found.summary(skin.unit) if found and skin and found.id.size else ""
+        n, total = (found.id.size, float(found.total.sum())) if found else (0, 0.0)
+        touched = summary(n, total, skin.unit) if n and skin else ""
         solver = f"solver {chosen['solver']}{basis}"
         parts = solver, self._left_out, several if n > 1 else "", touched
         return "; ".join(filter(None, parts))

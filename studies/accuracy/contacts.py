@@ -15,7 +15,7 @@ from scipy import ndimage
 from sparseskin.messages import SkinState
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.reconstructor.contact_tracks import EARLY, ContactTracker
+from sparseskin.nodes.reconstructor.contact_tracks import EARLY, ContactTracker, joined
 from sparseskin.nodes.reconstructor.contacts import NEIGHBOURS, Limits
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.evaluate import VALUE_BYTES, Estimator, Method
@@ -128,25 +128,23 @@ class ContactScores:
         for k, (truth, taxels) in enumerate(frames):
             solved = estimator.reconstruct(taxels)
             self.n_bytes = solved.n_bytes or VALUE_BYTES * self._take.n
-            found = tracker.update(solved.forces, solved.error, (k + 1) * FRAME_NS)
-            known = true.update(truth, None, (k + 1) * FRAME_NS)
+            stamp_ns = (k + 1) * FRAME_NS
+            found = joined([tracker.update(solved.forces, solved.error, stamp_ns)])
+            known = joined([true.update(truth, None, stamp_ns)])
             if k < n_early:
-                part.seen |= set(known.fields["id"].tolist() if known else ())
+                part.seen |= set(known["id"].tolist())
                 continue
             self.n_frames += 1
             regions, of_truth = (one.regions.reshape(shape) for one in (tracker, true))
             near = ndimage.binary_dilation(truth > 0, NEIGHBOURS)
-            fields = found.fields if found else {"id": np.zeros(0, np.int32)}
             touching = np.unique(regions[near])
-            self.n_ghosts += fields["id"].size - int(np.count_nonzero(touching))
-            self._compare(
-                truth, known.fields if known else None, of_truth, fields, regions, part, k
-            )
+            self.n_ghosts += found["id"].size - int(np.count_nonzero(touching))
+            self._compare(truth, known, of_truth, found, regions, part, k)
 
     def _compare(
         self,
         truth: Floats,
-        known: dict[str, Any] | None,
+        known: dict[str, Any],
         of_truth: np.ndarray[Any, Any],
         found: dict[str, Any],
         regions: np.ndarray[Any, Any],
@@ -155,10 +153,10 @@ class ContactScores:
     ) -> None:
         """Compare the contacts of a frame with the true ones."""
         at: dict[int, int] = {}
-        ids = [] if known is None else known["id"].tolist()
+        ids = known["id"].tolist()
         for row, one in enumerate(ids):
             region = of_truth == row + 1
-            total = float(known["total"][row]) / self._take.f_max if known else 0.0
+            total = float(known["total"][row]) / self._take.f_max
             if one not in part.seen:
                 part.seen.add(one)
                 part.begins[one] = k
