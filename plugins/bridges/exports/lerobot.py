@@ -34,6 +34,7 @@ from sparseskin.plugins.bridges.contacts import N_STATE, state, state_names
 from .lerobot_dataset import (
     ACTION,
     FORCES,
+    MAX_FPS,
     STATE,
     Dataset,
     Feature,
@@ -43,7 +44,7 @@ from .lerobot_dataset import (
 )
 
 FPS = 30
-MAX_FPS, MAX_WINDOW, MAX_CONTACTS, MAX_OFFSET_S = 1000, 4096, 100, 86400
+MAX_WINDOW, MAX_CONTACTS, MAX_OFFSET_S = 4096, 100, 86400
 
 
 @dataclass(frozen=True)

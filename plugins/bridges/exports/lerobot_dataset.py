@@ -25,6 +25,7 @@ from sparseskin.nodes.recorder.bag.format import BagError
 VERSION = "v3.0"
 TASK = "touch"
 STATE, FORCES, ACTION = "observation.state", "observation.environment_state", "action"
+MAX_FPS = 1000
 CHUNK = 1000
 """Files of a folder."""
 TOLERANCE_S = 1e-4
@@ -86,7 +87,9 @@ class Dataset:
             self._stats = json.loads((root / STATS).read_text())
             if (version := self._info["codebase_version"]) != VERSION:
                 raise ValueError(f"codebase version {version!r:.20}; allowed is {VERSION!r}")
-            self.fps, self._features = self._info["fps"], self._info["features"]
+            self.fps, self._features = self._info["fps"], {**self._info["features"]}
+            if not 0 < self.fps <= MAX_FPS:
+                raise ValueError(f"fps {self.fps} is outside 0..{MAX_FPS}")
             self._data = sorted(root.glob("data/*/*.parquet"))
             names = ["episode_index", "timestamp"]
             table = pa.concat_tables(pq.read_table(path, columns=names) for path in self._data)
@@ -127,7 +130,8 @@ class Dataset:
                 self._features[key] = self._with(key, feature)
             readme = self.root / README
             text = readme.read_text(encoding="utf-8") if readme.exists() else CARD
-        (out / INFO).write_text(json.dumps(self._info, indent=4), encoding="utf-8")
+        info = self._info | {"features": self._features}
+        (out / INFO).write_text(json.dumps(info, indent=4), encoding="utf-8")
         (out / STATS).write_text(json.dumps(self._stats, default=np.ndarray.tolist))
         (out / README).write_text(f"{text}\n{about}\n", encoding="utf-8")
 
@@ -320,11 +324,9 @@ def _nested(values: Floats) -> Any:
 
     if values.shape[1:] == (1,):
         values = values[:, 0]
-    made = pa.array(np.ascontiguousarray(values).ravel())
-    for k in range(values.ndim - 1, 0, -1):
-        n = int(np.prod(values.shape[:k]))
-        offsets = np.arange(n + 1, dtype=np.int32) * values.shape[k]
-        made = pa.ListArray.from_arrays(pa.array(offsets), made)
+    made = pa.array(values.ravel())
+    for n in reversed(values.shape[1:]):
+        made = pa.FixedSizeListArray.from_arrays(made, n)
     return made
 
 

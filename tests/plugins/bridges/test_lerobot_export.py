@@ -162,9 +162,12 @@ def test_frames_are_joined_into_the_episodes_of_a_dataset_by_their_stamps(
         (["--fps", "30"], None, "--fps: is that of the dataset"),
         (["--topics", "/skin/truth"], None, "has a feature observation.tactile.skin_truth"),
         (["{bag}"], None, "has 2 episodes; state as many recordings, not 3"),
-        ([], "meta/info.json", "no dataset of LeRobot that can be read"),
         ([], "meta/stats.json", "no dataset of LeRobot that can be read"),
         ([], "data/chunk-000/file-000.parquet", "no dataset of LeRobot that can be read"),
+        ([], {"fps": 0}, "fps 0 is outside"),
+        ([], {"features": []}, "no dataset of LeRobot that can be read"),
+        ([], {"codebase_version": "v2.1"}, "'v2.1'; allowed is 'v3.0'"),
+        ([], {"total_episodes": 3}, "rows of 2 episodes"),
     ],
 )
 def test_what_cannot_be_joined_is_one_line_and_leaves_nothing(
@@ -172,7 +175,10 @@ def test_what_cannot_be_joined_is_one_line_and_leaves_nothing(
     capsys,
 ):  # fmt: skip
     root, words = truths
-    if broken:
+    if isinstance(broken, dict):
+        info = json.loads((root / "meta/info.json").read_text())
+        (root / "meta/info.json").write_text(json.dumps(info | broken))
+    elif broken:
         (root / broken).write_bytes((root / broken).read_bytes()[:-30])
     words[3:3] = [str(bag) for word in more if word == "{bag}"]
     assert main([*words, *(word for word in more if word != "{bag}")]) == 2
