@@ -34,9 +34,9 @@ charts charts-quick: .venv/installed-charts
 	    $(BIN)/sparseskin study $$study $(if $(findstring quick,$@),--quick) || exit; \
 	done
 
-# The tests that take seconds at most.
+# The tests that take seconds at most; of some folders: make test TESTS=tests/nodes/player.
 test: .venv/installed-dev
-	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) -m "not slow"
+	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" $(TESTS)
 
 # All tests, those that are slow by nature too (kills, soak, browser, network namespaces).
 test-all: .venv/installed-dev

@@ -24,6 +24,7 @@ from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.numerics.arrays import real_floats
 from sparseskin.nodes.reconstructor.bases.base import Basis
@@ -40,6 +41,8 @@ from sparseskin.nodes.recorder.bag.patches import split_bag
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.npz import export_npz
 from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.files.recording import READ_AS, REFUSE, Policy
+from sparseskin.nodes.sensor.missing import MissingReadings
 
 Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -461,8 +464,8 @@ def read_recording(
     patch : str, optional
         Patch to read; needed where a bag has several.
     **stated
-        What a file does not state: n_rows, n_cols, unit, f_max, rate_hz, columns, topic; not for
-        recordings of sparseskin.
+        What a file does not state: n_rows, n_cols, unit, f_max, rate_hz, columns, topic; and nan
+        and negative, ways to treat readings, as the sensor's. Not for recordings of sparseskin.
 
     Returns
     -------
@@ -493,8 +496,16 @@ def read_recording(
         if stated:
             raise SparseskinError(f"{path}: a recording states {', '.join(stated)} itself")
         return _read_bag(path, patch)
-    source = open_file(path, **stated)
+    for word in stated:
+        if word not in READ_AS:
+            raise SparseskinError(f"{word}: unknown argument{nearest_of(word, READ_AS)}")
+    policy = Policy(stated.pop("nan", REFUSE), stated.pop("negative", REFUSE))
+    source = open_file(path, policy=policy, **stated)
     pairs = list(source)
+    if policy.nan != REFUSE:
+        fill = MissingReadings(policy.nan, source.skin, learns=False).fill
+        found = [(stamp, fill(forces, stamp)) for stamp, forces in pairs]
+        pairs = [(stamp, filled[0]) for stamp, filled in found if filled is not None]
     return {
         "forces": np.stack([forces for _, forces in pairs]),
         "stamp_ns": np.array([stamp for stamp, _ in pairs], dtype=np.int64),

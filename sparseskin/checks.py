@@ -42,6 +42,8 @@ def check_phi(phi: Phi) -> dict[str, float]:
     PhiError
         At the first of these that does not hold, with what was found and what is expected.
     """
+    if not isinstance(phi, Phi):
+        raise PhiError(f"phi: got {phi!r}; expected what make_phi returns")
     name = f"phi {phi.kind}"
     x, y = _normal((2, phi.n)), _normal((2, phi.m))
     measured = _checked(PhiError, f"{name}: forward", phi.forward, x, (2, phi.m))
@@ -82,6 +84,8 @@ def check_basis(basis: Basis) -> dict[str, float]:
     SolverError
         At the first property that does not hold.
     """
+    if not isinstance(basis, Basis):
+        raise SparseskinError(f"basis: got {basis!r}; expected what make_basis returns")
     name, shape = f"basis {type(basis).__name__}", (2, basis.n_rows, basis.n_cols)
     image, theta = _normal(shape), _normal(shape, 1)
     found = _checked(SolverError, f"{name}: analysis", basis.analysis, image, shape)

@@ -244,3 +244,15 @@ def test_objects_state_what_they_are():
     made = "8 x 8, m = 22 of 64 taxels by sbhe, 3 row subsets"
     assert repr(SOLVER) == f"<RotatingSolver fista: {made}>"
     assert repr(STREAM) == f"<Stream {made.replace(',', ':', 1)}; solver skin>"
+
+
+def test_missing_readings_of_a_file_are_treated_as_stated(tmp_path):
+    frames = np.ones((3, 4, 4), np.float32)
+    frames[1, 2, 2] = np.nan
+    np.save(tmp_path / "log.npy", frames)
+    found = sparseskin.read_recording(tmp_path / "log.npy", nan="hold")
+    np.testing.assert_array_equal(found["forces"], np.ones((3, 4, 4)))
+    with pytest.raises(SparseskinError, match=r"nan: 'hodl' .*did you mean 'hold'"):
+        sparseskin.read_recording(tmp_path / "log.npy", nan="hodl")
+    with pytest.raises(SparseskinError, match=r"nann: unknown argument .*did you mean 'nan'"):
+        sparseskin.read_recording(tmp_path / "log.npy", nann="hold")

@@ -22,15 +22,19 @@ from sparseskin.nodes.recorder.bag.format import (
 )
 from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
 from sparseskin.nodes.sensor.files.format import suffixes
-from sparseskin.nodes.sensor.files.recording import NAN_WAYS, NEGATIVE_WAYS, REFUSE, spelled
+from sparseskin.nodes.sensor.files.recording import (
+    NAN_WAYS,
+    NEGATIVE_WAYS,
+    READ_AS,
+    REFUSE,
+    spelled,
+)
 
 from .options import add_commands, add_shape, bag_names, rare, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
-READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "columns", "topic", "nan", "negative")
-"""Options of `import` on how a file is read."""
 _MAX_SHOWN = 2000
 """Characters of one value that the table shows at most."""
 _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz")

@@ -23,6 +23,7 @@ from sparseskin.launch.run.terminal import Terminal
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
+from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.files.recording import Policy, spelled
 from sparseskin.nodes.sensor.settings import SensorSettings
@@ -59,7 +60,10 @@ def _sources(arguments: argparse.Namespace) -> int:
     found = [listing for kind in KINDS for listing in find_kind(kind).listings()]
     found.append(Listing("drivers", "drivers of installed packages", drivers()))
     for kind, made in loaded(ADDRESSES).items():
-        found += made.listings() if kind not in KINDS else ()
+        try:
+            found += made.listings() if kind not in KINDS else ()
+        except Exception as error:  # of any package
+            found.append(Listing(kind, f"{kind}: cannot be listed: {one_line(error)}", ()))
     document = {one.key: list(one.entries) for one in found}
     return show(arguments, "source-list", document, _lines(found))
 

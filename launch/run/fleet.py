@@ -22,8 +22,9 @@ from .process import NodeProcess, awake_s, exit_text
 from .restarts import Restarts
 from .running import RunningGraph, RunningNode, control_path, page_path, socket_path
 
-START_S = 90.0
-"""Longest start of all nodes together, seconds: three times what compiling all loops takes."""
+START_S = 240.0
+"""Longest start of all nodes together, seconds: ten times what compiling all loops takes, which on
+a busy host is three times as much."""
 GRACE_S = 2.0
 """Time from one request to end to the next, more forceful one, seconds."""
 POLL_S = 0.1

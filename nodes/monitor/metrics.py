@@ -368,7 +368,7 @@ class PatchMetrics:
             "phi": phi.kind if phi else None,
             **_fields(self.solver, "basis", "solver", "preset", "iterations", "frame_ms"),
             **_fields(phi, "rows", "n", "m"),
-            **_fields(skin, "f_max", "unit"),
+            **_fields(skin, "f_min", "f_max", "unit"),
             "ratio": n / m if m else None,
             "bits": self.bits,
             "changes": [*self.changes],

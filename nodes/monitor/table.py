@@ -149,7 +149,7 @@ def patch_table(name: str, patch: Mapping[str, Any]) -> str:
         f"{skipped}lost {frames['lost']}{_compared(patch)}",
         f"measured    {patch['phi']}{rotating}: "
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
-        f"range 0..{shown(patch['f_max'], 'g')} {patch['unit']}{bits}",
+        f"range {shown(patch['f_min'], 'g')}..{shown(patch['f_max'], 'g')} {patch['unit']}{bits}",
         f"solver      {patch['solver']}{basis}, {_iterations(patch)}{preset}",
         f"bytes       {f'taxels {n_in:,}, ' if n_in else ''}measurements {n_out:,}"
         f"{f' (1/{n_in / n_out:.2f})' if n_in and n_out else ''}",

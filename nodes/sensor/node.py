@@ -18,7 +18,7 @@ from .calibration.chain import Chain
 from .calibration.description import of_skin
 from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
-from .files.recording import MASK, REFUSE
+from .files.recording import MASK, REFUSE, spelled
 from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
@@ -56,7 +56,11 @@ class Sensor(SourceNode[SensorSettings]):
         self._placement = self._described.placement if self._described else None
         if settings.points:
             self._placement = point_skins().place(settings.points)
-        self._source = settings.address().open()
+        try:
+            self._source = settings.address().open()
+        except SourceError as error:
+            text = spelled(str(error), lambda key: f"--set {context.name}.{key}=")
+            raise SourceError(text) from error
         self._source.loops = settings.loop
         try:
             if settings.first or settings.every > 1:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sparseskin.messages.text import printable
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.touch import MeasuredNoise, touch_level
 
 from .calibration.chain import TARE_FRAMES
@@ -17,8 +17,9 @@ and the rim read nothing."""
 
 
 class Rest:
-    """Notices a level at rest: nearly all taxels read more than a touch in each of the first
-    `TARE_FRAMES` frames.
+    """Notices a level at rest: in the mean of the first `TARE_FRAMES` frames nearly all taxels read
+    more than the noise of one frame, and more than the least contact. Clipped noise has a mean of
+    0.4 deviations.
 
     Attributes
     ----------
@@ -30,7 +31,7 @@ class Rest:
         self.line = ""
         self._skin = skin
         self._noise = MeasuredNoise()
-        self._least: Floats | None = None
+        self._sum: Doubles = np.zeros(skin.shape)
         self._n_left = TARE_FRAMES
 
     def update(self, forces: Floats) -> bool:
@@ -38,16 +39,16 @@ class Rest:
         if not self._n_left:
             return False
         self._n_left -= 1
-        self._least = forces if self._least is None else np.fmin(self._least, forces)
+        self._sum += forces
         noise, skin = self._noise.update(forces), self._skin
         if self._n_left:
             return False
-        least = self._least[skin.exists]
-        n_lifted = np.count_nonzero(least > touch_level(noise, skin.f_max))
-        if n_lifted < SHARE * least.size:
+        means = self._sum[skin.exists] / TARE_FRAMES
+        n_lifted = np.count_nonzero(means > touch_level(noise, skin.f_max, sigmas=1.0))
+        if n_lifted < SHARE * means.size:
             return False
         self.line = (
-            f"{n_lifted} of {least.size} taxels read {least.min():.2g} to {least.max():.2g} "
+            f"{n_lifted} of {means.size} taxels read {means.min():.2g} to {means.max():.2g} "
             f"{printable(skin.unit)} at first; if nothing touched them, sensor.tare={TARE_FRAMES} "
             "subtracts it"
         )

@@ -132,4 +132,6 @@ def open_source(source: str, **stated: Any) -> Source:
     SourceError
         If the source is missing or malformed, or a setting contradicts it.
     """
-    return find_address(source, **stated).open()
+    address = find_address(source, **stated)
+    address.check()
+    return address.open()

@@ -12,7 +12,7 @@ PAGES = {
         *sorted((ROOT / "docs").rglob("*.md")),
     ]
 }
-TOP = "messages|nodes|launch|studies|sparseskin|examples|tests|docs"
+TOP = "messages|nodes|launch|plugins|packages|studies|sparseskin|examples|tests|docs"
 PATH = re.compile(rf"`((?:{TOP})/[\w/.]*)`")
 MODULE = re.compile(rf"`((?:{TOP})/[\w/]*/)`,\s+module\s+`(\w+)`")
 DOTTED = re.compile(r"`(?:import )?(sparseskin(?:\.\w+)+)`")

@@ -51,11 +51,11 @@ export class Contacts {
       const text = `${contact.id}: ${brief(contact.total, this.unit)}`;
       const half = 0.5 * LETTER * pixel * text.length, high = FONT * pixel;
       const at = Math.max(x0 + half, Math.min(x0 + w - half, x));
-      // Above the ring; below it where there is no room, or another label.
+      // Above the ring, below it, or in it at its upper end: where there is room, and no label.
       const isFree = (top) => top >= y0 && top + high <= y0 + h && !taken.some(([left, up]) =>
         Math.abs(left - at) < 2 * half && Math.abs(up - top) < high);
-      const tops = [y - r - 1.2 * high, y + r + 0.2 * high];
-      const top = tops.find(isFree) ?? tops[0];
+      const tops = [y - r - 1.2 * high, y + r + 0.2 * high, Math.max(y0, y - r)];
+      const top = tops.find(isFree) ?? tops[2];
       taken.push([at, top]);
       return [
         element("path", { class: `trail ${kind}`, d: `M${trail.join("L")}` }),

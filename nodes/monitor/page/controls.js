@@ -9,7 +9,7 @@ const SETTINGS = [
   ["reconstructor", "solver", "Solver"],
   ["reconstructor", "basis", "Basis"],
   ["reconstructor", "iterations", "Iterations"],
-  ["reconstructor", "lambda_n", "λ (N; range 2.5 N)"],
+  ["reconstructor", "lambda_n", "λ (for a range of 2.5)"],
   ["reconstructor", "budget_ms", "Time budget (ms/frame)"],
   ["reconstructor", "contact_force", "Least force of a contact"],
   ["reconstructor", "contact_over", "Force of the event ◆ over"],
@@ -38,14 +38,14 @@ export class Controls {
   }
 
   // Show the state of the graph; rebuild the controls if its nodes differ.
-  show(graph, patch, hasContacts) {
+  show(graph, patch, hasContacts, hasTruth) {
     const serves = (node) => node.patch === patch || (node.patch && node.patches.includes(patch));
     const nodes = graph.nodes.filter((node) => serves(node) || "seek" in node.commands);
-    const shape = JSON.stringify([patch, hasContacts,
+    const shape = JSON.stringify([patch, hasContacts, hasTruth,
       nodes.map((node) => [node.name, node.type, "tare_left" in node.state])]);
     if (shape !== this.shape) {
       this.shape = shape;
-      this.build(nodes, hasContacts);
+      this.build(nodes, hasContacts, hasTruth);
     }
     for (const node of nodes) this.refresh(node);
     const recording = byId("record");
@@ -55,7 +55,7 @@ export class Controls {
     }
   }
 
-  build(nodes, hasContacts) {
+  build(nodes, hasContacts, hasTruth) {
     this.root.replaceChildren(element("h2", {}, "Controls"), this.why);
     const player = nodes.find((node) => "seek" in node.commands);
     if (player) this.root.append(this.playerControls(player.name));
@@ -74,6 +74,7 @@ export class Controls {
       for (const node of nodes.filter((found) => found.type.replace(/_batch$/, "") === type)) {
         const entry = node.controls.find((found) => found.key === key);
         if (!entry || (key.startsWith("contact_") && !hasContacts)) continue;
+        if (key === "noise" && !hasTruth) continue; // of readings, the noise is their own
         this.root.append(this.field(node.name, entry, label));
       }
     }

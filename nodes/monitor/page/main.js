@@ -267,7 +267,9 @@ function drawText() {
   if (record?.contacts && maps) {
     contactList.show(maps.contacts, record.contacts, model.skins[patch], seconds());
   }
-  if (model.graph && model.state) controls.show(model.graph, patch, contactList.isShown);
+  if (model.graph && model.state) {
+    controls.show(model.graph, patch, contactList.isShown, model.skins[patch]?.has_truth);
+  }
   controls.rest(model.over ? "The graph has ended: nothing can be set."
     : model.connection === "open" ? "" : "No connection: nothing can be set.");
   const state = model.state?.patches[patch];

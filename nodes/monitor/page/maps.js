@@ -18,6 +18,7 @@ const FIRST = 0.04; // fraction of f_max beyond which a force turns the first vi
 const TOUCHED = 5; // standard deviations of an untouched taxel below which a reading is no contact
 const NOISE = 8; // standard deviations of an untouched taxel that a colour range has at least
 const PRESSED = 0.2; // part of the peak beyond which a taxel is zoomed to
+const WIDE = 2; // columns per row beyond which the other maps stand below the large one
 const AROUND = 2, LEAST_CROP = 0.2; // taxels around it; part of the skin that is shown at least
 const ELLIPSE = 2.146; // standard deviations that contain 90 % of a normal distribution in a plane
 
@@ -184,6 +185,7 @@ export class Maps {
       : new GridView(skin);
     root.replaceChildren();
     root.classList.toggle("space", Boolean(this.inSpace));
+    root.classList.toggle("wide", this.view.aspect >= WIDE);
     const { signal } = this.aborter;
     const names = skin.has_truth ? Object.keys(TITLES)
       : skin.has_taxels ? ["taxels", "reconstruction", "error"] : ["reconstruction"];

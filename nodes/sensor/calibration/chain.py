@@ -171,6 +171,7 @@ class Chain:
         self._untared = missing.all(axis=0)
         readings[:, self._untared] = 0.0
         median = np.nanmedian if missing.any() else np.median
+        is_first = self.description.baseline is None
         old = 0.0 if self.description.baseline is None else self.description.baseline
         baseline = np.where(self._untared, old, median(readings, axis=0).astype(np.float64))
         moved = np.abs(self.description.forces(baseline) - self.drift.value)[self.skin.exists]
@@ -179,7 +180,8 @@ class Chain:
         if self.description.noise is None and len(frames) >= LEAST_FRAMES:
             self._measure_noise(readings[:MOST_FRAMES])
         line = f"forces changed by at most {moved.max():.3g} {self.skin.unit}"
-        if n_moved := np.count_nonzero(moved > MOVED * self.skin.f_max):
+        n_moved = np.count_nonzero(moved > MOVED * self.skin.f_max)
+        if n_moved and not is_first:
             line += f", of {n_moved} taxels by more than {100 * MOVED:g} % of the range"
             line += ": a touch while taring, or a baseline that was old"
         self._tared, self.is_news = line, True
@@ -188,7 +190,8 @@ class Chain:
     def _measure_noise(self, readings: npt.NDArray[Any]) -> None:
         works = self.skin.exists & ~self._untared
         forces = np.stack([self.description.forces(frame)[works] for frame in readings])
-        noise = float(np.median(forces.std(axis=0, ddof=1))) if works.any() else 0.0
+        steady = ~np.isnan(forces).any(axis=0)
+        noise = float(np.median(forces[:, steady].std(axis=0, ddof=1))) if steady.any() else 0.0
         if 0 < noise < MOVED * self.skin.f_max:
             d = self.description = replace(self.description, noise=float(f"{noise:.3g}"))
             self.drift = Drift(d.shape, d.f_max, noise, self.drift.rate)

@@ -264,7 +264,7 @@ def _checked_shape(head: Head, file: File, needs_unit: bool) -> tuple[int, int]:
         check_stated_shape(*head.shape, rows, cols, name)
         rows, cols = head.shape
     elif not (rows or cols):
-        missing = {"shape": shape_text(n_cells)}
+        missing = {f"shape ({n_cells} = rows x columns)": shape_text(n_cells)}
     else:
         rows = rows or n_cells // (cols or 1)
         cols = cols or n_cells // rows

@@ -20,6 +20,7 @@ from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.ranges import is_real
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
 MAX_READING = float(np.float32(1e30))
@@ -50,6 +51,10 @@ NEGATIVE_WAYS = (REFUSE, ZERO, OFFSET, MASK)
 or their taxels are masked."""
 
 
+READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "columns", "topic", "nan", "negative")
+"""What may be stated of a file: arguments of `open_file`, and the ways of its `Policy`."""
+
+
 @dataclass(frozen=True)
 class Policy:
     """Ways to treat invalid readings, one of `NAN_WAYS` and one of `NEGATIVE_WAYS`. `raw`: a
@@ -59,6 +64,14 @@ class Policy:
     nan: str = REFUSE
     negative: str = REFUSE
     raw: bool = False
+
+    def __post_init__(self) -> None:
+        for name, way, ways in (
+            ("nan", self.nan, NAN_WAYS),
+            ("negative", self.negative, NEGATIVE_WAYS),
+        ):
+            if way not in ways:
+                raise SourceError(f"{name}: {shown(way)} is not known{nearest_of(str(way), ways)}")
 
     @property
     def masks(self) -> bool:

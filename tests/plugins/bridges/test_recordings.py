@@ -115,7 +115,9 @@ def test_frames_of_each_kind_of_message_are_read(tmp_path, kind):
         open_file(write(tmp_path / "flat", kind, ("/cloud", "/flat")))
     with pytest.raises(SourceError, match=r"no topic '/off'; allowed: /image"):
         open_file(path, topic="/off")
-    with pytest.raises(SourceError, match=r"holds 12 readings; .* shape; add n_rows=3 n_cols=4$"):
+    with pytest.raises(
+        SourceError, match=r"holds 12 readings; .* shape .*; add n_rows=3 n_cols=4$"
+    ):
         open_file(path, topic="/flat")
 
 

@@ -38,7 +38,7 @@ def test_forces_come_back_from_counts(baseline, gain, force):
 
 
 def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the_drift():
-    chain = Chain(skin())
+    chain = Chain(skin(baseline=np.zeros(SHAPE)))
     run(chain, -0.02, 10)
     assert chain.drift.value.any()
     chain.tare([np.full(SHAPE, 7.0)] * 20 + [np.full(SHAPE, 900.0)] * 9)
@@ -46,12 +46,17 @@ def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the
     assert line.startswith("forces changed by at most 7 N, of 12 taxels by more than 5 %")
     assert not chain.drift.value.any()
     assert (chain.apply(np.full(SHAPE, 9.0), 0) == 2.0).all()
+    first = Chain(skin())
+    first.tare([np.full(SHAPE, 7.0)])
+    assert first.state()["tared"] == "forces changed by at most 7 N"
 
 
 def test_a_tare_measures_the_noise_that_no_file_states():
     rng = np.random.default_rng(0)
     chain, stated = Chain(skin()), Chain(skin(noise=0.02))
     frames = [rng.normal(3.0, 0.01, SHAPE) for _ in range(1000)]
+    for frame in frames[::7]:
+        frame[1, 2] = np.nan
     for one in (chain, stated):
         one.tare(frames)
     # The deviation of 100 frames is off by 1 / sqrt(200) of itself, the median of 12 by a third.

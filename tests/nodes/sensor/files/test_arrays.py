@@ -72,7 +72,10 @@ class TestNpy:
         ("array", "message"),
         [
             (np.zeros(4), r"has 1 dimensions, shape \(4,\); expected three"),
-            (np.zeros((3, 6)), "holds 6 .* state shape, rate; add n_rows=2 n_cols=3 rate_hz=100$"),
+            (
+                np.zeros((3, 6)),
+                "holds 6 .* state shape .*, rate; add n_rows=2 n_cols=3 rate_hz=100$",
+            ),
             (np.zeros((0, 3, 4)), "holds no frame"),
             (np.zeros((3, 0)), "a frame holds 0 cells"),
             (np.zeros((1, 2048, 1024), dtype="u1"), "2097152 cells; at most 1048576"),
@@ -197,7 +200,7 @@ def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(tmp_pat
     settings = SensorSettings(source=f"file:{path}")
     with pytest.raises(SourceError) as refused:
         Sensor(settings, Context("sensor", ManualClock(0)))
-    place = f"{path}: frame 2, row 511, column 7: nan is not finite; add nan=hold"
+    place = f"{path}: frame 2, row 511, column 7: nan is not finite; add --set sensor.nan=hold"
     assert str(refused.value).startswith(place)
     open_file(path, policy=Policy(nan=ZERO))
 

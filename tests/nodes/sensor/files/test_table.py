@@ -61,7 +61,7 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
     ("text", "stated", "message"),
     [
         ("1,2,3,4\n", {"unit": None}, "add n_rows=2 n_cols=2 unit=N rate_hz=100$"),
-        ("t,a,b,c\n1,2,3,4\n", {"unit": None}, "shape, unit .*; add n_rows=1 n_cols=3 unit=N$"),
+        ("t,a,b,c\n1,2,3,4\n", {"unit": None}, "shape .*, unit .*; add n_rows=1 n_cols=3 unit=N$"),
         ("1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "2 x 3 needs 6"),
         ("1,2,3,4\n1,2,3\n", {"n_rows": 2}, "line 2: holds 3 cells, the first line 4"),
         ("a1,a2\n3,-4\n", {"n_rows": 1}, "frame 0, row 0, column 1: -4 is below 0"),
