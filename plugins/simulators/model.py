@@ -13,11 +13,10 @@ import numpy as np
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.isolated import output_of
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.files.recording import check_grid, check_stated_shape
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
-
-from .isolated import shape_in_child
 
 MUJOCO = "mujoco:"
 FORM = "mujoco:MODEL.xml#SITE"
@@ -86,6 +85,15 @@ def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
     shape = _shape(path, site, (state.st_mtime_ns, state.st_size))
     check_stated_shape(*shape, n_rows, n_cols, source)
     return shape[0] * shape[1]
+
+
+def shape_in_child(address: str, n_bytes: int) -> tuple[int, int]:
+    """Rows and columns of the skin of a model MODEL#SITE, a file of `n_bytes`: its first state is
+    computed in a child, as a model of a few lines may take any time and memory. Raises SourceError.
+    """
+    found = output_of(f"{__package__}.source", address, n_bytes=n_bytes)
+    n_rows, n_cols = map(int, found.split()[-2:])
+    return n_rows, n_cols
 
 
 @lru_cache(maxsize=8)

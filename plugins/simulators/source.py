@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import resource
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,12 +12,12 @@ import numpy as np
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.isolated import child_status
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.sensor.files.recording import check_stated_shape
 from sparseskin.nodes.sensor.source import Address, Source
 
-from .isolated import MAX_BYTES, REFUSED
 from .model import check_model, find_pad, load_model, split_address
 from .touch import Touch
 
@@ -188,17 +187,7 @@ class MujocoAddress(Address):
 
 def main(address: str) -> int:
     """Print rows and columns of the skin of MODEL#SITE, or why it is refused; the exit status."""
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    try:
-        print(*MujocoSource(address).pad.shape)
-    except SourceError as error:
-        print(error, file=sys.stderr)
-    except MemoryError:
-        print(f"{address}: needs more memory than is allowed to its reader", file=sys.stderr)
-    else:
-        return 0
-    return REFUSED
+    return child_status(address, lambda: print(*MujocoSource(address).pad.shape))
 
 
 if __name__ == "__main__":

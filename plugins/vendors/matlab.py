@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import sys
 import zlib
 from collections.abc import Iterator
 from math import prod
@@ -13,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.isolated import child_status, output_of
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.sensor.files.arrays import as_frames, frames_name
 from sparseskin.nodes.sensor.files.recording import File, Parsed, Recording
@@ -53,8 +55,7 @@ class ArraysRecording(Recording):
         except SourceError:
             raise
         except Exception as error:  # of SciPy and HDF5, at malformed bytes of any kind
-            text = " ".join(str(error).split())[:200] or type(error).__name__
-            raise SourceError(f"{name}: cannot be read ({text})") from error
+            raise unreadable(name, error) from error
         array = as_frames(array, f"{name}, array {key}")
         if not is_matlab or array.ndim != 3:
             return Parsed(array)
@@ -66,29 +67,14 @@ class ArraysRecording(Recording):
             notes=(f"array {key}: frames are its {'last' if is_last else 'first'} dimension",),
         )
 
-    def _check_size(self, key: str, n_bytes: int, held: int) -> None:
-        most = max(MAX_GROWN_BYTES, MAX_GROWTH * held)
-        if n_bytes > most:
-            raise SourceError(f"{self._file.name}, array {key}: {n_bytes} bytes; at most {most}")
-
     def _mat(self, raw: bytes) -> tuple[str, npt.NDArray[Any]]:
-        from scipy.io import loadmat, whosmat
-
-        plain = io.BytesIO(b"".join(_inflated(raw, max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw)))))
-        listed = whosmat(plain)
-        numbers = {key: n for key, n, kind in listed if kind[:3] in ("dou", "sin", "int", "uin")}
-        structs = [key for key, _, kind in listed if kind == "struct"]
-        plain.seek(0)
-        found = loadmat(plain, variable_names=structs) if structs else {}
-        fields = dict(pair for key in structs for pair in _fields(key, found[key]))
-        sizes = {key: len(shape) for key, shape in numbers.items()}
-        sizes |= {key: field.ndim for key, field in fields.items()}
-        key = frames_name(sizes, self._file.topic, self._file.name)
-        if key in fields:
-            return key, fields[key]
-        self._check_size(key, 8 * prod(numbers[key]), len(raw))
-        plain.seek(0)
-        return key, loadmat(plain, variable_names=[key])[key]
+        """In a child: SciPy ends the process at some malformed bytes."""
+        most = max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
+        plain = b"".join(_inflated(raw, most))
+        arguments = self._file.name, str(most), self._file.topic or ""
+        found = output_of(__name__, *arguments, n_bytes=len(plain), data=plain)
+        key, _, array = found.partition(b"\n")
+        return key.decode(), np.load(io.BytesIO(array), allow_pickle=False)
 
     def _hdf5(self) -> tuple[str, npt.NDArray[Any]]:
         try:
@@ -115,8 +101,51 @@ class ArraysRecording(Recording):
                 self._file.name,
             )
             found = file[key]
-            self._check_size(key, found.size * found.dtype.itemsize, self._file.file.seek(0, 2))
+            most = max(MAX_GROWN_BYTES, MAX_GROWTH * self._file.file.seek(0, 2))
+            _check_size(self._file.name, key, found.size * found.dtype.itemsize, most)
             return key, found[()]
+
+
+def _check_size(name: str, key: str, n_bytes: int, most: int) -> None:
+    if n_bytes > most:
+        raise SourceError(f"{name}, array {key}: {n_bytes} bytes; at most {most}")
+
+
+def _chosen(name: str, most: int, topic: str | None) -> tuple[str, npt.NDArray[Any]]:
+    """The array of a plain .mat on the standard input, and its name or path."""
+    from scipy.io import loadmat, whosmat
+
+    plain = io.BytesIO(sys.stdin.buffer.read())
+    try:
+        listed = whosmat(plain)
+        numbers = {key: n for key, n, kind in listed if kind[:3] in ("dou", "sin", "int", "uin")}
+        structs = [key for key, _, kind in listed if kind == "struct"]
+        plain.seek(0)
+        found = loadmat(plain, variable_names=structs) if structs else {}
+        fields = dict(pair for key in structs for pair in _fields(key, found[key]))
+        sizes = {key: len(shape) for key, shape in numbers.items()}
+        sizes |= {key: field.ndim for key, field in fields.items()}
+        key = frames_name(sizes, topic, name)
+        if key in fields:
+            return key, fields[key]
+        _check_size(name, key, 8 * prod(numbers[key]), most)
+        plain.seek(0)
+        return key, loadmat(plain, variable_names=[key])[key]
+    except SourceError:
+        raise
+    except Exception as error:  # of SciPy, at malformed bytes of any kind
+        raise unreadable(name, error) from error
+
+
+def main(name: str, most: str, topic: str) -> int:
+    """Print name and bytes of the chosen array, or why there is none; the exit status."""
+
+    def work() -> None:
+        key, array = _chosen(name, int(most), topic or None)
+        sys.stdout.buffer.write(f"{key}\n".encode())
+        np.save(sys.stdout.buffer, array, allow_pickle=False)
+
+    return child_status(name, work)
 
 
 def _fields(key: str, one: npt.NDArray[Any]) -> Iterator[tuple[str, npt.NDArray[Any]]]:
@@ -142,3 +171,13 @@ def _inflated(raw: bytes, most: int) -> Iterator[bytes]:
                 raise SourceError("its arrays are far larger than the file")
         yield element
         at += 8 + size
+
+
+def unreadable(name: str, error: Exception) -> SourceError:
+    """The error of a file that a library refuses."""
+    text = " ".join(str(error).split())[:200] or type(error).__name__
+    return SourceError(f"{name}: cannot be read ({text})")
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

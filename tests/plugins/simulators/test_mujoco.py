@@ -24,7 +24,7 @@ MODELS = Path(__file__).parents[3] / "examples" / "models"
 PAD = f"{MODELS / 'pad.xml'}#pad"
 ARM = f"{MODELS / 'arm.xml'}#tip"
 G = 9.81
-ISOLATED = "sparseskin.plugins.simulators.isolated"
+ISOLATED = "sparseskin.nodes.isolated"
 
 
 @pytest.fixture(autouse=True)

@@ -1,6 +1,7 @@
 """Arrays in files of MATLAB and HDF5: which one is taken, in which order, and what is refused."""
 
 import io
+import struct
 
 import numpy as np
 import pytest
@@ -84,7 +85,17 @@ def test_links_to_other_files_are_not_followed(tmp_path):
             open_file(tmp_path / "a.h5", topic=topic)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_bytes_at_which_scipy_ends_the_process_are_refused_in_one_line(tmp_path):
+    raw = bytearray(mat(False, forces=LAST.astype(float)))
+    at = raw.index(struct.pack("<II", 9, 8 * LAST.size))  # 9: of float64
+    raw[at] = 200
+    with pytest.raises(SourceError, match=r"^\S+ its reader was ended by SIG\w+; a damaged"):
+        read(tmp_path, "any.mat", bytes(raw))
+
+
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=10
+)
 @given(data=st.data(), packed=st.booleans())
 def test_mutated_files_of_matlab_are_read_or_refused_in_one_line(tmp_path, data, packed):
     raw = bytearray(mat(packed, forces=LAST))
