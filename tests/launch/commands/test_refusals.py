@@ -16,7 +16,7 @@ LINES = {
     "recording info 'a\nb.mcap'": "a b.mcap: no such file",
     "launch replay --set sensor.source=file:all.npy --set sensor.n_rows=3": "n_rows = 3 is stated",
     "launch replay --set sensor.source=file:flat.npy": "; add --set sensor.n_rows=2 --set sensor",
-    "scope file:flat.npy": "shape, rate; add --set n_rows=2 --set n_cols=3 --set rate_hz=100",
+    "scope file:flat.npy": "rate; add --set n_rows=2 --set n_cols=3 --set rate_hz=100",
     "scope example:thumbs": "there is no such; allowed: fingers",
     "launch path_40 --set sensor.seed=-1": "--set sensor.seed=-1: -1 is outside",
     "launch path_40 --summary none/out.json": "--summary none/out.json: its folder does not exist",
