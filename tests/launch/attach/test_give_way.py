@@ -26,7 +26,10 @@ def begin():
 
     def run(lines):
         command = [sys.executable, "-c", BEGIN + lines]
-        processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        # In a group of its own, which is not orphaned: SIGTSTP would do nothing there.
+        processes.append(
+            subprocess.Popen(command, stdout=subprocess.PIPE, text=True, process_group=0)
+        )
         return processes[-1]
 
     yield run

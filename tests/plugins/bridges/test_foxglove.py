@@ -60,10 +60,10 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge):
 
 
 def test_a_frame_that_was_not_solved_has_the_forces_of_the_one_before(bridge):
-    solved = frame(0)[3]
-    idle = replace(solved, stamp_ns=1, forces=solved.forces[:0], unchanged=(True,))
+    solved = replace(frame(0)[3], seq=1)
+    idle = replace(solved, seq=2, stamp_ns=1, forces=solved.forces[:0], unchanged=(True,))
     with subscribed(bridge, solved.topic) as client:
-        for message in (skin_state(), idle, solved, idle):
+        for message in (skin_state(), replace(idle, seq=0), solved, idle):
             list(bridge.step(message))
         for stamp_ns in (0, 1):
             got = client.data()
