@@ -501,11 +501,9 @@ def read_recording(
             raise SparseskinError(f"{word}: unknown argument{nearest_of(word, READ_AS)}")
     policy = Policy(stated.pop("nan", REFUSE), stated.pop("negative", REFUSE))
     source = open_file(path, policy=policy, **stated)
-    pairs = list(source)
-    if policy.nan != REFUSE:
-        fill = MissingReadings(policy.nan, source.skin, learns=False).fill
-        found = [(stamp, fill(forces, stamp)) for stamp, forces in pairs]
-        pairs = [(stamp, filled[0]) for stamp, filled in found if filled is not None]
+    fill = MissingReadings(policy.nan, source.skin, learns=False).fill
+    found = [(stamp, fill(forces, stamp)) for stamp, forces in source]
+    pairs = [(stamp, filled[0]) for stamp, filled in found if filled is not None]
     return {
         "forces": np.stack([forces for _, forces in pairs]),
         "stamp_ns": np.array([stamp for stamp, _ in pairs], dtype=np.int64),

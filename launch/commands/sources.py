@@ -25,7 +25,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.files.recording import Policy, spelled
+from sparseskin.nodes.sensor.files.recording import READ_AS, Policy, spelled
 from sparseskin.nodes.sensor.settings import SensorSettings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
 from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
@@ -43,7 +43,6 @@ LEAST_TOP = 0.02
 """Least share of the range that the brightest colour stands for; chosen: noise alone stays dark."""
 PEAK_S = 5.0
 """Time in which the scale of the colours follows a falling peak, seconds; chosen."""
-KEYS = ("n_rows", "n_cols", "unit", "f_max", "columns", "topic", "nan", "negative")
 
 
 def configure_sources(parser: argparse.ArgumentParser) -> None:
@@ -98,7 +97,7 @@ def configure_scope(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="one of sparseskin sources")
     parser.add_argument("--frames", type=whole(1), metavar="N", help="end after so many frames")
     parser.add_argument("--seconds", type=real(True), metavar="S", help="end after so long")
-    add_set(parser, f"state what the source does not: {', '.join(KEYS)}")
+    add_set(parser, f"state what the source does not: {', '.join(READ_AS)}")
     parser.set_defaults(run=_scope)
 
 
@@ -142,9 +141,9 @@ def _scope(arguments: argparse.Namespace) -> int:
 
 def _stated(words: list[str]) -> dict[str, Any]:
     """Properties of a source from KEY=VALUE."""
-    entries = [entry for entry in SensorSettings.described() if entry["key"] in KEYS]
+    entries = [entry for entry in SensorSettings.described() if entry["key"] in READ_AS]
     values = stated_values(words, entries)
-    with naming_options({key: f"--set {key}" for key in KEYS}):
+    with naming_options({key: f"--set {key}" for key in READ_AS}):
         checked = SensorSettings.from_mapping(values)
     policy = Policy(checked.nan, checked.negative)
     return {key: v for key, v in values.items() if key not in ("nan", "negative")} | {

@@ -36,6 +36,7 @@ from sparseskin.nodes.sensor.files.recording import (
     reading,
     rising,
     shape_text,
+    unreadable,
 )
 
 from .base import check_installed
@@ -78,8 +79,7 @@ class RosRecording(Recording):
         except SourceError:
             raise
         except Exception as error:  # of rosbags and SQLite, at malformed bytes of any kind
-            text = " ".join(str(error).split())[:200] or type(error).__name__
-            raise SourceError(f"{name}: cannot be read ({text})") from error
+            raise unreadable(name, error) from error
         if len(shapes := {one.values.shape for one in found}) > 1:
             raise SourceError(f"{name}: {topic}: its shape changes: {sorted(shapes)[:4]}")
         stamps = [one.stamp_ns or 0 for one in found]

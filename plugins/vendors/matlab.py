@@ -17,7 +17,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.isolated import child_status, output_of
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.sensor.files.arrays import as_frames, frames_name
-from sparseskin.nodes.sensor.files.recording import File, Parsed, Recording
+from sparseskin.nodes.sensor.files.recording import File, Parsed, Recording, unreadable
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HEAD, _COMPRESSED = 128, 15
@@ -171,12 +171,6 @@ def _inflated(raw: bytes, most: int) -> Iterator[bytes]:
                 raise SourceError("its arrays are far larger than the file")
         yield element
         at += 8 + size
-
-
-def unreadable(name: str, error: Exception) -> SourceError:
-    """The error of a file that a library refuses."""
-    text = " ".join(str(error).split())[:200] or type(error).__name__
-    return SourceError(f"{name}: cannot be read ({text})")
 
 
 if __name__ == "__main__":

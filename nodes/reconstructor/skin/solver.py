@@ -190,7 +190,7 @@ class SkinSolver(Solver):
         # Noise grows with the forces, but not without bound: what exceeds it, no force explains.
         known = self._n_seen > 1 / t.noise_rate
         self._judged_noise = min(noise, t.louder * self._least_noise) if known else noise
-        self._steps_left, self._n_asked = self.n_steps, 0
+        self._steps_left = self.n_steps
 
     def _ones_of(self) -> tuple[Floats, float]:
         """Phi 1 of the row subset, float32 (n_read,), and its squared length."""
@@ -235,13 +235,12 @@ class SkinSolver(Solver):
         return max(0.0, self._signal, now)
 
     def step(self) -> None:
-        self._count_step()
-        self._n_asked += 1  # `finish` does them in one call
+        self._count_step()  # `finish` does all of them in one call
 
     def finish(self) -> Floats:
-        self._steps_left = 0
+        n, self._steps_left = self.n_steps - self._steps_left, 0
         t, noise = self._t, self._judged_noise
-        if n := self._n_asked:
+        if n:
             n_formula = N_FORMULA if self.n_steps < CONVERGED else 0
             self._steps = self._vectors.steps(self._n_shifts, self._floor, n_formula, n)
             self._n_shifts = (self._n_shifts + n_formula + n) % len(SHIFTS)

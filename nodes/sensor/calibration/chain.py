@@ -171,8 +171,8 @@ class Chain:
         self._untared = missing.all(axis=0)
         readings[:, self._untared] = 0.0
         median = np.nanmedian if missing.any() else np.median
-        is_first = self.description.baseline is None
-        old = 0.0 if self.description.baseline is None else self.description.baseline
+        before = self.description.baseline
+        old = 0.0 if before is None else before
         baseline = np.where(self._untared, old, median(readings, axis=0).astype(np.float64))
         moved = np.abs(self.description.forces(baseline) - self.drift.value)[self.skin.exists]
         self.description = replace(self.description, baseline=baseline)
@@ -181,7 +181,7 @@ class Chain:
             self._measure_noise(readings[:MOST_FRAMES])
         line = f"forces changed by at most {moved.max():.3g} {self.skin.unit}"
         n_moved = np.count_nonzero(moved > MOVED * self.skin.f_max)
-        if n_moved and not is_first:
+        if n_moved and before is not None:
             line += f", of {n_moved} taxels by more than {100 * MOVED:g} % of the range"
             line += ": a touch while taring, or a baseline that was old"
         self._tared, self.is_news = line, True

@@ -230,6 +230,12 @@ def reading(name: str) -> Iterator[IO[bytes]]:
         raise SourceError(f"{name}: does not fit in memory") from None
 
 
+def unreadable(name: str, error: Exception) -> SourceError:
+    """The error of a file that a library refuses, in one line."""
+    text = " ".join(str(error).split())[:200] or type(error).__name__
+    return SourceError(f"{name}: cannot be read ({text})")
+
+
 def read_bytes(name: str) -> bytes:
     """Read a whole file; raises as `reading`."""
     with reading(name) as file:
