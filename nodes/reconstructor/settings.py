@@ -263,9 +263,8 @@ class ReconstructorSettings(PatchesSettings):
         Raises SettingsError.
         """
         kind = self.kind_of(kind)
-        if self.phi == ANNOUNCED and not is_built_in(
-            kind
-        ):  # nothing named over the wire is ever imported
+        # Nothing that is named over the wire is ever imported.
+        if self.phi == ANNOUNCED and not is_built_in(kind):
             raise SettingsError(
                 f"phi: the compressor's '{kind}' is not built in, and is not imported because a "
                 f"message names it; state phi = '{kind}' here too"
