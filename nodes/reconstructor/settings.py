@@ -170,6 +170,11 @@ class ReconstructorSettings(PatchesSettings):
         "compiled loops: auto (where numba is installed), on or off; the same but for rounding",
         choices=FAST,
     )
+    device: str = setting(
+        "",
+        "solve all patches at once, by solver skin on phi sbhe, on a device of torch: cuda, cuda:1, "
+        "cpu; or numpy; default: each by itself, on a core of the processor",
+    )
     watch_taxels: bool = setting(
         True, "exclude taxels that are stuck, dead or saturated, on a skin that states its noise"
     )
@@ -214,6 +219,10 @@ class ReconstructorSettings(PatchesSettings):
             find_basis(chosen["basis"])
         with naming("solver"):
             solver = find_class("solver", chosen["solver"], SOLVERS, SolverError)
+        if self.device and chosen["solver"] != "skin":
+            raise SettingsError(
+                f"device: is not available with solver {chosen['solver']}; allowed: skin"
+            )
         self._check_known_to(solver)
         for key, why, known in (
             ("resultant", "frames are biased", RESULTANT_SOLVERS),

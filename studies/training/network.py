@@ -14,19 +14,18 @@ from torch.nn import functional
 
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.nodes.reconstructor.skin.backend import ManyPatches
 from sparseskin.nodes.reconstructor.skin.gates import (
-    INNER,
     N_FILTERS,
     N_HIDDEN,
     SHIFTS,
     TILE,
     WINDOW,
+    Gates,
 )
 
 from .presses import SIDE
 
-LOG_LEAST = -12.0
-"""Least logarithm of an expected error."""
 MARGIN = (WINDOW - TILE) // 2
 
 Tensor: TypeAlias = Any
@@ -78,18 +77,6 @@ def weights(network: Network) -> dict[str, Floats]:
     return {name: value.detach().numpy().copy() for name, value in network.items()}
 
 
-def denoise_windows(network: Network, windows: Tensor) -> tuple[Tensor, Tensor]:
-    """As `Gates.denoise`, with the logarithm of the error: (k, 144) to (k, 64) and (k,)."""
-    a = windows @ network["filters"].T
-    size = 4 * ((1 + a.abs()).sqrt().sqrt() - 1)
-    levels = torch.cat([torch.sign(a) * size, size], dim=1)
-    h = torch.relu(levels @ network["hidden"].T + network["hidden_0"])
-    g = (h @ network["gates"].T + network["gates_0"]).clamp(0, 1)
-    passed = g[:, -1:]
-    tiles = passed * windows[:, INNER] + (a * (g[:, :-1] - passed)) @ network["synthesis"].T
-    return torch.relu(tiles), (h @ network["error"][0] + network["error_0"]).clamp(LOG_LEAST, 0)
-
-
 def denoise(
     network: Network, u: Tensor, s: Tensor, mask: Tensor, shift: int
 ) -> tuple[Tensor, Tensor]:
@@ -103,9 +90,9 @@ def denoise(
     canvas = functional.pad(u / s[:, None, None] * mask, outer)
     windows = canvas.unfold(1, WINDOW, TILE).unfold(2, WINDOW, TILE)
     k, down = windows.shape[:2]
-    tiles, log_error = denoise_windows(network, windows.reshape(-1, WINDOW * WINDOW))
+    windows = windows.reshape(-1, WINDOW * WINDOW)
+    tiles, error = Gates(**network).gated(windows, ManyPatches(1, "cpu"))
     x = tiles.reshape(k, down, -1, TILE, TILE).transpose(2, 3).reshape(k, down * TILE, -1)
     x = x[:, row : row + SIDE, col : col + SIDE] * mask * s[:, None, None]
     share = functional.avg_pool2d(functional.pad(mask, sides)[:, None], TILE).reshape(k, -1)
-    error = (log_error.exp().reshape(k, -1) * share).sum(1) / share.sum(1)
-    return x, error
+    return x, (error.reshape(k, -1) * share).sum(1) / share.sum(1)

@@ -130,7 +130,7 @@ class BlockHadamard:
 
 
 class HadamardProducts:
-    """The transform of `BlockHadamard` as products with small matrices.
+    """The orthonormal transform W / sqrt(size) as products with small matrices.
 
     A matrix of up to 64 rows is one product. A larger one is two, by its factors: the Kronecker
     product of the Hadamard matrices of sizes a and b is that of size a b. Quicker than butterflies
@@ -140,8 +140,8 @@ class HadamardProducts:
     ----------
     sizes : list of int
         Sizes of the blocks, in their order.
-    orthonormal : bool
-        True: divide each block by the root of its size, so that W^T is the inverse.
+    array : callable
+        Makes the matrices arrays of the library and device of the vectors.
 
     Attributes
     ----------
@@ -151,44 +151,47 @@ class HadamardProducts:
         Place p of the output belongs to row order_out[p] of W.
     """
 
-    def __init__(self, sizes: list[int], orthonormal: bool = False) -> None:
+    def __init__(self, sizes: list[int], array: Callable[[Floats], Any] = np.asarray) -> None:
         self.order_in, groups = side_by_side(sizes)
         self.order_out: Indices = self.order_in.copy()
-        #: First place, number of blocks, and the factors of their matrix.
-        self._groups: list[tuple[int, int, Floats, Floats]] = []
+        #: Place of the blocks of a size, and the factors of their matrix.
+        self._groups: list[tuple[slice, Any, Any]] = []
         for start, size, count in groups.tolist():
             b = 1 if size <= MOST_AT_ONCE else 1 << size.bit_length() // 2
-            scaled = np.sqrt(size) if orthonormal else 1.0
-            first = (hadamard_matrix(size // b) / scaled).astype(np.float32)
-            self._groups.append((start, count, first, hadamard_matrix(b).astype(np.float32)))
+            part = slice(start, start + size * count)
+            first, second = (
+                array((hadamard_matrix(side) / np.sqrt(side)).astype(np.float32))
+                for side in (size // b, b)
+            )
+            self._groups.append((part, first, second))
             if b > 1:
-                part = slice(start, start + size * count)
                 by_row = self.order_in[part].reshape(size // b, b, count)
                 self.order_out[part] = by_row.transpose(1, 2, 0).ravel()
-        self._scratch: Floats = np.empty(sum(sizes), dtype=np.float32)
 
-    def program(self, source: Floats, target: Floats, back: bool = False) -> list[Call]:
-        """Return the calls that write W source to target, or W^T source if `back`.
+    def forward(self, x: Any) -> list[Any]:
+        """Return the parts of W x, float32 (..., n), from `order_in` to `order_out`."""
+        return [self._part(x, *group) for group in self._groups]
 
-        Both are float32 (n,), in `order_in` and `order_out`; the other way round if `back`.
-        """
-        calls: list[Call] = []
-        for start, count, a, b in self._groups:
-            part = slice(start, start + count * len(a) * len(b))
-            given, result, between = source[part], target[part], self._scratch[part]
-            steps: list[tuple[Floats, Floats, Floats]]
-            if len(b) == 1:
-                steps = [(a, _rows(given, a), _rows(result, a))]
-            elif back:
-                half = between.reshape(-1, len(a)).T
-                steps = [(b, _rows(given, b), _rows(between, b)), (a, half, _rows(result, a))]
-            else:
-                half = between.reshape(-1, len(a))
-                steps = [(_rows(given, a).T, a, half), (b, _rows(between, b), _rows(result, b))]
-            calls += [(np.dot, step) for step in steps]
-        return calls
+    def back(self, rows: Any) -> list[Any]:
+        """Return the parts of W^T rows, float32 (..., n), from `order_out` to `order_in`."""
+        return [self._part_back(rows, *group) for group in self._groups]
 
+    @staticmethod
+    def _part(x: Any, part: slice, a: Any, b: Any) -> Any:
+        lead = x.shape[:-1]
+        v = x[..., part].reshape(*lead, len(a), -1)
+        if len(b) > 1:
+            v = b @ (v.swapaxes(-1, -2) @ a).reshape(*lead, len(b), -1)
+        else:
+            v = a @ v
+        return v.reshape(*lead, -1)
 
-def _rows(vector: Floats, matrix: Floats) -> Floats:
-    """Return a vector as the columns that a matrix multiplies."""
-    return vector.reshape(len(matrix), -1)
+    @staticmethod
+    def _part_back(rows: Any, part: slice, a: Any, b: Any) -> Any:
+        lead = rows.shape[:-1]
+        v = rows[..., part].reshape(*lead, len(b), -1)
+        if len(b) > 1:
+            v = (b @ v).reshape(*lead, -1, len(a)).swapaxes(-1, -2)
+        else:
+            v = v.reshape(*lead, len(a), -1)
+        return (a @ v).reshape(*lead, -1)

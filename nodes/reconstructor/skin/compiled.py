@@ -12,7 +12,7 @@ from sparseskin.nodes.numerics.kernels import skin_filter, skin_predict, skin_se
 
 from .formula import LEAST, STRICT
 from .gates import CLEARLY, QUIET, SHIFTS, STANDS_OUT, TILE, WINDOW, Gates, Tiles
-from .rows import HadamardRows, Rows
+from .rows import CompiledRows, Rows
 from .tuning import SkinTuning
 from .vectors import FrameVectors, Settled, Steps
 
@@ -25,7 +25,7 @@ class CompiledVectors(FrameVectors):
     ) -> None:
         super().__init__(rows, tiles, gates, places, tuning)
         ready(skin_predict, skin_filter, skin_steps, skin_settle)
-        assert isinstance(rows, HadamardRows)
+        assert isinstance(rows, CompiledRows)
         t, n = tuning, rows.n
         self._order = rows.groups, rows.scale
         self._next = self._neighbours.reshape(4, n).astype(np.uint32)
@@ -84,6 +84,7 @@ class CompiledVectors(FrameVectors):
 
     def steps(self, first: int, floor: float, n_formula: int, n: int) -> Steps:
         tiles, total = self._tiles, n_formula + n
+        assert isinstance(tiles, Tiles)
         for k in range(min(total, len(SHIFTS))):
             tiles.tables((first + k) % len(SHIFTS))
         estimates = np.empty((min(n, self._t.averaged), self.z.size), dtype=np.float32)

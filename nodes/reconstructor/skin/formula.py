@@ -6,9 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import Floats
-
-from .gates import INNER, QUIET, TILE, standing_out
+from .backend import ONE, Array, Backend
+from .gates import QUIET, TILE, inner, standing_out
 
 STRICT = 2.5
 """Energy of a group, in its expectation of noise, at which half of it is kept. Chosen on moving
@@ -17,7 +16,7 @@ LEAST = 1e-9
 """Energy that is nothing, in noise variances."""
 
 
-def shrink(windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
+def shrink(windows: Array, strictness: float = 1.0, backend: Backend = ONE) -> tuple[Array, Array]:
     """Return the denoised tiles of windows of unit noise, and their error, as `Gates.denoise`.
 
     The orthonormal Haar coefficients of a tile of 8 x 8 form 22 groups: the mean, and the three
@@ -30,20 +29,21 @@ def shrink(windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
     estimation: a block thresholding and oracle inequality approach", Annals of Statistics 27(3),
     1999.
     """
-    analysis, groups = _haar()
-    part = standing_out(windows, strictness)
-    coefficients = windows[:, INNER] @ analysis.T
-    energy, count = np.square(coefficients) @ groups.T, groups.sum(axis=1)
-    gain = 1 / (1 + np.square(np.float32(STRICT) * count / (energy + np.float32(LEAST))))
-    divergence = np.sum(gain * (count + 4 * (1 - gain)), axis=1)
-    removed = np.sum(np.square(1 - gain) * energy, axis=1)
-    error = np.clip((removed + 2 * divergence) / TILE**2 - 1, QUIET, 1)
-    tiles = np.maximum(coefficients * (gain @ groups) @ analysis, 0)
-    return part[:, None] * tiles, np.float32(QUIET) + part * (error - np.float32(QUIET))
+    analysis, groups = _haar(backend)
+    count = groups.sum(axis=-1)
+    part = standing_out(windows, strictness, backend)
+    coefficients = inner(windows) @ analysis.T
+    energy = coefficients**2 @ groups.T
+    gain = 1 / (1 + (STRICT * count / (energy + LEAST)) ** 2)
+    divergence = (gain * (count + 4 * (1 - gain))).sum(axis=-1)
+    removed = ((1 - gain) ** 2 * energy).sum(axis=-1)
+    error = ((removed + 2 * divergence) / TILE**2 - 1).clip(QUIET, 1)
+    tiles = (coefficients * (gain @ groups) @ analysis).clip(0, None)
+    return part[..., None] * tiles, QUIET + part * (error - QUIET)
 
 
 @cache
-def _haar() -> tuple[Floats, Floats]:
+def _haar(backend: Backend = ONE) -> tuple[Array, Array]:
     """The Haar transform of a tile, float32 (64, 64), and its groups, 0 and 1, float32 (22, 64)."""
     rows, groups = [np.full((TILE, TILE), 1 / TILE)], [[0]]
     for size in (8, 4, 2):
@@ -58,4 +58,5 @@ def _haar() -> tuple[Floats, Floats]:
     member = np.zeros((len(groups), TILE**2), dtype=np.float32)
     for k, places in enumerate(groups):
         member[k, places] = 1
-    return np.array(rows, dtype=np.float32).reshape(-1, TILE**2), member
+    analysis = np.array(rows, dtype=np.float32).reshape(-1, TILE**2)
+    return backend.array(analysis), backend.array(member)

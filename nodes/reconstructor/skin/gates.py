@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from io import BytesIO
@@ -29,12 +29,12 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
+from .backend import ONE, Array, Backend, ManyPatches
+
 TILE, WINDOW = 8, 12
 N_FILTERS, N_HIDDEN = 128, 64
 SHIFTS = tuple((5 * i % TILE, (3 * i + i // TILE * 5) % TILE) for i in range(TILE * TILE))
 """Shifts of the tiles, rows and columns, in the order of iterations: each once in 64."""
-INNER = np.arange(WINDOW**2).reshape(WINDOW, WINDOW)[2:-2, 2:-2].reshape(-1)
-"""Places of the tile in its window."""
 STANDS_OUT = (3.8, 3.3, 2.6, 2.0)
 """Of `standing_out`, by size of square. Derived: 5 % of the windows of normal noise exceed them,
 four of `MANY`; what the gates let pass of others is below 0.005 noise variances a taxel."""
@@ -109,61 +109,79 @@ class Gates:
         made: dict[str, Floats] = {n: np.zeros(s, np.float32) for n, s in _shapes(1, 1).items()}
         return cls(**made, fingerprint="")
 
-    def denoise(self, windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
+    def on(self, backend: Backend) -> Gates:
+        """The same weights where the vectors are."""
+        weights = {name: backend.array(getattr(self, name)) for name in _shapes(0, 0)}
+        return replace(self, **weights)
+
+    def denoise(
+        self, windows: Array, strictness: float = 1.0, backend: Backend = ONE
+    ) -> tuple[Array, Array]:
         """Return the denoised tiles of windows of unit noise.
 
         Parameters
         ----------
-        windows : ndarray of float32, shape (t, 144)
+        windows : array of float32, shape (..., t, 144)
         strictness : float
             As of `Tiles`.
+        backend : OnePatch or ManyPatches
+            Where the windows and weights are.
 
         Returns
         -------
-        tiles : ndarray of float32, shape (t, 64)
+        tiles : array of float32, shape (..., t, 64)
             At least 0.
-        error : ndarray of float32, shape (t,)
+        error : array of float32, shape (..., t)
             Expected mean squared error of a taxel of each tile, in (0, 1].
         """
-        tiles = np.zeros((len(windows), TILE * TILE), dtype=np.float32)
-        error = np.full(len(windows), QUIET, dtype=np.float32)
-        part = standing_out(windows, strictness)
-        busy = np.flatnonzero(part)
-        if busy.size:
+        part = standing_out(windows, strictness, backend)
+        if not isinstance(windows, np.ndarray):  # a device would have to wait for their number
+            tiles, error = self.gated(windows, backend)
+            return part[..., None] * tiles, QUIET + part * (error - QUIET)
+        tiles = np.zeros((*windows.shape[:-1], TILE * TILE), dtype=np.float32)
+        error = np.full(windows.shape[:-1], QUIET, dtype=np.float32)
+        busy = part > 0
+        if busy.any():
             gated, expected = self.gated(windows[busy])
             tiles[busy] = part[busy, None] * gated
             error[busy] += part[busy] * (expected - np.float32(QUIET))
         return tiles, error
 
-    def gated(self, windows: Floats) -> tuple[Floats, Floats]:
+    def gated(self, windows: Array, backend: Backend = ONE) -> tuple[Array, Array]:
         """As `denoise`, also of windows in which nothing stands out of the noise."""
+        xp = backend.xp
         a = windows @ self.filters.T
-        size = np.sqrt(np.sqrt(1 + np.abs(a)))
-        np.multiply(4, np.subtract(size, 1, out=size), out=size)
-        h = np.concatenate([np.copysign(size, a), size], axis=1) @ self.hidden.T
-        np.maximum(np.add(h, self.hidden_0, out=h), 0, out=h)
-        g = h @ self.gates.T
-        np.clip(np.add(g, self.gates_0, out=g), 0, 1, out=g)
-        passed = g[:, -1:]
-        tiles = np.multiply(a, g[:, :-1] - passed, out=a) @ self.synthesis.T
-        tiles += passed * windows[:, INNER]
+        size = 4 * (xp.sqrt(xp.sqrt(1 + abs(a))) - 1)
+        levels = xp.concatenate([xp.copysign(size, a), size], axis=-1)
+        h = (levels @ self.hidden.T + self.hidden_0).clip(0, None)
+        g = (h @ self.gates.T + self.gates_0).clip(0, 1)
+        passed = g[..., -1:]
+        tiles = passed * inner(windows) + (a * (g[..., :-1] - passed)) @ self.synthesis.T
         log_error = h @ self.error[0] + self.error_0
-        return np.maximum(tiles, 0, out=tiles), np.exp(np.clip(log_error, -12, 0))
+        return tiles.clip(0, None), xp.exp(log_error.clip(-12, 0))
 
 
-def standing_out(windows: Floats, strictness: float = 1.0) -> Floats:
-    """Part of a window of unit noise that counts, float32 (t,): 0 where nothing stands out of it.
+def inner(windows: Array) -> Array:
+    """The tile of each window: (..., 144) to (..., 64)."""
+    lead, side = windows.shape[:-1], slice((WINDOW - TILE) // 2, (WINDOW + TILE) // 2)
+    return windows.reshape(*lead, WINDOW, WINDOW)[..., side, side].reshape(*lead, -1)
+
+
+def standing_out(windows: Array, strictness: float = 1.0, backend: Backend = ONE) -> Array:
+    """Part of a window of unit noise that counts, float32 (..., t): 0 where nothing stands out.
 
     By how far a taxel, a square of 3 x 3 or 6 x 6, or the whole window exceeds `STANDS_OUT` times
     `strictness` deviations of its sum: from there to `CLEARLY` times as much it grows to 1.
     """
-    single, by_3, by_6, whole = np.float32(strictness) * np.array(STANDS_OUT, dtype=np.float32)
-    thirds = windows.reshape(-1, 4, 3, 4, 3).sum(axis=(2, 4))
-    sixths = thirds.reshape(-1, 2, 2, 2, 2).sum(axis=(2, 4))
-    most = np.maximum(windows.max(axis=1) / single, thirds.max(axis=(1, 2)) / (3 * by_3))
-    most = np.maximum(most, sixths.max(axis=(1, 2)) / (6 * by_6))
-    most = np.maximum(most, sixths.sum(axis=(1, 2)) / (12 * whole))
-    found: Floats = np.clip((most - 1) / (CLEARLY - 1), 0, 1).astype(np.float32)
+    xp, lead = backend.xp, windows.shape[:-1]
+    single, by_3, by_6, whole = (strictness * limit for limit in STANDS_OUT)
+    thirds = windows.reshape(*lead, 4, 3, 4, 3).sum(axis=(-3, -1))
+    sixths = thirds.reshape(*lead, 2, 2, 2, 2).sum(axis=(-3, -1))
+    most = [
+        *(xp.amax(windows, axis=-1) / single, xp.amax(thirds, axis=(-2, -1)) / (3 * by_3)),
+        *(xp.amax(sixths, axis=(-2, -1)) / (6 * by_6), sixths.sum(axis=(-2, -1)) / (12 * whole)),
+    ]
+    found: Array = ((xp.amax(xp.stack(most), axis=0) - 1) / (CLEARLY - 1)).clip(0, 1)
     return found
 
 
@@ -294,6 +312,44 @@ class Tiles:
         back[inner[exists]] = np.flatnonzero(exists)
         share = (counts[counts > 0] / self._n).astype(np.float32)
         return windows.reshape(len(windows), -1), back, share
+
+
+class TilesOfDevice:
+    """`Tiles` where the vectors are: the tables of one frame at a time, all of one size."""
+
+    def __init__(self, mask: Mask, places: Indices, n: int, backend: ManyPatches) -> None:
+        tiles = Tiles(mask, places, n)
+        for number in range(len(SHIFTS)):
+            found, _, share = tiles.tables(number)
+            tiles.windows[number, len(found) :] = n
+            tiles.share[number, len(share) :] = 0
+        self.strictness = tiles.strictness
+        tables = tiles.windows.astype(np.int64), tiles.back.astype(np.int64), tiles.share
+        self._all = [backend.array(table) for table in tables]
+        self._now = [backend.copy(table) for table in self._all]
+        self._first = 0
+
+    def load(self, first: int, n: int) -> None:
+        """Make the tables of n shifts from the number `first` on those of this frame."""
+        self._first = first
+        for k in range(min(n, len(SHIFTS))):
+            for now, every in zip(self._now, self._all, strict=True):
+                now[k] = every[(first + k) % len(SHIFTS)]
+
+    def tables(self, number: int) -> tuple[Array, Array, Array]:
+        """As in `Tiles`."""
+        windows, back, share = (now[(number - self._first) % len(SHIFTS)] for now in self._now)
+        return windows, back, share
+
+
+def places_of(shape: tuple[int, ...], cells: Indices) -> Indices:
+    """Return the place in a vector of taxels of each cell, intp `shape`: that of cells[p] is p.
+
+    cells are flat, intp (n,). Where no taxel exists it is n.
+    """
+    places = np.full(shape, len(cells), dtype=np.intp)
+    places.reshape(-1)[cells] = np.arange(len(cells))
+    return places
 
 
 def nearest_taxels(mask: Mask) -> Indices:

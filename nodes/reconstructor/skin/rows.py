@@ -7,10 +7,12 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.hadamard import Call, HadamardProducts, run, side_by_side
+from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts, side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
 from sparseskin.nodes.numerics.compiled import ready
+
+from .backend import ONE, Array, Backend
 
 LEAST_PART = 1e-4
 """Eigenvalue of Phi Phi^T, as a part of the largest, below which a direction counts as unmeasured.
@@ -21,6 +23,9 @@ ORTHONORMAL = 1e-5
 
 class Rows(ABC):
     """W, a matrix of orthonormal rows, some of which are read in each frame.
+
+    Vectors are float32; those of several patches, (p, n) in place of (n,), `HadamardRows` alone
+    takes.
 
     Attributes
     ----------
@@ -62,8 +67,45 @@ class HadamardRows(Rows):
     Parameters
     ----------
     phi : SbhePhi
-    compiled : bool
-        True: the transform is a compiled loop, which needs numba; else products of matrices.
+    backend : OnePatch or ManyPatches
+        Where the vectors are.
+    """
+
+    def __init__(self, phi: SbhePhi, backend: Backend = ONE) -> None:
+        self.n = self.n_rows = phi.n
+        self._array, self._joined = backend.array, backend.xp.concatenate
+        taxels, rows = self._transform_of(phi)
+        self.taxel = phi.permutation[taxels]
+        self._place_of_row = np.argsort(rows)
+        self._known: dict[str, tuple[Array, Array]] = {}
+        self.use(phi)
+
+    def _transform_of(self, phi: SbhePhi) -> tuple[Indices, Indices]:
+        """Make the transform; return its orders of taxels and of rows."""
+        self._hadamard = HadamardProducts(phi.sizes, self._array)
+        return self._hadamard.order_in, self._hadamard.order_out
+
+    def use(self, phi: Phi) -> bool:
+        if phi.fingerprint not in self._known:
+            assert isinstance(phi, SbhePhi)
+            places = self._place_of_row[phi.rows]
+            order = np.argsort(places)
+            self._known[phi.fingerprint] = self._array(places[order]), self._array(order)
+        self.read, self._order = self._known[phi.fingerprint]
+        return True
+
+    def values(self, y: Array) -> Array:
+        return y[..., self._order]
+
+    def forward(self, x: Array) -> Array:
+        return self._joined(self._hadamard.forward(x), axis=-1)
+
+    def adjoint(self, rows: Array) -> Array:
+        return self._joined(self._hadamard.back(rows), axis=-1)
+
+
+class CompiledRows(HadamardRows):
+    """The same rows by a compiled loop, which needs numba.
 
     Attributes
     ----------
@@ -73,57 +115,23 @@ class HadamardRows(Rows):
         1 / sqrt(size of the block) of each row.
     """
 
-    def __init__(self, phi: SbhePhi, compiled: bool = False) -> None:
-        self.n = self.n_rows = phi.n
-        self._x, self._rows = np.zeros((2, phi.n), dtype=np.float32)
+    def _transform_of(self, phi: SbhePhi) -> tuple[Indices, Indices]:
+        from sparseskin.nodes.numerics.kernels import orthonormal
+
+        ready(orthonormal)
+        self._loop = orthonormal
         columns, self.groups = side_by_side(phi.sizes)
         sizes = np.repeat(phi.sizes, phi.sizes)[columns]
         self.scale: Floats = np.reciprocal(np.sqrt(sizes)).astype(np.float32)
-        if compiled:
-            from sparseskin.nodes.numerics.kernels import orthonormal
-
-            ready(orthonormal)
-            transform: list[Call] = [
-                (np.copyto, (self._rows, self._x)),
-                (orthonormal, (self._rows, self.groups, self.scale)),
-            ]
-            back: list[Call] = [
-                (np.copyto, (self._x, self._rows)),
-                (orthonormal, (self._x, self.groups, self.scale)),
-            ]
-            order_in = order_out = columns
-        else:
-            hadamard = HadamardProducts(phi.sizes, orthonormal=True)
-            transform = hadamard.program(self._x, self._rows)
-            back = hadamard.program(self._rows, self._x, back=True)
-            order_in, order_out = hadamard.order_in, hadamard.order_out
-        self._to_rows, self._to_x = transform, back
-        self.taxel = phi.permutation[order_in]
-        self._place_of_row = np.argsort(order_out)
-        self._known: dict[str, tuple[Indices, Indices]] = {}
-        self.use(phi)
-
-    def use(self, phi: Phi) -> bool:
-        if phi.fingerprint not in self._known:
-            assert isinstance(phi, SbhePhi)
-            places = self._place_of_row[phi.rows]
-            order = np.argsort(places)
-            self._known[phi.fingerprint] = places[order], order
-        self.read, self._order = self._known[phi.fingerprint]
-        return True
-
-    def values(self, y: Floats) -> Floats:
-        return y[self._order]
+        return columns, columns
 
     def forward(self, x: Floats) -> Floats:
-        np.copyto(self._x, x)
-        run(self._to_rows)
-        return self._rows.copy()
+        rows = x.copy()
+        self._loop(rows, self.groups, self.scale)
+        return rows
 
     def adjoint(self, rows: Floats) -> Floats:
-        np.copyto(self._rows, rows)
-        run(self._to_x)
-        return self._x.copy()
+        return self.forward(rows)  # W is symmetric
 
 
 class WhitenedRows(Rows):
@@ -171,5 +179,7 @@ def _whitening(phi: Phi) -> Floats | None:
 
 
 def rows_of(phi: Phi, compiled: bool = False) -> Rows:
-    """Return the rows of any Phi; `compiled` as in `HadamardRows`."""
-    return HadamardRows(phi, compiled) if is_sbhe(phi) else WhitenedRows(phi)
+    """Return the rows of any Phi; `compiled`: by compiled loops, for "sbhe"."""
+    if not is_sbhe(phi):
+        return WhitenedRows(phi)
+    return CompiledRows(phi) if compiled else HadamardRows(phi)

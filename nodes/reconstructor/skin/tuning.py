@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from sparseskin.nodes.numerics.arrays import TINY
 
+from .backend import Backend, Number
+
 
 @dataclass(frozen=True)
 class SkinTuning:
@@ -73,8 +75,8 @@ class SkinTuning:
     #: Largest error that is trusted, as a part of the forces, both RMS.
     trusted: float = 0.25
 
-    def surplus(self, seen: float, expected: float, count: int) -> float:
+    def surplus(self, seen: Number, expected: Number, count: Number, o: Backend) -> Number:
         """What a mean square of `count` numbers exceeds its expectation by, where significant."""
-        more = max(0.0, seen - expected)
+        more = o.maximum(seen - expected, o.zero)
         z2 = more * more * count / (2 * expected * expected + TINY)
         return more * z2 / (z2 + self.significant**2)

@@ -1,16 +1,18 @@
-"""The vectors of a frame, and what earlier frames left in them, in plain numpy."""
+"""The vectors of a frame, and what earlier frames left in them: of one patch, or of several."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
+from sparseskin.nodes.numerics.arrays import TINY, Indices
 
+from .backend import ONE, Array, Backend, Number
 from .formula import shrink
-from .gates import SHIFTS, Gates, Tiles
+from .gates import SHIFTS, Gates, Tiles, TilesOfDevice
 from .rows import Rows
 from .tuning import SkinTuning
 
@@ -22,13 +24,14 @@ NEGLIGIBLE = 1e-3
 
 
 class Steps(NamedTuple):
-    """Steps of a frame: the last `averaged` estimates, float32 (k, n); of each step the expected
-    squared error, and the mean squared residual before it, of the rows read.
+    """Steps of a frame: the last `averaged` estimates, each float32 (n,), as a sequence or along the
+    first axis; of each step the expected squared error, and the mean squared residual before it, of
+    the rows read.
     """
 
-    estimates: Floats
-    errors: list[float]
-    residuals: list[float]
+    estimates: Array
+    errors: Sequence[Number]
+    residuals: Sequence[Number]
 
 
 class Settled(NamedTuple):
@@ -38,15 +41,17 @@ class Settled(NamedTuple):
     Phi 1, and `unpressed` the sum of what taxels within the noise read.
     """
 
-    forces: Floats
-    power: float
-    residual2: float
-    along: float
-    unpressed: float
+    forces: Array
+    power: Number
+    residual2: Number
+    along: Number
+    unpressed: Number
 
 
 class FrameVectors:
-    """The work on vectors of `SkinSolver`, whose docstring states the method.
+    """The work on vectors of `SkinEstimator`, whose docstring states the method.
+
+    Vectors are float32 (n,), or of several patches (p, n), and numbers as in `backend`.
 
     Parameters
     ----------
@@ -55,142 +60,169 @@ class FrameVectors:
     places : ndarray of intp, shape (n_rows, n_cols)
         As in `Tiles`.
     tuning : SkinTuning
+    backend : OnePatch or ManyPatches
+        Where vectors and numbers, rows, tiles and weights are.
 
     Attributes
     ----------
-    x, z, predicted : ndarray of float32, shape (n,)
+    x, z, predicted : array of float32, shape (n,)
         The last estimate, the state of the iterations, and the prediction that they began from.
-    innovation, off_target : ndarray of float32, shape (n_read,)
+    innovation, off_target : array of float32, shape (n_read,)
         What the values of the rows read exceed the prediction, and their target, by.
-    innovation2 : float
+    innovation2 : number
         Mean square of the innovation.
-    alike : float
+    alike : number
         Correlation of the innovation with what the last measurements changed, -1 to 1.
-    variance_of_read : float
+    variance_of_read : number
         Mean variance of the targets of the rows read.
     """
 
+    #: What a frame leaves to the next one.
+    STATE = ("x", "_whole", "_correction", "_mean", "_change", "_noise", "_recall")
+
     def __init__(
-        self, rows: Rows, tiles: Tiles, gates: Gates | None, places: Indices, tuning: SkinTuning
+        self,
+        rows: Rows,
+        tiles: Tiles | TilesOfDevice,
+        gates: Gates | None,
+        places: Indices,
+        tuning: SkinTuning,
+        backend: Backend = ONE,
     ) -> None:
         self._rows, self._tiles, self._gates, self._t = rows, tiles, gates, tuning
-        self._neighbours = neighbours_of(places, rows.n)
-        self._recall = np.zeros(3)
+        self._o: Any = backend
+        self._neighbours = backend.array(neighbours_of(places, rows.n))
+        self._nothing = backend.zeros(1)
         self.forget()
 
     def forget(self) -> None:
         """Begin anew: nothing presses, and no row was read."""
-        self.x, self.z, self.predicted = np.zeros((3, self._rows.n), dtype=np.float32)
-        self._recall.fill(0)
+        self.x = self.z = self.predicted = self._o.zeros(self._rows.n)
+        #: Sums of a regression: products, squares, number.
+        self._recall = self._o.f64(self._o.zeros(3))
         self.forget_rows()
 
     def forget_rows(self) -> None:
         """Keep the estimate alone: the rows are those of another W."""
         n = self._rows.n_rows
         #: W times the last estimate, and times the prediction.
-        self._whole, self._moved = self._rows.forward(self.x), np.zeros(n, dtype=np.float32)
+        self._whole, self._moved = self._rows.forward(self.x), self._o.zeros(n)
         #: W times what the last measurements changed.
-        self._correction = np.zeros(n, dtype=np.float32)
+        self._correction = self._o.zeros(n)
         #: State of each row's filter: mean; variance that its measurements left; that of changes.
-        self._mean, self._change = self._whole.copy(), np.zeros(n, dtype=np.float32)
-        self._noise = np.full(n, UNKNOWN, dtype=np.float32)
+        self._mean, self._change = self._whole * 1, self._o.zeros(n)
+        self._noise = self._o.zeros(n) + UNKNOWN
         #: Value that each row is expected to have, and the variance of its error.
-        self._target, self._variance = np.zeros((2, n), dtype=np.float32)
+        self._target, self._variance = self._o.zeros(n), self._o.zeros(n)
 
-    def start_from(self, x: Floats) -> None:
+    def start_from(self, x: Array) -> None:
         """Take x, float32 (n,), for the last estimate."""
         self.x = x
         self._whole = self._rows.forward(x)
 
-    def predict(self, values: Floats, noise: float) -> None:
+    def predict(self, values: Array, noise: Number) -> None:
         """Predict the frame from the last one and the values of the rows read, float32 (n_read,),
         whose noise variance was `noise`; set z, `predicted` and `innovation`.
         """
-        t, rows, x = self._t, self._rows, self.x
-        after, before = x[self._neighbours]
-        terms = np.stack([x, *(after - before)])
-        seen = np.stack([self._whole, *map(rows.forward, terms[1:])])[:, rows.read]
-        gram = (seen @ seen.T).astype(np.float64)
-        right = (seen @ (values - seen[0])).astype(np.float64)
+        o, t, rows, x = self._o, self._t, self._rows, self.x
+        size = values.shape[-1]
+        around = x[..., self._neighbours]
+        slopes = around[..., 0, :, :] - around[..., 1, :, :]
+        terms = [x, slopes[..., 0, :], slopes[..., 1, :]]
+        wholes = [self._whole, *map(rows.forward, terms[1:])]
+        seen = [whole[..., rows.read] for whole in wholes]
+        off = values - seen[0]
+        gram = [[o.dot(one, other) for other in seen] for one in seen]
+        right = [o.dot(one, off) for one in seen]
         # Even forces, of which these rows see hardly more than noise, they do not contradict.
-        unseen = max(0.0, float(x @ x) * rows.read.size / rows.n - gram[0, 0])
-        gram[0, 0] += unseen * noise / (noise + gram[0, 0] / rows.read.size)
+        unseen = o.maximum(o.dot(x, x) * size / rows.n - gram[0][0], o.zero)
+        gram[0][0] = gram[0][0] + unseen * noise / (noise + gram[0][0] / size)
         # A force grows by its own size at most: what is hardly there must not grow to anything.
-        ridge = t.ridge * np.diag(gram) + t.ridge**2 * gram[0, 0] + noise
-        a = np.linalg.solve(gram + np.diag(ridge), right)
-        explained = max(0.0, float(a @ right))
-        a *= explained / (explained + t.motion * noise)
+        least = t.ridge**2 * gram[0][0] + noise
+        for k in range(3):
+            gram[k][k] = (1 + t.ridge) * gram[k][k] + least
+        a = solved(gram, right)
+        explained = o.maximum(sum(one * r for one, r in zip(a, right, strict=True)), o.zero)
+        a = [one * explained / (explained + t.motion * noise) for one in a]
         # What no row observes must not grow without bound, frame after frame.
-        most = float(x.max()) * max(1.0, 1 + float(a[0]))
-        self.predicted = np.clip(x + a.astype(np.float32) @ terms, 0, np.float32(most))
+        most = o.f32(o.largest(x) * o.maximum(1 + a[0], o.zero + 1))
+        moved = x + sum(o.f32(one) * term for one, term in zip(a, terms, strict=True))
+        self.z = self.predicted = o.xp.minimum(moved.clip(0, None), most)
         self._moved = rows.forward(self.predicted)
-        self.innovation = now = values - self._moved[rows.read]
-        self.z = self.predicted.copy()
-        last = self._correction[rows.read]
-        self._compare(float(now @ now), float(last @ last), float(now @ last))
+        self.innovation = now = values - self._moved[..., rows.read]
+        last = self._correction[..., rows.read]
+        self._compare(o.dot(now, now), o.dot(last, last), o.dot(now, last))
 
-    def _compare(self, power: float, of_last: float, product: float) -> None:
+    def _compare(self, power: Number, of_last: Number, product: Number) -> None:
         """Set `innovation2` and `alike`: innovation and last correction, squares and product."""
-        self.innovation2 = power / self.innovation.size
-        self.alike = product / math.sqrt(power * (of_last + NEGLIGIBLE**2 * power) + TINY)
+        self.innovation2 = power / self.innovation.shape[-1]
+        self.alike = product / self._o.sqrt(power * (of_last + NEGLIGIBLE**2 * power) + TINY)
 
     def filter_rows(
-        self, values: Floats, noise: float, signal: float, error2: float, floor: float
+        self, values: Array, noise: Number, signal: Number, error2: Number, floor: Number
     ) -> None:
         """Set the targets of all rows and their variances; process the values of the rows read.
 
         noise is the variance of a value, signal the mean squared error of the prediction, error2
         that of what no row says anything about, floor the least variance.
         """
-        t, read, mean, change = self._t, self._rows.read, self._mean, self._change
-        mean += self._moved - self._whole
-        off, before = values - mean[read], (self._noise + change)[read]
+        o, t, read, size = self._o, self._t, self._rows.read, values.shape[-1]
+        noise_32, floor_32, largest = o.f32(noise), o.f32(floor), o.xp.maximum
+        mean = self._mean + (self._moved - self._whole)
+        off, before = values - mean[..., read], (self._noise + self._change)[..., read]
         known = before < UNKNOWN
-        changed = signal
-        if 2 * np.count_nonzero(known) > read.size:
-            seen = float(np.mean(np.square(off[known])))
-            expected = noise + float(np.mean(before[known]))
-            changed = t.surplus(seen, expected, off.size)
-        np.minimum(change + np.float32(changed), UNKNOWN, out=change)
-        prior = self._loosened(np.float32(max(signal, error2)), noise)
+        n_known = o.total(known)
+        seen = o.total(off * off * known) / o.maximum(n_known, o.zero + 1)
+        expected = noise + o.total(before * known) / o.maximum(n_known, o.zero + 1)
+        more = t.surplus(seen, expected, size, o)
+        changed = o.f32(o.where(2 * n_known > size, more, signal))
+        change = (self._change + changed).clip(None, UNKNOWN)
+        prior = self._loosened(o.maximum(signal, error2), noise)
         share = prior / (prior + self._noise + self._loosened(change, noise))
         correction = share * (mean - self._moved)
-        recalled = self._follow_recall(self.innovation[known], correction[read][known], noise)
-        share *= recalled
-        self._variance = prior * (1 - share)
+        recalled = self._follow_recall(
+            self.innovation * known, correction[..., read] * known, n_known, noise
+        )
+        self._variance = prior * (1 - recalled * share)
         self._target = self._moved + recalled * correction
-        gain = self._variance[read] / (self._variance[read] + np.float32(noise))
-        self._target[read] += gain * (values - self._target[read])
-        self._variance[read] = np.maximum(gain * np.float32(noise), np.float32(floor))
-        before += np.float32(changed)
-        gain = before / (before + np.float32(noise))
-        mean[read] += gain * off
-        self._noise[read] = np.maximum(gain * np.float32(noise), np.float32(floor))
-        change[read] = 0
-        self.off_target = values - self._target[read]
-        self.variance_of_read = float(np.mean(self._variance[read]))
+        variance, target = self._variance[..., read], self._target[..., read]
+        gain = variance / (variance + noise_32)
+        self._target[..., read] = target + gain * (values - target)
+        self._variance[..., read] = variance = largest(gain * noise_32, floor_32)
+        before = before + changed
+        gain = before / (before + noise_32)
+        mean[..., read] += gain * off
+        left = self._noise * 1
+        left[..., read], change[..., read] = largest(gain * noise_32, floor_32), 0
+        self._mean, self._noise, self._change = mean, left, change
+        self.off_target = values - self._target[..., read]
+        self.variance_of_read = o.total(variance) / size
 
-    def _loosened(self, variance: Floats | np.float32, noise: float) -> Floats:
+    def _loosened(self, variance: Array | Number, noise: Number) -> Array:
         """Return the variance of errors that are not independent of each other, float32.
 
         It is as much larger as the errors, of mean square `variance`, exceed the noise variance.
         """
-        wide = np.asarray(variance, dtype=np.float64)
+        wide = self._o.f64(variance)
         wide = self._t.prior * wide * (1 + self._t.doubt * wide / noise)
-        return np.minimum(wide, UNKNOWN).astype(np.float32)
+        return self._o.f32(wide.clip(None, UNKNOWN))
 
-    def _follow_recall(self, innovation: Floats, correction: Floats, noise: float) -> np.float32:
+    def _follow_recall(
+        self, innovation: Array, correction: Array, count: Number, noise: Number
+    ) -> Array:
         """Return the part of the correction by the rows' own filters that is used, 0 to 1.
 
         By regression: how much of it the rows that are read now confirm, these frames and before.
         """
-        t, sums = self._t, self._recall
-        sums *= t.recall_memory
-        sums += np.array([innovation @ correction, correction @ correction, innovation.size])
-        ridge = t.recall_ridge * noise * sums[2]
-        return np.float32(min(max((sums[0] + ridge) / (sums[1] + ridge + TINY), 0.0), 1.0))
+        o, t = self._o, self._t
+        sums = o.dot(innovation, correction), o.dot(correction, correction), count
+        now = o.xp.stack([o.f64(one).reshape(-1) for one in sums], axis=-1)
+        self._recall = t.recall_memory * self._recall + now.reshape(self._recall.shape)
+        product, square, n_values = (self._recall[..., k : k + 1] for k in range(3))
+        ridge = t.recall_ridge * noise * n_values
+        return o.f32(((product + ridge) / (square + ridge + TINY)).clip(0, 1))
 
-    def steps(self, first: int, floor: float, n_formula: int, n: int) -> Steps:
+    def steps(self, first: int, floor: Number, n_formula: int, n: int) -> Steps:
         """Do `n_formula` steps by the formula, then n by the weights, with the tiles of the shifts
         from the number `first` on.
         """
@@ -198,73 +230,89 @@ class FrameVectors:
             self.step((first + k) % len(SHIFTS), floor, k < n_formula) for k in range(n_formula + n)
         ]
         estimates, errors, residuals = zip(*found[n_formula:], strict=True)
-        return Steps(np.stack(estimates[-self._t.averaged :]), [*errors], [*residuals])
+        return Steps(estimates[-self._t.averaged :], errors, residuals)
 
-    def step(self, shift: int, floor: float, formula: bool) -> tuple[Floats, float, float]:
+    def step(self, shift: int, floor: Number, formula: bool) -> tuple[Array, Number, Number]:
         """Move z, with the tiles of a shift; floor is the least variance. `formula` is True for
         `shrink` in place of the weights, which is used where there are none, too.
 
         Returns
         -------
-        x : ndarray of float32, shape (n,)
+        x : array of float32, shape (n,)
             The estimate of this step.
-        error2 : float
+        error2 : number
             Its expected mean squared error.
-        residual2 : float
+        residual2 : number
             Mean squared residual of z before the step, of the rows read.
         """
-        t, rows, z = self._t, self._rows, self.z
+        o, t, rows, z = self._o, self._t, self._rows, self.z
         r = self._target - rows.forward(z)
-        of_read = r[rows.read]
-        rho = float(np.mean(np.square(of_read)))
-        residual2 = float(np.mean(np.square(of_read + self.off_target)))
+        of_read = r[..., rows.read]
+        size = of_read.shape[-1]
+        rho = o.dot(of_read, of_read) / size
+        residual = of_read + self.off_target
+        residual2 = o.dot(residual, residual) / size
         v = self.variance_of_read
-        tau = max(rho - v, t.least_tau * max(rho, v)) + floor
-        d = tau / (tau + self._variance)
-        mean_d = float(np.sum(d)) / rows.n
-        s = np.float32(math.sqrt(tau * max(1 - mean_d, 0.0) / mean_d + floor))
-        u: Floats = z + rows.adjoint(d * r) / np.float32(mean_d)
+        tau = o.maximum(rho - v, t.least_tau * o.maximum(rho, v)) + floor
+        d = o.f32(tau) / (o.f32(tau) + self._variance)
+        mean_d = o.total(d) / rows.n
+        s = o.f32(o.sqrt(tau * o.maximum(1 - mean_d, o.zero) / mean_d + floor))
+        u = z + rows.adjoint(d * r) / o.f32(mean_d)
         windows, back, share = self._tiles.tables(shift)
-        scaled = np.zeros(rows.n + 1, dtype=np.float32)
-        np.divide(u, s, out=scaled[:-1])
+        scaled = o.xp.concatenate([u / s, self._nothing], axis=-1)
         denoise = shrink if formula or self._gates is None else self._gates.denoise
-        tiles, error = denoise(scaled[windows], self._tiles.strictness)
-        x: Floats = tiles.reshape(-1)[back] * s
-        expected = float(share @ error)
-        alpha = np.float32(min(expected, t.most_alpha))
-        free = (x - alpha * u) / (1 - alpha)
-        self.z = (z + t.damping * (free - z)).astype(np.float32, copy=False)
-        return x, expected * float(s) ** 2, residual2
+        tiles, error = denoise(scaled[..., windows], self._tiles.strictness, o)
+        x = tiles.reshape(*z.shape[:-1], -1)[..., back] * s
+        expected = o.dot(error, share)
+        alpha = o.f32(o.minimum(expected, o.zero + t.most_alpha))
+        self.z = z + t.damping * ((x - alpha * u) / (1 - alpha) - z)
+        return x, expected * o.f64(s) ** 2, residual2
 
     def settle(
         self,
-        estimates: Floats,
-        part: float,
-        values: Floats,
-        ones: Floats,
-        bias: float,
-        noise_sd: float,
-        least: float,
+        estimates: Array,
+        part: Number,
+        values: Array,
+        ones: Array,
+        bias: Number,
+        noise_sd: Number,
+        least: Number,
     ) -> Settled:
-        """Take the mean of some estimates, float32 (k, n), and `part` of the prediction for x.
+        """Take the mean of some estimates, float32 (n,), and `part` of the prediction for x.
 
         values and ones, float32 (n_read,), are those of the rows read and Phi 1. Readings of mean
         bias + u are of the force u + bias (1 - exp(-u / bias)), which is not clipped as often;
         forces below `least` are 0. noise_sd is that of an untouched taxel.
         """
-        mean = np.add.reduce(estimates, axis=0) * np.float32((1 - part) / len(estimates))
-        self.start_from(mean + np.float32(part) * self.predicted)
+        o = self._o
+        mean = sum(estimates[1:], estimates[0]) * o.f32((1 - part) / len(estimates))
+        self.start_from(mean + o.f32(part) * self.predicted)
         self._correction = self._whole - self._moved
-        x, residual = self.x, values - self._whole[self._rows.read]
-        near = np.minimum(x / np.float32(2 * noise_sd + math.sqrt(TINY)), 8)
-        forces = x + np.float32(bias) * (1 - np.exp(-x / np.float32(bias))) if bias else x
+        x, residual = self.x, values - self._whole[..., self._rows.read]
+        near = (x / o.f32(2 * noise_sd + math.sqrt(TINY))).clip(None, 8)
+        curve = o.f32(o.where(bias > 0, bias, o.zero + 1))
+        forces = x + o.f32(bias) * (1 - o.xp.exp(-x / curve))
         return Settled(
-            np.where(forces < least, 0, forces),
-            float(x @ x) / x.size,
-            float(residual @ residual) / residual.size,
-            float(ones @ residual),
-            float(x @ np.exp(-near * near)),
+            forces * (forces >= o.f32(least)),
+            o.dot(x, x) / x.shape[-1],
+            o.dot(residual, residual) / residual.shape[-1],
+            o.dot(ones, residual),
+            o.dot(x, o.xp.exp(-near * near)),
         )
+
+
+def solved(matrix: list[list[Number]], right: Sequence[Number]) -> list[Number]:
+    """Solve a small system of equations by elimination: entries are numbers; matrix is spent."""
+    a, n = list(right), len(right)
+    for j in range(n):
+        for k in range(j + 1, n):
+            factor = matrix[k][j] / matrix[j][j]
+            matrix[k] = [matrix[k][i] - factor * matrix[j][i] for i in range(n)]
+            a[k] = a[k] - factor * a[j]
+    for j in reversed(range(n)):
+        rest = sum(matrix[j][k] * a[k] for k in range(j + 1, n))
+        a[j] = (a[j] - rest) / matrix[j][j]
+    return a
 
 
 def neighbours_of(places: Indices, n: int) -> Indices:

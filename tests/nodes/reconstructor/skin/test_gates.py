@@ -7,7 +7,7 @@ import pytest
 
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.skin.formula import shrink
-from sparseskin.nodes.reconstructor.skin.gates import INNER, WINDOW, Gates, gates_of
+from sparseskin.nodes.reconstructor.skin.gates import WINDOW, Gates, gates_of, inner
 
 
 def stored_gates():
@@ -22,7 +22,7 @@ def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters():
     h = np.maximum(gates.hidden @ levels + gates.hidden_0, 0)
     g = np.clip(gates.gates @ h + gates.gates_0, 0, 1)
     tiles, error = gates.denoise(u.astype(np.float32)[None])
-    tile = g[-1] * u[INNER] + gates.synthesis @ (a * (g[:-1] - g[-1]))
+    tile = g[-1] * inner(u) + gates.synthesis @ (a * (g[:-1] - g[-1]))
     np.testing.assert_allclose(tiles[0], np.maximum(tile, 0), atol=1e-4)
     np.testing.assert_allclose(error, np.exp(gates.error @ h + gates.error_0), rtol=1e-4)
 
@@ -34,7 +34,7 @@ def test_forces_far_above_the_noise_stay_as_they_are(denoise):
     edge, pad = np.where(row > 0, 1.0, 0.2), np.exp(-(row**2 + col**2) / 18)
     u = np.float32(1e5) * np.array([edge, pad], dtype=np.float32).reshape(2, -1)
     tiles, _ = denoise(u)
-    assert np.linalg.norm(tiles - u[:, INNER]) < 1e-3 * np.linalg.norm(u[:, INNER])
+    assert np.linalg.norm(tiles - inner(u)) < 1e-3 * np.linalg.norm(inner(u))
 
 
 @pytest.mark.parametrize(("height", "spread"), [(3.0, 9), (10.0, 2), (30.0, 1)])
@@ -44,7 +44,7 @@ def test_the_expected_error_of_shrinkage_is_the_true_one(height, spread):
     pad = 20 + height * np.exp(-(row**2 + col**2) / (2 * spread)).reshape(-1)
     noise = np.random.default_rng(0).standard_normal((2000, WINDOW**2))
     tiles, error = shrink((pad + noise).astype(np.float32))
-    np.testing.assert_allclose(np.mean(error), np.mean(np.square(tiles - pad[INNER])), rtol=0.02)
+    np.testing.assert_allclose(np.mean(error), np.mean(np.square(tiles - inner(pad))), rtol=0.02)
 
 
 def test_haar_coefficients_of_one_group_are_shrunk_alike():

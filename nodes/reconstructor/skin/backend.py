@@ -1,0 +1,156 @@
+"""Where the vectors of frames are, and what a number of a frame is: of one patch, or of several.
+
+The method is written once, for vectors of shape (..., n). Of one patch they are numpy arrays (n,),
+and what it computes of a frame, such as a noise variance, is a float. Of p patches they are arrays
+(p, n) of numpy or of torch, on any device, and such a number is an array of float64 (p, 1).
+"""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import one_line
+
+Array: TypeAlias = Any
+"""An array of numpy or of torch."""
+Number: TypeAlias = Any
+"""A float or bool, or of several patches an array (p, 1) of them."""
+
+REMEDY = "pip install torch"
+
+
+class OnePatch:
+    """Vectors are float32 (n,) of numpy, numbers are floats."""
+
+    xp: Any = np
+    zero: Number = 0.0
+    false: Number = False
+    sqrt: Any = staticmethod(math.sqrt)
+    exp: Any = staticmethod(math.exp)
+    maximum: Any = staticmethod(max)
+    minimum: Any = staticmethod(min)
+    f32: Any = np.float32
+    f64: Any = np.float64
+
+    @staticmethod
+    def where(condition: Number, yes: Number, no: Number) -> Number:
+        """`yes` where the condition holds, else `no`."""
+        return yes if condition else no
+
+    @staticmethod
+    def dot(a: Array, b: Array) -> Number:
+        """Scalar product."""
+        return float(a @ b)
+
+    @staticmethod
+    def total(a: Array) -> Number:
+        """Sum of a vector."""
+        return float(a.sum(dtype=np.float64))
+
+    @staticmethod
+    def largest(a: Array) -> Number:
+        """Largest number of a vector."""
+        return float(a.max())
+
+    @staticmethod
+    def same(a: Array, b: Array) -> Number:
+        """True where all numbers of two vectors are equal."""
+        return np.array_equal(a, b)
+
+    def array(self, numbers: Any) -> Array:
+        """The same numbers as an array here."""
+        return numbers
+
+    def zeros(self, n: int) -> Array:
+        """A vector of zeros."""
+        return np.zeros(n, dtype=np.float32)
+
+
+class ManyPatches:
+    """Vectors are float32 (p, n), numbers are float64 (p, 1).
+
+    Parameters
+    ----------
+    n_patches : int
+        p.
+    device : str
+        "numpy", or a device of torch: "cpu", "cuda", "cuda:1".
+
+    Raises
+    ------
+    SettingsError
+        If torch is not installed, or there is no such device.
+    """
+
+    def __init__(self, n_patches: int, device: str = "numpy") -> None:
+        self.n_patches, self.device = n_patches, device
+        self.xp: Any = np
+        if device != "numpy":
+            try:
+                self.xp = import_module("torch")
+                self.xp.zeros(1, device=device)
+            except ImportError as error:
+                raise SettingsError(f"device: '{device}' needs torch: {REMEDY}") from error
+            except (RuntimeError, AssertionError) as error:  # of a build without the device, too
+                allowed = "allowed: numpy, or a device of torch, such as cpu, cuda, cuda:1"
+                raise SettingsError(f"device: '{device}': {one_line(error)}; {allowed}") from error
+        self.zero = self.array(np.zeros((n_patches, 1)))
+        self.false = self.zero > 0
+        self.sqrt, self.exp, self.where = self.xp.sqrt, self.xp.exp, self.xp.where
+
+    def maximum(self, a: Array, b: Array) -> Array:
+        """The larger one of each two numbers."""
+        return self.xp.where(a > b, a, b)
+
+    def minimum(self, a: Array, b: Array) -> Array:
+        """The smaller one of each two numbers."""
+        return self.xp.where(a < b, a, b)
+
+    def f32(self, a: Array) -> Array:
+        """The same numbers as float32."""
+        return self.xp.asarray(a, dtype=self.xp.float32)
+
+    def f64(self, a: Array) -> Array:
+        """The same numbers as float64."""
+        return self.xp.asarray(a, dtype=self.xp.float64)
+
+    def dot(self, a: Array, b: Array) -> Number:
+        """Scalar product."""
+        return self.total(a * b)
+
+    def total(self, a: Array) -> Number:
+        """Sum of a vector."""
+        return self.xp.sum(a, axis=-1, keepdims=True, dtype=self.xp.float64)
+
+    def largest(self, a: Array) -> Number:
+        """Largest number of a vector."""
+        return self.f64(self.xp.amax(a, axis=-1, keepdims=True))
+
+    def same(self, a: Array, b: Array) -> Number:
+        """True where all numbers of two vectors are equal."""
+        return self.total(a != b) == 0
+
+    def array(self, numbers: Any) -> Array:
+        """The same numbers as an array here."""
+        return numbers if self.xp is np else self.xp.asarray(numbers, device=self.device)
+
+    def host(self, a: Array) -> Any:
+        """The same numbers as an array of numpy."""
+        return a if self.xp is np else a.cpu().numpy()
+
+    def copy(self, a: Array) -> Array:
+        """The same numbers in an array of their own."""
+        return a.copy() if self.xp is np else a.clone()
+
+    def zeros(self, n: int) -> Array:
+        """A vector of zeros."""
+        return self.array(np.zeros((self.n_patches, n), dtype=np.float32))
+
+
+Backend: TypeAlias = OnePatch | ManyPatches
+ONE = OnePatch()
