@@ -172,8 +172,8 @@ class ReconstructorSettings(PatchesSettings):
     )
     device: str = setting(
         "",
-        "solve all patches at once, by solver skin on phi sbhe, on a device of torch: cuda, cuda:1, "
-        "cpu; or numpy; default: each by itself, on a core of the processor",
+        "solve all patches at once, by solver skin on phi sbhe: on a device of torch (cuda, "
+        "cuda:1, cpu), or numpy; default: each by itself",
     )
     watch_taxels: bool = setting(
         True, "exclude taxels that are stuck, dead or saturated, on a skin that states its noise"

@@ -23,11 +23,12 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     """Processor time of edge and host for one frame of all patches of a lying body, at 1 kHz.
 
     `point`: patches, side: number of patches, and taxels along a side of each; idle: part of them
-    that nothing presses; skip_idle: True if idle patches are not solved; n_frames: frames that are
-    timed; seed: of the noise. Returns edge_us, host_us: median processor time of a frame and patch,
-    microseconds: decoding, the node's step, encoding; bytes: of the measurements of a frame of all
-    patches; memory_mb: of the reconstructor node for one patch; unchanged: part of the frames not
-    solved.
+    that nothing presses, which is not solved then; n_frames: frames that are timed; seed: of the
+    noise; device, if any: of the solver, for full accuracy. Returns edge_us, host_us: median
+    processor time of a frame and patch, microseconds: decoding, the node's step, encoding;
+    solve_us: time of the solver by the clock; device; iterations; bytes: of the measurements of a
+    frame of all patches; memory_mb: of the reconstructor node for one patch; unchanged: part of the
+    frames not solved.
     """
     patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
     common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}
@@ -42,11 +43,14 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     list(sensor.change(sensor.settings.changed({"rate_hz": 1000.0})))
     gc.collect()
     before = own_bytes(os.getpid())
-    host = made_node("reconstructor", {**common, "skip_idle": point["skip_idle"]})
+    device = point.get("device", "")
+    solver = {"device": device, "iterations": 8} if device else {"skip_idle": point["idle"] > 0}
+    host = made_node("reconstructor", {**common, **solver})
     list(host.step(skin))
     list(host.step(phi))
     edge_s: list[float] = []
     host_s: list[float] = []
+    solve_s: list[float] = []
     n_unchanged = n_bytes = 0
     for k in range(WARM_UP + n_frames):
         (taxels, _) = sensor.acquire(Tick(1_000_000 * (k + 1), k + 1))
@@ -54,10 +58,15 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
         (found,) = timed_step(host, measured, host_s)
         if k >= WARM_UP:
             n_bytes = len(measured[1])
-            n_unchanged += sum(decode(*found).unchanged)  # type: ignore[attr-defined]
+            forces: Any = decode(*found)
+            n_unchanged += sum(forces.unchanged)
+            solve_s.append(1e-9 * sum(forces.solve_ns))
     return {
         "edge_us": 1e6 * float(np.median(edge_s[WARM_UP:])) / patches,
         "host_us": 1e6 * float(np.median(host_s[WARM_UP:])) / patches,
+        "solve_us": 1e6 * float(np.median(solve_s)) / patches,
+        "device": device,
+        "iterations": max(forces.iterations),
         "bytes": float(n_bytes),
         "memory_mb": (own_bytes(os.getpid()) - before) / patches / 1e6,
         "unchanged": n_unchanged / patches / n_frames,

@@ -180,10 +180,7 @@ class HadamardProducts:
     def _part(x: Any, part: slice, a: Any, b: Any) -> Any:
         lead = x.shape[:-1]
         v = x[..., part].reshape(*lead, len(a), -1)
-        if len(b) > 1:
-            v = b @ (v.swapaxes(-1, -2) @ a).reshape(*lead, len(b), -1)
-        else:
-            v = a @ v
+        v = b @ (v.swapaxes(-1, -2) @ a).reshape(*lead, len(b), -1) if len(b) > 1 else a @ v
         return v.reshape(*lead, -1)
 
     @staticmethod

@@ -21,7 +21,7 @@ Array: TypeAlias = Any
 Number: TypeAlias = Any
 """A float or bool, or of several patches an array (p, 1) of them."""
 
-REMEDY = "pip install torch"
+REMEDY = "pip install 'sparseskin[gpu]'"
 
 
 class OnePatch:
@@ -141,7 +141,9 @@ class ManyPatches:
 
     def host(self, a: Array) -> Any:
         """The same numbers as an array of numpy."""
-        return a if self.xp is np else a.cpu().numpy()
+        if "cuda" not in self.device:
+            return np.asarray(a)
+        return self.xp.empty(a.shape, dtype=a.dtype, pin_memory=True).copy_(a).numpy()
 
     def copy(self, a: Array) -> Array:
         """The same numbers in an array of their own."""

@@ -88,8 +88,7 @@ class SkinBatch:
         self._y, self._active = np.zeros((n_patches, phi.m), np.float32), np.zeros(n_patches, bool)
         #: What a frame reads, where it is read.
         self._inputs = o.zeros(phi.m), o.copy(o.false), o.copy(o.zero)
-        self._found = np.zeros((n_patches, 4))
-        self._forces = np.zeros((n_patches, *one.mask.shape), np.float32)
+        self._first_shift = 0
         self._subset = phi.fingerprint
         self._n_frames: dict[tuple[str, int], int] = {}
         self._recorded: dict[tuple[str, int], tuple[Any, tuple[Array, Array]]] = {}
@@ -112,7 +111,7 @@ class SkinBatch:
         self._subset = phi.fingerprint
 
     def stage(self, k: int, y: Floats, warm: Floats | None) -> None:
-        """Take the measurements of patch k, float32 (m,), and forces to start from, (rows, cols)."""
+        """Take the measurements of patch k, float32 (m,), and where it starts, (n_rows, n_cols)."""
         self._y[k], self._active[k] = y, True
         if warm is not None:
             v = self._vectors
@@ -135,17 +134,15 @@ class SkinBatch:
         given = self._y, self._active[:, None], sd
         for here, numbers in zip(self._inputs, given, strict=True):
             here[...] = self._o.array(numbers)
-        first = self._estimator.n_shifts
-        self._tiles.load(first, n_formula + n)
-        forces, found = self._run(n, n_formula)
-        self._estimator.n_shifts = (first + n_formula + n) % len(SHIFTS)
-        self._forces[self._active] = self._o.host(forces).reshape(self._forces.shape)[self._active]
-        self._found[self._active] = self._o.host(found)[self._active]
+        self._tiles.load(self._first_shift, n_formula + n)
+        self._first_shift = (self._first_shift + n_formula + n) % len(SHIFTS)
+        self._forces, self._found = map(self._o.host, self._run(n, n_formula))
         self._active[:] = False
 
     def result(self, k: int) -> tuple[Floats, Sequence[float]]:
         """Forces of patch k, float32 (n_rows, n_cols); error, trusted, noise variance and bias."""
-        return self._forces[k].copy(), self._found[k].tolist()
+        forces: Floats = self._forces[k].reshape(self.patches[k].mask.shape)
+        return forces.copy(), self._found[k].tolist()
 
     def _run(self, n: int, n_formula: int) -> tuple[Array, Array]:
         """Run a frame, or replay one."""
@@ -170,6 +167,7 @@ class SkinBatch:
         if subset not in e.last:
             e.last[subset] = o.copy(y), o.copy(y), o.copy(o.false)
         state, last = self._state, e.last[subset]
+        e.n_shifts = 0
         e.begin(subset, y)
         forces = e.finish(n, n_formula)
         for before, after in zip((*state, *last), (*self._state, *e.last[subset]), strict=True):

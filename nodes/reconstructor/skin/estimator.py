@@ -94,8 +94,8 @@ class SkinEstimator:
         self._rows, self._vectors, self._t = rows, vectors, tuning
         self._o: Any = backend
         self.noise_sd: Number = backend.zero
-        #: By row subset: the last measurements and innovation, and whether there were any; Phi 1 and
-        #: its squared length.
+        #: By row subset: the last measurements and innovation, and whether there were any; Phi 1,
+        #: and its squared length.
         self.last: dict[str, tuple[Array, Array, Number]] = {}
         self._ones: dict[str, tuple[Array, Number]] = {}
         self.forget()

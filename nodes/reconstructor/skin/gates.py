@@ -327,18 +327,16 @@ class TilesOfDevice:
         tables = tiles.windows.astype(np.int64), tiles.back.astype(np.int64), tiles.share
         self._all = [backend.array(table) for table in tables]
         self._now = [backend.copy(table) for table in self._all]
-        self._first = 0
 
     def load(self, first: int, n: int) -> None:
-        """Make the tables of n shifts from the number `first` on those of this frame."""
-        self._first = first
+        """Make n shifts, from the number `first` on, those of this frame: 0 to n - 1."""
         for k in range(min(n, len(SHIFTS))):
             for now, every in zip(self._now, self._all, strict=True):
                 now[k] = every[(first + k) % len(SHIFTS)]
 
     def tables(self, number: int) -> tuple[Array, Array, Array]:
         """As in `Tiles`."""
-        windows, back, share = (now[(number - self._first) % len(SHIFTS)] for now in self._now)
+        windows, back, share = (now[number] for now in self._now)
         return windows, back, share
 
 

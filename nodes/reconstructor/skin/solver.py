@@ -21,7 +21,7 @@ from .vectors import FrameVectors
 
 
 class SkinSolver(Solver):
-    """Reconstructs frames in a constant number of steps, by `SkinEstimator`, with the error of each.
+    """Reconstructs frames by `SkinEstimator`, in a constant number of steps, with their errors.
 
     One solver serves all row subsets of rotating rows. Any Phi will do: its rows are made
     orthonormal first, whatever their length. Of a Phi that reads single taxels the error is not

@@ -24,9 +24,9 @@ NEGLIGIBLE = 1e-3
 
 
 class Steps(NamedTuple):
-    """Steps of a frame: the last `averaged` estimates, each float32 (n,), as a sequence or along the
-    first axis; of each step the expected squared error, and the mean squared residual before it, of
-    the rows read.
+    """Steps of a frame: the last `averaged` estimates, float32 (n,), in a sequence or as one array;
+    of each step the expected squared error, and the mean squared residual before it, of the rows
+    read.
     """
 
     estimates: Array
@@ -193,7 +193,8 @@ class FrameVectors:
         gain = before / (before + noise_32)
         mean[..., read] += gain * off
         left = self._noise * 1
-        left[..., read], change[..., read] = largest(gain * noise_32, floor_32), 0
+        left[..., read] = largest(gain * noise_32, floor_32)
+        change[..., read] *= 0
         self._mean, self._noise, self._change = mean, left, change
         self.off_target = values - self._target[..., read]
         self.variance_of_read = o.total(variance) / size
