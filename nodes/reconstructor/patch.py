@@ -24,6 +24,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     Solver,
     estimated_error,
     make_rotating_solver,
+    measured,
 )
 
 from .budget import SHARE, steps_within
@@ -255,7 +256,9 @@ class Patch:
         assert self._last is not None
         forces = self._last
         filled, reason = self.faults.checked(self.faults.filled(forces))
-        self._fitted = self._phi.forward(forces.reshape(-1)[self.solver.taxels])
+        following = (self._subsets.index(self._phi) + 1) % len(self._subsets)
+        self._following = self._subsets[following]
+        self._fitted, self._next = measured(self.solver, forces, self._phi, self._following)
         left = np.subtract(self._fitted, self._y, dtype=np.float64)
         residual = math.sqrt(float(np.dot(left, left)) / left.size)
         sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
@@ -299,7 +302,6 @@ class Patch:
         assert forces is not None
         if self._constant:
             return
-        following = self._subsets[(self._subsets.index(phi) + 1) % len(self._subsets)]
         unfitted = getattr(solver, "unfitted", None)
         if self._watched and self.faults.update(
             phi, self._given, self._y, forces, self._fitted, unfitted
@@ -307,10 +309,10 @@ class Patch:
             # The effect of faulty measurements on the estimate would last for long.
             self._warm, self._last = np.zeros_like(forces), None
         elif self._watched:
-            self.faults.expect(following, forces)
+            self.faults.expect(self._following, self._next)
         elif isinstance(phi, AdaptivePhi):
             self.faults.search(forces)
         if self._resultant is not None:
             x, bias = forces.reshape(-1)[solver.taxels], getattr(solver, "bias", 0.0)
             self._resultant.learn(phi, self._y, x, self._fitted, bias)
-            self._resultant.prepare(following)
+            self._resultant.prepare(self._following)

@@ -114,10 +114,9 @@ class FaultWatch:
         self._constant |= constant
         return constant
 
-    def expect(self, phi: Phi, last: Floats) -> None:
-        """Compute Phi times the last frame, float32 (n_rows, n_cols), before the next one comes."""
-        if self._looks_at_rows:
-            self._expected = phi.fingerprint, phi.forward(last[self._mask])
+    def expect(self, phi: Phi, measured: Floats) -> None:
+        """Take Phi times the last frame, float32 (m,), for what the next frame is compared with."""
+        self._expected = phi.fingerprint, measured
 
     def cleaned(self, phi: Phi, y: Floats, last: Floats | None) -> tuple[Floats, Floats]:
         """Return y without the readings of stuck taxels and the offset of all measurements; and
@@ -132,7 +131,7 @@ class FaultWatch:
         if last is None:
             self._expected = phi.fingerprint, np.zeros(phi.m, dtype=np.float32)
         elif self._expected is None or self._expected[0] != phi.fingerprint:
-            self.expect(phi, last)
+            self.expect(phi, phi.forward(last[self._mask]))
         assert self._expected is not None
         assert self._frame is not None
         expected, self._expected = self._expected[1], None

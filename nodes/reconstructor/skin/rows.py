@@ -60,6 +60,10 @@ class Rows(ABC):
     def adjoint(self, rows: Floats) -> Floats:
         """Return W^T rows: float32 (n_rows,) to (n,)."""
 
+    @abstractmethod
+    def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
+        """Return what each phi, a row subset, measures of x: float32 (m,) each."""
+
 
 class HadamardRows(Rows):
     """All rows of a scrambled block Hadamard ensemble, also those that no frame reads.
@@ -102,6 +106,10 @@ class HadamardRows(Rows):
 
     def adjoint(self, rows: Array) -> Array:
         return self._joined(self._hadamard.back(rows), axis=-1)
+
+    def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
+        rows = self.forward(x)
+        return [rows[self._place_of_row[phi.rows]] for phi in phis if isinstance(phi, SbhePhi)]
 
 
 class CompiledRows(HadamardRows):
@@ -165,6 +173,9 @@ class WhitenedRows(Rows):
 
     def adjoint(self, rows: Floats) -> Floats:
         return self._phi.adjoint(rows if self._mix is None else self._mix.T @ rows)
+
+    def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
+        return [phi.forward(x) for phi in phis]
 
 
 def _whitening(phi: Phi) -> Floats | None:

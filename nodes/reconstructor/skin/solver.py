@@ -125,6 +125,10 @@ class SkinSolver(Solver):
         self._estimator.begin(self.phi.fingerprint, y)
         self._steps_left = self.n_steps
 
+    def measured(self, forces: Floats, *phis: Phi) -> list[Floats]:
+        """As the function `measured`, by one transform."""
+        return self._rows.measured(forces.reshape(-1)[self._cells], *phis)
+
     def step(self) -> None:
         self._count_step()  # `finish` does all of them in one call
 
