@@ -26,6 +26,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     estimated_error,
     make_rotating_solver,
 )
+from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.touch import in_contact
 
 #: Solvers of sums of taxels: all but those that need a phi which chooses its taxels in each frame.
@@ -48,9 +49,12 @@ LOADED, UNTOUCHED, GHOST = 0.1, 0.01, 0.05
 part of that of norms; below it a relative error is one of the sensor's offset and noise. A frame is
 untouched whose total is below the second part of that of totals, and a reconstruction of it above
 the third is a ghost. Chosen."""
-VANISHED, WRONG, RIGHT = 0.9, 0.5, 0.1
+VANISHED, WRONG, POOR, RIGHT = 0.9, 0.5, 0.25, 0.1
 """Relative errors: from the first on a contact has vanished (1 is that of an estimate of 0); above
-the second a frame should be marked as not to be trusted, below the third it should not. Chosen."""
+the second a frame should be marked as not to be trusted, above the third it may be, below the last
+it should not. Chosen."""
+CLOSE = 1.5
+"""Factor of the true error within which an estimate is close. Chosen."""
 
 
 class Solved(NamedTuple):
@@ -196,7 +200,8 @@ def make_method(
         As for `phis_at`; `phi`: kind of Phi, drawn by `seed`.
     f_max_n, sigma_end : float
         Upper end of the taxels' range, and standard deviation of an untouched taxel's noise (0 if
-        it is not known), newtons, as the skin states them to phi "adaptive". Settings are used as
+        it is not known), newtons, as the skin states them to phi "adaptive" and to the solver.
+        Settings are used as
         stated, whatever the range.
 
     Raises
@@ -210,6 +215,10 @@ def make_method(
     layout(phis[0], np.ones(shape, dtype=np.bool_) if mask is None else mask, sigma_end, f_max_n)
     basis = make_basis(chosen.get("basis", "haar"), *shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask, **settings)
+    if sigma_end:
+        paper = NoiseModel()
+        sigma_mid = sigma_end * paper.sigma_mid / paper.sigma_end
+        solver.noise_of = NoiseModel(f_max_n, sigma_mid, sigma_end).variance
     return Method(solver, phis)
 
 

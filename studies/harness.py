@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
@@ -19,6 +20,8 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .baselines.sampling import CODECS, Acts, Codec, Filtered, Hold, Lattice, adaptive_values
 from .evaluate import (
+    CLOSE,
+    POOR,
     RIGHT,
     VANISHED,
     WRONG,
@@ -231,6 +234,11 @@ def _flagged(scores: Scores, least: float, most: float) -> list[bool]:
     return [flag for flag, relative in scores.flags if least < relative < most]
 
 
+def _marked(scores: Scores) -> list[float]:
+    """Relative errors of the contact frames that are marked."""
+    return [relative for flag, relative in scores.flags if flag and not math.isnan(relative)]
+
+
 def _of_contact(score: Callable[[Scores], Any]) -> Callable[[Scores], Any]:
     return lambda scores: score(scores) if scores.contact_db else None
 
@@ -257,7 +265,11 @@ SCORES: dict[str, Callable[[Scores], Any]] = {
     "flagged_right": lambda s: _mean(_flagged(s, -np.inf, RIGHT), 100),
     "n_wrong": lambda s: len(_flagged(s, WRONG, np.inf)),
     "n_right": lambda s: len(_flagged(s, -np.inf, RIGHT)),
-    # Estimated over true RMS error of contact frames.
+    # Marked contact frames, and part of them that are poor.
+    "n_flagged": lambda s: len(_marked(s)),
+    "flagged_poor": lambda s: _mean([relative > POOR for relative in _marked(s)], 100),
+    # Estimated over true RMS error of contact frames; part of them within a factor.
+    "estimate_close": lambda s: _mean([1 / CLOSE < one < CLOSE for one in s.estimates], 100),
     **{
         f"estimate_{name}": lambda s, percent=percent: _percentile(s.estimates, percent)  # type: ignore[misc]
         for name, percent in (("low", 5), ("median", 50), ("high", 95))

@@ -78,9 +78,7 @@ class Skin:
         self.lines: list[str] = []
         self.phi, self.noise = phi, noise
         mask = np.ones(SKIN_SHAPE, np.bool_)
-        self.watch = TaxelWatch(
-            mask, NOISE.f_max, NOISE.sigma_mid, NOISE.sigma_end, self.lines.append
-        )
+        self.watch = TaxelWatch(mask, NOISE, self.lines.append)
         self.solver = make_solver("skin", phi, make_basis("haar", *SKIN_SHAPE), mask, fast=FAST)
         self.rng = np.random.default_rng(0)
 

@@ -27,7 +27,7 @@ import numpy as np
 from sparseskin.messages import SkinState
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
-from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.noise import CLIPPED, NoiseModel
 
 FALSE_ALARMS = 1e-3
 """False alarms a frame and patch, chosen: each costs a solve."""
@@ -39,8 +39,6 @@ TILES = 8
 """Tiles along a side of the patch, chosen: a fingertip on 64 x 64 taxels fills one."""
 SLOW = 1 / 8
 """Weight of a frame in the exponential mean."""
-CLIPPED = 0.5 - 0.5 / np.pi
-"""Variance of max(0, z), z ~ N(0, 1): 1/2 - 1/(2 pi) = 0.3408."""
 
 
 class IdleWatch:

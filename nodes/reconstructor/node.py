@@ -239,13 +239,11 @@ class Reconstructor(Node[ReconstructorSettings]):
             if self._idle is not None:
                 wanted = self._idle.to_solve(phi.fingerprint, measurements.y)
                 unchanged = [not wanted[k] and patches[k].solved is not None for k in range(n)]
-            # If each frame chooses its taxels or rows anew, there are no rows to watch.
-            watched = measurements.places is None and measurements.nodes is None
             for patch, same, y in zip(patches, unchanged, measurements.y, strict=True):
                 if same:
                     patch.keep(phi, y)
                 else:
-                    patch.read(phi, y, watched)
+                    patch.read(phi, y)
             if self.settings.resultant and (found := patches[0].resultant) is not None:
                 yield self._resultant_of(found, stamp_ns)
             solving = [k for k in range(n) if not unchanged[k]]

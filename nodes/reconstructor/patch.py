@@ -6,12 +6,12 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sparseskin.messages import PhiState, SkinState
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
@@ -26,6 +26,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     make_rotating_solver,
     measured,
 )
+from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .budget import SHARE, steps_within
 from .limits import (
@@ -187,6 +188,9 @@ class Patch:
         self._f_max = skin.f_max
         if isinstance(self.solver, Solver):
             self.solver.noise_sd = skin.least_sd
+            if skin.sigma_mid:
+                model = NoiseModel(skin.f_max, skin.sigma_mid, skin.sigma_end)
+                self.solver.noise_of = partial(model.variance, clips=skin.clips_noise)
         if self._tracker is not None:
             self._tracker.set_noise(skin)
 
@@ -203,20 +207,16 @@ class Patch:
             known = self.solver.mask & ~missing
             self._blind = bool((missing & ~of_nine(known, np.logical_or)).any())
 
-    def read(self, phi: Phi, y: Floats, watched: bool) -> None:
-        """Begin a frame: its measurements, float32 (m,), newtons. `watched` is False if each frame
-        chooses its taxels or rows anew: there are no rows to watch then.
-        """
+    def read(self, phi: Phi, y: Floats) -> None:
+        """Begin a frame: its measurements, float32 (m,), newtons."""
         assert self.solver is not None
         if len(self._subsets) > 1:
             self.solver.use(phi)
         self.faults.watch_repeats(phi, y)
-        self._phi, self._watched, self._given, self._y = phi, watched, y, y
+        self._phi, self._given, self._y = phi, y, y
         self._constant = self.faults.is_constant(y)
-        if watched and not self._constant:
+        if not self._constant:
             self._given, self._y = self.faults.cleaned(phi, y, self._last)
-        elif isinstance(phi, AdaptivePhi) and not self._constant:
-            self._y = self.faults.cleaned_of_choice(phi, y, self._last)
 
     @property
     def resultant(self) -> Estimate | None:
@@ -255,11 +255,11 @@ class Patch:
         assert self.solver is not None
         assert self._last is not None
         forces = self._last
-        filled, reason = self.faults.checked(self.faults.filled(forces))
         following = (self._subsets.index(self._phi) + 1) % len(self._subsets)
         self._following = self._subsets[following]
         self._fitted, self._next = measured(self.solver, forces, self._phi, self._following)
-        left = np.subtract(self._fitted, self._y, dtype=np.float64)
+        left = np.subtract(self._y, self._fitted, dtype=np.float64)
+        filled, reason = self.faults.checked(forces, left, self._trusted)
         residual = math.sqrt(float(np.dot(left, left)) / left.size)
         sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
         if sd is not None and self._missing is not None:
@@ -302,16 +302,11 @@ class Patch:
         assert forces is not None
         if self._constant:
             return
-        unfitted = getattr(solver, "unfitted", None)
-        if self._watched and self.faults.update(
-            phi, self._given, self._y, forces, self._fitted, unfitted
-        ):
+        if self.faults.update(phi, self._given, self._y, forces, self._fitted):
             # The effect of faulty measurements on the estimate would last for long.
             self._warm, self._last = np.zeros_like(forces), None
-        elif self._watched:
+        else:
             self.faults.expect(self._following, self._next)
-        elif isinstance(phi, AdaptivePhi):
-            self.faults.search(forces)
         if self._resultant is not None:
             x, bias = forces.reshape(-1)[solver.taxels], getattr(solver, "bias", 0.0)
             self._resultant.learn(phi, self._y, x, self._fitted, bias)

@@ -11,7 +11,9 @@ both ends, then clipped. The shape of the taper and its end value are not in the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,10 @@ PAPER_SIGMA_MID_N = 0.0628
 PAPER_SIGMA_END_N = 0.0141
 """Standard deviation at 0 and at f_max, newtons. Fitted: the noisy PSNR of an untouched skin then
 reaches at most 48.5 to 49.1 dB, as the paper's tables report."""
+
+CLIPPED, CLIPPED_BELOW = 0.5 - 0.5 / math.pi, 1.6
+"""Variance of max(0, z), z ~ N(0, 1): 1/2 - 1/(2 pi) = 0.3408; mean of z up to which it grows to 1.
+Derived: as a line, to 0.07."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,19 @@ class NoiseModel:
         sigma *= slope
         sigma += np.float32(self.sigma_mid)
         return sigma
+
+    def variance(self, forces: Any, clips: bool = True) -> Any:
+        """Return the variance of the readings of some forces: of those clipped at 0, if `clips`.
+
+        Arguments and result as in `sigma`, squared; arrays of any library.
+        """
+        sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * abs(
+            2 / self.f_max * forces - 1
+        )
+        if not clips or not self.sigma_end:
+            return sigma * sigma
+        slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end
+        return sigma * sigma * (CLIPPED + slope * forces).clip(None, 1)
 
     def apply(self, truth: Floats, rng: np.random.Generator) -> Floats:
         """Return the readings of a noisy skin.

@@ -94,8 +94,16 @@ LONGEST_RECORDED, QUICK_RECORDED = 300, 60
 
 PSNR = ("mean_db", "min_db", "first_db", "touched_mn", "n_contact")
 ERRORS = ("median", "mean", "vanished", "n_bytes", "n_contact")
-MARKS = ("ghosts", "flagged", "flagged_wrong", "flagged_right", "n_wrong", "n_right", "n_untouched")
-ESTIMATES = ("estimate_low", "estimate_median", "estimate_high")
+MARKS = (
+    "flagged",
+    "flagged_wrong",
+    "n_wrong",
+    "flagged_right",
+    "n_right",
+    "flagged_poor",
+    "n_flagged",
+)
+ESTIMATES = ("estimate_low", "estimate_median", "estimate_high", "estimate_close")
 
 
 def experiment(
@@ -147,7 +155,8 @@ class Runs:
         """The six scenes of the paper, at their own frame rates."""
         stop = QUICK_SCENE_FRAMES if self._quick else SCENE_FRAMES
         frames = [SceneFrames(scene, stop=stop - 20) for scene in SCENES]
-        return self._rows("scenes", frames, (DEFAULT, SKIN, PAPER), PSNR, (RAW, ALL))
+        names, scores = (DEFAULT, SKIN, ADAPTIVE, PAPER), (*PSNR, *MARKS, *ESTIMATES)
+        return self._rows("scenes", frames, names, scores, (RAW, ALL))
 
     def rates(self) -> pd.DataFrame:
         """Scenes of which every k-th frame is read, so that bodies move further a frame."""
@@ -220,7 +229,7 @@ class Runs:
     def recordings(self) -> pd.DataFrame:
         """Recordings of real skins; the recording itself is the truth."""
         files, frames = self._files, self._recorded(self._n_recorded)
-        scores = (*ERRORS, *MARKS, *ESTIMATES)
+        scores = (*ERRORS, *MARKS, *ESTIMATES, "ghosts", "n_untouched")
         rows = self._rows("recordings", frames, tuple(CANDIDATES), scores, CODECS)
         stems = [path.stem for path in files]
         labels = {str(p): p.stem if stems.count(p.stem) == 1 else p.name for p in files}

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from sparseskin.studies.baselines.sampling import CODECS, DEAD_ZONE_N, JUMP_SIGMAS, NEWEST
 from sparseskin.studies.evaluate import (
+    CLOSE,
     GHOST,
     LOADED,
+    POOR,
     RIGHT,
     UNTOUCHED,
     VALUE_BYTES,
@@ -135,6 +138,7 @@ def scenes(page: Page, runs: Runs) -> str:
         by_ratio(rows, ["scene"], "{min_db:.1f}"),
         "Root mean square error of touched taxels, mN:",
         by_ratio(rows, ["scene"], "{touched_mn:.1f}"),
+        *marks(rows[(rows["ratio"] > 1) & rows["flagged"].notna()], ["scene"]),
     )
     some = ours[(ours["method"] == DEFAULT) & (ours["ratio"] == RATIOS[0])]
     means = some.groupby("taxels", sort=False)["gain"].mean()
@@ -318,15 +322,7 @@ def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:
         simple=", ".join(SIMPLE),
         least=LEAST_ERROR,
     )
-    estimates = "{estimate_median:.2f} ({estimate_low:.2f} to {estimate_high:.2f})"
-    page.section(
-        "Marks and estimated errors",
-        "Marked frames, in %:",
-        by_ratio(flagged, keys, "{flagged:.0f}"),
-        "Estimated over true RMS error of loaded frames: median (5th to 95th percentile):",
-        by_ratio(flagged, keys, estimates),
-        "\n".join(f"- {line}" for line in marked(flagged)),
-    )
+    page.section("Marks and estimated errors", *marks(flagged, keys))
     failed = rows[rows["refused"] != ""].drop_duplicates(["recording", "method", "ratio"])
     page.section(
         "All taxels read",
@@ -390,6 +386,19 @@ def smaller(rows: pd.DataFrame) -> str:
     )
 
 
+def marks(rows: pd.DataFrame, keys: list[str]) -> tuple[Any, ...]:
+    """Return tables and lines of the frames that are marked, and of the estimated errors."""
+    return (
+        "Marked frames, in %:",
+        by_ratio(rows, keys, "{flagged:.0f}"),
+        "Estimated over true RMS error of contact frames: median (5th to 95th percentile):",
+        by_ratio(rows, keys, "{estimate_median:.2f} ({estimate_low:.2f} to {estimate_high:.2f})"),
+        f"The same: frames within a factor of {CLOSE:g}, in %:",
+        by_ratio(rows, keys, "{estimate_close:.0f}"),
+        "\n".join(f"- {line}" for line in marked(rows)),
+    )
+
+
 def marked(rows: pd.DataFrame) -> list[str]:
     """Return a line a method whose solver estimates its error: wrong and right frames it marks."""
     lines = []
@@ -399,11 +408,18 @@ def marked(rows: pd.DataFrame) -> list[str]:
             ("wrong", f"above {100 * WRONG:g} %"),
             ("right", f"below {100 * RIGHT:g} %"),
         ):
-            n = some[f"n_{which}"].astype(float)
-            share = (some[f"flagged_{which}"].astype(float) * n).sum() / max(1, n.sum())
-            parts.append(f"{share:.1f} % of {n.sum():.0f} frames with an error {bound}")
-        lines.append(f"{name} marks {' and '.join(parts)}")
+            share, n = _share(some[f"flagged_{which}"], some[f"n_{which}"])
+            parts.append(f"{share:.1f} % of {n:.0f} frames with an error {bound}")
+        share, n = _share(some["flagged_poor"], some["n_flagged"])
+        poor = f"{share:.0f} % of {n:.0f} marked ones are above {100 * POOR:g} %"
+        lines.append(f"{name} marks {' and '.join(parts)}; {poor}")
     return lines
+
+
+def _share(shares: pd.Series, counts: pd.Series) -> tuple[float, float]:
+    """Return the mean of some shares by their counts, and the sum of these."""
+    n = counts.astype(float)
+    return float((shares.astype(float).fillna(0) * n).sum() / max(1.0, n.sum())), float(n.sum())
 
 
 def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:

@@ -28,10 +28,6 @@ HEALED, MOST_HEALED = 100, 100_000
 AGREES, AGREES_RATE = 4.0, 0.05
 #: Largest part of the rows that may be faulty; with more, something else is wrong.
 MOST = 0.25
-#: Factor of the bounds for innovations, and peers that a row then needs. A contact that comes has
-#: forces on k taxels of a block: a row has at most k times the mean square of all. Working rows
-#: reach 30, beside a faulty one 90; garbage 100 to 50,000 (a sliding disc, 80 frames).
-UNPREDICTED, UNPREDICTED_PEERS = 4.0, 5
 #: Step of the quantiser, in deviations of a frame's noise, beyond which rows may be constant.
 FINE = 0.25
 #: Peers that a block needs for a judgement by a single frame.
@@ -65,6 +61,8 @@ class Subset:
         Largest squared innovation of a row, in the mean of its block, without a fault.
     like : float
         Part of the energy of any taxel's press that a change common to all rows may explain.
+    offset_like : ndarray of intp
+        Taxels whose press together looks like a change common to all rows: one of each block.
     """
 
     def __init__(self, phi: Phi) -> None:
@@ -85,6 +83,7 @@ class Subset:
             self.bound = np.where(heavy, 2 * sizes, np.float32(OUTLYING))
         sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
         self.like = phi.n / phi.m**2 * float(np.square(sums).max())
+        self.offset_like: Indices = np.flatnonzero(sums > 0.9 * sums.max())
 
 
 class RowWatch:
@@ -95,11 +94,6 @@ class RowWatch:
     contact is reconstructed badly, all of them are off alike. A ratio above 16, which a working row
     has in one frame of ten thousand, starts a CUSUM: each frame adds the ratio, at most 36, less 9;
     it is never below 0. A row that reads garbage reaches 150 within 8 frames.
-
-    A solver that starts anew may explain a faulty row by forces. Garbage then contradicts the last
-    frame: in the full comparison a row is also judged by its innovation y - Phi x_last, with
-    bounds 4 times as large. Rows that the solver did not fit are judged by their change from
-    frame to frame in place of that, and not by their residual.
 
     The full comparison is made in every tenth frame, wherever a residual exceeds the bound of the
     last one, and in each frame while there is evidence against a row.
@@ -133,34 +127,25 @@ class RowWatch:
         self._starts, self._block = self.rows.starts, self.rows.block
         self._heavy_ones = self._ones[self._heavy]
         self._heavy_ones2 = np.square(self._heavy_ones)
-        self._last, self._before, self._evidence, self._oddity = np.zeros((4, m), dtype=np.float32)
-        self._residual, self._left = np.zeros((2, m), dtype=np.float32)
-        self._squared, self._bound = np.zeros((2, m), dtype=np.float32)
-        self._last_but_one = np.zeros(m, dtype=np.float32)
-        self._innovation, self._fitted = np.zeros((2, m), dtype=np.float32)
+        self._last, self._change, self._evidence, self._oddity = np.zeros((4, m), dtype=np.float32)
+        self._residual, self._before, self._left, self._bound = np.zeros((4, m), dtype=np.float32)
         self._changed_at, self._agreed = np.zeros((2, m), dtype=np.int32)
-        self._loud = np.zeros(m, dtype=np.bool_)
         self._coarse = self._suspects = False
         self._to_heal = np.full(m, HEALED, dtype=np.int32)
-        self._unfitted: Indices | None = None
         self._n_frames = self._n_constant = self._n_out = 0
         self._lively = 0.0
         self.left_out: Mask = np.zeros(m, dtype=np.bool_)
         self.swamped = False
         self._count_peers()
 
-    def update(self, y: Floats, fitted: Floats, unfitted: Indices | None = None) -> bool:
+    def update(self, y: Floats, fitted: Floats) -> bool:
         """Process measurements as received, and Phi times the frame, `fitted`; float32 (m,).
 
-        `unfitted` are the rows that the frame was not made from, intp. Return True if `left_out`
-        has changed.
+        Return True if `left_out` has changed.
         """
-        self._unfitted = unfitted
         if not self.rows.comparable:
             return False
         self._n_frames += 1
-        self._residual, self._before = self._before, self._residual
-        self._last, self._last_but_one = self._last_but_one, self._last
         look = self._glance(y, fitted)
         if self._n_frames == 1:
             return False  # no change from frame to frame is known yet
@@ -168,51 +153,34 @@ class RowWatch:
         return due and self._look(y)
 
     def _glance(self, y: Floats, fitted: Floats) -> bool:
-        """Note residuals, innovations and changes; True if a row asks for a full comparison."""
-        np.subtract(y, fitted, out=self._residual)
-        np.subtract(y, self._fitted, out=self._innovation)
-        np.copyto(self._fitted, fitted)
-        np.square(self._residual, out=self._squared)
-        np.greater(self._squared, self._bound, out=self._loud)
-        changed = y != self._last_but_one
-        np.copyto(self._last, y)
-        if self._coarse:
-            self._changed_at.fill(self._n_frames)
-        else:
-            np.copyto(self._changed_at, self._n_frames, where=changed)
+        """Note residuals and changes; True if a row asks for a full comparison."""
+        self._before, self._residual = self._residual, y - fitted
+        self._change, self._last = y - self._last, y.copy()
+        changed = self._change != 0
+        self._changed_at[changed | self._coarse] = self._n_frames
         rate = max(LIVELY_RATE, 1 / self._n_frames)
         self._lively += rate * (np.count_nonzero(changed) / changed.size - self._lively)
         self._n_constant = int(np.count_nonzero(self._constant()))
-        return bool(self._loud.any() or self._n_constant)
+        return self._n_constant > 0 or bool((np.square(self._residual) > self._bound).any())
 
     def _look(self, y: Floats) -> bool:
         """Compare all rows with their peers; return True if `left_out` has changed."""
         # A solver that fits the noise leaves less than that, and small errors would seem large.
-        noise2 = _typical(self._last - self._last_but_one) / 2
+        noise2 = _middle(np.square(self._change)) / MEDIAN_SQUARE / 2
         step = step_of(y)
         self._coarse = step > FINE * math.sqrt(noise2)
         # A force below a step is read as 0 or as a step, in turn.
         noise2 += step * step / 4
-        odd, accused = self._compared(noise2)
-        if not accused and not self._n_constant and not self._n_out:
+        evidence, odd = self._evidence, self._oddness(noise2)
+        evidence[:] = np.where((evidence > 0) | (odd > ODD), evidence + odd - ALLOWED, 0)
+        np.clip(evidence, 0, 2 * ENOUGH, out=evidence)
+        if not evidence.any() and not self._n_constant and not self._n_out:
             self._suspects = self.swamped = False
             return False
-        faulty = (self._evidence >= ENOUGH) | self._constant()
+        faulty = (evidence >= ENOUGH) | self._constant()
         changed = self._leave_out(faulty) | self._heal(odd, faulty)
-        self._suspects = bool(self._evidence.any() or self._n_out)
+        self._suspects = bool(evidence.any() or self._n_out)
         return changed
-
-    def _compared(self, noise2: float) -> tuple[Floats, bool]:
-        """Return the oddness of the rows, at most 36, and True if there is evidence against one."""
-        evidence = self._evidence
-        odd = self._oddness(noise2)
-        np.maximum(odd, self._unpredicted(noise2), out=odd)
-        odd_enough = (evidence > 0) | (odd > ODD)
-        evidence += odd
-        evidence -= ALLOWED
-        evidence *= odd_enough
-        np.clip(evidence, 0, 2 * ENOUGH, out=evidence)
-        return odd, bool(evidence.any())
 
     def _oddness(self, noise2: float) -> Floats:
         """Return squared residuals in units of the peers, or of the noise; at most 36."""
@@ -241,35 +209,8 @@ class RowWatch:
         # such blocks only the change from frame to frame counts.
         change = self._residual[few] - self._before[few]
         squared[few] = np.minimum(squared[few], np.square(change, out=change))
-        if self._unfitted is not None:
-            # Their residual is larger than that of their peers.
-            squared[self._unfitted] = 0
         squared /= peers
         return np.minimum(squared, LARGEST, out=squared)
-
-    def _unpredicted(self, noise2: float) -> Floats:
-        """Return the oddness of rows by their innovations; at most 36, 0 for rows left out."""
-        judged = self._kept.copy()
-        # The sum of a block shows any contact more than its peers do.
-        judged[self._heavy] = 0
-        innovation = self._innovation
-        if self._unfitted is not None:
-            # The estimate is off by more there, in all frames alike.
-            apart = self._unfitted
-            innovation[apart] = self._last[apart] - self._last_but_one[apart]
-        squared = np.square(innovation) * judged
-        typical = np.float32(max(_middle(squared) / MEDIAN_SQUARE, noise2) + TINY)
-        # The mean of the peers but the largest one: that may be faulty, too.
-        largest = np.maximum.reduceat(squared, self._starts)[self._block]
-        second = np.where(squared == largest, 0, squared)
-        second = np.maximum.reduceat(second, self._starts)[self._block]
-        peers = np.add.reduceat(squared, self._starts)[self._block] - squared
-        peers -= np.where(squared == largest, second, largest)
-        n_peers = np.add.reduceat(judged, self._starts)[self._block] - 1
-        peers /= np.maximum(n_peers - 1, 1)
-        odd = squared / (UNPREDICTED * np.maximum(peers, typical))
-        odd[n_peers < UNPREDICTED_PEERS] = 0
-        return np.minimum(odd, LARGEST, out=odd)
 
     def _constant(self) -> Mask:
         """Return the rows that are constant, on a skin whose rows are not."""
@@ -324,11 +265,6 @@ def _middle(x: Floats) -> float:
     """Return the median, or the upper one of an even number."""
     middle = x.size // 2
     return float(np.partition(x, middle)[middle])
-
-
-def _typical(x: Floats) -> float:
-    """Return the variance of normal numbers with outliers, from the median of their squares."""
-    return _middle(np.square(x)) / MEDIAN_SQUARE
 
 
 def mixed_taxels(phi: Phi) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 from sparseskin.nodes.numerics.neighbours import of_nine
+from sparseskin.nodes.sensor.noise import NoiseModel
 
 #: Frames between two searches for dead or saturated taxels, and for taxels that stand alone: with
 #: at least this part of the range, next to neighbours of at most this part of their own force.
@@ -27,8 +28,8 @@ LEAST_DOUBTED = 16
 #: this part of the stated variance; the force may change by this part meanwhile.
 MEASURED, MEASURED_FRAMES, QUIET, CHANGE = 200, 40, 0.2, 0.1
 #: Least part of the stated noise variance that the measurements must have: a skin quieter than
-#: stated has no stuck taxels. Part of the variance that is left of noise clipped at 0.
-REAL, CUT_OFF = 0.5, 0.34
+#: stated has no stuck taxels.
+REAL = 0.5
 #: Median of the square of a standard normal number.
 MEDIAN_SQUARE = 0.455
 #: With fewer measurements than this part of the taxels, reconstructions have holes of their own.
@@ -49,9 +50,9 @@ ENOUGH, SUBTRACTED = 10, 5
 PLACES, APART = 3, 3.0
 #: Consecutive searches in which a dead taxel must work to be used again.
 BELIEVED = 10
-#: A saturated taxel: least force, force below which it is none, most force of neighbours, all in
-#: f_max; number of searches.
-FULL, BELOW_FULL, BESIDE_FULL, FULL_LOOKS = 0.97, 0.9, 0.25, 200
+#: A saturated taxel, which stands alone: least force, force below which it is none, both in f_max;
+#: number of searches.
+FULL, BELOW_FULL, FULL_LOOKS = 0.97, 0.9, 200
 #: Most faulty taxels whose cells are published; chosen: more are no single faults.
 MAX_CELLS = 256
 
@@ -105,12 +106,14 @@ class EndWatch:
         inside = self._mask & (around >= INSIDE)
         holes = np.flatnonzero(inside & ~pressed).tolist()
         # Most frames have neither holes nor watched taxels.
-        watched = [place for place in self._low if inside.flat[place]]
-        watched += [place for place in self._alive if inside.flat[place]]
+        watched = [place for place in (*self._low, *self._alive) if inside.flat[place]]
         found, believed = [], []
+        held = np.where(pressed, forces, 0)
         for place in dict.fromkeys([*holes, *watched]):
-            force = float(forces.flat[place])
-            beside = float(_neighbours(forces, place, pressed).mean())
+            row, col = divmod(place, self._n_cols)
+            nine = held[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2]
+            force = float(forces[row, col])
+            beside = float(nine.sum() - held[row, col]) / int(around[row, col])
             if place in dead:
                 self._alive[place] = self._alive.get(place, 0) + 1 if force > ALIVE * beside else 0
                 if self._alive[place] >= BELIEVED:
@@ -141,34 +144,18 @@ class EndWatch:
         return low.looks >= ENOUGH and len(low.places) == PLACES
 
     def _look_for_full(self, forces: Floats) -> list[int]:
-        full = np.flatnonzero(self._mask & (forces >= np.float32(FULL * self._f_max))).tolist()
-        for place in [one for one in self._full if forces.flat[one] < BELOW_FULL * self._f_max]:
-            del self._full[place]
-        found = []
-        for place in full:
-            if not (_neighbours(forces, place) > BESIDE_FULL * self._f_max).any():
-                self._full[place] = self._full.get(place, 0) + 1
-                if self._full[place] >= FULL_LOOKS:
-                    del self._full[place]
-                    found.append(place)
+        full = {k: n for k, n in self._full.items() if forces.flat[k] >= BELOW_FULL * self._f_max}
+        for place in np.flatnonzero(alone(forces, self._mask, FULL * self._f_max)).tolist():
+            full[place] = full.get(place, 0) + 1
+        found = [place for place, n_looks in full.items() if n_looks >= FULL_LOOKS]
+        self._full = {place: n for place, n in full.items() if n < FULL_LOOKS}
         return found
-
-
-def _neighbours(forces: Floats, place: int, which: Mask | None = None) -> Floats:
-    """Return the forces of the eight neighbours of a place, or of those among them in `which`."""
-    row, col = divmod(place, forces.shape[1])
-    around = slice(max(0, row - 1), row + 2), slice(max(0, col - 1), col + 2)
-    among = np.ones_like(forces[around], dtype=np.bool_) if which is None else which[around].copy()
-    among[row - around[0].start, col - around[1].start] = False
-    return forces[around][among]
 
 
 def _reach(pressed: Mask, place: int) -> Reach:
     """Return how many successive taxels are pressed on both sides of a place in a line."""
-    before, behind = pressed[:place][::-1], pressed[place + 1 :]
-    to_begin = before.size if before.all() else int(np.argmin(before))
-    to_end = behind.size if behind.all() else int(np.argmin(behind))
-    return to_begin, to_end
+    before, behind = (np.append(x, False) for x in (pressed[:place][::-1], pressed[place + 1 :]))
+    return int(np.argmin(before)), int(np.argmin(behind))
 
 
 def _shift(here: Reach, there: Reach) -> int:
@@ -208,8 +195,10 @@ class TaxelWatch:
 
     Parameters
     ----------
-    mask, f_max, sigma_mid, sigma_end
-        As in `SkinState`.
+    mask : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
+    noise : NoiseModel
+        The stated one.
     log : callable
         Receives one line of text.
 
@@ -219,20 +208,11 @@ class TaxelWatch:
         Readings of faulty taxels, newtons, by place in the flat grid; 0 for dead ones.
     """
 
-    def __init__(
-        self,
-        mask: Mask,
-        f_max: float,
-        sigma_mid: float,
-        sigma_end: float,
-        log: Callable[[str], None],
-    ) -> None:
-        self._mask, self._log = mask, log
-        self._middle = f_max / 2
-        self._sigma_mid, self._sigma_end = sigma_mid, sigma_end
+    def __init__(self, mask: Mask, noise: NoiseModel, log: Callable[[str], None]) -> None:
+        self._mask, self._noise, self._log = mask, noise, log
         self._taxels = np.flatnonzero(mask)
         self._number = np.cumsum(mask.reshape(-1)) - 1
-        self._least = np.float32(LEAST_FORCE * f_max)
+        self._least = LEAST_FORCE * noise.f_max
         self._suspects: dict[tuple[int, ...], _Suspect] = {}
         self._groups = _groups(mask)
         self._grouped = np.concatenate([places for places, _ in self._groups] or [self._taxels])
@@ -243,7 +223,7 @@ class TaxelWatch:
         self.stuck: dict[int, float] = {}
         self._off: dict[int, float] = {}
         self._subtracted: dict[str, Floats] = {}
-        self._ends = EndWatch(mask, f_max)
+        self._ends = EndWatch(mask, noise.f_max)
 
     @property
     def text(self) -> str:
@@ -277,12 +257,11 @@ class TaxelWatch:
         """Return forces, float32 (n_rows, n_cols), with faulty taxels as the mean of neighbours."""
         if not self.stuck:
             return forces
-        filled = forces.copy()
         good = self._mask.copy()
         good.reshape(-1)[list(self.stuck)] = False
-        for place in self.stuck:
-            beside = _neighbours(forces, place, good)
-            filled.flat[place] = beside.mean() if beside.size else 0
+        n_good = of_nine(good.astype(np.float32), np.add)
+        means = of_nine(np.where(good, forces, 0), np.add) / np.maximum(n_good, 1)
+        filled: Floats = np.where(self._mask & ~good, means, forces)
         return filled
 
     def update(self, phi: Phi, forces: Floats, residual: Floats) -> None:
@@ -316,7 +295,7 @@ class TaxelWatch:
                 continue
             # The median: a contact that moves elsewhere is no noise.
             variance = float(np.median(suspect.noise)) / MEDIAN_SQUARE
-            expected2 = seen**2 * float(np.square(self._sigma(suspect.forces)).mean())
+            expected2 = seen**2 * float(self._noise.variance(suspect.forces).mean())
             suspect.noise.clear()
             suspect.works = variance >= QUIET * expected2
             if not suspect.works and self._as_noisy_as_stated(forces, change, places):
@@ -331,18 +310,10 @@ class TaxelWatch:
 
     def _as_noisy_as_stated(self, forces: Floats, change: Floats, quiet: Sequence[int]) -> bool:
         """True if the measurements have the stated noise of all taxels but the quiet ones."""
-        variances = np.square(self._sigma(forces))
+        variances = self._noise.variance(forces)
         variances.flat[list(quiet)] = 0
-        # Half of the noise of an untouched taxel is clipped at 0.
-        variances[forces < self._sigma_end] *= CUT_OFF
         stated = float(variances[self._mask].mean())
         return float(np.median(np.square(change))) / MEDIAN_SQUARE / 2 > REAL * stated
-
-    def _sigma(self, forces: Floats) -> Floats:
-        """Return the standard deviation of the noise on forces, as the skin states."""
-        apart = np.minimum(np.abs(forces - self._middle) / self._middle, 1)
-        sigma: Floats = self._sigma_mid + (self._sigma_end - self._sigma_mid) * apart
-        return sigma
 
     def _exclude(self, places: Sequence[int], values: Floats | Sequence[float]) -> None:
         self._suspects.pop(tuple(places), None)
@@ -373,7 +344,8 @@ class TaxelWatch:
     def _look(self, forces: Floats) -> None:
         """Suspect the taxels that stand alone; drop those that do not any more, or have changed."""
         found = self._together(forces)
-        found += [(place,) for place in sorted(self._alone(forces))]
+        lone = np.flatnonzero(alone(forces, self._mask, self._least))
+        found += [(place,) for place in lone.tolist()]
         found = [places for places in found if not self.stuck.keys() & places]
         flat = forces.reshape(-1)
         if not found and not self._suspects and not self.stuck:
@@ -388,15 +360,6 @@ class TaxelWatch:
             if places not in self._suspects and room > 0:
                 self._suspects[places] = _Suspect(flat[list(places)])
                 room -= len(places)
-
-    def _alone(self, forces: Floats) -> set[int]:
-        """Return the taxels that stand alone."""
-        edged = np.pad(forces, 1)
-        beside = np.maximum(edged[:-2], edged[2:])
-        three = np.maximum(beside, edged[1:-1])
-        most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
-        alone = self._mask & (forces > self._least) & (most < ALONE * forces)
-        return set(np.flatnonzero(alone).tolist())
 
     def _together(self, forces: Floats) -> list[tuple[int, ...]]:
         """Return the groups whose taxels are pressed alike, and stand alone together."""
@@ -424,6 +387,19 @@ class TaxelWatch:
     def _names(self, places: Iterable[int]) -> str:
         n_cols = self._mask.shape[1]
         return listed([f"({place // n_cols}, {place % n_cols})" for place in sorted(places)])
+
+
+def alone(forces: Floats, mask: Mask, least: float) -> Mask:
+    """Return the taxels above a force whose eight neighbours have at most `ALONE` of their own.
+
+    forces, float32, mask and result, bool, have shape (n_rows, n_cols).
+    """
+    edged = np.pad(forces, 1)
+    beside = np.maximum(edged[:-2], edged[2:])
+    three = np.maximum(beside, edged[1:-1])
+    most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
+    found: Mask = mask & (forces > np.float32(least)) & (most < ALONE * forces)
+    return found
 
 
 def _groups(mask: Mask) -> list[tuple[Indices, Indices]]:

@@ -7,12 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from sparseskin.messages import SkinState
+from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.sensor.noise import NoiseModel
 
-from .frame import FrameWatch
-from .frozen import FrozenWatch
+from .frame import FrameWatch, FrozenWatch
 from .rows import RowWatch
 from .taxels import TaxelWatch, listed
 
@@ -20,7 +21,7 @@ from .taxels import TaxelWatch, listed
 class FaultWatch:
     """Detects faulty measurements and taxels, and excludes them from the frames.
 
-    Frames of a Phi that chooses its taxels anew in each frame have no rows to watch: omit them.
+    Of a Phi that chooses its taxels or rows anew in each frame there are no rows to follow.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ class FaultWatch:
         self._rows: dict[str, RowWatch] = {}
         self._rows_text = ""
         self._taxels: TaxelWatch | None = None
-        self._noisy = False
+        self._noisy = self._chosen = False
         self._frozen = FrozenWatch(0.0)
         self._frame: FrameWatch | None = None
         self._expected: tuple[str, Floats] | None = None
@@ -76,6 +77,7 @@ class FaultWatch:
         """Watch these row subsets, by fingerprint, and the skin with existing taxels `mask`."""
         # On a skin that does not state its noise, constant readings may be right.
         self._noisy = state.sigma_mid > 0
+        self._chosen = any(isinstance(phi, ActsPhi | AdaptivePhi) for phi in subsets.values())
         self._frozen = FrozenWatch(state.least_sd)
         self._frame = FrameWatch(state, mask) if self._noisy else None
         self._expected = None
@@ -87,8 +89,8 @@ class FaultWatch:
         self._describe_rows()
         self._taxels = None
         if self._watch_taxels and self._noisy:
-            sigmas = state.sigma_mid, state.sigma_end
-            self._taxels = TaxelWatch(mask, state.f_max, *sigmas, self._log)
+            noise = NoiseModel(state.f_max, state.sigma_mid, state.sigma_end)
+            self._taxels = TaxelWatch(mask, noise, self._log)
 
     def watch_repeats(self, phi: Phi, y: Floats) -> None:
         """Process measurements as they were received, float32 (m,)."""
@@ -116,7 +118,8 @@ class FaultWatch:
 
     def expect(self, phi: Phi, measured: Floats) -> None:
         """Take Phi times the last frame, float32 (m,), for what the next frame is compared with."""
-        self._expected = phi.fingerprint, measured
+        if not self._chosen:
+            self._expected = phi.fingerprint, measured
 
     def cleaned(self, phi: Phi, y: Floats, last: Floats | None) -> tuple[Floats, Floats]:
         """Return y without the readings of stuck taxels and the offset of all measurements; and
@@ -126,32 +129,26 @@ class FaultWatch:
         it, float32 (n_rows, n_cols), or None.
         """
         given = y if self._taxels is None else self._taxels.cleaned(phi, y)
-        if not self._looks_at_rows:
+        if not self._looks_at_rows or isinstance(phi, ActsPhi):
             return given, given
-        if last is None:
-            self._expected = phi.fingerprint, np.zeros(phi.m, dtype=np.float32)
-        elif self._expected is None or self._expected[0] != phi.fingerprint:
-            self.expect(phi, phi.forward(last[self._mask]))
-        assert self._expected is not None
         assert self._frame is not None
-        expected, self._expected = self._expected[1], None
+        known, self._expected = self._expected, None
+        if last is None:
+            expected = np.zeros(phi.m, dtype=np.float32)
+        elif known is not None and known[0] == phi.fingerprint:
+            expected = known[1]
+        else:
+            expected = phi.forward(last[self._mask])
         was_off = bool(self._frame.offset)
-        watch = self._rows[phi.fingerprint]
-        given, believed = self._frame.cleaned(watch.rows, given, expected)
+        if isinstance(phi, AdaptivePhi):
+            given = believed = self._frame.cleaned_of_choice(phi, y, expected)
+        else:
+            watch = self._rows[phi.fingerprint]
+            given, believed = self._frame.cleaned(watch.rows, given, expected)
+            if watch.left_out.any():
+                believed = np.where(watch.left_out, expected, believed).astype(np.float32)
         self._log_frame(was_off)
-        if watch.left_out.any():
-            believed = np.where(watch.left_out, expected, believed).astype(np.float32)
         return given, believed
-
-    def cleaned_of_choice(self, phi: AdaptivePhi, y: Floats, last: Floats | None) -> Floats:
-        """As `cleaned`, for measurements that the edge chose; return those to be solved."""
-        if self._frame is None or not self._watch_rows:
-            return y
-        expected = np.zeros_like(y) if last is None else phi.forward(last[self._mask])
-        was_off = bool(self._frame.offset)
-        y = self._frame.cleaned_of_choice(phi, y, expected)
-        self._log_frame(was_off)
-        return y
 
     def _log_frame(self, was_off: bool) -> None:
         """Log the first outliers, and an offset that begins or ends."""
@@ -168,49 +165,37 @@ class FaultWatch:
         elif was_off and not offset:
             self._log("all measurements have no offset any more")
 
-    def checked(self, forces: Floats) -> tuple[Floats, str]:
-        """Return the forces within the range, and why they cannot be right; as in `FrameWatch`."""
-        return (forces, "") if self._frame is None else self._frame.checked(forces)
-
-    def filled(self, forces: Floats) -> Floats:
-        """Return the frame with faulty taxels filled in; as in `TaxelWatch`."""
-        return forces if self._taxels is None else self._taxels.filled(forces)
+    def checked(self, forces: Floats, left: Doubles, trusted: bool) -> tuple[Floats, str]:
+        """Return the frame with faulty taxels filled in and forces within the range, and why they
+        cannot be right; arguments as in `FrameWatch.checked`.
+        """
+        if self._taxels is not None:
+            forces = self._taxels.filled(forces)
+        return (forces, "") if self._frame is None else self._frame.checked(forces, left, trusted)
 
     def update(
-        self,
-        phi: Phi,
-        given: Floats,
-        believed: Floats,
-        forces: Floats,
-        fitted: Floats,
-        unfitted: Indices | None = None,
+        self, phi: Phi, given: Floats, believed: Floats, forces: Floats, fitted: Floats
     ) -> bool:
         """Process a frame as the solver reconstructed it.
 
-        `given` and `believed` are as `cleaned` returned them, `fitted` is Phi times the forces;
-        `unfitted` are the measurements that the solver held out, intp, or None.
+        `given` and `believed` are as `cleaned` returned them, `fitted` is Phi times the forces.
         Return True if a faulty measurement was found that the estimate has used so far.
         """
+        if self._taxels is not None and isinstance(phi, AdaptivePhi):
+            self._taxels.search(forces)
+        if self._chosen:
+            return False
         if self._taxels is not None:
             self._taxels.update(phi, forces, believed - fitted)
-        if not self._looks_at_rows:
-            return False
-        return self._update_rows(self._rows[phi.fingerprint], given, fitted, unfitted)
-
-    def search(self, forces: Floats) -> None:
-        """Process a frame of rows that the edge chose; as in `TaxelWatch`."""
-        if self._taxels is not None:
-            self._taxels.search(forces)
+        return self._looks_at_rows and self._update_rows(self._rows[phi.fingerprint], given, fitted)
 
     @property
     def _looks_at_rows(self) -> bool:
         return self._watch_rows and self._noisy
 
-    def _update_rows(
-        self, watch: RowWatch, y: Floats, fitted: Floats, unfitted: Indices | None
-    ) -> bool:
+    def _update_rows(self, watch: RowWatch, y: Floats, fitted: Floats) -> bool:
         before, was_swamped = watch.left_out.copy(), watch.swamped
-        if watch.update(y, fitted, unfitted):
+        if watch.update(y, fitted):
             self._describe_rows()
             new, healed = watch.left_out & ~before, before & ~watch.left_out
             if new.any():

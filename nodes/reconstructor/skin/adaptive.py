@@ -32,9 +32,9 @@ real skins: without it the estimated error of a dense bed is three times the tru
 UNTOUCHED = 0.5
 """Mean squared force, in noise variances, up to which nothing touches the skin: rows of few taxels
 hold the noise of a single reading. Chosen."""
-TOUCHED = 2.0
-"""Noise variance of touched taxels that is left, in that of untouched ones. Chosen on presses with
-the noise of the paper, which grows with the force."""
+KEPT = 0.25
+"""Part of the noise variance of touched taxels that is left at least. Chosen on presses with the
+noise of the paper."""
 
 
 class AdaptiveSkinSolver(Solver):
@@ -122,6 +122,7 @@ class AdaptiveSkinSolver(Solver):
         held.end()
         # Rows that are not read again show no noise.
         self._filter.noise_sd = max(self.noise_sd, math.sqrt(self._rows_of.variance))
+        self._filter.noise_of = self._noise_of_touched if self.noise_of else None
         self._filter.setup(self._whole.forward(self._x), warm)
         self._steps_left = self.n_steps
 
@@ -155,6 +156,12 @@ class AdaptiveSkinSolver(Solver):
         expected[held.sums <= self._rows_of.untouched] = 0
         return expected
 
+    def _noise_of_touched(self, forces: Floats) -> Floats:
+        """Variance of the readings of some forces; 0 of untouched taxels, whose rows are not read."""
+        assert self.noise_of is not None
+        noise: Floats = np.where(forces > 0, self.noise_of(forces), 0)
+        return noise
+
     def _learn(self, expected: Doubles, before: Doubles) -> None:
         """Compare the expected changes of the nodes that are read with the ones they had."""
         nodes, held = self._rows_of.chosen, self._held
@@ -179,7 +186,7 @@ class AdaptiveSkinSolver(Solver):
         missed = self._changed * float(self._expected().sum()) / n
         assert self._filter.error is not None
         # Frames after each other hold the same noise where they hold the same reading.
-        held = TOUCHED * self._rows_of.variance * float(np.count_nonzero(x)) / n
+        held = KEPT * float(self._noise_of_touched(x).sum()) / n if self.noise_of else 0.0
         error2 = max(missed, self._filter.error**2, held)
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)

@@ -130,6 +130,7 @@ class SkinBatch:
         """Reconstruct the frames of all patches that have one, in steps as of `SkinEstimator`."""
         if not self._active.any():
             return
+        self._estimator.noise_of = self.patches[0].noise_of
         sd = np.array([[patch.noise_sd] for patch in self.patches])
         given = self._y, self._active[:, None], sd
         for here, numbers in zip(self._inputs, given, strict=True):
@@ -176,7 +177,7 @@ class SkinBatch:
         e.last[subset] = last
         image = self._image * 1
         image[:, self._cells] = forces
-        found = [o.f64(one) for one in (e.error, e.trusted, e.noise, e.bias)]
+        found = [o.f64(one) for one in (e.stated_error, e.trusted, e.noise, e.bias)]
         return image, o.xp.concatenate(found, axis=-1)
 
 

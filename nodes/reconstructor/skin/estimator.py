@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,10 +70,14 @@ class SkinEstimator:
     noise_sd : number
         Least standard deviation of the noise of a taxel that the skin states; 0: none. The caller
         sets it.
+    noise_of : callable or None
+        Variance of the readings of some forces, as `NoiseModel.variance`; None: not stated. The
+        caller sets it.
     noise, bias : number
         Noise variance of a measurement, and mean reading of an untouched taxel, as known so far.
-    error, trusted : number
-        Estimated RMS error of a taxel of the last frame, and whether it is trusted.
+    error, stated_error, trusted : number
+        Estimated RMS error of a taxel of the last frame; the same by the noise that is stated, for
+        others; whether it is trusted.
 
     Notes
     -----
@@ -94,6 +98,7 @@ class SkinEstimator:
         self._rows, self._vectors, self._t = rows, vectors, tuning
         self._o: Any = backend
         self.noise_sd: Number = backend.zero
+        self.noise_of: Callable[[Array], Array] | None = None
         #: By row subset: the last measurements and innovation, and whether there were any; Phi 1,
         #: and its squared length.
         self.last: dict[str, tuple[Array, Array, Number]] = {}
@@ -105,7 +110,8 @@ class SkinEstimator:
         zero = self._o.zero
         self._vectors.forget()
         self.last.clear()
-        self.noise = self.bias = self.error = self._least_noise = self._signal = zero
+        self.noise = self.bias = self._least_noise = self._signal = zero
+        self.error = self.stated_error = zero
         self._n_seen, self._n_frames, self._trust = zero, zero, zero + 1
         self.trusted = self._o.false == self._o.false
         self.n_shifts = 0
@@ -186,7 +192,7 @@ class SkinEstimator:
         if n:
             self._steps = self._vectors.steps(self.n_shifts, self._floor, n_formula, n)
             self.n_shifts = (self.n_shifts + n_formula + n) % len(SHIFTS)
-        last_error2, error2 = self.error**2, self._error2()
+        last_error2, error2 = self.error**2, self._error2(noise)
         prior = t.blend * o.maximum(o.maximum(self._signal, last_error2), self._floor)
         part = error2 / (error2 + prior)
         settled = self._vectors.settle(
@@ -198,6 +204,12 @@ class SkinEstimator:
         left = o.where(self._repeats, o.minimum(last_error2, noise), o.zero)
         error2 = o.maximum((1 - part) * error2, left)
         self.error = o.sqrt(error2)
+        if self.noise_of is not None:
+            stated = o.total(self.noise_of(settled.forces)) / self._rows.n
+            stated = o.minimum(stated, self.noise)
+            # Gates keep or drop: the noise that the residual lacks is in the estimate.
+            error2 = o.maximum((1 - part) * self._error2(stated), stated - settled.residual2)
+        self.stated_error = o.sqrt(o.maximum(error2, o.zero))
         # Until it is known, the bias passes for forces on all taxels.
         known = self._n_frames > t.bias_known
         most = o.where(known, o.zero + t.untouched, o.zero + t.most_bias**2)
@@ -207,13 +219,13 @@ class SkinEstimator:
         self._follow_bias(settled)
         return settled.forces
 
-    def _error2(self) -> Number:
-        """Mean squared error of the mean of the last estimates.
+    def _error2(self, noise: Number) -> Number:
+        """Mean squared error of the mean of the last estimates, where measurements have a noise.
 
         The errors of z do not depend on the noise of the measurements: the residuals exceed the
         noise by them. Where that is not significant, the gates' own expectation counts.
         """
-        o, t, noise = self._o, self._t, self._judged_noise
+        o, t = self._o, self._t
         own, residual2 = (
             _mean(numbers[-t.averaged :]) for numbers in (self._steps.errors, self._steps.residuals)
         )

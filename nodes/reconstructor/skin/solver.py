@@ -121,7 +121,7 @@ class SkinSolver(Solver):
         if warm is not None:
             forces = self._checked_warm(warm).reshape(-1)[self._cells]
             self._vectors.start_from(np.maximum(forces, 0))
-        self._estimator.noise_sd = self.noise_sd
+        self._estimator.noise_sd, self._estimator.noise_of = self.noise_sd, self.noise_of
         self._estimator.begin(self.phi.fingerprint, y)
         self._steps_left = self.n_steps
 
@@ -135,7 +135,7 @@ class SkinSolver(Solver):
     def finish(self) -> Floats:
         n, self._steps_left = self.n_steps - self._steps_left, 0
         forces = self._estimator.finish(n, N_FORMULA if self.n_steps < CONVERGED else 0)
-        self.error, self.trusted = self._estimator.error, self._estimator.trusted
+        self.error, self.trusted = self._estimator.stated_error, self._estimator.trusted
         if isinstance(self.phi, SubsamplePhi):  # its residuals show no error between its taxels
             self.error, self.trusted = None, True
         image = np.zeros(self.mask.size, dtype=np.float32)

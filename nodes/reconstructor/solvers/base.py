@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,9 +88,9 @@ class Solver(ABC):
     #: False if the last frame is not to be trusted: its estimated error is a large part of its
     #: forces.
     trusted: bool = True
-    #: Numbers of the measurements that the last frame was not made from, intp; None for none.
-    unfitted: Indices | None = None
     noise_sd: float = 0.0
+    #: Variance of the readings of some forces, as the skin states; None where it does not.
+    noise_of: Callable[[Floats], Floats] | None = None
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)

@@ -23,6 +23,7 @@ MASK = np.ones(DESK_SHAPE, np.bool_)
 STATE = skin_state(n_rows=DESK_SHAPE[0], n_cols=DESK_SHAPE[1], mask=None, has_truth=False)
 STATE = replace(STATE, rate_hz=0.0, sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end)
 DISC = sliding_disc(DESK_SHAPE, 60, touch_at=0)
+LEFT = np.zeros(PHI.m)
 
 
 ADAPTIVE = AdaptivePhi(N, N // 3, seed=0)
@@ -114,15 +115,15 @@ def test_equal_measurements_are_no_reading_unless_they_may_be_equal():
 
 def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading():
     watch = FrameWatch(STATE, MASK)
-    forces, reason = watch.checked(DISC[9])
+    forces, reason = watch.checked(DISC[9], LEFT, True)
     np.testing.assert_array_equal(forces, DISC[9])
     assert reason == ""
-    forces, reason = watch.checked(DISC[9] * np.float32(2.6 / 0.6))
+    forces, reason = watch.checked(DISC[9] * np.float32(2.6 / 0.6), LEFT, True)
     assert (forces.max(), reason) == (2.5, "")
-    assert watch.checked(DISC[9] * np.float32(3.0 / 0.6))[1] == "range"
-    assert watch.checked(DISC[9] + np.float32(0.05))[1] == "uniform"
+    assert watch.checked(DISC[9] * np.float32(3.0 / 0.6), LEFT, True)[1] == "range"
+    assert watch.checked(DISC[9] + np.float32(0.05), LEFT, True)[1] == "uniform"
     sloped = np.linspace(0.05, 0.5, N, dtype=np.float32).reshape(DESK_SHAPE)
-    assert FrameWatch(STATE, MASK).checked(sloped)[1] == ""  # a body on the whole skin
+    assert FrameWatch(STATE, MASK).checked(sloped, LEFT, True)[1] == ""  # a body on the whole skin
 
 
 def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while():
@@ -133,7 +134,7 @@ def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while(
     _, believed = watch.cleaned(rows, y, np.zeros(phi.m, np.float32))
     assert watch.n_outlying == rows.heavy.size
     assert not believed[rows.heavy].any()
-    reasons = [watch.checked(noise)[1] for _ in range(30)]
+    reasons = [watch.checked(noise, LEFT, True)[1] for _ in range(30)]
     assert reasons == ["uniform"] * SWINGS + [""] * (30 - SWINGS)
 
 

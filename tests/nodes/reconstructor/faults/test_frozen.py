@@ -9,7 +9,7 @@ from watched import DESK_SHAPE, Desk, N
 from sparseskin.messages import Reconstruction
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
-from sparseskin.nodes.reconstructor.faults.frozen import FRAMES, FrozenWatch
+from sparseskin.nodes.reconstructor.faults.frame import FRAMES, FrozenWatch
 
 SIGMA = 0.02
 

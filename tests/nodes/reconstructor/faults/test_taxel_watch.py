@@ -54,7 +54,7 @@ def test_what_rests_for_long_or_is_quieter_than_stated_is_a_contact(phi, truth, 
 
 
 def test_what_is_left_out_is_the_mean_of_the_neighbours_that_work(phi):
-    watch = TaxelWatch(np.ones(SHAPE, np.bool_), 2.5, 0.0628, 0.0141, print)
+    watch = TaxelWatch(np.ones(SHAPE, np.bool_), NOISE, print)
     watch.stuck = {0: 1.0, 29: 1.0, 30: 1.5}
     forces = np.arange(N, dtype=np.float32).reshape(SHAPE)
     filled = watch.filled(forces)
