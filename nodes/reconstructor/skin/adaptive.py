@@ -157,7 +157,7 @@ class AdaptiveSkinSolver(Solver):
         return expected
 
     def _noise_of_touched(self, forces: Floats) -> Floats:
-        """Variance of the readings of some forces; 0 of untouched taxels, whose rows are not read."""
+        """Variance of the readings of forces; 0 of untouched taxels, whose rows are not read."""
         assert self.noise_of is not None
         noise: Floats = np.where(forces > 0, self.noise_of(forces), 0)
         return noise

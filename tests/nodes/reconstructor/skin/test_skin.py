@@ -12,6 +12,7 @@ from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
+from sparseskin.nodes.sensor.noise import NoiseModel
 
 SHAPE, N = (24, 24), 576
 
@@ -83,13 +84,19 @@ def test_errors_are_relative_to_the_range():
 
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-def test_the_estimated_error_is_near_the_true_one(rows):
+@pytest.mark.parametrize(("noise_of", "factor"), [(None, 2.5), (NoiseModel().variance, 2.0)])
+def test_the_estimated_error_is_near_the_true_one(rows, noise_of, factor):
+    """Nearer where the noise is stated, which changes no force."""
     truth, phis = sliding_disc(SHAPE, 60), phis_of(rows)
-    found, errors = reconstructed(solver_of(phis), phis, noisy(truth))
+    solver = solver_of(phis)
+    solver.noise_of = noise_of
+    found, errors = reconstructed(solver, phis, noisy(truth))
+    if noise_of is not None:
+        np.testing.assert_array_equal(found, reconstructed(solver_of(phis), phis, noisy(truth))[0])
     true = np.sqrt(np.mean(np.square(found - truth), axis=(1, 2)))
     quotient = np.array(errors)[20:] / true[20:]
     assert 0.5 < np.median(quotient) < 2
-    assert np.mean((quotient > 0.4) & (quotient < 2.5)) > 0.9
+    assert np.mean((quotient > 1 / factor) & (quotient < factor)) >= 0.9
 
 
 def test_rows_of_any_length_give_the_same_forces():
