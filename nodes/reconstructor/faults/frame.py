@@ -93,9 +93,8 @@ class FrozenWatch:
         repeats = last is not None and np.array_equal(last, y)
         if not repeats:
             self._last[subset] = np.array(y, dtype=np.float32)
-        self._n_equal = (
-            self._n_equal + 1 if repeats and self._sigma > LEAST_NOISE * step_of(y) else 0
-        )
+        counts = repeats and self._sigma > LEAST_NOISE * step_of(y)
+        self._n_equal = self._n_equal + 1 if counts else 0
         before = self.frozen
         self.frozen = self._n_equal >= max(FRAMES, MEASUREMENTS / y.size)
         return self.frozen != before
@@ -269,7 +268,7 @@ class FrameWatch:
         if np.count_nonzero(forces > np.float32(level)) < 0.9 * self._n_taxels:
             return False  # so are most frames, and a quantile takes a sort
         low, middle = np.quantile(forces[self._mask], (0.1, 0.5))
-        return bool(low > level and middle - low < ALIKE * self._sd)
+        return bool(middle - low < ALIKE * self._sd)
 
 
 def _outlying(rows: Subset, squared: Floats, noise2: float) -> Mask:

@@ -172,12 +172,6 @@ class _Suspect:
     noise: list[Floats] = field(default_factory=list)
     works: bool = False
 
-    @property
-    def is_measured(self) -> bool:
-        """True if the noise is known."""
-        n_frames = len(self.noise)
-        return n_frames >= max(MEASURED_FRAMES, MEASURED / self.forces.size)
-
 
 class TaxelWatch:
     """Finds faulty taxels, excludes them from the frames, and logs them.
@@ -291,7 +285,7 @@ class TaxelWatch:
         for places, suspect in list(self._suspects.items()):
             columns = np.stack([self._column(phi, place) for place in places[:MOST]])
             suspect.noise.append(np.square(columns @ change) / 2)
-            if not suspect.is_measured:
+            if len(suspect.noise) < max(MEASURED_FRAMES, MEASURED / suspect.forces.size):
                 continue
             # The median: a contact that moves elsewhere is no noise.
             variance = float(np.median(suspect.noise)) / MEDIAN_SQUARE

@@ -93,11 +93,10 @@ def test_a_dead_taxel_is_logged_filled_in_and_used_again(phi):
 
 
 def test_with_few_measurements_holes_in_reconstructions_are_no_evidence():
-    few = make_phi("sbhe", 784, 784 // 8, seed=0)
-    skin = Skin(few)
+    skin = Skin(make_phi("sbhe", 784, 784 // 8, seed=0))
     for frame in PASSED:
         for _ in range(ENOUGH * EVERY):
-            skin.watch.update(few, frame, np.zeros(few.m, np.float32))
+            skin.watch.update(skin.phi, frame, np.zeros(skin.phi.m, np.float32))
     assert skin.lines == []
 
 

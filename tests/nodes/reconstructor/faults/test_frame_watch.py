@@ -128,27 +128,18 @@ def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading():
     assert FrameWatch(STATE, MASK).checked(sloped, LEFT, True)[1] == ""  # a body on the whole skin
 
 
-@pytest.mark.parametrize(
-    ("offset", "press", "reason"),
-    [(0.02, 0.0, "offset"), (-0.02, 0.0, "offset"), (0.0, 0.3, ""), (0.02, 0.3, "")],
-)
-def test_an_offset_of_one_block_is_doubted_but_for_where_a_body_may_have_made_it(
-    offset, press, reason
-):
+@pytest.mark.parametrize(("offset", "press"), [(0.02, 0.0), (-0.02, 0.0), (0.02, 0.3)])
+def test_an_offset_of_one_block_is_doubted_but_for_where_a_body_may_have_made_it(offset, press):
     """It is a force on the one taxel whose column of Phi is constant; a negative one is none."""
     phi, watch = make_phi("sbhe", 256, 85, seed=0), FrameWatch(STATE, np.ones((16, 16), np.bool_))
-    rows = Subset(phi)
-    (place,) = rows.offset_like
-    forces = np.zeros((18, 18), np.float32)
-    row, col = divmod(int(place), 16)
-    forces[row : row + 3, col : col + 3] = press
-    forces = np.ascontiguousarray(forces[1:-1, 1:-1])
-    truth = forces.reshape(-1).copy()
-    forces.flat[place] += max(0, 16 * offset)
-    y = phi.forward(truth) + np.float32(offset)
+    rows, forces = Subset(phi), np.zeros((16, 16), np.float32)
+    row, col = np.unravel_index(rows.offset_like[0], forces.shape)
+    forces[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2] = press
+    y = phi.forward(forces.reshape(-1)) + np.float32(offset)
+    forces[row, col] += max(0, 16 * offset)
     watch.cleaned(rows, y, y)
-    left = (y - phi.forward(forces.reshape(-1))).astype(np.float64)
-    assert watch.checked(forces, left, True)[1] == reason
+    left = y - phi.forward(forces.reshape(-1))
+    assert watch.checked(forces, left, True)[1] == ("" if press else "offset")
 
 
 def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while():

@@ -18,8 +18,7 @@ def noisy(seed, force=0.0):
     return np.random.default_rng(seed).normal(force, SIGMA, 30).astype(np.float32)
 
 
-COARSE = quantised(np.array([0.0, 1.0, 50.0], dtype=np.float32), 4)
-"""Its steps are above the noise."""
+COARSE = quantised(np.array([0.0, 1.0, 50.0], dtype=np.float32), 4)  # steps above the noise
 
 
 @pytest.mark.parametrize(

@@ -62,14 +62,6 @@ def test_faulty_measurements_are_found_and_cost_next_to_nothing_then(preset, fau
     assert sum(line.count(str(row)) for line in logged for row in (100, 250, 251, 400)) == 4
 
 
-@pytest.mark.parametrize(("preset", "ratio"), [("skin", 8), ("paper", 3)])
-def test_working_rows_are_never_left_out(preset, ratio, truth):
-    phi = make_phi("sbhe", N, N // ratio, seed=0)
-    desk = Desk(phi, preset=preset)
-    desk.restore(phi.forward(noisy(truth).reshape(-1, N)))
-    assert desk.node.state()["left_out"] == ""
-
-
 @pytest.mark.parametrize(("preset", "everywhere"), [("skin", True), ("paper", False)])
 def test_of_rotating_rows_a_faulty_one_is_found_once_its_subset_was_read_as_often(
     preset, everywhere, truth
@@ -96,14 +88,15 @@ def test_of_rotating_rows_a_faulty_one_is_found_once_its_subset_was_read_as_ofte
     assert left_out.count("of row subset") == len(found)
 
 
-@pytest.mark.parametrize(("bits", "states_noise"), [(6, True), (None, True), (None, False)])
-def test_a_skin_without_noise_and_few_bits_have_no_faulty_measurements(
-    bits, states_noise, phi, truth
-):
-    """Nor has a skin that does not state its noise, whose exact frames may stand still."""
-    desk = Desk(phi, preset="skin", states_noise=states_noise)
-    still = np.repeat(truth[-1:], 60, axis=0)
-    for frames in (truth, noisy(truth)) if states_noise else (still,):
+@pytest.mark.parametrize(
+    ("preset", "ratio", "bits", "states_noise"),
+    [("skin", 3, 6, True), ("skin", 8, None, True), ("paper", 3, None, True), ("skin", 3, None, 0)],
+)
+def test_working_rows_are_never_left_out(preset, ratio, bits, states_noise, truth):
+    """Nor on a skin that does not state its noise, whose exact frames may stand still."""
+    phi = make_phi("sbhe", N, N // ratio, seed=0)
+    desk = Desk(phi, preset=preset, states_noise=states_noise)
+    for frames in (truth, noisy(truth)) if states_noise else (truth[[-1] * 60],):
         y = phi.forward(frames.reshape(-1, N))
         desk.messages(y if bits is None else [quantised(one, bits) for one in y])
         assert desk.node.state()["left_out"] == ""
