@@ -11,6 +11,7 @@ import numpy as np
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.compressor.node import CHOSEN_ANEW, CompressorSettings
 from sparseskin.nodes.compressor.phi.rotation import RATIO
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
@@ -25,6 +26,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     make_rotating_solver,
     newtons,
 )
+from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .arrays import Floats, Mask, warn_of_threads
 
@@ -57,6 +59,9 @@ class Stream:
         "skin" or "paper": settings of the reconstructor node.
     noise_sd : float
         Standard deviation of the noise of an untouched taxel, newtons; 0: not known.
+    sigmas : (float, float), optional
+        In its place: those at mid-range and at both ends, before readings are clipped at 0, as a
+        skin states them to a graph. They make the estimated error nearer.
     f_max : float
         Upper end of the range of a taxel, newtons.
     **settings
@@ -103,6 +108,7 @@ class Stream:
         seed: int = 0,
         preset: str = "skin",
         noise_sd: float = 0.0,
+        sigmas: tuple[float, float] | None = None,
         f_max: float = PAPER_F_MAX_N,
         **settings: Any,
     ) -> None:
@@ -122,6 +128,8 @@ class Stream:
         edge.check()
         self._phis = edge.phis(self._skin)
         self.n, self.m = self._phis[0].n, self._phis[0].m
+        self._noise_of = None if sigmas is None else NoiseModel(f_max, *sigmas).variance
+        noise_sd = noise_sd if sigmas is None else CLIP_SD * min(sigmas)
         self._noise_sd = newtons("stream", "noise_sd", noise_sd)
         options = {name: value for name, value in settings.items() if name not in _NAMED}
         stated = {name: value for name, value in settings.items() if name in _NAMED}
@@ -152,7 +160,7 @@ class Stream:
         options = options_for_range(name, chosen, skin.f_max, phi)
         fast = self._host.fast
         solver = make_rotating_solver(name, self._phis, basis, skin.mask, fast=fast, **options)
-        solver.noise_sd = self._noise_sd
+        solver.noise_sd, solver.noise_of = self._noise_sd, self._noise_of
         return solver
 
     def compress(self, frame: Floats) -> Floats:

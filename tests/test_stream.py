@@ -6,9 +6,8 @@ from doubting import DOUBTING
 
 import sparseskin
 from sparseskin import Stream
-from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.errors import SolverError, SparseskinError
-from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
+from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N, PAPER_SIGMA_MID_N
 
 FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
 
@@ -39,12 +38,12 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
 def test_a_stream_has_the_bits_and_defaults_of_a_graph(settings, chosen, tmp_path):
     if chosen:
         np.save(tmp_path / "log.npy", FRAMES)
-        name, shape, noise_sd = "replay", (8, 8), 0.0
+        name, shape, sigmas = "replay", (8, 8), None
         settings = [*settings, f"sensor.source=file:{tmp_path}/log.npy", "sensor.unit=N"]
         settings += ["sensor.rate_hz=100", "sensor.f_max=2.5"]
     else:
-        name, shape, noise_sd = "lift_box_40", (40, 40), PAPER_SIGMA_END_N * CLIP_SD
-    stream = Stream(shape, noise_sd=noise_sd, **chosen)
+        name, shape, sigmas = "lift_box_40", (40, 40), (PAPER_SIGMA_MID_N, PAPER_SIGMA_END_N)
+    stream = Stream(shape, sigmas=sigmas, **chosen)
     for frame in sparseskin.run_launch(name, 325, settings):
         y = stream.compress(frame.taxels)
         np.testing.assert_array_equal(y, frame.measurements)
