@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import MutableMapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -150,9 +151,15 @@ class Contacts(Frames):
 
 def summary(n: int, total: float, unit: str) -> str:
     """Number of contacts and their total force, in a few words."""
-    return f"{n or 'no'} contact{'s' * (n > 1)}" + (f", {total:.3g} {unit}" if n else "")
+    return f"{n or 'no'} contact{'s' * (n > 1)}" + (f", {total:.3g} {sum_unit(unit)}" if n else "")
 
 
+def sum_unit(unit: str) -> str:
+    """Unit of a sum of readings: one of pressures is no pressure, and no force without an area."""
+    return f"{unit} x taxels" if _PRESSURE.fullmatch(unit) else unit
+
+
+_PRESSURE = re.compile(r"[kMhm]?(Pa|bar)|mmHg|psi|(N|k?gf?|lbf?)/[cm]?(m|in)[2²]?")
 _COLUMNS = {
     "centre": ("row", "col"),
     "centre_sd": ("row_sd", "col_sd"),

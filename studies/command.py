@@ -48,7 +48,7 @@ STUDIES = {
         numpy_only=True,
     ),
     "stability": Study(
-        "stable and unstable step sizes, contact parameters and settings of solvers",
+        "where solvers fail: too few measurements, extreme settings, faults",
         "sparseskin.studies.stability.overview:run",
         numpy_only=True,
     ),

@@ -15,6 +15,7 @@ from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import block_and_rule, row_subsets, rows_and_m
+from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SolverError, SparseskinError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.monitor.metrics import psnr_db
@@ -105,6 +106,7 @@ class Method:
     def __init__(self, solver: Solver, phis: Sequence[Phi]) -> None:
         self.solver = solver
         self.phis = phis
+        self.bits: int | None = None
         self.n_frames = 0
         self._n_code_bytes = 0
         self._choice: AdaptiveChoice | None = None
@@ -146,8 +148,9 @@ class Method:
         return Solved(forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged)
 
     def reconstruct(self, taxels: Floats) -> Solved:
-        """Measure and reconstruct the next frame; see `Estimator`."""
-        return self.solve(self.measure(taxels))
+        """Measure and reconstruct the next frame, rounded to `bits`; see `Estimator`."""
+        y = self.measure(taxels)
+        return self.solve(y if self.bits is None else np.asarray(quantised(y, self.bits)))
 
 
 class Alone:

@@ -16,6 +16,7 @@ from sparseskin.arrays import read_recording
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -30,19 +31,20 @@ from .points import StudyError
 NOISE = NoiseModel.for_range(PAPER_F_MAX_N)
 MOST_KEPT = 500
 """Frames of a scene that a worker keeps in memory; more are simulated anew for each point."""
+MOST_PADS, MAX_PAD = 300, 12
 Pairs: TypeAlias = Iterable[tuple[Floats, Floats]]
 
 
 def scene_frames(
-    scene: str, seed: int, first: int = 0, stop: int | None = None, every: int = 1
+    scene: str, seed: int, first: int = 0, stop: int | None = None, every: int = 1, times: float = 1
 ) -> Iterator[tuple[Floats, Floats]]:
     """Yield (truth, taxels) of the frames first, first + every, ... below `stop` (None: the end).
 
-    The noise of a frame is what a sensor node of that seed adds to it, whichever other frames
-    are asked for. Arrays are fresh, float32, shape (n_rows, n_cols), newtons.
+    The noise of a frame is `times` what a sensor node of that seed adds to it, whichever other
+    frames are asked for. Arrays are fresh, float32, shape (n_rows, n_cols), newtons.
     """
     source = open_scene(scene, seed)
-    noise = NoiseModel.for_range(source.skin.f_max)
+    noise = NoiseModel.for_range(source.skin.f_max, times)
     rng = np.random.default_rng(seed)
     for k, (_, truth) in enumerate(islice(source, stop)):
         taxels = noise.apply(truth, rng)
@@ -103,7 +105,7 @@ class SceneFrames:
 
     `first` and `stop` None: the beginning and the end of the scene. `every`: steps from one frame
     to the next. `later`: number of frames of a second part, from half way between the first contact
-    and the end on.
+    and the end on. `noise`: in that of the paper.
     """
 
     scene: str
@@ -111,6 +113,7 @@ class SceneFrames:
     stop: int | None = None
     every: int = 1
     later: int = 0
+    noise: float = 1.0
 
     def open(self, seed: int) -> Take:
         """See `Frames`."""
@@ -128,15 +131,14 @@ class SceneFrames:
 
     def _parts(self, seed: int) -> Iterator[Pairs]:
         for first, stop in self.windows(seed):
-            if stop is not None and stop - first <= MOST_KEPT * self.every:
-                yield _kept(self.scene, seed, first, stop, self.every)
-            else:
-                yield scene_frames(self.scene, seed, first, stop, self.every)
+            asked = (self.scene, seed, first, stop, self.every, self.noise)
+            is_kept = stop is not None and stop - first <= MOST_KEPT * self.every
+            yield _kept(*asked) if is_kept else scene_frames(*asked)
 
 
 @lru_cache(maxsize=4)
-def _kept(scene: str, seed: int, first: int, stop: int, every: int) -> list[tuple[Floats, Floats]]:
-    return list(scene_frames(scene, seed, first, stop, every))
+def _kept(*asked: Any) -> list[tuple[Floats, Floats]]:
+    return list(scene_frames(*asked))
 
 
 @dataclass(frozen=True)
@@ -227,6 +229,37 @@ class UntouchedFrames:
 
 
 @dataclass(frozen=True)
+class PadFrames:
+    """Pads of 1 to `MAX_PAD` taxels a side and 0.2 to 1.5 N, held still, with the paper's noise; so
+    many that the frame has about `n_coefficients` Haar coefficients, and not more.
+    """
+
+    side: int
+    n_coefficients: int
+    n_frames: int
+    unscored: int = 0
+
+    def open(self, seed: int) -> Take:
+        """See `Frames`."""
+        shape, rng = (self.side, self.side), np.random.default_rng((seed, self.n_coefficients))
+        basis, truth = make_basis("haar", *shape), np.zeros(shape, np.float32)
+        for _ in range(MOST_PADS):
+            sides = rng.integers(1, MAX_PAD + 1, 2)
+            row, col = rng.integers(0, np.array(shape) - sides + 1)
+            trial = truth.copy()
+            trial[row : row + sides[0], col : col + sides[1]] = rng.uniform(0.2, 1.5)
+            sizes = np.abs(basis.analysis(trial))
+            count = np.count_nonzero(sizes > 1e-5 * PAPER_F_MAX_N)  # beyond rounding
+            if count <= self.n_coefficients:
+                truth = trial
+                if count > 0.9 * self.n_coefficients:
+                    break
+        pairs = [(truth, NOISE.apply(truth, rng)) for _ in range(self.n_frames)]
+        mask = np.ones(shape, dtype=np.bool_)
+        return Take(mask, PAPER_F_MAX_N, lambda: [pairs], unscored=self.unscored)
+
+
+@dataclass(frozen=True)
 class RecordedFrames:
     """A part of a recording: of at most `n_most` frames, that with most loaded ones.
 
@@ -251,7 +284,7 @@ class RecordedFrames:
 
 KINDS = {
     one.__name__: one
-    for one in (SceneFrames, PressFrames, MeetingFrames, UntouchedFrames, RecordedFrames)
+    for one in (SceneFrames, PressFrames, MeetingFrames, UntouchedFrames, PadFrames, RecordedFrames)
 }
 """Sources by the names with which points state them."""
 

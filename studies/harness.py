@@ -45,14 +45,15 @@ TIMED_ON = "process:1"
 
 @dataclass(frozen=True)
 class Measurement:
-    """Measurement matrix: ratio N / M; rows "fixed", "rotating" or "paper"; kind; and size of the
-    Hadamard blocks (None: that of the kind).
+    """Measurement matrix: ratio N / M; rows "fixed", "rotating" or "paper"; kind; size of the
+    Hadamard blocks (None: that of the kind); and bits of a measurement (None: float32).
     """
 
     ratio: float = 3
     rows: str = FIXED
     phi: str = "sbhe"
     block: int | None = None
+    bits: int | None = None
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,7 @@ class Candidate:
         skin: dict[str, Any] = {"mask": mask, "f_max_n": take.f_max, "sigma_end": take.sigma_end}
         how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
         method = make_method(settings, mask.shape, at.ratio, seed, **how, **skin)
+        method.bits = at.bits
         return Alone(method) if self.alone else method
 
     def _variation(self, at: Measurement, take: Take, seed: int) -> Estimator:

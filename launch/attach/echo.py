@@ -11,6 +11,7 @@ import numpy as np
 
 from sparseskin.messages import Contacts, Message, MessageError, decode
 from sparseskin.messages.base import wire_fields
+from sparseskin.messages.contacts import sum_unit
 from sparseskin.messages.frames import values_alone
 from sparseskin.messages.quantised import Quantised
 from sparseskin.messages.text import printable
@@ -133,7 +134,7 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
         marks = [name for name in ("over", "sliding") if getattr(message, name)[k]]
         shown[f"contact {number}{of}"] = "; ".join(
             [
-                f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g}{force}",
+                f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g} {sum_unit(unit)}".rstrip(),
                 f"peak {message.peak[k]:.3g}{force}",
                 f"at ({place}) {length}",
                 f"{message.area[k]} taxels, {message.age_s[k]:.3g} s",

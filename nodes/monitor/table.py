@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from sparseskin.messages.contacts import summary
+from sparseskin.messages.contacts import sum_unit, summary
 from sparseskin.messages.text import printable
 
 from .metrics import FLOAT_BITS, PatchMetrics
@@ -83,7 +83,9 @@ def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
     if known and units:
         n, total = sum(c.id.size for c in known), sum(float(c.total.sum()) for c in known)
         return [summary(n, total, units[0])]
-    return [f"{sum(loads):.3g} {units[0]}" if any(loads) else "no contact"] if loads else []
+    if any(loads):
+        return [f"{sum(loads):.3g} {sum_unit(units[0])}"]
+    return ["no contact"] if loads else []
 
 
 def _latency(patches: Sequence[PatchMetrics]) -> tuple[list[str], float]:

@@ -27,7 +27,6 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -105,11 +104,8 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     basis = make_basis(chosen["basis"], *mask.shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask)
     method = Method(solver, phis)
-
-    def read(taxels: Floats) -> Floats:
-        return method.solve(np.asarray(quantised(method.measure(taxels), bits))).forces
-
-    return read
+    method.bits = bits
+    return lambda taxels: method.reconstruct(taxels).forces
 
 
 def noise_model(noise: float) -> NoiseModel:

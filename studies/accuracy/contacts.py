@@ -99,6 +99,8 @@ class ContactScores:
         self.delays: list[int] = []
         self.off: list[float] = []
         self.relative: list[float] = []
+        # Errors in deviations: of totals, and of centres along both axes.
+        self.in_sd: tuple[list[float], list[float]] = [], []
         self.n_bytes = 0.0
 
     def _state(self, shape: tuple[int, int], sigma_end: float) -> SkinState:
@@ -190,6 +192,8 @@ class ContactScores:
         centre = np.array([(axis * forces).sum() for axis in places]) / forces.sum()
         self.off.append(float(np.linalg.norm(found["centre"][row] - centre)))
         self.relative.append(abs(float(found["total"][row]) / forces.sum() - 1))
+        self.in_sd[0].append(float(found["total"][row] - forces.sum()) / found["total_sd"][row])
+        self.in_sd[1].extend((found["centre"][row] - centre) / found["centre_sd"][row])
 
     def _follow_id(self, one: int, number: int, part: _Part, ids: Sequence[int]) -> None:
         """Compare the id found at a true contact with the one before."""
@@ -205,7 +209,8 @@ class ContactScores:
 
     def figures(self) -> dict[str, Any]:
         """Counts by force; delays in frames; ghosts in 1000 frames; medians of the errors in
-        taxels, mm and %; ids lost and swapped in 1000 frames of a contact; bytes a frame.
+        taxels, mm and %; root mean square errors in stated deviations; ids lost and swapped in 1000
+        frames of a contact; bytes a frame.
         """
         off = float(np.median(self.off)) if self.off else None
         pitch_mm = self._take.pitch_mm
@@ -223,6 +228,10 @@ class ContactScores:
             "off": off,
             "off_mm": off * pitch_mm if off is not None and pitch_mm else None,
             "force": 100 * float(np.median(self.relative)) if self.relative else None,
+            **{
+                name: float(np.sqrt(np.mean(np.square(z)))) if z else None
+                for name, z in zip(("total_sds", "centre_sds"), self.in_sd, strict=True)
+            },
             "lost": part * self.n_lost if n_true else None,
             "swapped": part * self.n_swapped if n_true else None,
             "n_bytes": self.n_bytes,

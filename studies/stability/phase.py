@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,25 +11,14 @@ import pandas as pd
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 
-from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.studies.evaluate import SUM_SOLVERS
-from sparseskin.studies.points import compute_rows
+from sparseskin.studies.frames import PadFrames
+from sparseskin.studies.harness import Candidate, Experiment, Measurement
 from sparseskin.studies.report import Chart, Page
 
-from .excerpts import (
-    SHAPE,
-    N,
-    contacts,
-    count_coefficients,
-    mean_psnr,
-    measured,
-    read,
-    reconstruct,
-    solver_for,
-)
+from .sweeps import READINGS, own
 
-N_STATIC, N_JUDGED = 24, 8
+SIDE, N_STATIC, N_JUDGED = 40, 24, 8
 LEAST_K = 13
 """Fewest coefficients that a pad of whole taxels has at a place of its own."""
 
@@ -48,42 +38,26 @@ def weak_threshold(delta: float) -> float:
     return -float(found.fun)
 
 
-def points(quick: bool, seed: int) -> list[dict[str, Any]]:
-    """Every solver on pads at random places, with the skin's noise."""
-    ratios = (16, 8, 4, 2) if quick else (32, 16, 12, 8, 6, 4, 3, 2, 1.5)
+def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
+    """Every solver and the readings, on pads at random places, by the ratio."""
     rhos = (0.1, 0.3, 0.6) if quick else (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75)
-    n_trials = 1 if quick else 3
-    return [
-        {"solver": solver, "delta": 1 / ratio, "rho": rho, "n_trials": n_trials, "seed": seed}
-        for solver in SUM_SOLVERS
-        for ratio in ratios
-        for rho in rhos
-        if rho * N / ratio >= LEAST_K
-    ]
-
-
-def measure(point: dict[str, Any]) -> dict[str, Any]:
-    """PSNR of the settled reconstruction minus that of the readings, over static frames."""
-    m = round(point["delta"] * N)
-    gains, counts = [], []
-    for trial in range(point["n_trials"]):
-        rng = np.random.default_rng((point["seed"], trial, m, round(1000 * point["rho"])))
-        frame = contacts(SHAPE, round(point["rho"] * m), rng)
-        counts.append(count_coefficients(make_basis("haar", *SHAPE).analysis(frame)))
-        truth = np.broadcast_to(frame, (N_STATIC, *SHAPE))
-        readings = read(truth, rng)
-        phi = make_phi("sbhe", N, m, seed=trial)
-        solved = reconstruct(solver_for(point["solver"], phi, SHAPE), measured(phi, readings))
-        judged = slice(-N_JUDGED, None)
-        ours, theirs = (mean_psnr(of[judged], truth[judged]) for of in (solved, readings))
-        gains.append(ours - theirs)
-    return {"k_over_m": float(np.mean(counts)) / m, "gain_db": float(np.mean(gains))}
+    candidates = {name: Candidate(own(name)) for name in SUM_SOLVERS} | READINGS
+    seeds = range(seed, seed + (1 if quick else 3))
+    for ratio in (16, 8, 4, 2) if quick else (32, 16, 12, 8, 6, 4, 3, 2, 1.5):
+        counts = [k for rho in rhos if (k := round(rho * SIDE**2 / ratio)) >= LEAST_K]
+        frames = [PadFrames(SIDE, k, N_STATIC, N_STATIC - N_JUDGED) for k in counts]
+        yield Experiment("phase", frames, [Measurement(ratio)], candidates, ("mean_db",), seeds)
 
 
 def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     """Compute, draw and add the section."""
-    found = compute_rows(measure, points(quick, seed), page.out, executor, "phase, each solver")
-    rows = pd.DataFrame(found)
+    every = pd.concat(one.run(page.out, executor) for one in experiments(quick, seed))
+    every = every.astype({"mean_db": float})
+    means = every.groupby(["n_coefficients", "ratio", "method"], sort=False)["mean_db"].mean()
+    gains = means.unstack("method")
+    gains = gains.drop(columns=list(READINGS)).sub(gains[next(iter(READINGS))], axis=0)
+    rows = gains.stack().rename("gain_db").reset_index()
+    rows["k_over_m"] = rows["n_coefficients"] * rows["ratio"] / SIDE**2
     page.csv("phase_skin", rows)
     page.section("Solvers: measurements that a frame needs", _draw(page.out, rows))
 
@@ -99,8 +73,8 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
     style |= {"edgecolors": "#999999", "lw": 0.3}
     with Chart(out, "phase_skin", caption, n, n_columns, size_in=size_in) as chart:
         for axes, solver in zip(chart.panels, SUM_SOLVERS, strict=True):
-            some = rows[rows["solver"] == solver]
-            spots = axes.scatter(some["delta"], some["k_over_m"], c=some["gain_db"], **style)
+            some = rows[rows["method"] == solver]
+            spots = axes.scatter(1 / some["ratio"], some["k_over_m"], c=some["gain_db"], **style)
             axes.set(title=solver, xlim=(0.025, 1.0), ylim=(0.0, 0.8), xscale="log")
             ticks = (32, 16, 8, 4, 2)
             axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])

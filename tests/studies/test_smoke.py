@@ -11,7 +11,6 @@ pytest.importorskip("matplotlib")
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
-from sparseskin.nodes.sensor.scenes.scenes import SCENES
 from sparseskin.studies import command, frames, harness, needs
 from sparseskin.studies.accuracy import constants, contacts
 from sparseskin.studies.accuracy import experiments as accuracy
@@ -20,7 +19,7 @@ from sparseskin.studies.speed import latency
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
-from sparseskin.studies.stability import contact, excerpts, faults, phase, sweeps
+from sparseskin.studies.stability import faults, phase, sweeps
 
 N_FRAMES = 9
 SOLVERS = ("fista", "skin")
@@ -31,8 +30,6 @@ SIZES = (
     (accuracy, {"SCENES": SHORT_SCENES, "RATED_SCENES": SHORT_SCENES, "SIDES": (12,)}),
     (constants, {"VALUES": {"damping": 0.5}}),
     (contacts, {"CONTACT_RATIOS": (2,)}),
-    (contact, {"N_SIDE_QUICK": 2, "SCENES": {"lift_box_40": SCENES["lift_box_40"]}}),
-    (excerpts, {"EXCERPTS": excerpts.EXCERPTS[:1]}),
     (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
     (experiments, {"SUM_SOLVERS": SOLVERS, "QUICK_SCENES": SHORT_SCENES}),
     (experiments, {"find_spec": lambda name: None}),  # no compiled loops
@@ -45,7 +42,7 @@ SIZES = (
     (phase, {"SUM_SOLVERS": SOLVERS, "N_STATIC": 6, "N_JUDGED": 2}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial", "QUICK_SCENES": SHORT_SCENES}),
-    (sweeps, {"SUM_SOLVERS": ("fista",)}),
+    (sweeps, {"SUM_SOLVERS": ("fista",), "EXCERPTS": sweeps.EXCERPTS[:1]}),
 )
 """Sizes that are smaller than those of a quick run, by module."""
 TEXTS = {

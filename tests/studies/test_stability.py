@@ -1,14 +1,19 @@
-"""The stability study of solvers: theory, wrong matrices, faults, and its figures."""
+"""The stability study of solvers: theory, sweeps, and their figures."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
+from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.studies.evaluate import SUM_SOLVERS
-from sparseskin.studies.stability import excerpts, sweeps
+from sparseskin.studies.frames import PadFrames
+from sparseskin.studies.harness import Measurement
+from sparseskin.studies.stability import sweeps
 from sparseskin.studies.stability.phase import weak_threshold
 from sparseskin.studies.stability.sweeps import Sweep, failing
 
@@ -26,30 +31,34 @@ def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measur
     assert float(found.fun) == pytest.approx(delta, abs=2e-4)
 
 
-@pytest.mark.parametrize("solver", SUM_SOLVERS)
-def test_every_solver_can_be_put_through_every_kind_of_point(solver, monkeypatch):
-    monkeypatch.setattr(excerpts, "EXCERPTS", excerpts.EXCERPTS[:1])
-    point = {"sweep": "bits", "value": 12, "solver": solver, "ratio": 3, "seed": 0}
-    assert sweeps.measure(point)["psnr_db"] > 30.0
-    asked = sweeps.points(quick=True, seed=0)
-    swept = {p["sweep"] for p in asked if p["solver"] == solver}
-    assert swept >= {"step", "noise", "block", "bits"}
-
-
-def test_a_solver_that_diverges_is_a_figure_and_no_error(monkeypatch):
-    monkeypatch.setattr(excerpts, "EXCERPTS", excerpts.EXCERPTS[:1])
-    point = {"sweep": "step", "value": 2.5, "solver": "fista", "ratio": 3, "seed": 0}
-    figures = sweeps.measure(point)
-    assert figures["blown_up"] > 0.0
-    assert figures["psnr_db"] < 0.0
+def test_every_solver_is_swept_over_what_it_has_beside_the_readings(monkeypatch, tmp_path):
+    monkeypatch.setattr(sweeps, "EXCERPTS", sweeps.EXCERPTS[:1])
+    asked = {one.label: one for one in sweeps.experiments(quick=True, seed=0)}
+    assert set(asked["noise"].candidates) == {*SUM_SOLVERS, "readings"}
+    assert "fista: 20" in asked["iterations"].candidates
+    rows = sweeps.swept(
+        replace(asked["bits"], measurements=[Measurement(bits=8)]), tmp_path, "serial"
+    )
+    assert set(rows["solver"]) == set(SUM_SOLVERS)
+    assert (rows[["value", "mean_db", "noisy_mean_db"]].min() >= [8, 30, 30]).all()
+    rows = sweeps.swept(asked["iterations"], tmp_path, "serial").set_index(["solver", "value"])
+    assert rows.loc[("fista", 20), "mean_db"] > rows.loc[("fista", 1), "mean_db"]
 
 
 def test_failing_is_said_on_both_sides_of_the_best_value():
     heights = {1: 40.0, 2: 44.0, 3: 45.0, 4: 43.0, 5: 41.9, 6: 30.0}
     rows = pd.DataFrame(
-        {"value": v, "psnr_db": h, "touched_db": 10.0, "noisy_psnr_db": 40.0, "noisy_touched_db": 9}
+        {"value": v, "mean_db": h, "touched_db": 10.0, "noisy_mean_db": 40.0, "noisy_touched_db": 9}
         for v, h in heights.items()
     )
     assert failing(rows, Sweep("")) == "≤ 1 and ≥ 5"
     assert failing(rows[1:4], Sweep("")) == "nowhere"
     assert failing(rows, Sweep("", against_readings=True)) == "≥ 6"
+
+
+def test_pads_have_about_the_coefficients_asked_for_and_not_more():
+    take = PadFrames(40, 60, 3, 1).open(0)
+    (((first, noisy), *_),) = take.parts()
+    count = np.count_nonzero(np.abs(make_basis("haar", 40, 40).analysis(first)) > 1e-4)
+    assert 45 <= count <= 60
+    assert 0 < np.std(noisy - first) < 0.1

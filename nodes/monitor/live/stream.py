@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages import Reconstruction
+from sparseskin.messages.contacts import sum_unit
 
 from .feed import Feed, PatchFeed
 from .notices import Notices, host_lines
@@ -218,6 +219,7 @@ def _skin(name: str, patch: PatchFeed, pose: Sequence[float] | None) -> Part:
     of_grid = ("n_rows", "n_cols", "f_max", "unit", "pitch_m")
     fields = (*of_grid, "source", "rate_hz", "has_truth", "has_taxels", "sigma_end")
     values = {key: getattr(skin, key) for key in fields}
+    values["sum_unit"] = sum_unit(skin.unit)
     header = {"kind": "skin", "patch": name, "pose": pose, **values}
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     if skin.mask is not None:

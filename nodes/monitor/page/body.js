@@ -61,7 +61,7 @@ export class Body {
     for (const [patch, { map }] of Object.entries(this.figures)) {
       this.all.set(map, this.cloud.part(patch).cell);
     }
-    return { f_max: most("f_max"), sigma_end: most("sigma_end"), unit: skins[0].unit, data: {},
+    return { f_max: most("f_max"), sigma_end: most("sigma_end"), unit: skins[0].unit, sum_unit: skins[0].sum_unit, data: {},
       cloud: this.cloud };
   }
 
@@ -88,7 +88,7 @@ export class Body {
     if (age > state.stale_s) return [`stale for ${ago(age)}`, "bad"];
     if (!state.trusted) return [state.reason ? `not trusted: ${state.reason}` : "not trusted", "bad"];
     if (!this.#isPressed(patch)) return [state.idle ? "idle" : "live", ""];
-    return [summary(this.figures[patch].contacts, this.skins[patch].unit) || "pressed", "good"];
+    return [summary(this.figures[patch].contacts, this.skins[patch].sum_unit) || "pressed", "good"];
   }
 
   // Show figures of all patches; `rest` has those after the total.
@@ -97,16 +97,16 @@ export class Body {
       const row = document.getElementById(`row-${patch}`) ?? element("tr", { id: `row-${patch}` },
         element("td", {}, element("a", { href: `#/${patch}` }, patch)));
       if (!row.isConnected) this.body.append(row);
-      const { peak, total } = this.figures[patch] ?? {}, unit = this.skins[patch]?.unit;
+      const { peak, total } = this.figures[patch] ?? {}, { unit, sum_unit: sums } = this.skins[patch] ?? {};
       const [text, tone] = this.#now(patch, state, isPaused);
-      cells(row, "td", [patch, text, brief(peak, unit), brief(total, unit), ...rest(patch, state)]);
+      cells(row, "td", [patch, text, brief(peak, unit), brief(total, sums), ...rest(patch, state)]);
       row.children[1].className = tone;
     }
   }
 
   // Headline figures of all patches, as tiles, and those of them that charts show.
   tiles(states, isPaused) {
-    const of = Object.entries(this.figures), unit = Object.values(this.skins)[0]?.unit;
+    const of = Object.entries(this.figures), [skin] = Object.values(this.skins);
     const now = Object.entries(states).map(([patch, state]) => this.#now(patch, state, isPaused));
     const pressed = of.filter(([patch]) => this.#isPressed(patch)).length;
     const total = of.reduce((sum, [, figures]) => sum + figures.total, 0);
@@ -114,8 +114,8 @@ export class Body {
     return { total, pressed, tiles: [
       ["patches", "Patches", `${now.length}`, `${now.filter(([text]) => text === "idle").length} idle`],
       ["pressed", "Pressed", `${pressed}`, `of ${now.length} patches`],
-      ["total", "Total force", brief(total, unit), "all patches"],
-      ["peak", "Peak", brief(peak, unit), where ?? ""],
+      ["total", "Total", brief(total, skin?.sum_unit), "all patches"],
+      ["peak", "Peak", brief(peak, skin?.unit), where ?? ""],
     ] };
   }
 }

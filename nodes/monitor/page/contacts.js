@@ -85,12 +85,12 @@ export class ContactList {
   }
 
   // Show the contacts of a record of maps on a skin, at a time in seconds.
-  show({ list }, record, { unit, pitch_m: pitch, data }, now) {
+  show({ list }, record, { sum_unit: unit, pitch_m: pitch, data }, now) {
     if (!this.isShown) this.root.append(this.figure);
     const more = record.n > list.length ? `, the ${list.length} strongest:` : "";
     setText(this.title, summary(record, unit) + more || "No contact");
     const length = pitch || data.points ? "mm" : "taxels";
-    cells(this.head, "th", ["", `Force ${unit}`, `${data.points ? "x, y, z" : "Row, col"} ${length}`,
+    cells(this.head, "th", ["", `Total ${unit}`, `${data.points ? "x, y, z" : "Row, col"} ${length}`,
       pitch ? "mm²" : "Area", `${length}/s`, "Age s"]);
     for (const contact of list) this.known.set(contact.id, { contact, seen: now });
     const rows = [...this.known].filter(([, { seen }]) => now - seen <= LINGER_S)

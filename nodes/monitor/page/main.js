@@ -74,7 +74,7 @@ function newMaps() {
   maps?.close();
   const skin = body ? body.whole() : model.skins[patch];
   maps = skin ? new Maps(byId("maps"), skin) : null;
-  strips ??= new Strips(byId("strips"), chartsOfAll(skin.unit));
+  strips ??= new Strips(byId("strips"), chartsOfAll(skin.sum_unit));
   if (maps && !body && model.maps[patch]) showMaps();
 }
 

@@ -176,7 +176,7 @@ export class Maps {
     this.panels = {};
     this.maps = {};
     this.faulty = []; // cells of the taxels that the reconstructor leaves out
-    this.contacts = new Contacts(skin.unit);
+    this.contacts = new Contacts(skin.sum_unit);
     this.mask = skin.data.mask ?? null;
     this.aborter = new AbortController();
     const hasPlaces = !skin.cloud && Cloud.of(skin);
@@ -275,7 +275,7 @@ export class Maps {
       const resultant = name === "reconstruction" && this.resultant;
       setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map, name)
         + (resultant
-          ? ` · resultant ${within(resultant.total, resultant.total_sd, this.skin.unit)}` : ""));
+          ? ` · resultant ${within(resultant.total, resultant.total_sd, this.skin.sum_unit)}` : ""));
     }
     this.mark();
     this.read();
@@ -295,7 +295,7 @@ export class Maps {
   }
 
   forceText(map, name) {
-    const { unit, f_max: fMax, sigma_end: sigma } = this.skin;
+    const { unit, sum_unit: sums, f_max: fMax, sigma_end: sigma } = this.skin;
     let total = 0;
     for (const force of map) total += force || 0;
     const peak = highest(map);
@@ -303,7 +303,7 @@ export class Maps {
     const centre = name !== this.large ? ""
       : ` · ${peak > Math.max(CONTACT * fMax, noise) ? this.view.centre(map, total, peak) : "no contact"}`;
     const missing = missingOf(map), note = missing ? ` · ${missing} readings missing` : "";
-    return `peak ${brief(peak, unit)} · total ${brief(total, unit)}${centre}${note}`;
+    return `peak ${brief(peak, unit)} · total ${brief(total, sums)}${centre}${note}`;
   }
 
   errorText(map) {

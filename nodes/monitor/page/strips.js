@@ -62,7 +62,7 @@ const WIDTHS = { total: 0.25, pressed: 0.25, psnr_noisy_db: 0.25, psnr_db: 0.25,
 
 // Charts of all patches together, of forces in a unit.
 export const chartsOfAll = (unit) => [
-  { id: "total", title: "Total force", unit, lines: [["good", "total", (f) => f.mean, "all patches"]] },
+  { id: "total", title: "Total", unit, lines: [["good", "total", (f) => f.mean, "all patches"]] },
   { id: "pressed", title: "Patches pressed", unit: "", lines: [["good", "pressed", (f) => f.last, "now"]] },
 ];
 

@@ -32,7 +32,7 @@ COUNTS = "counts"
 ADD = "; add "
 """What stands in an error before the settings that are missing, as KEY=VALUE, in examples."""
 NAN_HINT = f"{ADD}nan=hold, or zero or mask"
-NEGATIVE_HINT = f"{ADD}negative=zero, or offset or mask"
+NEGATIVE_HINT = f"{ADD}negative=zero, or mask (offset raises every force until the lowest is 0)"
 MAX_LINE_BYTES = 1 << 26
 """Longest line of a text file; chosen: a line of 2**20 readings has 20 MB."""
 REFUSE, ZERO, HOLD, OFFSET, MASK = "refuse", "zero", "hold", "offset", "mask"

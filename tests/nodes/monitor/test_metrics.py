@@ -17,6 +17,7 @@ from sparseskin.messages import (
     Truth,
     size_bytes,
 )
+from sparseskin.messages.contacts import sum_unit
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ManualClock
 from sparseskin.nodes.compressor.node import Compressor
@@ -282,6 +283,7 @@ def test_a_status_line_of_80_columns_has_the_contacts():
     assert "| 2 contacts, 5 N |" in status_line({"forearm": metrics}, 1000.0)[:79]
     many = {f"p{k:03}": metrics for k in range(9)}
     assert "| 18 contacts, 45 N" in status_line(many, 1000.0)[:79]
+    assert [sum_unit(unit) for unit in ("N", "counts", "kPa")] == ["N", "counts", "kPa x taxels"]
 
 
 def estimated(seq, force, trusted, error=0.1):
