@@ -13,8 +13,7 @@ from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.files.recording import check_stated_shape
 
-from .can_chunks import chunks_of
-from .can_port import CanPort
+from .can_port import CanPort, chunks_of
 from .framing import Framing
 from .ports import Port
 from .serial_port import SerialPort
@@ -45,15 +44,10 @@ def describe_board(
     unit: str | None = None,
     f_max: float | None = None,
 ) -> Board:
-    """Read all that is stated of a board, without opening it. Raises SourceError if a key or value
-    is not allowed, one is missing, or two contradict each other.
-
-    Parameters
-    ----------
-    source : str
-        "serial:DEVICE?KEY=VALUE&...", "udp:PORT?..." or "can:CHANNEL?...".
-    n_rows, n_cols, unit, f_max
-        Properties that the source may leave out.
+    """Read all that is stated of a board, "serial:DEVICE?KEY=VALUE&...", "udp:PORT?..." or
+    "can:CHANNEL?...", without opening it; n_rows, n_cols, unit, f_max: what the source may leave
+    out. Raises SourceError if a key or value is not allowed, one is missing, or two contradict each
+    other.
     """
     kind, address, query = split_source(source)
     name = f"{kind}:{address}"

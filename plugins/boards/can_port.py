@@ -1,19 +1,165 @@
-"""A board on a CAN bus, opened by python-can."""
+"""A board on a CAN bus, opened by python-can: a frame of the skin is spread over CAN frames.
+
+Each CAN frame holds
+
+    index of the chunk | counter of the skin's frame | chunk of the frame
+
+of which index and counter may be absent. With several arbitration ids, the id tells the chunk; with
+one id the index does.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import re
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sparseskin.nodes.errors import NotHereError, SourceError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.sensor.files.recording import shown
 
-from .can_chunks import HIGHEST_STANDARD_ID, Assembler, chunks_of
 from .framing import Counts, Framing, PacketParser
 from .ports import Arrived, Port, needed_module
 from .settings import CanSettings
+
+MAX_IDS = 4096
+HIGHEST_ID = (1 << 29) - 1
+"""Largest arbitration id, of the extended format."""
+HIGHEST_STANDARD_ID = (1 << 11) - 1
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """How a frame is spread: arbitration ids in order of the chunks, one if the index tells them;
+    number of chunks; bytes of a frame, of a chunk (the last may be shorter), of index (0 to 2) and
+    counter (0 or 1).
+    """
+
+    ids: tuple[int, ...]
+    n_chunks: int
+    n_bytes: int
+    chunk_bytes: int
+    index_bytes: int
+    counter_bytes: int
+
+    def length_of(self, number: int) -> int:
+        """Bytes of a chunk."""
+        return min(self.chunk_bytes, self.n_bytes - number * self.chunk_bytes)
+
+
+def chunks_of(settings: CanSettings, framing: Framing) -> Chunks:
+    """The chunks that settings state; SourceError if they contradict each other."""
+    ids = _ids_of(settings.ids)
+    index_bytes = {"none": 0, "u8": 1, "u16": 2}[settings.index]
+    counter_bytes = {"none": 0, "u8": 1}[settings.counter]
+    room = (64 if settings.fd else 8) - index_bytes - counter_bytes
+    chunk = room if settings.chunk is None else settings.chunk
+    if chunk > room:
+        raise SourceError(
+            f"chunk: {chunk} bytes do not fit beside index and counter; at most {room}"
+        )
+    n_chunks = -(-framing.n_bytes // chunk)
+    if len(ids) == 1 and not index_bytes and n_chunks > 1:
+        raise SourceError("ids: one id needs index=u8, the number of the chunk in each CAN frame")
+    if len(ids) > 1 and len(ids) != n_chunks:
+        raise SourceError(
+            f"ids: {len(ids)} ids, but a frame of {framing.n_bytes} bytes has {n_chunks} chunks of "
+            f"{chunk}"
+        )
+    if len(ids) > 1 and index_bytes:
+        raise SourceError("index: goes with one id; with several, the id tells the chunk")
+    if n_chunks > 1 << 8 * index_bytes and len(ids) == 1:
+        raise SourceError(f"index: {settings.index} does not count to {n_chunks} chunks; index=u16")
+    return Chunks(ids, n_chunks, framing.n_bytes, chunk, index_bytes, counter_bytes)
+
+
+def _ids_of(text: str) -> tuple[int, ...]:
+    """Arbitration ids of "0x100-0x10F" or "0x100,0x102"."""
+    ids: list[int] = []
+    if not text:
+        raise SourceError("ids is not stated; add ids=0x100, or the ids in order of the readings")
+    for part in text.split(","):
+        ends = [_id_of(end) for end in part.split("-", 1)]
+        if ends[-1] < ends[0] or ends[-1] - ends[0] >= MAX_IDS:
+            raise SourceError(f"ids: {shown(part)} is no range of at most {MAX_IDS} ids that rise")
+        ids += range(ends[0], ends[-1] + 1)
+    if len(ids) > MAX_IDS:
+        raise SourceError(f"ids: {len(ids)} ids; at most {MAX_IDS}")
+    if len(set(ids)) < len(ids):
+        raise SourceError("ids: an id occurs twice")
+    return tuple(ids)
+
+
+def _id_of(text: str) -> int:
+    text = text.strip()
+    if not re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9}", text):
+        raise SourceError(f"ids: {shown(text)} is no arbitration id; e.g. 0x100")
+    number = int(text, 0) if text[:2] in ("0x", "0X") else int(text)
+    if number > HIGHEST_ID:
+        raise SourceError(f"ids: {text} is above {HIGHEST_ID:#x}, the largest extended id")
+    return number
+
+
+class Assembler:
+    """Puts frames together from their chunks; one that lacks a chunk is counted and dropped.
+
+    Without a counter the chunks of a frame must come in order, so that two frames cannot be mixed
+    unless exactly a whole frame's length is lost between them; with one, in any order.
+    """
+
+    def __init__(self, chunks: Chunks, counts: Counts) -> None:
+        self._chunks = chunks
+        self._numbers = {one: k for k, one in enumerate(chunks.ids)}
+        self._counts = counts
+        self._parts: dict[int, bytes] = {}
+        self._counter = -1
+
+    def reset(self) -> None:
+        """Drop what is waiting: the bus was interrupted."""
+        self._give_up()
+
+    def add(self, arbitration_id: int, data: bytes) -> bytes | None:
+        """Add the data of a CAN frame, of any id; return the frame that it completes."""
+        chunks = self._chunks
+        if arbitration_id not in self._numbers:
+            return None
+        n_head = chunks.index_bytes + chunks.counter_bytes
+        number = self._numbers[arbitration_id]
+        if chunks.index_bytes:
+            number = int.from_bytes(data[: chunks.index_bytes], "little")
+        # CAN-FD pads data to one of a few lengths.
+        wanted = n_head + chunks.length_of(number)
+        if number >= chunks.n_chunks or len(data) < wanted:
+            self._counts.dropped_bytes += len(data)
+            return None
+        counter = data[n_head - 1] if chunks.counter_bytes else 0
+        if chunks.counter_bytes:
+            starts_new = counter != self._counter
+        else:
+            starts_new = number == 0 or number != len(self._parts)
+        if starts_new or number in self._parts:
+            self._give_up()
+            self._counter = counter
+            if number and not chunks.counter_bytes:  # its begin is lost
+                self._counts.dropped_bytes += len(data) - n_head
+                return None
+        self._parts[number] = data[n_head:wanted]
+        if len(self._parts) < chunks.n_chunks:
+            return None
+        whole = b"".join(self._parts[k] for k in range(chunks.n_chunks))
+        self._parts.clear()
+        self._counter = -1
+        return whole
+
+    def _give_up(self) -> None:
+        if self._parts:
+            self._counts.bad_frames += 1
+            self._counts.dropped_bytes += sum(map(len, self._parts.values()))
+            self._parts.clear()
+
 
 CAN_TYPE = "280"
 """ARPHRD_CAN in /sys/class/net/NAME/type. Source: linux/if_arp.h."""

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from zlib import crc32
 
 import numpy as np
-import numpy.typing as npt
 
 
 @dataclass(frozen=True)
@@ -29,48 +28,27 @@ class Checksum:
     is_strong: bool = False
 
 
-LEAST = 64
-"""Bytes from which on a CRC is computed for all at once; chosen: arrays cost more before."""
-BLOCK = 2048
-"""Bytes that a table of `_crc16` covers, which has 512 times as many; chosen: most frames."""
+@functools.cache
+def _modbus_table() -> list[int]:
+    """State after two bytes, by what they and the state before it add up to."""
+    state = np.arange(1 << 16, dtype=np.uint16)
+    for _ in range(16):
+        state = (state >> 1) ^ (0xA001 * (state & 1))
+    found: list[int] = state.tolist()
+    return found
 
 
-def _crc16(polynomial: int, start: int) -> Callable[[bytes], int]:
-    """A reflected CRC of 16 bits. It is linear over GF(2): the sum of what each byte contributes at
-    its distance from the end, after the state has been added to the first two bytes.
-    """
-    by_byte = _crc(polynomial, start)
-
-    @functools.cache
-    def contributions() -> npt.NDArray[np.uint16]:
-        of_bytes = _crc(polynomial)
-        last = np.array([of_bytes(bytes([value])) for value in range(256)], np.uint16)
-        found = np.empty((BLOCK, 256), np.uint16)
-        found[-1] = last
-        for place in range(BLOCK - 2, -1, -1):
-            found[place] = last[found[place + 1] & 0xFF] ^ (found[place + 1] >> 8)
-        return found
-
-    def compute(data: bytes) -> int:
-        if len(data) < LEAST:
-            return by_byte(data)
-        value, rest = start, np.frombuffer(data, np.uint8)
-        while len(rest):
-            # No block of a single byte: the state has two.
-            n = min(BLOCK, len(rest)) - (len(rest) == BLOCK + 1)
-            block = rest[:n].copy()
-            block[:2] ^= np.array([value & 0xFF, value >> 8], np.uint8)
-            at = np.arange(BLOCK - n, BLOCK)
-            value = int(np.bitwise_xor.reduce(contributions()[at, block]))
-            rest = rest[n:]
-        return value
-
-    return compute
+def _crc16_modbus(data: bytes) -> int:
+    """Two bytes at a time: twice as quick as `_crc`, for frames of thousands of bytes."""
+    table, value = _modbus_table(), 0xFFFF
+    for word in np.frombuffer(data, "<u2", len(data) // 2).tolist():
+        value = table[value ^ word]
+    return table[((value ^ data[-1]) & 0xFF) << 8] ^ (value >> 8) if len(data) % 2 else value
 
 
-def _crc(polynomial: int, start: int = 0, reflected: bool = True) -> Callable[[bytes], int]:
-    """A reflected CRC, or one of 8 bits, by a table of the remainders of all bytes; `polynomial` is
-    in the order of bits that `reflected` states, the highest of an unreflected one included.
+def _crc(polynomial: int, reflected: bool = True) -> Callable[[bytes], int]:
+    """A CRC of 8 bits by a table of the remainders of all bytes; `polynomial` is in the order of
+    bits that `reflected` states, the highest of an unreflected one included.
     """
     table = []
     for value in range(256):
@@ -82,9 +60,9 @@ def _crc(polynomial: int, start: int = 0, reflected: bool = True) -> Callable[[b
         table.append(value)
 
     def compute(data: bytes) -> int:
-        value = start
+        value = 0
         for byte in data:
-            value = table[(value ^ byte) & 0xFF] ^ (value >> 8)
+            value = table[value ^ byte]
         return value
 
     return compute
@@ -99,6 +77,6 @@ CHECKSUMS = {
     "crc8_maxim": Checksum(1, _crc(0x8C)),
     "crc16": Checksum(2, lambda data: crc_hqx(data, 0xFFFF), True),
     "crc16_xmodem": Checksum(2, lambda data: crc_hqx(data, 0), True),
-    "crc16_modbus": Checksum(2, _crc16(0xA001, 0xFFFF), True),
+    "crc16_modbus": Checksum(2, _crc16_modbus, True),
     "crc32": Checksum(4, crc32, True),
 }

@@ -39,20 +39,9 @@ Raw: TypeAlias = "bytes | bytearray | memoryview"
 
 @dataclass
 class Counts:
-    """What came and was not used.
-
-    Attributes
-    ----------
-    frames : int
-        Frames accepted.
-    bad_frames : int
-        Frames whose checksum, end bytes or length was wrong, or that lacked a part.
-    missing_frames : int
-        Frames that never came, by their sequence numbers.
-    late_frames : int
-        Frames that came twice, or after a later one.
-    dropped_bytes : int
-        Bytes in no accepted frame.
+    """What came: frames accepted; frames whose checksum, end or length was wrong, or that lacked a
+    part; that never came, by their numbers; that came twice or after a later one; bytes in no
+    accepted frame.
     """
 
     frames: int = 0
@@ -64,8 +53,8 @@ class Counts:
 
 @dataclass(frozen=True)
 class Frame:
-    """An accepted frame: its payload, its sequence number if it has one, the number of bytes of the
-    stream up to its end, its stamp on the board's clock, and the number of its first reading.
+    """An accepted frame: payload, sequence number if it has one, bytes of the stream up to its end,
+    stamp on the board's clock, number of its first reading.
     """
 
     payload: bytes
@@ -77,7 +66,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Field:
-    """A number in a frame: its first byte, counted from the begin of the frame, and its length."""
+    """A number in a frame: place of its first byte, and its length."""
 
     at: int
     n_bytes: int
@@ -87,30 +76,14 @@ class Field:
 class Framing:
     """The parts of a frame.
 
-    Attributes
-    ----------
-    payload_bytes : int
-        Length of the payload, 1 or more.
-    start, end : bytes
-        Fixed bytes at both ends, b"" for none.
-    wild : frozenset of int
-        Places in `start` of bytes that are not fixed; not the first.
-    sequence_bytes, sequence_at : int, int or None
-        Length of the sequence number: 0 (none), 1, 2 or 4; its place, if not after `start`.
-    skip, after : int
-        Bytes before and after the payload that are not used.
-    stamp, first, length : Field or None
-        Stamp on the board's clock; number of the first reading, of frames that hold a piece of the
-        skin; number of bytes from the payload to the checksum, where it varies.
-    checksum : str
-        A name of `CHECKSUMS`.
-    checksum_from : "start", "sequence" or "payload"
-        First part that the checksum covers; the payload is the last.
-    byte_order : "little" or "big"
-        Order of the bytes of sequence number and checksum.
-    confirm : bool
-        False to accept a frame with a weak checksum or none at its last byte, one frame earlier;
-        one that lost bytes may then be accepted with bytes of the next in their place.
+    `start`, `end`: fixed bytes, b"" for none; `wild`: places in `start`, not the first, of any
+    byte. `sequence_bytes`: length of the sequence number, 0 (none), 1, 2 or 4; `sequence_at`: its
+    place, if not after `start`. `skip`, `after`: bytes before and after the payload that are not
+    used. `stamp`, `first`, `length`: places of the stamp, of the number of the first reading (of
+    frames that hold a piece of the skin), of the number of bytes from the payload to the checksum,
+    where it varies. `checksum`: a name of `CHECKSUMS`, of all from `checksum_from` to the payload.
+    `confirm`: False to accept a frame with a weak checksum or none at its last byte; one that lost
+    bytes may then be accepted with bytes of the next in their place.
     """
 
     payload_bytes: int
@@ -136,8 +109,8 @@ class Framing:
         return n + self._check.n_bytes + len(self.end)
 
     def size(self, raw: Raw) -> int:
-        """Length of the frame that these bytes begin: the least, where they do not state another
-        that is allowed.
+        """Length of the frame that these bytes begin; the least, where they state none that is
+        allowed.
         """
         n, least = self.n_bytes, self.payload_bytes + self.after
         if self.length is None or len(raw) < n:
@@ -247,14 +220,8 @@ class Sequence:
 
 
 class FrameParser:
-    """Finds the frames in a stream of bytes, however it is cut.
-
-    Parameters
-    ----------
-    framing : Framing
-        With start bytes.
-    counts : Counts
-        Counters to add to.
+    """Finds the frames in a stream of bytes, however it is cut; `framing` has start bytes, `counts`
+    are added to.
     """
 
     def __init__(self, framing: Framing, counts: Counts | None = None) -> None:

@@ -12,16 +12,9 @@ from .framing import Counts, Frame
 
 
 class Pieces:
-    """Puts frames together from their pieces.
-
-    Parameters
-    ----------
-    n_readings, n_bytes : int
-        Readings of a frame of the skin, and bytes of each.
-    modulus : int
-        Sequence numbers begin at 0 again after so many; 0: pieces have none.
-    counts : Counts
-        Counters that the parser of the pieces has added to: a piece is no frame.
+    """Puts frames of `n_readings` of `n_bytes` each together from their pieces, whose sequence
+    numbers begin at 0 again after `modulus` (0: they have none). `counts`: those that the parser of
+    the pieces has added to, as a piece is no frame.
     """
 
     def __init__(self, n_readings: int, n_bytes: int, modulus: int, counts: Counts) -> None:

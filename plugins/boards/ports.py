@@ -20,14 +20,8 @@ Arrived = tuple[int, Frame]
 
 
 class Port(ABC):
-    """A port with the parser of its frames.
-
-    Attributes
-    ----------
-    n_bytes : int
-        Bytes received since it was made.
-    lines : list of str
-        Lines for the log that are not yet taken.
+    """A port with the parser of its frames; `n_bytes` received since it was made, `lines` for the
+    log.
     """
 
     def __init__(self, address: str, settings: Any, framing: Framing, counts: Counts) -> None:

@@ -11,8 +11,8 @@ ORDERS = ("rows", "columns")
 
 
 def order_of(text: str, n: int) -> list[int] | None:
-    """Places in which n rows or columns are sent, from "forward", "reversed" or "2,0,1"; None if
-    the text is none of these.
+    """Places in which n rows or columns are sent: "forward", "reversed" or "2,0,1"; None for other
+    texts.
     """
     if text == "forward":
         return list(range(n))
@@ -26,18 +26,9 @@ def order_of(text: str, n: int) -> list[int] | None:
 
 
 class Decoder:
-    """Decodes payloads.
-
-    Parameters
-    ----------
-    dtype, byte_order
-        Type of a count, one of `DTYPES`; "little" or "big".
-    order : "rows" or "columns"
-        What is sent as a whole: row after row, or column after column.
-    row_order, col_order : list of int
-        Of each row (column) that is sent, in order, its place in the skin: permutations.
-    scale, zero : float
-        A reading is (count - zero) * scale.
+    """Decodes payloads of counts of a `DTYPES` and byte order, sent row after row or column after
+    column. `row_order`, `col_order`: of each row (column) that is sent, in order, its place in the
+    skin. A reading is (count - zero) * scale.
     """
 
     def __init__(

@@ -321,8 +321,8 @@ def split_source(source: str) -> tuple[str, str, dict[str, str]]:
 
 
 def read_settings(kind: str, query: Mapping[str, str]) -> BoardSettings:
-    """Settings of a board of a kind of `KINDS`, from a query. Raises SparseskinError if a key or
-    value of the query or of its profile is not allowed.
+    """Settings of a kind of board from a query and its profile; SparseskinError if one is not
+    allowed.
     """
     cls, own = KINDS[kind], dict(query)
     profile = own.pop("profile", None)
@@ -331,8 +331,8 @@ def read_settings(kind: str, query: Mapping[str, str]) -> BoardSettings:
 
 
 def typed(cls: type[Settings], query: Mapping[str, str], *more: str) -> dict[str, Any]:
-    """Texts of a query as the types of the settings of a class. Raises SourceError if a key is none
-    of them (`more`: others to propose).
+    """Texts of a query as the types of a class's settings. Raises SourceError of other keys
+    (`more`: further keys to propose).
     """
     entries = {entry["key"]: entry for entry in cls.described()}
     for key in query:
@@ -342,9 +342,9 @@ def typed(cls: type[Settings], query: Mapping[str, str], *more: str) -> dict[str
 
 
 def read_profile(name: str, cls: type[BoardSettings]) -> dict[str, Any]:
-    """Settings of a profile for boards of a class: its name if it comes with the package, or the
-    path of a file that ends in .toml. `about`, one line on the board, and keys of other kinds of
-    ports are left out. Raises SourceError if there is none, or it is no TOML of known keys.
+    """Settings of a profile for boards of a class, without `about` and keys of other ports: its
+    name if it comes with the package, or the path of a .toml file. Raises SourceError if there is
+    none, or it is no TOML of known keys.
     """
     own = name.endswith(".toml") or "/" in name
     path = Path(name) if own else PROFILES / f"{name}.toml"

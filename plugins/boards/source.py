@@ -33,19 +33,10 @@ MAX_WAITING = 1024
 class BoardSource(LiveSource):
     """The frames of a board. Its attributes are those of a `Source`.
 
-    What comes is checked: a frame that is not whole, or that `nan` refuses for a reading that is no
-    number, is counted and dropped; readings outside [0, f_max] are clipped and counted (`clipped`).
-    A device that goes away is waited for. Raises SourceError if its device is missing or cannot be
-    opened.
-
-    Parameters
-    ----------
-    board : Board
-        Description of the board.
-    raw : bool
-        True: readings are not clipped, as a calibration converts them.
-    nan : str
-        "refuse" to drop frames with a reading that is no number; else it is NaN.
+    What comes is checked: a frame that is not whole, or that `nan` "refuse" refuses for a reading
+    that is no number, is counted and dropped; readings outside [0, f_max] are clipped and counted
+    (`clipped`), but for `raw`, as a calibration converts them. A device that goes away is waited
+    for. Raises SourceError if its device is missing or cannot be opened.
     """
 
     arrives = True
@@ -81,20 +72,11 @@ class BoardSource(LiveSource):
         return self._is_open
 
     def next_frame(self, wait_s: float, newest: bool = False) -> tuple[int, Floats] | None:
-        """The next frame; None if none came in `wait_s` seconds.
+        """The next frame, or the newest of those that wait, the others counted as unused; None if
+        none came in `wait_s` seconds.
 
-        Parameters
-        ----------
-        wait_s : float
-            Longest wait, seconds.
-        newest : bool
-            True to take the newest frame of those that wait; the others are counted as unused.
-
-        Returns
-        -------
-        tuple of int and ndarray of float32, shape (n_rows, n_cols), or None
-            Time at which its last byte came on the monotonic clock, nanoseconds, which rises from
-            frame to frame; readings in [0, f_max].
+        Returns the time at which its last byte came on the monotonic clock, nanoseconds, which
+        rises from frame to frame; readings in [0, f_max], float32 (n_rows, n_cols).
         """
         if newest or len(self._waiting) < MAX_WAITING:
             self.receive(0.0 if self._waiting else wait_s)
@@ -216,8 +198,8 @@ class BoardSource(LiveSource):
 
     def figures(self) -> dict[str, int]:
         """Counters: those of `Counts`; unused_frames (before the start, while paused, or faster
-        than rate_hz), not_finite_frames, gone (times that the device went away), and what kernel
-        and driver have dropped.
+        than rate_hz), not_finite_frames, gone (times that the device went away); drops of kernel
+        and driver.
         """
         return {
             **asdict(self.counts),

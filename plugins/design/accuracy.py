@@ -27,10 +27,8 @@ WITHIN = 0.9
 
 
 def grid_of(design: Design) -> Mask:
-    """Cells on which a skin is simulated, True where a taxel exists: bool (n_rows, n_cols).
-
-    Points are on their virtual grid; of those that are only counted, on the smallest near square
-    that holds them, row by row.
+    """Cells on which a skin is simulated, True where a taxel exists: bool (n_rows, n_cols). Points
+    are on their virtual grid; those that are only counted on the smallest near square, row by row.
     """
     if design.mask is not None:
         return design.mask
@@ -42,11 +40,9 @@ def grid_of(design: Design) -> Mask:
 
 
 def simulated(rows: Sequence[Row], design: Design, n_scenes: int = FEW_SCENES) -> list[Row]:
-    """Return rows with the accuracy of their strategies, each at the rate that it reaches.
-
-    The strategies are simulated side by side, in a process each core. Progress is written to stderr
-    where that is a terminal. Parameters as those of `simulate`. Raises SparseskinError as
-    `simulate` does.
+    """Return rows with the accuracy of their strategies, each at the rate that it reaches, in the
+    first `n_scenes` scenes; in a process each core, with a progress bar on stderr where that is a
+    terminal. Raises SparseskinError as `simulate`.
     """
     mask = grid_of(design)
     tasks = {
@@ -85,17 +81,9 @@ def simulate(
     seed: int = 0,
     n_scenes: int = FEW_SCENES,
 ) -> Accuracy:
-    """Simulate a strategy on a skin. Raises SparseskinError if the strategy is not possible on it.
-
-    Parameters
-    ----------
-    strategy, mask, noise, bits
-        As of `make_reader`.
-    rate_hz : float
-    seed : int
-        Of scenes, noise and Phi.
-    n_scenes : int
-        The first so many scenes of `simulation`, 2..15.
+    """Simulate a strategy on a skin; `strategy`, `mask`, `noise`, `bits` as of `make_reader`,
+    `seed` of scenes, noise and Phi, the first `n_scenes` (2..15) scenes of `simulation`. Raises
+    SparseskinError if the strategy is not possible on it.
     """
     dbs = [
         np.mean(
@@ -115,12 +103,8 @@ def band(db: Doubles) -> tuple[float, float]:
     """Ends of the interval in which the PSNR of a further scene lies in 90 % of cases.
 
     Mean -/+ t s sqrt(1 + 1 / n) of n scenes, 2 or more; t is of Student's distribution with n - 1
-    degrees of freedom.
-
-    Notes
-    -----
-    Source: prediction interval of a normal distribution; Hahn, Meeker, "Statistical Intervals",
-    Wiley, 1991, section 4.7.
+    degrees of freedom. Source: prediction interval of a normal distribution; Hahn, Meeker,
+    "Statistical Intervals", Wiley, 1991, section 4.7.
     """
     n = len(db)
     factor = float(stdtrit(n - 1, (1 + WITHIN) / 2)) * math.sqrt(1 + 1 / n)

@@ -21,17 +21,9 @@ NO_GRID = ("N/4 sums of rows", "N/4 sums of 16 x 16")
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy of a strategy.
-
-    Attributes
-    ----------
-    psnr_db : float
-        Mean PSNR of contact frames, peak f_max; NaN where it was not simulated.
-    low_db, high_db : float
-        Band of 90 % of the scenes.
-    light_touch : float
-        Least force a taxel, as a part of the range, at which a touch of 3 x 3 taxels is found
-        within 8 frames in 90 % of cases; NaN where none is found.
+    """Mean PSNR of contact frames, peak f_max, dB; ends of the band of 90 % of the scenes; least
+    force a taxel, as a part of the range, at which a touch of 3 x 3 taxels is found within 8 frames
+    in 90 % of cases. NaN: not simulated, or none is found.
     """
 
     psnr_db: float
@@ -45,30 +37,11 @@ UNKNOWN = Accuracy(math.nan, math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True)
 class Row:
-    """A strategy on a skin.
-
-    Attributes
-    ----------
-    strategy : Strategy
-    m : int
-        Measurements of a frame.
-    wires : Wires
-    n_bytes : int
-        Bytes of a frame on the bus, with header and checksum of the project's edge (15 bytes).
-    stage_s : dict of str to float
-        Time of a frame in each of `STAGES`, seconds; of the host, of one core under a dense press.
-    host_calm_s : float
-        Time of the host for a frame that nothing presses, of one core, seconds.
-    host_rate_hz : float
-        Frames a second that the host's cores can reconstruct under a dense press.
-    asked_hz : float
-        Rate that the design asks for.
-    range_n : float
-        Full scale, newtons.
-    accuracy : Accuracy
-        At the rate that is reached; `UNKNOWN` until `accuracy.simulated`.
-    patches : int
-        Parts of the skin that the host reconstructs by themselves.
+    """A strategy on a skin: measurements and bytes of a frame on the bus, with header and checksum
+    of the project's edge; time in each of `STAGES`, seconds (of the host for one core under a dense
+    press; `host_calm_s`: where nothing presses); frames a second of all cores of the host; rate
+    asked for; full scale, newtons; accuracy at the rate that is reached; parts of the skin that the
+    host reconstructs by themselves.
     """
 
     strategy: Strategy
@@ -110,15 +83,15 @@ class Row:
 
     @property
     def light_touch_n(self) -> float:
-        """Least force a taxel, newtons, at which a press of 3 x 3 taxels is found in 90 % of cases;
-        NaN where it is not known.
+        """Least force a taxel, newtons, at which a press of 3 x 3 taxels is found; NaN if not
+        known.
         """
         return self.accuracy.light_touch * self.range_n
 
     @property
     def latency_s(self) -> float:
         """Time from the first conversion of a frame to its reconstruction under a dense press,
-        queues left out.
+        without queues.
         """
         return sum(self.stage_s.values()) + HOP_S
 
@@ -138,10 +111,8 @@ def budget(design: Design) -> list[Row]:
 
 
 def row_of(strategy: Strategy, design: Design) -> Row:
-    """Return the row of one strategy.
-
-    The stages overlap, as a frame is converted while the one before it is sent: the rate is that of
-    the slowest stage, and the latency the sum of all.
+    """Return the row of one strategy. The stages overlap, as a frame is converted while the one
+    before it is sent: the rate is that of the slowest, the latency the sum of all.
     """
     n = design.n_taxels
     m = strategy.m(n, design.n_rows)
@@ -172,11 +143,9 @@ def row_of(strategy: Strategy, design: Design) -> Row:
 
 
 def frame_bytes(strategy: Strategy, design: Design) -> int:
-    """Bytes of a frame on the bus.
-
-    Header and checksum of the edge's frames, 15 bytes; M numbers without gaps, of the converter's
-    bits if they are readings, else of the design's; of "adaptive" the choice too, at most 2 bits
-    for each of the about N / 3 nodes of its tree.
+    """Bytes of a frame on the bus: header and checksum of the edge's frames, 15; M numbers without
+    gaps, of the converter's bits if they are readings, else of the design's; of "adaptive" the
+    choice too, at most 2 bits for each of the about N / 3 nodes of its tree.
     """
     n = design.n_taxels
     bits = design.adc.bits if strategy.reads_single else design.bits

@@ -77,20 +77,9 @@ def raster(mask: Mask, bits: int, phis: list[Phi] | None = None) -> Reader:
 
 
 def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int) -> Reader:
-    """Make the reader of a strategy. Raises PhiError or SolverError if the strategy is not possible
-    on that skin.
-
-    Parameters
-    ----------
-    strategy : Strategy
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        True where a taxel exists.
-    noise : float
-        Standard deviation of a taxel's noise, as a part of the range.
-    bits : int
-        Of a value that is read or sent.
-    seed : int
-        Of Phi.
+    """Make the reader of a strategy on a skin, `mask` True where a taxel exists; `noise` of a taxel
+    as a part of the range; `bits` of a value that is read or sent; `seed` of Phi. Raises PhiError
+    or SolverError if the strategy is not possible on it.
     """
     n = int(np.count_nonzero(mask))
     if strategy.phi == "full":
@@ -109,7 +98,7 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
 
 
 def noise_model(noise: float) -> NoiseModel:
-    """Return noise of one standard deviation at all forces, stated as a part of the range."""
+    """Noise of one standard deviation at all forces, stated as a part of the range."""
     return NoiseModel(F_MAX_N, noise * F_MAX_N, noise * F_MAX_N)
 
 
@@ -136,10 +125,7 @@ def presses(
 
 
 def contact_db(reader: Reader, frames: Iterable[tuple[Floats, Floats]]) -> list[float]:
-    """PSNR of each contact frame in dB.
-
-    `frames`: (truth, readings), float32 of shape (n_rows, n_cols), newtons.
-    """
+    """PSNR of each contact frame in dB, of (truth, readings) in newtons."""
     return [
         psnr_db(forces - truth, F_MAX_N)
         for truth, forces in ((truth, reader(taxels)) for truth, taxels in frames)

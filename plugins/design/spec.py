@@ -85,18 +85,9 @@ def _quantity(units: dict[str, float], example: str, low: float, high: float) ->
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a design file, which is an option with two dashes too.
-
-    Attributes
-    ----------
-    default : Any
-        Where it is not stated; None if it has to be, or need not be.
-    about : str
-        One line of help.
-    form : str
-        How a value looks.
-    read : callable
-        Checks a value of a file or option, and returns it; raises SparseskinError.
+    """A key of a design file, which is an option with two dashes too: default (None: it has to be
+    stated, or need not be), a line of help, how a value looks, and what checks a value and returns
+    it.
     """
 
     default: Any
@@ -159,26 +150,9 @@ SIZE_KEYS = ("rows", "cols", "taxels", "points")
 
 @dataclass(frozen=True)
 class Design:
-    """A skin that is not built yet.
-
-    Attributes
-    ----------
-    n_rows, n_cols : int or None
-        Size of the grid; None for a skin of points.
-    n_taxels : int
-    pitch_m, rate_hz, noise_n, range_n : float
-        Distance of taxels in metres, frames a second, standard deviation and full scale in newtons.
-    adc : Adc
-    sums : "digital" or "analog"
-        Where the sums of strategies that leave it open are made.
-    bits : int
-        Bits of a measurement.
-    bus : Bus
-    edge : Edge
-    cores : int
-        Cores of the host.
-    mask : ndarray of bool, shape (rows, columns of a virtual grid), or None
-        True where a taxel exists, of a skin whose points are known.
+    """A skin that is not built yet, in metres, newtons, frames a second. `n_rows`, `n_cols`: None
+    for a skin of points; `sums`: where the sums of strategies that leave it open are made; `mask`:
+    True where a taxel exists, on the virtual grid of a skin whose points are known.
     """
 
     n_rows: int | None
@@ -210,9 +184,7 @@ class Design:
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """Return the keys of a design file; `make_design` checks them. Raises SettingsError if it
-    cannot be read or is no TOML.
-    """
+    """Return the keys of a design file; SettingsError if it cannot be read or is no TOML."""
     try:
         with path.open(encoding="utf-8") as file:
             tree = parse_toml(file.read(1 << 17))
@@ -228,15 +200,9 @@ def read_file(path: Path) -> dict[str, Any]:
 
 
 def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: ") -> Design:
-    """Check the keys of a design, each by itself and against the others. Raises SettingsError with
-    a line for each key that is not known or not allowed: key, value, and what is allowed.
-
-    Parameters
-    ----------
-    stated : mapping
-        Values by the names of `KEYS`; others have their defaults.
-    place : callable
-        What an error begins with, by the key that it is about.
+    """Check the keys of a design, each by itself and against the others; those not stated have
+    their defaults. Raises SettingsError with a line for each that is not known or not allowed: what
+    `place` returns for the key, value, what is allowed.
     """
     faults = [
         f"{place(key)}unknown key{did_you_mean(key, KEYS)}" for key in stated if key not in KEYS

@@ -15,20 +15,9 @@ COMMON_RATIO = 4.0
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to read a skin.
-
-    Attributes
-    ----------
-    name : str
-        What it reads, in words: name in tables and in `STRATEGIES`.
-    phi : str
-        Kind of the measurement matrix, as `make_phi` takes it.
-    ratio : float
-        N / M, 1 or more.
-    rows : "fixed" or "rotating"
-        As the setting `rows` of the compressor.
-    sums : "analog", "digital" or "single"
-        Where sums are made, if a design does not state it: see `ANALOG`.
+    """A way to read a skin: its name in words, as in tables and `STRATEGIES`; kind of the
+    measurement matrix, as `make_phi` takes it; N / M, 1 or more; rows as of the compressor, "fixed"
+    or "rotating"; where sums are made, if a design does not state it: see `ANALOG`.
     """
 
     name: str
@@ -43,14 +32,8 @@ class Strategy:
         return self.sums == SINGLE
 
     def m(self, n_taxels: int, n_rows: int | None = None) -> int:
-        """Number of measurements M of a frame.
-
-        Parameters
-        ----------
-        n_taxels : int
-        n_rows : int, optional
-            Rows of the grid; M of `row_local` is a whole number of patterns of so many rows, one of
-            all columns and one more at least.
+        """Number of measurements M of a frame; of `row_local` a whole number of patterns of
+        `n_rows` rows of the grid, one of all columns and one more at least.
         """
         m = max(1, m_of(n_taxels, self.ratio, self.rows))
         if self.phi == "row_local" and n_rows:

@@ -40,10 +40,8 @@ CRC_BYTES = 2
 
 @dataclass(frozen=True)
 class EdgeDescription(Settings):
-    """The matrix, the quantiser and the input of an edge. Raises SparseskinError if a value is not
-    allowed.
-
-    `rule` is the rule by which rows are chosen, as in `SbhePhi`.
+    """The matrix (`rule`: that of its rows, as in `SbhePhi`), the quantiser and the input of an
+    edge. Raises SparseskinError if a value is not allowed.
     """
 
     n_rows: int = setting(1, "rows of the grid of cells", low=1, high=MAX_SIDE)
@@ -95,7 +93,7 @@ class EdgeDescription(Settings):
     ) -> Self:
         """Describe an edge by its compression ratio, or M, with the rows and M that the compressor
         node chooses for them. Raises SparseskinError as the class, and if the compressor refuses
-        ratio or rows.
+        them.
         """
         texts = None if mask is None else tuple(map("".join, np.where(mask, "1", "0")))
         made = cls(n_rows, n_cols, m=1, mask=texts, **others)
@@ -105,7 +103,7 @@ class EdgeDescription(Settings):
 
     @property
     def n_cells(self) -> int:
-        """Number of cells of a frame, whether they hold a taxel or not."""
+        """Number of cells of a frame, with a taxel or without."""
         return self.n_rows * self.n_cols
 
     @cached_property

@@ -48,7 +48,7 @@ def export(description: EdgeDescription, out: Path) -> None:
 
 
 def config(description: EdgeDescription) -> str:
-    """Return the text of `edge_config.h`: sizes and types."""
+    """Text of `edge_config.h`: sizes and types."""
     d = description
     step_of_zeros = int(np.float32(SMALLEST / largest_code(d.bits)).view(np.uint32))
     named = ("n_rows", "n_cols", "n_cells", "n_taxels", "m", "bits", "count_bytes", "frame_bytes")
@@ -65,7 +65,7 @@ def config(description: EdgeDescription) -> str:
 
 
 def tables(description: EdgeDescription) -> str:
-    """Return the text of `edge_tables.c`: the permutation, the rows and the scales."""
+    """Text of `edge_tables.c`: the permutation, the rows and the scales."""
     d = description
     groups = []
     for size, count in _groups(d):
@@ -92,7 +92,7 @@ def tables(description: EdgeDescription) -> str:
 
 
 def vectors(description: EdgeDescription) -> str:
-    """Return the text of `edge_vectors.h`: the hash of each test frame's bytes."""
+    """Text of `edge_vectors.h`: the hash of each test frame's bytes."""
     n_vectors = len(description.subsets) + 6
     frames = (check_counts(description, k) for k in range(n_vectors))
     hashes = [fnv1a(sent) for sent in compressed(description, frames)]
@@ -101,7 +101,7 @@ def vectors(description: EdgeDescription) -> str:
 
 
 def readme(description: EdgeDescription) -> str:
-    """Return the text of `README.md`."""
+    """Text of `README.md`."""
     d = description
     masked = "" if d.mask is None else f", {d.n_taxels} of which hold a taxel"
     tags = ", ".join(f"`{tag:08x}`" for tag in d.tags)

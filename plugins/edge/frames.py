@@ -25,8 +25,8 @@ VERSION = 1
 
 
 class EdgeFrame(NamedTuple):
-    """The payload of a frame: fingerprint of its matrix, size of a code's step in counts, and the
-    codes, int32 (m,).
+    """The payload of a frame: fingerprint of its matrix, size of a code's step in counts, codes
+    int32 (m,).
     """
 
     phi: str
@@ -39,41 +39,26 @@ class EdgeFrame(NamedTuple):
 
 
 def framing_of(description: EdgeDescription) -> Framing:
-    """Return the framing of an edge's frames."""
     return Framing(
         _HEAD.size + description.code_bytes, start=b"\xaa\x55", sequence_bytes=2, checksum="crc16"
     )
 
 
 def frame_bytes(description: EdgeDescription, seq: int, phi: str, y: Quantised) -> bytes:
-    """Return the bytes that the edge sends for the measurements of a frame.
-
-    Parameters
-    ----------
-    description : EdgeDescription
-    seq : int
-        Number of the frame; it is sent modulo 65536.
-    phi : str
-        Fingerprint of the matrix.
-    y : Quantised
-        Measurements of shape (m,) in counts, of `description.bits` bits.
+    """The bytes that the edge sends for frame `seq`, modulo 65536, of the matrix with fingerprint
+    `phi`; `y`: measurements (m,) in counts, of `description.bits` bits.
     """
     head = _HEAD.pack(VERSION, int(phi[:8], 16), y.step)
     return framing_of(description).encode(head + packed(y.codes(), description.bits), seq)
 
 
 def compressed(description: EdgeDescription, frames: Iterable[Counts]) -> Iterator[bytes]:
-    """Yield the bytes that the edge sends for successive frames of counts.
+    """Yield the bytes that the edge sends for successive frames of counts, uint16 (n_rows, n_cols);
+    those above full scale are read as full scale.
 
     Sums of counts are exact in float32, so that they are the same in integers. The float32
     operations that follow (a product with 1 / sqrt(B), two quotients) are rounded as IEEE 754
     states, which the program does in integers.
-
-    Parameters
-    ----------
-    description : EdgeDescription
-    frames : iterable of ndarray of uint16, shape (n_rows, n_cols)
-        Counts; those above full scale are read as full scale.
     """
     subsets = description.subsets
     for seq, counts in enumerate(frames):
@@ -90,8 +75,7 @@ def stated(payload: bytes) -> str:
 
 
 def read_frame(description: EdgeDescription, payload: bytes) -> EdgeFrame | None:
-    """Read a payload; None if its form is another one, its matrix none of
-    the description, or its step not above 0."""
+    """Read a payload; None if its form or matrix is another one, or its step not above 0."""
     d = description
     version, tag, step = _HEAD.unpack_from(payload)
     phi = d.tags.get(tag)

@@ -20,16 +20,9 @@ KEYS = {"serial": ("baud",), "udp": ("bind", "sender")}
 
 
 def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Board:
-    """Describe the wire that a source names, without opening it. Raises SourceError if the source
-    has another form, or a key or value is not allowed.
-
-    Parameters
-    ----------
-    source : str
-        "serial:DEVICE", "serial:DEVICE?baud=2000000", "udp:PORT" or "udp:PORT?bind=ADDRESS".
-    description : EdgeDescription
-    skin : Skin
-        The skin whose forces are measured.
+    """Describe the wire "serial:DEVICE[?baud=NUMBER]" or "udp:PORT[?bind=ADDRESS]", without opening
+    it; `skin`: the one whose forces are measured. Raises SourceError if the source has another
+    form, or a key or value is not allowed.
     """
     kind, address, query = split_source(source)
     if kind not in KEYS or not address:
@@ -53,12 +46,8 @@ class EdgeWire(BoardSource):
     """Payloads from a wire; the device, lost and damaged frames are treated as of other boards."""
 
     def next_payload(self, wait_s: float) -> tuple[int, bytes] | None:
-        """Return the next payload; None if none came in `wait_s` seconds.
-
-        Returns
-        -------
-        tuple of int and bytes, or None
-            Time at which its last byte came on the monotonic clock, nanoseconds; the payload.
+        """Time at which the last byte of the next payload came on the monotonic clock, nanoseconds,
+        and the payload; None if none came in `wait_s` seconds.
         """
         if not self._waiting:
             self.receive(wait_s)

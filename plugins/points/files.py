@@ -52,13 +52,8 @@ _LEAST_NORMAL = 0.5
 
 
 def load_points(layout: str) -> Points:
-    """Read a layout. Raises SourceError if the file is missing, too large, of an unknown suffix or
-    malformed, or there is no such example.
-
-    Parameters
-    ----------
-    layout : str
-        A path, or `example:NAME`.
+    """Read a layout, a path or `example:NAME`. Raises SourceError if the file is missing, too
+    large, of an unknown suffix or malformed, or there is no such example.
     """
     if layout.startswith(EXAMPLE):
         name = layout.removeprefix(EXAMPLE)

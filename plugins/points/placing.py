@@ -62,20 +62,8 @@ WINDOW = 2
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The virtual grid of a layout.
-
-    Attributes
-    ----------
-    points : Points
-        The layout.
-    shape : (int, int)
-        Rows and columns of the grid.
-    cells : ndarray of intp, shape (n,)
-        Flat cell of each point, no two the same.
-    pitch_m : float
-        Median distance of neighbours, metres.
-    n_parts : int
-        Parts of the skin without a common neighbour.
+    """The virtual grid of a layout: rows and columns; the flat cell of each point, intp (n,), no
+    two the same; median distance of neighbours, metres; parts without a common neighbour.
     """
 
     points: Points
@@ -122,20 +110,9 @@ class Placement:
             )
 
     def on_grid(self, values: npt.NDArray[Any], unused: float = 0.0) -> npt.NDArray[Any]:
-        """Readings in the order of the layout on the grid. Raises SourceError if their number is
-        another.
-
-        Parameters
-        ----------
-        values : ndarray
-            n or n_slots readings, any shape.
-        unused : float
-            Value of cells without a taxel.
-
-        Returns
-        -------
-        ndarray, shape `shape`
-            Of the same dtype.
+        """n or n_slots readings of any shape, in the order of the layout, on the grid: shape
+        `shape`, same dtype, `unused` in cells without a taxel. Raises SourceError if their number
+        is another.
         """
         flat = values.reshape(-1)
         points = self.points
@@ -148,8 +125,8 @@ class Placement:
 
 
 def placed(layout: str) -> Placement:
-    """The placement of a layout, as `load_points` reads it; remembered while the file stays.
-    Raises SourceError as `load_points` and `place` do.
+    """The placement of a layout; remembered while the file stays. Raises SourceError as
+    `load_points` and `place` do.
     """
     try:
         state = Path(layout).stat()

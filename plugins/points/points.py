@@ -20,9 +20,7 @@ all neighbours on a square grid."""
 
 
 def check_places(name: str, places: Doubles) -> None:
-    """Raise SourceError if a place, float64 (n, 3) in metres, is far away; `name` is that of the
-    file.
-    """
+    """Raise SourceError if a place of a file, float64 (n, 3) in metres, is far away."""
     if (k := first_far(places)) is not None:
         text = f"taxel {k} is not within {MAX_COORDINATE_M:g} m; is its unit right?"
         raise SourceError(f"{name}: {text}")
@@ -32,22 +30,10 @@ def check_places(name: str, places: Doubles) -> None:
 class Points:
     """Taxels at free places. Raises SourceError if there are none or too many, or one is far away.
 
-    Attributes
-    ----------
-    name : str
-        The file, or the example.
-    places : ndarray of float64, shape (n, 3)
-        Metres.
-    normals : ndarray of float64, shape (n, 3)
-        Outward, of length 1.
-    slots : ndarray of intp, shape (n,)
-        Which reading of a frame is that of each taxel, 0 .. n_slots - 1.
-    n_slots : int
-        Readings of a frame; those without a taxel are ignored.
-    notes : tuple of str
-        What was estimated or left out, a line each.
-    layout : str
-        Absolute path of the file, or `example:NAME`.
+    `name`: the file, or the example; `places` in metres, outward `normals` of length 1, float64 (n,
+    3) each; `slots`: which of the `n_slots` readings of a frame is that of each taxel, intp (n,),
+    the others being ignored; `notes`: what was estimated or left out, a line each; `layout`:
+    absolute path of the file, or `example:NAME`.
     """
 
     name: str

@@ -91,16 +91,8 @@ class _Course:
 
 
 class PointScene(Source):
-    """A scene on points as a source of true forces, endlessly repeatable.
-
-    Parameters
-    ----------
-    name : str
-        One of `SCENES`.
-    placement : Placement
-        The layout, and its virtual grid.
-    seed : int
-        Of the places on the course.
+    """A scene of `SCENES` on a placement as a source of true forces, endlessly repeatable; `seed`:
+    of the places on the course.
     """
 
     delivers = "truth"

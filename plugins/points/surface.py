@@ -45,14 +45,8 @@ MOST_OUTWARD = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Pairs of neighbours, each in both directions.
-
-    Attributes
-    ----------
-    a, b : ndarray of intp, shape (n_edges,)
-        Points.
-    length : ndarray of float64, shape (n_edges,)
-        Metres.
+    """Pairs of neighbours a, b, each in both directions, and their distance in metres, (n_edges,)
+    each.
     """
 
     a: Indices
@@ -105,19 +99,9 @@ def parts(edges: Edges, n: int) -> list[Indices]:
 
 
 def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
-    """Coordinates in a plane of the points of one part, seen from outside.
-
-    Parameters
-    ----------
-    places, normals : ndarray of float64, shape (n, 3)
-        Metres; of length 1.
-    edges : Edges
-        Their neighbours.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 2)
-        Metres; the second axis points up, as far as the skin has an upper end.
+    """Coordinates in a plane of the points of one part, seen from outside: float64 (n, 2), metres.
+    The second axis points up, as far as the skin has an upper end. `places`, `normals`: (n, 3), in
+    metres and of length 1.
     """
     n = len(places)
     if n < 4:

@@ -36,16 +36,9 @@ _WHOLE = 0.02
 class Pad:
     """A skin in a model: a box site, whose face at its largest z is the plane of the taxels.
 
-    Attributes
-    ----------
-    site, body : int
-        Ids of the site and of its body.
-    shape : (n_rows, n_cols)
-        Taxels along the site's y and x; taxel (0, 0) is at the smallest x and y.
-    pitch_m, stiffness, damping, depth_m : float
-        Pitch in m, k in N/m and c in N s/m of each taxel, and the deepest penetration read, in m.
-    top_m : float
-        Height of the plane over the middle of the site, in m.
+    Ids of site and body; rows and columns along the site's y and x, taxel (0, 0) at the smallest x
+    and y; pitch in m, k in N/m and c in N s/m of each taxel, deepest penetration read, in m; height
+    of the plane over the middle of the site, in m.
     """
 
     site: int

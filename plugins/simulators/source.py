@@ -30,24 +30,13 @@ Control = Callable[[Any, Any, float], None]
 class MujocoSource(Source):
     """A simulation whose taxels are read 1000 times a second of its time.
 
-    Every iteration runs it from its beginning. Without `control`, the model's keyframes drive it
-    where their times rise: controls and mocap poses are interpolated between them, and the last one
-    ends it. The first keyframe is the initial state in any case. Raises SourceError as
-    `check_model`; while it runs, if the simulation diverges or `control` fails.
-
-    Parameters
-    ----------
-    source : str
-        mujoco:MODEL.xml#SITE, or MODEL.xml#SITE.
-    f_max : float, optional
-        Upper end of the range, newtons; 2.5 by default. Greater forces are clipped, as a taxel
-        saturates; the body feels them in full.
-    n_rows, n_cols : int, optional
-        Shape that the skin must have.
-    control : callable, optional
-        A program for the actuators, called as `control(model, data, time_s)` before each step.
-    duration_s : float, optional
-        Simulated time after which it ends.
+    Every iteration runs it from its beginning. Without `control`, called as `control(model, data,
+    time_s)` before each step, the model's keyframes drive it where their times rise: controls and
+    mocap poses are interpolated between them, and the last one ends it, or `duration_s`. The first
+    keyframe is the initial state in any case. `source`: mujoco:MODEL.xml#SITE, or MODEL.xml#SITE.
+    Forces above `f_max` (2.5 N by default) are clipped, as a taxel saturates; the body feels them
+    in full. `n_rows`, `n_cols`: shape that the skin must have. Raises SourceError as `check_model`;
+    while it runs, if the simulation diverges or `control` fails.
     """
 
     delivers = "truth"

@@ -37,20 +37,9 @@ _SEEN, _UNSEEN = 5, 4
 class Touch:
     """The taxels of one skin in a simulation. Raises SourceError if no geom can touch the skin.
 
-    Parameters
-    ----------
-    model, data : MjModel, MjData
-        The simulation; `read` and `press` expect positions and velocities of one state, as after
-        `mj_step1` or `mj_forward`.
-    pad : Pad
-        The skin.
-    path : str
-        Name of the model, for errors.
-
-    Attributes
-    ----------
-    presses : bool
-        True if the taxels bear the load: no geom of the skin's body collides.
+    `read` and `press` expect positions and velocities of one state in `data`, as after `mj_step1`
+    or `mj_forward`. `presses`: True if the taxels bear the load: no geom of the skin's body
+    collides.
     """
 
     def __init__(self, model: Any, data: Any, pad: Pad, path: str = "model") -> None:

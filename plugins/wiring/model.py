@@ -16,18 +16,8 @@ _OFF_GRID = np.array([0.31, 0.17])
 
 @dataclass(frozen=True)
 class Wiring:
-    """Wires of a skin, and what its converters do.
-
-    Attributes
-    ----------
-    length : float
-        Length of all wires, in pitches (distances of neighbouring taxels).
-    crossings : int
-        Number of places where two wires cross.
-    wires_a_taxel : float
-        Wires that leave the skin or end in an amplifier, for each taxel.
-    conversions : int
-        Conversions from analog to digital a frame.
+    """Wires of a skin: length of all, in pitches; places where two cross; wires that leave the skin
+    or end in an amplifier, for each taxel; conversions from analog to digital a frame.
     """
 
     length: float
@@ -42,18 +32,8 @@ def star_wiring(groups: list[Indices], cells: Indices, n_cols: int, conversions:
     Each taxel has a wire of its own to the amplifier, which stands at the median row and column of
     its group, where the sum of the lengths is least. A wire runs along rows and columns, so that
     its length is |rows| + |columns|. Crossings are counted of straight wires: pairs of wires of
-    different groups that cross.
-
-    Parameters
-    ----------
-    groups : list of ndarray of intp
-        Numbers of the taxels of each group.
-    cells : ndarray of intp, shape (n,)
-        Cell of each taxel, row r and column c being r n_cols + c.
-    n_cols : int
-        Columns of the grid.
-    conversions : int
-        Conversions a frame.
+    different groups that cross. `groups`: numbers of the taxels of each; `cells`: cell of each
+    taxel, intp (n,), row r and column c being r n_cols + c.
     """
     places = np.stack(np.divmod(cells, n_cols), axis=1).astype(np.float64)
     sizes = [len(group) for group in groups]
@@ -96,12 +76,8 @@ def array_wiring(n_rows: int, n_cols: int, conversions: int) -> Wiring:
 def count_crossings(
     begins: npt.NDArray[np.float64], ends: npt.NDArray[np.float64], group_of: npt.NDArray[np.intp]
 ) -> int:
-    """Number of pairs of straight lines of different groups that cross within both.
-
-    Parameters
-    ----------
-    begins, ends : ndarray of float64, shape (k, 2)
-    group_of : ndarray of int, shape (k,)
+    """Number of pairs of straight lines of different groups that cross within both; (k, 2) and
+    (k,).
     """
     total = 0
     for k in range(0, len(begins), _CHUNK):

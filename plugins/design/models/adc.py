@@ -18,22 +18,10 @@ _ADC = re.compile(r"(\d{1,2})\s*bits?\s*@\s*(.+)", re.ASCII)
 class Adc:
     """Converters behind multiplexers.
 
-    The time of one conversion is that of the converter and, where stated, of what settles after the
-    multiplexer has switched: 1 / rate + settling. Converters that run at once share the conversions
-    of a frame: t = ceil(conversions / converters) (1 / rate + settling).
-
-    Attributes
-    ----------
-    bits : int
-        Bits of a reading, 4..24.
-    rate_hz : float
-        Conversions a second of one converter, as its data sheet states them.
-    converters : int
-        Converters that run at once.
-    settling_s : float
-        Time that a conversion waits after the multiplexer has switched, seconds. Where the signal
-        settles through a resistance R into a capacitance C to half a step of B bits, it is
-        (B + 1) R C ln 2.
+    Those that run at once share the conversions of a frame: t = ceil(conversions / converters) (1 /
+    rate + settling); `bits` of a reading, 4..24; `rate_hz` of one converter by its data sheet;
+    `settling_s` after the multiplexer has switched, which through a resistance R into a capacitance
+    C to half a step of B bits is (B + 1) R C ln 2.
     """
 
     bits: int
@@ -55,9 +43,7 @@ class Adc:
 
 
 def read_adc(text: object) -> Adc:
-    """Return one converter that a text such as "10bit@200kS/s" states. Raises SettingsError if the
-    text has another form.
-    """
+    """One converter that a text such as "10bit@200kS/s" states; SettingsError for other forms."""
     found = _ADC.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None
     if found is None:
         raise SettingsError(f"{shown(text)}: expected bits and conversions a second, as {FORM}")

@@ -73,14 +73,8 @@ FORMS = "serial:2M, can:1M, can-fd[:1M/5M], spi:20M, udp[:100M]"
 
 @dataclass(frozen=True)
 class Bus:
-    """A bus that carries the frames of a skin in frames of its own.
-
-    Attributes
-    ----------
-    kind : str
-        A name in `KINDS`.
-    rates : tuple of float
-        Bits a second: of UART its baud, of SPI its clock, of CAN FD arbitration and data.
+    """A bus that carries the frames of a skin in frames of its own; `rates` in bits a second: of
+    UART its baud, of SPI its clock, of CAN FD arbitration and data.
     """
 
     kind: str
@@ -103,9 +97,7 @@ class Bus:
 
 
 def read_bus(text: object) -> Bus:
-    """Return the bus that a text states: see `FORMS`. Raises SettingsError if the text has another
-    form.
-    """
+    """The bus that a text states: see `FORMS`. Raises SettingsError for other forms."""
     kind, _, rate = text.partition(":") if isinstance(text, str) else ("", "", "")
     kind, rate = kind.strip(), rate.strip()
     if kind not in KINDS:

@@ -33,16 +33,9 @@ class Cost:
 
 
 def cost(strategy: str, n_taxels: int) -> Cost:
-    """Return the stored cost of a frame of one patch.
-
-    Between the stored sizes, log(time) is linear in log(taxels); below the smallest, the cost is
-    that of the smallest, and beyond `LARGEST` in proportion to the taxels.
-
-    Parameters
-    ----------
-    strategy : str
-        A name in `STRATEGIES`.
-    n_taxels : int
+    """Return the stored cost of a frame of one patch. Between the stored sizes, log(time) is linear
+    in log(taxels); below the smallest, the cost is that of the smallest, and beyond `LARGEST` in
+    proportion to the taxels.
     """
     table = stored()["cost"]
     sizes = sorted(int(size) for size in table)

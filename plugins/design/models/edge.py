@@ -27,12 +27,8 @@ _M4 = re.compile(r"cortex-m4\s*@\s*(.+)", re.ASCII)
 
 @dataclass(frozen=True)
 class Edge:
-    """The processor beside the skin.
-
-    Attributes
-    ----------
-    clock_hz : float or None
-        Clock of a Cortex-M4; None for a computer with Linux like the one that was measured.
+    """The processor beside the skin: clock of a Cortex-M4, or None for a computer with Linux like
+    the one that was measured.
     """
 
     clock_hz: float | None
@@ -45,15 +41,8 @@ class Edge:
     def seconds(
         self, strategy: str, n_taxels: int, readings: int, sums: int, n_bytes: int
     ) -> float:
-        """Time of a frame, seconds.
-
-        Parameters
-        ----------
-        strategy : str
-            A name in `STRATEGIES`, for Linux.
-        n_taxels, readings, sums, n_bytes : int
-            Taxels of the skin; readings that are processed, measurements that are scaled and
-            rounded, and bytes that are sent in a frame, for a microcontroller.
+        """Time of a frame, seconds: on Linux of a strategy of `STRATEGIES` on so many taxels; on a
+        microcontroller of readings processed, sums scaled and rounded, and bytes sent.
         """
         if self.clock_hz is None:
             return cost(strategy, n_taxels).edge_s
@@ -66,8 +55,8 @@ def instructions(readings: int, sums: int, n_bytes: int) -> int:
 
 
 def read_edge(text: object) -> Edge:
-    """Return the edge that a text states: "cortex-m4@168MHz" or "linux". Raises SettingsError if
-    the text has another form.
+    """The edge that a text states: "cortex-m4@168MHz" or "linux". Raises SettingsError for other
+    forms.
     """
     if text == LINUX:
         return Edge(None)

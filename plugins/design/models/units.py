@@ -23,19 +23,9 @@ _MAX_CHARS = 40
 
 
 def quantity(text: object, units: dict[str, float], example: str, low: float, high: float) -> float:
-    """Return a quantity in SI units. Raises SettingsError if the text has another form, another
-    unit, or is out of range.
-
-    Parameters
-    ----------
-    text : str
-        A decimal number of at most 40 characters, and one of the units.
-    units : dict of str to float
-        Units, and their size in SI units; "" if it may have none.
-    example : str
-        A quantity that is allowed, for the text of an error.
-    low, high : float
-        Smallest and largest allowed value in SI units.
+    """Return a quantity in SI units: a decimal number of at most 40 characters and one of `units`,
+    which have their size in SI units ("": none is needed). Raises SettingsError, with an `example`,
+    if the text has another form or unit, or the value is not in low..high.
     """
     found = _QUANTITY.fullmatch(text) if isinstance(text, str) and len(text) <= _MAX_CHARS else None
     if found is None:

@@ -22,18 +22,8 @@ MOST_STAR = 4096
 
 @dataclass(frozen=True)
 class Wires:
-    """Wires of a skin.
-
-    Attributes
-    ----------
-    lines : int
-        Wires that leave the skin or end in an amplifier on it.
-    crossings : int or None
-        Places where two of them cross; None where they were not counted.
-    length_m : float or None
-        Length of all wires, metres; None where it is not known.
-    conversions : int
-        Conversions of a frame.
+    """Wires of a skin that leave it or end in an amplifier on it; places where two of them cross
+    (None: not counted); length of all, metres (None: not known); conversions of a frame.
     """
 
     lines: int
@@ -43,11 +33,10 @@ class Wires:
 
 
 def wires_of(strategy: Strategy, design: Design) -> Wires:
-    """Return the wires of a strategy.
-
-    A row-column array has a line a row and column (`array_wiring`). Analog sums of SBHE have a wire
-    a taxel (`star_wiring`). Of points, the array is the smallest near square that has as many
-    crossings; its length depends on the surface and is not known.
+    """Return the wires of a strategy. A row-column array has a line a row and column
+    (`array_wiring`), analog sums of SBHE a wire a taxel (`star_wiring`). Of points, the array is
+    the smallest near square, with as many crossings; its length depends on the surface and is not
+    known.
     """
     n = design.n_taxels
     m = strategy.m(n, design.n_rows)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sparseskin.plugins.boards.checksums import BLOCK, CHECKSUMS
+from sparseskin.plugins.boards.checksums import CHECKSUMS
 from sparseskin.plugins.boards.framing import (
     MAX_CHECKS,
     Counts,
@@ -64,7 +64,7 @@ def test_a_checksum_of_the_digits_is_that_of_the_catalogue():
     }
 
 
-@pytest.mark.parametrize("n", [64, BLOCK - 1, BLOCK, BLOCK + 1, BLOCK + 2, 2 * BLOCK + 1])
+@pytest.mark.parametrize("n", [1, 64, 65, 8192])
 def test_a_frame_before_its_crc_leaves_no_remainder(n):
     compute = CHECKSUMS["crc16_modbus"].compute
     data = bytes(k * k % 251 for k in range(n))

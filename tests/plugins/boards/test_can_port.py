@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.plugins.boards.can_chunks import Assembler, Chunks, chunks_of
+from sparseskin.plugins.boards.can_port import Assembler, Chunks, chunks_of
 from sparseskin.plugins.boards.framing import Counts, Framing
 from sparseskin.plugins.boards.settings import CanSettings
 
