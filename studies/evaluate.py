@@ -11,10 +11,10 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import block_and_rule, row_subsets, rows_and_m
+from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N, Skin
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, phis_for
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.rotation import block_and_rule, rows_and_m
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SolverError, SparseskinError
 from sparseskin.nodes.lookup import find_class
@@ -166,16 +166,25 @@ class Alone:
 
 
 def phis_at(
-    n: int, ratio: float, rows: str, seed: int, kind: str = "sbhe", block: int | None = None
+    skin: Skin,
+    ratio: float,
+    rows: str,
+    seed: int,
+    *,
+    phi: str = "sbhe",
+    block: int | None = None,
+    sigma_end: float = 0.0,
+    m: int | None = None,
 ) -> list[Phi]:
-    """Matrices that frames take in turn at a ratio N / M.
+    """Matrices that frames take in turn at a ratio N / M, or of M = `m`, laid out on a skin.
 
     M is rounded down where rows are fixed, and up where they rotate, so that all row subsets
     together hold every row. `rows` "paper" are the paper's, fixed. `block`: size of the Hadamard
-    blocks; None: that of the kind.
+    blocks; None: that of the kind. `sigma_end`: as of `make_method`.
     """
-    kept, m = rows_and_m(kind, n, rows=rows, ratio=ratio)
-    return row_subsets(make_phi(kind, n, m, seed, **block_and_rule(rows, block)), kept)
+    kept, m = rows_and_m(phi, skin.n_taxels, rows=rows, ratio=ratio, m=m)
+    parameters = {"kind": phi, "m": m, "seed": seed, **block_and_rule(rows, block)}
+    return phis_for(skin, sigma_end, True, kept, **parameters)
 
 
 def make_method(
@@ -185,11 +194,10 @@ def make_method(
     seed: int,
     *,
     rows: str,
-    phi: str = "sbhe",
     mask: Mask | None = None,
     f_max_n: float = PAPER_F_MAX_N,
     sigma_end: float = 0.0,
-    block: int | None = None,
+    **how: Any,
 ) -> Method:
     """Make a method by the names of its parts.
 
@@ -199,13 +207,12 @@ def make_method(
         solver, basis ("haar" where absent) and the solver's settings, as in `PRESETS`.
     shape, mask
         Rows and columns of the skin; True where a taxel exists (None: everywhere).
-    ratio, rows, phi, block
-        As for `phis_at`; `phi`: kind of Phi, drawn by `seed`.
+    ratio, seed, rows, how
+        As for `phis_at`.
     f_max_n, sigma_end : float
-        Upper end of the taxels' range, and standard deviation of an untouched taxel's noise (0 if
-        it is not known), newtons, as the skin states them to phi "adaptive" and to the solver.
-        Settings are used as
-        stated, whatever the range.
+        Upper end of the taxels' range, and standard deviation of an untouched taxel's noise (0: not
+        known), newtons, as the skin states them to phi "adaptive" and to the solver. Settings are
+        used as stated, whatever the range.
 
     Raises
     ------
@@ -213,14 +220,13 @@ def make_method(
         If a name or setting is unknown or not allowed, or the parts do not fit.
     """
     settings = {key: value for key, value in chosen.items() if key not in ("solver", "basis")}
-    n = shape[0] * shape[1] if mask is None else int(np.count_nonzero(mask))
-    phis = phis_at(n, ratio, rows, seed, phi, block)
-    layout(phis[0], np.ones(shape, dtype=np.bool_) if mask is None else mask, sigma_end, f_max_n)
+    skin = Skin(*shape, f_max_n, mask=mask)
+    phis = phis_at(skin, ratio, rows, seed, sigma_end=sigma_end, **how)
     basis = make_basis(chosen.get("basis", "haar"), *shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask, **settings)
     if sigma_end:
         paper = NoiseModel()
-        sigma_mid = sigma_end * paper.sigma_mid / paper.sigma_end
+        sigma_mid = min(f_max_n, sigma_end * paper.sigma_mid / paper.sigma_end)
         solver.noise_of = NoiseModel(f_max_n, sigma_mid, sigma_end).variance
     return Method(solver, phis)
 

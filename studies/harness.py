@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
@@ -110,7 +110,8 @@ class Candidate:
     def _variation(self, at: Measurement, take: Take, seed: int) -> Estimator:
         from .baselines.libraries import TotalVariation  # needs sigpy
 
-        (phi, *_) = phis_at(take.n, at.ratio, at.rows, seed, at.phi, at.block)
+        skin = Skin(*take.mask.shape, take.f_max, mask=take.mask)
+        (phi, *_) = phis_at(skin, at.ratio, at.rows, seed, phi=at.phi, block=at.block)
         weight = self.settings["weight"] * take.f_max / PAPER_F_MAX_N
         return TotalVariation(phi, take.mask, weight, self.settings["iterations"])
 

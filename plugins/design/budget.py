@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from sparseskin.messages.quantised import n_bytes
 from sparseskin.plugins.edge.description import CRC_BYTES, HEADER_BYTES
+from sparseskin.plugins.wiring.model import Wiring
 
 from .models.costs import HOP_S, LARGEST, cost
-from .models.wires import Wires, wires_of
+from .models.wires import wires_of
 from .spec import Design
 from .strategies import STRATEGIES, Strategy
 
@@ -46,7 +47,7 @@ class Row:
 
     strategy: Strategy
     m: int
-    wires: Wires
+    wires: Wiring
     n_bytes: int
     stage_s: dict[str, float]
     host_calm_s: float

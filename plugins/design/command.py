@@ -58,7 +58,7 @@ def _design(arguments: argparse.Namespace) -> int:
 
         rows = budget(design)
         if not arguments.no_accuracy:
-            from .accuracy import simulated
+            from .simulation import simulated
 
             rows = simulated(rows, design, arguments.scenes)
         print(text.terminal(rows, design))

@@ -1,4 +1,4 @@
-"""Simulation of a skin that is read by a strategy: presses in physical time, noise, converter.
+"""Accuracy of each strategy on the skin of a design, by simulations that the command runs.
 
 Presses
     `N_SCENES` scenes: each body of `presses.BODIES` with each course of `presses.COURSES`. Bodies
@@ -18,26 +18,31 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator
-from typing import TypeAlias
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 import numpy as np
+from scipy.special import stdtrit
+from tqdm import tqdm
 
-from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.adaptive import layout
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.monitor.metrics import psnr_db
-from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, Timing, press_frames
+from sparseskin.nodes.tasks.results import computed
 from sparseskin.nodes.touch import in_contact
-from sparseskin.studies.evaluate import Method
+from sparseskin.studies.evaluate import make_method, phis_at
 
-from .strategies import N_SCENES, SINGLE, Strategy
+from .budget import Accuracy, Row
+from .spec import Design
+from .strategies import FEW_SCENES, N_SCENES, Strategy
 
 F_MAX_N = PAPER_F_MAX_N
 SPEED = 20.0
@@ -51,7 +56,8 @@ N_UNTOUCHED = 16
 """Untouched frames at the begin: in as many, rotating rows of N/16 have read all rows."""
 ACTIVE = (0.03, 0.2)
 """Parts of the taxels that bodies touch. Chosen: from a fingertip to a forearm that leans on."""
-
+WITHIN = 0.9
+"""Part of the scenes that lie within the band."""
 
 Reader: TypeAlias = "Callable[[Floats], Floats]"
 """A strategy's edge and host: forces from a frame's readings, both float32 of shape (n_rows,
@@ -81,18 +87,15 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     as a part of the range; `bits` of a value that is read or sent; `seed` of Phi. Raises PhiError
     or SolverError if the strategy is not possible on it.
     """
+    how: dict[str, Any] = {"rows": strategy.rows, "phi": strategy.phi}
+    shape = (mask.shape[0], mask.shape[1])
     n = int(np.count_nonzero(mask))
-    if strategy.phi == "full":
-        return raster(mask, bits)
-    phi = make_phi(strategy.phi, n, strategy.m(n, mask.shape[0]), seed)
-    layout(phi, mask, noise * F_MAX_N, F_MAX_N)
-    phis = row_subsets(phi, strategy.rows)
-    if strategy.sums == SINGLE:
-        return raster(mask, bits, phis)
-    chosen = PRESETS["skin"]
-    basis = make_basis(chosen["basis"], *mask.shape)
-    solver = make_rotating_solver(chosen["solver"], phis, basis, mask)
-    method = Method(solver, phis)
+    if strategy.reads_single:
+        phis = phis_at(Skin(*shape, F_MAX_N, mask=mask), strategy.ratio, seed=seed, **how)
+        return raster(mask, bits, None if strategy.phi == "full" else phis)
+    how |= {"mask": mask, "f_max_n": F_MAX_N, "sigma_end": noise * F_MAX_N}
+    m = strategy.m(n, mask.shape[0])
+    method = make_method(PRESETS["skin"], shape, strategy.ratio, seed, m=m, **how)
     method.bits = bits
     return lambda taxels: method.reconstruct(taxels).forces
 
@@ -190,3 +193,89 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
             return part
         part *= LADDER
     return math.nan
+
+
+def grid_of(design: Design) -> Mask:
+    """Cells on which a skin is simulated, True where a taxel exists: bool (n_rows, n_cols). Points
+    are on their virtual grid; those that are only counted on the smallest near square, row by row.
+    """
+    if design.mask is not None:
+        return design.mask
+    if design.n_rows is not None and design.n_cols is not None:
+        return np.ones((design.n_rows, design.n_cols), dtype=np.bool_)
+    side = math.isqrt(design.n_taxels - 1) + 1
+    cells = np.arange(-(-design.n_taxels // side) * side) < design.n_taxels
+    return cells.reshape(-1, side)
+
+
+def simulated(rows: Sequence[Row], design: Design, n_scenes: int = FEW_SCENES) -> list[Row]:
+    """Return rows with the accuracy of their strategies, each at the rate that it reaches, in the
+    first `n_scenes` scenes; in a process each core, with a progress bar on stderr where that is a
+    terminal. Raises SparseskinError as `simulate`.
+    """
+    mask = grid_of(design)
+    tasks = {
+        k: {
+            "strategy": row.strategy,
+            "mask": mask,
+            "noise": design.noise,
+            "bits": design.adc.bits if row.strategy.reads_single else design.bits,
+            "rate_hz": row.reached_hz,
+            "n_scenes": n_scenes,
+        }
+        for k, row in enumerate(rows)
+    }
+    n_workers = min(len(os.sched_getaffinity(0)), len(tasks))
+    executor = f"process:{n_workers}" if n_workers > 1 else "serial"
+    finished = computed(executor, _simulate, tasks)
+    with closing(finished):  # it ends the workers if one of them fails
+        progress = tqdm(
+            finished, "simulated", len(tasks), file=sys.stderr, disable=None, leave=False
+        )
+        found = {k: future.result() for k, future in progress}
+    return [replace(row, accuracy=found[k]) for k, row in enumerate(rows)]
+
+
+def _simulate(task: Mapping[str, Any]) -> Accuracy:
+    """Simulate in another process: arguments of `simulate` by name."""
+    return simulate(**task)
+
+
+def simulate(
+    strategy: Strategy,
+    mask: Mask,
+    noise: float,
+    bits: int,
+    rate_hz: float,
+    seed: int = 0,
+    n_scenes: int = FEW_SCENES,
+) -> Accuracy:
+    """Simulate a strategy on a skin; `strategy`, `mask`, `noise`, `bits` as of `make_reader`,
+    `seed` of scenes, noise and Phi, the first `n_scenes` (2..15) scenes of `simulation`. Raises
+    SparseskinError if the strategy is not possible on it.
+    """
+    dbs = [
+        np.mean(
+            contact_db(
+                make_reader(strategy, mask, noise, bits, seed * N_SCENES + k),
+                presses(k, mask, noise, rate_hz, seed),
+            )
+        )
+        for k in range(n_scenes)
+    ]
+    low, high = band(np.array(dbs))
+    touch = light_touch(make_reader(strategy, mask, noise, bits, seed), mask, noise, seed)
+    return Accuracy(float(np.mean(dbs)), low, high, touch)
+
+
+def band(db: Doubles) -> tuple[float, float]:
+    """Ends of the interval in which the PSNR of a further scene lies in 90 % of cases.
+
+    Mean -/+ t s sqrt(1 + 1 / n) of n scenes, 2 or more; t is of Student's distribution with n - 1
+    degrees of freedom. Source: prediction interval of a normal distribution; Hahn, Meeker,
+    "Statistical Intervals", Wiley, 1991, section 4.7.
+    """
+    n = len(db)
+    factor = float(stdtrit(n - 1, (1 + WITHIN) / 2)) * math.sqrt(1 + 1 / n)
+    mean, half = float(db.mean()), factor * float(db.std(ddof=1))
+    return mean - half, mean + half

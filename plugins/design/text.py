@@ -144,13 +144,13 @@ LEGEND = (
 
 def record(row: Row, design: Design) -> dict[str, object]:
     """A row as plain values with their units in the names."""
-    a = row.accuracy
+    a, length = row.accuracy, row.wires.length
     return {
         "strategy": row.strategy.name,
         "m": row.m,
         "wires": row.wires.lines,
         "crossings": row.wires.crossings,
-        "wire_length_m": row.wires.length_m,
+        "wire_length_m": None if length is None else length * design.pitch_m,
         "conversions": row.wires.conversions,
         "bytes": row.n_bytes,
         "asked_hz": design.rate_hz,

@@ -16,13 +16,14 @@ _OFF_GRID = np.array([0.31, 0.17])
 
 @dataclass(frozen=True)
 class Wiring:
-    """Wires of a skin: length of all, in pitches; places where two cross; wires that leave the skin
-    or end in an amplifier, for each taxel; conversions from analog to digital a frame.
+    """Wires of a skin: those that leave it or end in an amplifier on it; places where two cross
+    (None: not counted); length of all, in pitches (None: not known); conversions from analog to
+    digital a frame.
     """
 
-    length: float
-    crossings: int
-    wires_a_taxel: float
+    lines: int
+    crossings: int | None
+    length: float | None
     conversions: int
 
 
@@ -42,9 +43,9 @@ def star_wiring(groups: list[Indices], cells: Indices, n_cols: int, conversions:
     # Not on a grid point, so that no wire runs through the begin of another.
     ends = medians + _OFF_GRID
     return Wiring(
-        length=float(np.abs(a - medians).sum()),
+        lines=len(a),
         crossings=count_crossings(a, ends, np.repeat(np.arange(len(groups)), sizes)),
-        wires_a_taxel=len(a) / len(cells),
+        length=float(np.abs(a - medians).sum()),
         conversions=conversions,
     )
 
@@ -62,15 +63,10 @@ def array_wiring(n_rows: int, n_cols: int, conversions: int) -> Wiring:
     """Wires of a row-column array: a line along each row and each column.
 
     Length n_rows (n_cols - 1) + n_cols (n_rows - 1); each row crosses each column, which is where
-    the taxel lies; (n_rows + n_cols) / n wires a taxel leave the skin.
+    the taxel lies; all of them leave the skin.
     """
-    n = n_rows * n_cols
-    return Wiring(
-        length=float(n_rows * (n_cols - 1) + n_cols * (n_rows - 1)),
-        crossings=n,
-        wires_a_taxel=(n_rows + n_cols) / n,
-        conversions=conversions,
-    )
+    length = float(n_rows * (n_cols - 1) + n_cols * (n_rows - 1))
+    return Wiring(n_rows + n_cols, n_rows * n_cols, length, conversions)
 
 
 def count_crossings(

@@ -135,7 +135,8 @@ def wiring(point: dict[str, Any]) -> dict[str, Any]:
 
 def _table(rows: pd.DataFrame) -> str:
     by_kind = rows.groupby("kind", sort=False)
-    table = by_kind[["length", "crossings", "wires_a_taxel", "conversions"]].first()
+    table = by_kind[["length", "crossings", "lines", "conversions"]].first()
+    table["lines"] /= math.prod(SHAPE)
     table.insert(0, "kind", table.index)
     for preset in PRESET_ROWS:
         some = rows[rows["preset"] == preset].groupby("kind", sort=False)
@@ -144,7 +145,7 @@ def _table(rows: pd.DataFrame) -> str:
         table[f"{preset}: loss, least .. most"] = [
             f"{part['loss_db'].min():.1f} .. {part['loss_db'].max():.1f}" for _, part in some
         ]
-    names = {"length": "length, pitches", "wires_a_taxel": "wires a taxel"}
+    names = {"length": "length, pitches", "lines": "wires a taxel"}
     forms = {
         **{"length, pitches": ",.0f", "crossings": ",.0f", "wires a taxel": ".3f"},
         **{"conversions": ".0f"},

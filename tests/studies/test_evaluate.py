@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.monitor.metrics import psnr_db
@@ -45,7 +46,7 @@ def test_a_method_is_the_solver_on_its_own_measurements():
 
 
 def test_rotating_row_subsets_together_hold_every_row():
-    phis = phis_at(64, 3, ROTATING, seed=0)
+    phis = phis_at(Skin(8, 8, 2.5), 3, ROTATING, seed=0)
     assert [phi.m for phi in phis] == [22, 22, 22]
     method = make_method(PRESETS["skin"], SHAPE, 3, seed=0, rows=ROTATING)
     used = []

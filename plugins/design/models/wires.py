@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -20,19 +20,7 @@ MOST_STAR = 4096
 """Most taxels for which crossings of single wires are counted: the time grows with the square."""
 
 
-@dataclass(frozen=True)
-class Wires:
-    """Wires of a skin that leave it or end in an amplifier on it; places where two of them cross
-    (None: not counted); length of all, metres (None: not known); conversions of a frame.
-    """
-
-    lines: int
-    crossings: int | None
-    length_m: float | None
-    conversions: int
-
-
-def wires_of(strategy: Strategy, design: Design) -> Wires:
+def wires_of(strategy: Strategy, design: Design) -> Wiring:
     """Return the wires of a strategy. A row-column array has a line a row and column
     (`array_wiring`), analog sums of SBHE a wire a taxel (`star_wiring`). Of points, the array is
     the smallest near square, with as many crossings; its length depends on the surface and is not
@@ -44,15 +32,12 @@ def wires_of(strategy: Strategy, design: Design) -> Wires:
     conversions = n if sums == DIGITAL or strategy.phi == "full" else m
     if sums == ANALOG and strategy.phi != "row_local":
         if design.n_rows is None or design.n_cols is None or n > MOST_STAR:
-            return Wires(n, None, None, conversions)
-        star = _star(strategy.phi, design.n_rows, design.n_cols)
-        return Wires(n, star.crossings, star.length * design.pitch_m, conversions)
+            return Wiring(n, None, None, conversions)
+        return replace(_star(strategy.phi, design.n_rows, design.n_cols), conversions=conversions)
     if design.n_rows is None or design.n_cols is None:
         side = math.isqrt(n - 1) + 1
-        return Wires(side + -(-n // side), n, None, conversions)
-    array = array_wiring(design.n_rows, design.n_cols, conversions)
-    lines = round(array.wires_a_taxel * n)
-    return Wires(lines, array.crossings, array.length * design.pitch_m, conversions)
+        return Wiring(side + -(-n // side), n, None, conversions)
+    return array_wiring(design.n_rows, design.n_cols, conversions)
 
 
 @functools.cache

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES
-from sparseskin.plugins.design.accuracy import band, simulated
-from sparseskin.plugins.design.accuracy import simulate as simulate_on
 from sparseskin.plugins.design.budget import budget
 from sparseskin.plugins.design.simulation import (
     ACTIVE,
@@ -15,10 +13,13 @@ from sparseskin.plugins.design.simulation import (
     MOST_FRAMES,
     N_UNTOUCHED,
     SCENE_S,
+    band,
     light_touch,
     make_reader,
     presses,
+    simulated,
 )
+from sparseskin.plugins.design.simulation import simulate as simulate_on
 from sparseskin.plugins.design.spec import make_design
 from sparseskin.plugins.design.strategies import FEW_SCENES, N_SCENES, STRATEGIES
 

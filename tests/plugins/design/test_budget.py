@@ -8,9 +8,9 @@ import pytest
 from measured_costs import SIZES, measure
 
 from sparseskin.plugins.design import text
-from sparseskin.plugins.design.accuracy import grid_of
 from sparseskin.plugins.design.budget import NO_GRID, STAGES, Accuracy, budget, frame_bytes, row_of
 from sparseskin.plugins.design.models.costs import FIGURES, HOP_S, LARGEST, cost, stored
+from sparseskin.plugins.design.simulation import grid_of
 from sparseskin.plugins.design.spec import make_design
 from sparseskin.plugins.design.strategies import STRATEGIES
 
@@ -30,7 +30,7 @@ def test_a_full_raster_of_a_palm_is_limited_by_its_line():
     assert found.limit == "bus"
     # A line a row and column, 4 mm apart.
     assert (found.wires.lines, found.wires.crossings, found.wires.conversions) == (128, 4096, 4096)
-    assert found.wires.length_m == pytest.approx(0.004 * 2 * 64 * 63)
+    assert found.wires.length == 2 * 64 * 63
     assert found.possible_hz == pytest.approx(2e6 / 51350)
     assert not found.is_met
 
@@ -89,7 +89,7 @@ def test_points_have_no_rows_and_no_neighbourhoods():
     assert [r.strategy.name for r in rows] == [n for n in STRATEGIES if n not in NO_GRID]
     # The smallest near square: 64 x 63 lines for 4000 points.
     assert (rows[0].wires.lines, rows[0].wires.crossings) == (64 + 63, 4000)
-    assert rows[0].wires.length_m is None
+    assert rows[0].wires.length is None
     # They are simulated on it, too.
     mask = grid_of(make_design({"taxels": 4000}))
     assert (mask.shape, np.count_nonzero(mask)) == ((63, 64), 4000)
