@@ -192,8 +192,11 @@ class ContactScores:
         centre = np.array([(axis * forces).sum() for axis in places]) / forces.sum()
         self.off.append(float(np.linalg.norm(found["centre"][row] - centre)))
         self.relative.append(abs(float(found["total"][row]) / forces.sum() - 1))
-        self.in_sd[0].append(float(found["total"][row] - forces.sum()) / found["total_sd"][row])
-        self.in_sd[1].extend((found["centre"][row] - centre) / found["centre_sd"][row])
+        errors = found["total"][row] - forces.sum(), *(found["centre"][row] - centre)
+        sds = found["total_sd"][row], *found["centre_sd"][row]
+        for k, (error, sd) in enumerate(zip(errors, sds, strict=True)):
+            if sd > 0:  # 0: the noise is not known, or the contact is one taxel
+                self.in_sd[min(k, 1)].append(float(error / sd))
 
     def _follow_id(self, one: int, number: int, part: _Part, ids: Sequence[int]) -> None:
         """Compare the id found at a true contact with the one before."""
