@@ -60,9 +60,9 @@ CLOSE = 1.5
 
 class Solved(NamedTuple):
     """A reconstructed frame: forces, float32, shape (n_rows, n_cols), newtons; duration of the
-    solve by the clock, and processor time of its thread; iterations; bytes that the edge sends,
-    `VALUE_BYTES` a value; and where the solver estimates them, the RMS error of a taxel in newtons,
-    and True if the frame is marked as not to be trusted.
+    solve by the clock, and processor time of its thread; iterations; bytes that the edge sends; and
+    where the solver estimates them, the RMS error of a taxel in newtons, and True if the frame is
+    not to be trusted.
     """
 
     forces: Floats
@@ -93,14 +93,9 @@ class Reading:
 
 
 class Method:
-    """Estimator of a measurement matrix and a solver, frame after frame.
-
-    Parameters
-    ----------
-    solver : Solver
-        Made for the first of `phis`; with several of them, one whose `use` takes each.
-    phis : sequence of Phi
-        Matrices that frames take in turn: one where rows are fixed.
+    """Estimator of a measurement matrix and a solver, frame after frame. `phis`: matrices that
+    frames take in turn, for the first of which the solver was made. `bits`: those of a measurement;
+    None: float32.
     """
 
     def __init__(self, solver: Solver, phis: Sequence[Phi]) -> None:
@@ -201,23 +196,12 @@ def make_method(
 ) -> Method:
     """Make a method by the names of its parts.
 
-    Parameters
-    ----------
-    chosen : mapping
-        solver, basis ("haar" where absent) and the solver's settings, as in `PRESETS`.
-    shape, mask
-        Rows and columns of the skin; True where a taxel exists (None: everywhere).
-    ratio, seed, rows, how
-        As for `phis_at`.
-    f_max_n, sigma_end : float
-        Upper end of the taxels' range, and standard deviation of an untouched taxel's noise (0: not
-        known), newtons, as the skin states them to phi "adaptive" and to the solver. Settings are
-        used as stated, whatever the range.
-
-    Raises
-    ------
-    PhiError, SolverError
-        If a name or setting is unknown or not allowed, or the parts do not fit.
+    `chosen`: solver, basis ("haar" where absent) and the solver's settings, as in `PRESETS`;
+    `mask`: True where a taxel exists (None: everywhere); `ratio`, `seed`, `rows`, `how`: as for
+    `phis_at`. `f_max_n`, the upper end of the range, and `sigma_end`, the standard deviation of an
+    untouched taxel's noise (0: not known), newtons, are for phi "adaptive" and the estimated error:
+    settings are used as stated. Raises PhiError or SolverError if a name or setting is unknown or
+    not allowed, or the parts do not fit.
     """
     settings = {key: value for key, value in chosen.items() if key not in ("solver", "basis")}
     skin = Skin(*shape, f_max_n, mask=mask)

@@ -71,10 +71,9 @@ class Take:
     """Frames of a source, and what estimators and scores have to know of them.
 
     `mask`: True where a taxel exists; `f_max`: upper end of the range, in the unit of the frames;
-    `parts` returns the parts, each an iterable of (truth, taxels): float32, shape (n_rows, n_cols),
-    between which estimators are reset; `sigma_end`, `norm`, `total`: as for `make_method` and
-    `Scores`; `unscored`: frames at the beginning of each part that are not scored; `pitch_mm`:
-    distance of the taxels, where known.
+    `parts` returns the parts, between which estimators are reset, of (truth, taxels): float32,
+    shape (n_rows, n_cols); `sigma_end`, `norm`, `total`: as of `make_method` and `Scores`;
+    `unscored`: first frames of each part that are not scored; `pitch_mm`: where known.
     """
 
     mask: Mask
@@ -101,11 +100,9 @@ class Frames(Protocol):
 
 @dataclass(frozen=True)
 class SceneFrames:
-    """Frames of a simulated scene, counted in its own steps from its first contact on.
-
-    `first` and `stop` None: the beginning and the end of the scene. `every`: steps from one frame
-    to the next. `later`: number of frames of a second part, from half way between the first contact
-    and the end on. `noise`: in that of the paper.
+    """Frames of a simulated scene, counted in its own steps from its first contact on (None: the
+    beginning and the end of the scene), each `every` steps. `later`: number of frames of a second
+    part, from half way between the first contact and the end on. `noise`: in that of the paper.
     """
 
     scene: str
@@ -143,11 +140,9 @@ def _kept(*asked: Any) -> list[tuple[Floats, Floats]]:
 
 @dataclass(frozen=True)
 class PressFrames:
-    """Frames of an analytic body that presses a skin of any size, with the noise of the paper.
-
-    Fields are those of `press_frames`; `n_scattered`: number of taxels, at random places of the
-    grid (None: one in each cell); `skip`: frames at the beginning that are left out; `strength`:
-    factor of the forces.
+    """Frames of an analytic body that presses a skin, with the noise of the paper. Fields as of
+    `press_frames`; `n_scattered`: number of taxels, at random places of the grid (None: one in each
+    cell); `skip`: frames at the beginning that are left out; `strength`: factor of the forces.
     """
 
     body: str
@@ -261,11 +256,9 @@ class PadFrames:
 
 @dataclass(frozen=True)
 class RecordedFrames:
-    """A part of a recording: of at most `n_most` frames, that with most loaded ones.
-
-    Of several such parts it is the one next to the middle. The truth is the true forces where the
-    recording has them, or else the readings. The noise is not known. `digest`: as of `digest_of`,
-    with another content, figures are computed anew.
+    """A part of a recording, of at most `n_most` frames: that with most loaded ones, next to the
+    middle. The truth is the true forces where the recording has them, or else the readings. The
+    noise is not known. With another `digest` (`digest_of`), figures are computed anew.
     """
 
     path: str
@@ -296,9 +289,9 @@ def opened(point: Mapping[str, Any]) -> Take:
 
 
 class Part(NamedTuple):
-    """A part of a recording: frames and truth, float32, shape (n_frames, n_rows, n_cols); mask,
-    True where a taxel exists; time between frames and pitch, if known; number of its first frame,
-    and of all; 95th percentiles of norms and totals of all frames in which anything touches it.
+    """A part of a recording: frames and truth, float32 (n_frames, n_rows, n_cols); mask; time
+    between frames and pitch, if known; number of its first frame, and of all; 95th percentiles of
+    norms and totals of all frames in which anything touches it.
     """
 
     frames: Floats
@@ -316,10 +309,8 @@ class Part(NamedTuple):
 
 @cache
 def part_of(path: str, n_most: int) -> Part:
-    """Read the part of a recording that `RecordedFrames` describes.
-
-    Raises SparseskinError if the file cannot be read, holds no readings, or nothing touches the
-    skin.
+    """Read the part of a recording that `RecordedFrames` describes. Raises SparseskinError if the
+    file cannot be read, holds no readings, or nothing touches the skin.
     """
     read = read_recording(path)
     if "forces" not in read:
@@ -357,9 +348,8 @@ def _busiest(loaded: np.ndarray[tuple[int], np.dtype[np.bool_]], n_most: int) ->
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the files of a folder whose suffix is that of a recording, by name.
-
-    Raises StudyError if the folder cannot be read, or has none.
+    """Files of a folder whose suffix is that of a recording, by name; StudyError if there are
+    none.
     """
     known = (*suffixes(), FILE_SUFFIX)
     try:

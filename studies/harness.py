@@ -63,9 +63,9 @@ class Candidate:
     `settings`: solver, basis and settings as in `PRESETS`; `lambda_n` is stated for the paper's
     range, and scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own;
     of "reading": dead_zone_n; of "tv": weight, for the paper's range, and iterations. `of`:
-    "solver", "reading", "filtered", "lattice", "hold", "acts", "tv", or one of `CODECS`.
-    `changes`: fields of the measurement that differ from the experiment's. `alone`: True for a
-    solver that forgets all earlier frames before each one.
+    "solver", "reading", "filtered", "lattice", "hold", "acts", "tv", or one of `CODECS`. `changes`:
+    fields of the measurement that differ. `alone`: True to forget all earlier frames before each
+    one.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -74,9 +74,8 @@ class Candidate:
     alone: bool = False
 
     def make(self, measurement: Measurement, take: Take, seed: int) -> Estimator:
-        """Make the estimator for the skin of a take; `seed`: of Phi.
-
-        Raises SparseskinError if the parts do not fit together or the skin.
+        """Make the estimator for the skin of a take; `seed`: of Phi. Raises SparseskinError if it
+        cannot be.
         """
         at, mask = replace(measurement, **self.changes), take.mask
         ratio = int(at.ratio)
@@ -110,7 +109,8 @@ class Candidate:
     def _variation(self, at: Measurement, take: Take, seed: int) -> Estimator:
         from .baselines.libraries import TotalVariation  # needs sigpy
 
-        skin = Skin(*take.mask.shape, take.f_max, mask=take.mask)
+        n_rows, n_cols = take.mask.shape
+        skin = Skin(n_rows, n_cols, take.f_max, mask=take.mask)
         (phi, *_) = phis_at(skin, at.ratio, at.rows, seed, phi=at.phi, block=at.block)
         weight = self.settings["weight"] * take.f_max / PAPER_F_MAX_N
         return TotalVariation(phi, take.mask, weight, self.settings["iterations"])
@@ -150,10 +150,9 @@ class Experiment:
         ]
 
     def run(self, out: Path, executor: str) -> pd.DataFrame:
-        """Compute what is not known yet in the folder of the study; see `points.compute`.
-
-        Returns a row a point and candidate: fields of frames and measurement, seed, method (the
-        name of the candidate), its scores, and refused: why it could not be run, or "".
+        """Compute what is not known yet in the folder of the study; see `points.compute`. A row a
+        point and candidate: fields of frames and measurement, seed, method (name of the candidate),
+        its scores, and refused: why it could not be run, or "".
         """
         points = self.points()
         found = compute(scored, points, out, TIMED_ON if self.timed else executor, self.label)
@@ -194,9 +193,8 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
 def method_rows(
     keys: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Any]], name: str = "method"
 ) -> pd.DataFrame:
-    """A row a point and method: the keys of the point, the method in column `name`, its figures.
-
-    `found`: figures of each point; methods: by method its own.
+    """A row a point and method: keys of the point, the method in column `name`, its figures of
+    `found`.
     """
     return pd.DataFrame(
         {**key, name: method, **figures}

@@ -47,10 +47,8 @@ LEFT_OUT = {
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to change a scene.
-
-    `carried`: True if the scene has what is varied, which is removed; False if it is added;
-    `smoothing_steps`: width of the moving average; `finer`: steps of the simulation for one frame.
+    """One way to change a scene: what it has is removed (`carried`), or something is added; width
+    of the moving average; steps of the simulation for one frame.
     """
 
     carried: bool
@@ -103,9 +101,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Change of a variant's frames from the scene's, beside the noise.
 
     `point`: scene, variant, n_steps (None: all), seed. Returns change_db, noise_db: 10
-    log10(f_max^2 / mean squared difference) over the frames in contact, of the change and of the
-    noise; worst_db: the frame that changes most; above_noise: share of the contact frames that
-    change by more than the noise.
+    log10(f_max^2 / mean squared difference) over the frames in contact; worst_db: of the frame that
+    changes most; above_noise: share of the contact frames that change by more than the noise.
     """
     scene, n_steps = SCENES[point["scene"]](), point["n_steps"]
     scene = replace(scene, n_steps=min(n_steps or scene.n_steps, scene.n_steps))

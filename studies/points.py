@@ -36,30 +36,14 @@ def compute(
 ) -> list[Figures]:
     """Compute the points that are not known yet, and return the figures of all, in their order.
 
-    Each finished point is at once one line of `points.jsonl` in the folder: a run that was
+    Each finished point is at once one line of `points.jsonl` in the folder `out`: a run that was
     interrupted or killed continues where it was, and loses at most the points under way.
-
-    Parameters
-    ----------
-    function : callable
-        At the top of a module, so that a worker finds it by name; takes one point, returns its
-        figures. Best for 50 ms of work or more.
-    points : sequence of mapping
-        Parameters of each point, the seed included, as JSON holds them.
-    out : Path
-        Folder of the study, which exists.
-    executor_name : str
-        As in `sparseskin.nodes.tasks.executors.make_executor`.
-    label : str
-        Name of the points, shown by the progress bar, and part of the key of each point, as is the
-        name of the function (but not the module it stands in).
-
-    Raises
-    ------
-    StudyError
-        If a point fails, the folder cannot be written to, or another run uses it.
-    SettingsError
-        If there is no such executor.
+    `function`, at the top of a module, so that a worker finds it by name, takes one point (its
+    parameters, the seed included, as JSON holds them) and returns its figures; best for 50 ms of
+    work or more. `executor_name`: as of `make_executor`. `label` is shown by the progress bar and
+    part of the key of each point, as is the name of the function. Raises StudyError if a point
+    fails, the folder cannot be written to, or another run uses it; SettingsError if there is no
+    such executor.
     """
     keys = [key_of(function, label, point) for point in points]
     code = code_fingerprint()

@@ -50,14 +50,12 @@ def series_style(k: int) -> dict[str, Any]:
 
 
 class Chart:
-    """A figure of panels in the common style, saved as it is left: `with Chart(...) as chart:`.
+    """A figure of panels in the common style, saved as it is left: `with Chart(...) as chart:`, as
+    `name.png` and `name.svg` in `out`; StudyError if they cannot be written.
 
-    `out`, `name`: folder of the study, and name of the files, `name.png` and `name.svg`;
-    `n_panels`, `n_columns`: panels, row by row; `size_in`: width and height in inches;
-    `legend_columns`: of the legend below the panels (0: no legend); `subplots`: as
-    `Figure.subplots` takes them. `figure` and `panels` are the figure of matplotlib and its axes,
-    `markdown` shows the chart on a page. As it is left, it raises StudyError if the files cannot
-    be written.
+    `n_panels`, `n_columns`: panels, row by row; `size_in`: inches; `legend_columns`: of the legend
+    below them (0: none); `subplots`: as `Figure.subplots` takes them. `markdown` shows it on a
+    page.
     """
 
     def __init__(
@@ -145,10 +143,8 @@ def draw_lines(
     order: Sequence[Any] = (),
     **style: Any,
 ) -> None:
-    """Draw one line for each value of column `by` over column x, labelled by it.
-
-    `order`: all values of `by`, whose styles are those of their places in it; by default those of
-    this frame as they come. `style`: changes of `series_style`.
+    """Draw a line over column x for each value of column `by`, labelled by it; styles are those of
+    its place in `order`, by default as they come, with the changes `style`.
     """
     labels = list(order) or list(frame[by].unique())
     for label, along in frame.groupby(by, sort=False):
@@ -157,10 +153,8 @@ def draw_lines(
 
 
 def markdown(frame: pd.DataFrame, formats: Mapping[str, str] | str = "") -> str:
-    """Format a data frame as a Markdown table; missing values are empty cells.
-
-    `formats`: format of the numbers of a column, as `format` takes it: {"mean dB": ".1f"}; or of
-    all.
+    """A data frame as a Markdown table, missing values empty. `formats`: of the numbers of each
+    column, or of all, as `format` takes it.
     """
 
     def cell(value: Any, spec: str) -> str:
@@ -184,10 +178,9 @@ def cells(frame: pd.DataFrame, text: str) -> list[str]:
 class Page:
     """The page of a study: sections of text, tables and charts, in the one template `page.md`.
 
-    `out`, `name`: folder of the study, and its name; `notes`: Markdown with the text of each
-    section under its title, those of the page first, in which {name} stands for a value that the
-    section is given; `quick`: True for a page that states that its figures are those of a quick
-    run; `command` of `sparseskin` that computes it (default: the study).
+    `notes`: Markdown with the text of each section under its title, those of the page first, in
+    which {name} stands for a value that the section is given; `quick`: True for a page that states
+    that its figures are those of a quick run; `command` that computes it (default: the study).
     """
 
     def __init__(self, out: Path, name: str, notes: Path, quick: bool, command: str = "") -> None:
@@ -200,17 +193,15 @@ class Page:
         self._files: list[str] = []
 
     def section(self, title: str, *parts: str | pd.DataFrame, **values: Any) -> None:
-        """Add a section: its text, with these values, then its parts.
-
-        Parts are Markdown or data frames, which are shown as tables; empty ones are left out.
+        """Add a section: its text with these values, then parts that are not empty: Markdown or
+        tables.
         """
         text = self._notes[title].strip().format(**values)
         self._sections.append({"title": title, "parts": [p for p in (text, *parts) if len(p)]})
 
     def csv(self, name: str, rows: Rows) -> None:
-        """Write a data frame, or rows with the same keys, to `name.csv`, which the page links.
-
-        Raises StudyError if it cannot be written.
+        """Write rows with the same keys to `name.csv`, which the page links; StudyError if it
+        cannot be.
         """
         path = self.out / f"{name}.csv"
         try:
@@ -223,10 +214,7 @@ class Page:
         self._files.append(f"[{path.name}]({path.name})")
 
     def write(self, conclusion: Sequence[str]) -> None:
-        """Write the page `NAME.md`, the lines of the conclusion below its title.
-
-        Raises StudyError if it cannot be written.
-        """
+        """Write the page `NAME.md`, the conclusion below its title; StudyError if it cannot be."""
         environment = jinja2.Environment(
             undefined=jinja2.StrictUndefined,
             trim_blocks=True,

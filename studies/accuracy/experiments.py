@@ -123,9 +123,7 @@ def experiment(
 
 class Runs:
     """Runs of the experiments, each of which returns its rows; `seeds`: of Phi, frames and noise.
-
-    `recordings`: folder of recordings; a line on stderr for each file that cannot be used,
-    StudyError if none can.
+    Of files in `recordings` that cannot be used there is a line on stderr; StudyError if none can.
     """
 
     def __init__(
@@ -248,9 +246,8 @@ def rated_frames(quick: bool, rates_hz: Sequence[int] = RATES_HZ) -> Iterator[Sc
 
 
 def readable(files: Sequence[Path], n_most: int) -> list[Path]:
-    """Return the recordings that can be used; of each other one a line on stderr.
-
-    Raises StudyError if there is none.
+    """The recordings that can be used; of each other one a line on stderr. StudyError if there is
+    none.
     """
     found: list[Path] = []
     for path in files:

@@ -65,9 +65,8 @@ def run(
 ) -> list[str]:
     """Compute the study, write its page and return its conclusion; see `command.Study`.
 
-    `recordings` is a folder of recordings of real skins; without it, the page has none. `seeds`:
-    number of seeds, from `seed` on. `constants`: adds the table of the default solver's constants;
-    `alone`: that of single frames beside total variation, which needs sigpy.
+    `recordings`: folder of recordings of real skins; `seeds`: their number, from `seed` on;
+    `constants`, `alone`: add these sections, the second with sigpy.
     """
     if constants and recordings is None:
         raise StudyError("--constants: needs recordings, by --recordings DIR")

@@ -112,11 +112,7 @@ class Acts:
 
     After ACTS, arXiv 2410.13847: the sampling follows differences of readings; the interpolation
     along rows, columns and diagonals is ours. It has fewer values, as their addresses are sent too.
-
-    Raises
-    ------
-    PhiError
-        If no value fits with its address into the bytes of N / `ratio` values.
+    Raises PhiError if no value fits with its address into the bytes of N / `ratio` values.
     """
 
     def __init__(self, mask: Mask, ratio: int, f_max: float) -> None:
@@ -173,13 +169,8 @@ class Codec:
 def classes(mask: Mask, k: int) -> list[Indices]:
     """Split the taxels of a grid into k lattices of equal density, each as even as can be.
 
-    Cell (i, j) belongs to the class (i + s j) mod k, s being such that the least distance within
-    a class is largest.
-
-    Returns
-    -------
-    list of ndarray of intp
-        Places in the flat grid, ascending; successive classes are far from each other in number.
+    Cell (i, j) belongs to the class (i + s j) mod k, s being such that the least distance within a
+    class is largest. Returns places in the flat grid, ascending; successive classes are far apart.
     """
     i, j = np.indices(mask.shape)
     number = (i + (1 if min(mask.shape) == 1 else _slope(k)) * j) % k
@@ -206,9 +197,8 @@ def address_bytes(n: int, m: int) -> int:
 
 
 def adaptive_values(mask: Mask, m: int) -> int:
-    """Number of rows that fit with the code of their choice into the bytes of m values, at least 1.
-
-    The code is as long as it can be where all quarters of a node exist.
+    """Number of rows that fit with the longest code of their choice into the bytes of m values, at
+    least 1.
     """
     for k in range(m, 1, -1):
         tree = Quadtree(mask, k)

@@ -21,10 +21,9 @@ Decibels: TypeAlias = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Results:
-    """Figures of the study; `quick`: True if they are of frames around the first contact alone.
-
-    `scenes`: by scene figures of `tables.scene_figures`; `psnr`: by (scene, N / M, method) PSNR of
-    each frame, dB; `times_ms`: by (scene, method) mean solve time of a frame at N/3.
+    """Figures of the study; `quick`: of frames around the first contact alone. By scene figures of
+    `tables.scene_figures`; by (scene, N / M, method) PSNR of each frame, dB; by (scene, method)
+    mean solve time of a frame at N/3.
     """
 
     quick: bool
@@ -133,10 +132,8 @@ def upper_ends(side: int, ratio: int) -> list[float]:
 
 
 def deviations_db(highest: Highest, few_levels: bool) -> list[float]:
-    """Deviation of an untouched skin's PSNR from the upper ends of the ranges in table III.
-
-    For each lambda: root mean square in dB over both sizes and three M. On 64 x 64 there is but one
-    Haar, of six levels.
+    """Root mean square deviation, for each lambda, of an untouched skin's PSNR from the upper ends
+    of table III over both sizes and three M, dB. On 64 x 64 there is but one Haar, of six levels.
     """
     off_db = [
         np.array(highest[side, few, ratio]) - np.mean(upper_ends(side, ratio))

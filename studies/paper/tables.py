@@ -123,11 +123,9 @@ def untouched(
 
 
 def scene_figures(point: Row) -> Row:
-    """A scene without compression: frame by frame its noise and its wavelet coefficients.
-
-    `point`: frames, the fields of a `SceneFrames`; seed. Returns first: the first frame; noisy_db,
-    contact: per frame; d2, d4: coefficients above rounding; d2_exact, d4_exact: coefficients that
-    are not 0 in float64, rounding included.
+    """A scene, a `SceneFrames`, without compression: first: its first frame; of each frame
+    noisy_db, contact, d2 and d4: wavelet coefficients above rounding; d2_exact, d4_exact: those
+    that are not 0 in float64, rounding included.
     """
     frames = SceneFrames(**point["frames"])
     take = frames.open(point["seed"])
@@ -155,10 +153,8 @@ def _coefficients(image: Any, wavelet: str, levels: int) -> Any:
 
 
 def frame_maps(point: Row) -> Row:
-    """Reconstruct maps of some frames of `MAPPED`, as part of their sequence.
-
-    `point`: frames: numbers of frames, ascending; seed. Returns maps: for each frame its truth,
-    taxels and reconstructed forces, newtons; psnr_db: of taxels and reconstructed forces.
+    """Reconstruct maps of some frames of `MAPPED`, numbers ascending, as part of their sequence:
+    truth, taxels and reconstructed forces, newtons, and the psnr_db of the latter two.
     """
     numbers: list[int] = point["frames"]
     every = SceneFrames(MAPPED, None)

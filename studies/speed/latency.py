@@ -57,10 +57,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Age of the frames of one graph when they were reconstructed, and its stages.
 
     `point`: scene, preset, depth, contacts, rate_hz, n_frames, warm_up (frames that are left out),
-    monitor (True: one subscribes). Returns of each quantile NAME_ms, and "NAME STAGE": the mean of
-    the time in each of `STAGES` over the frames around that quantile, ms; frames, skipped, lost,
-    and others: cores that other work of the host used meanwhile. Raises StudyError if the graph
-    fails, or reconstructs too few frames.
+    monitor. Returns of each quantile NAME_ms, and "NAME STAGE": the mean time in each of `STAGES`
+    of the frames around it; frames, skipped, lost, and others: cores that other work of the host
+    used. Raises StudyError if the graph fails, or reconstructs too few frames.
     """
     source = f"sparseskin.studies.looped:{point['scene']}"
     solver = {key: point[key] for key in ("preset", "depth", "contacts")}

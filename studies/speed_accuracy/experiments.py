@@ -178,11 +178,9 @@ def race(point: dict[str, Any]) -> dict[str, Any]:
     """Time one library to within 1 % of the minimum, each frame by itself from 0.
 
     The number of iterations is searched for first; the time is that of further calls with just as
-    many, which have nothing to check: the shortest of three.
-
-    `point`: peer, scene, seed, short, lambda_n, n_frames. Returns median_ms, processor time a
-    frame; iterations: their median; mean_db, min_db; objective: the largest ratio to the minimum;
-    n_frames.
+    many, which have nothing to check: the shortest of three. `point`: peer, scene, seed, short,
+    lambda_n, n_frames. Returns medians of processor time and iterations; mean_db, min_db; the
+    largest ratio of the objective to the minimum; n_frames.
     """
     (frames,) = frames_of([point["scene"]], point["short"])
     take = frames.open(point["seed"])
