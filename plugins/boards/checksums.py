@@ -31,11 +31,10 @@ class Checksum:
 @functools.cache
 def _modbus_table() -> list[int]:
     """State after two bytes, by what they and the state before it add up to."""
-    state = np.arange(1 << 16, dtype=np.uint16)
+    state = np.arange(1 << 16)
     for _ in range(16):
         state = (state >> 1) ^ (0xA001 * (state & 1))
-    found: list[int] = state.tolist()
-    return found
+    return list(map(int, state))
 
 
 def _crc16_modbus(data: bytes) -> int:
