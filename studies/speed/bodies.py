@@ -22,13 +22,11 @@ WARM_UP = 24
 def time_body(point: dict[str, Any]) -> dict[str, Any]:
     """Processor time of edge and host for one frame of all patches of a lying body, at 1 kHz.
 
-    `point`: patches, side: number of patches, and taxels along a side of each; idle: part of them
-    that nothing presses, which is not solved then; n_frames: frames that are timed; seed: of the
-    noise; device, if any: of the solver, for full accuracy. Returns edge_us, host_us: median
-    processor time of a frame and patch, microseconds: decoding, the node's step, encoding;
-    solve_us: time of the solver by the clock; device; iterations; bytes: of the measurements of a
-    frame of all patches; memory_mb: of the reconstructor node for one patch; unchanged: part of the
-    frames not solved.
+    `point`: patches; side in taxels; idle: part of them that nothing presses, which is not solved
+    then; n_frames that are timed; seed; device, if any, of the solver, for full accuracy. Returns
+    edge_us, host_us: median time of a frame and patch (decoding, the node's step, encoding);
+    solve_us, by the clock; device; iterations; bytes of the measurements of a frame; memory_mb of
+    the reconstructor for one patch; unchanged: part of the frames not solved.
     """
     patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
     common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}
