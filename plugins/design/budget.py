@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 from sparseskin.messages.quantised import n_bytes
 from sparseskin.plugins.edge.description import CRC_BYTES, HEADER_BYTES
-from sparseskin.plugins.wiring.model import Wiring
 
 from .models.costs import HOP_S, LARGEST, cost
-from .models.wires import wires_of
 from .spec import Design
-from .strategies import STRATEGIES, Strategy
+from .strategies import ANALOG, DIGITAL, STRATEGIES, Strategy
 
 STAGES = ("ADC", "edge", "bus", "host")
 """Stages that a frame passes; each works on a frame while the one before it has the next."""
@@ -38,16 +36,17 @@ UNKNOWN = Accuracy(math.nan, math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True)
 class Row:
-    """A strategy on a skin: measurements and bytes of a frame on the bus, with header and checksum
-    of the project's edge; time in each of `STAGES`, seconds (of the host for one core under a dense
-    press; `host_calm_s`: where nothing presses); frames a second of all cores of the host; rate
-    asked for; full scale, newtons; accuracy at the rate that is reached; parts of the skin that the
-    host reconstructs by themselves.
+    """A strategy on a skin: measurements, wires, conversions and bytes of a frame on the bus, with
+    header and checksum of the project's edge; time in each of `STAGES`, seconds (of the host for
+    one core under a dense press; `host_calm_s`: where nothing presses); frames a second of all
+    cores of the host; rate asked for; full scale, newtons; accuracy at the rate that is reached;
+    parts of the skin that the host reconstructs by themselves.
     """
 
     strategy: Strategy
     m: int
-    wires: Wiring
+    lines: int
+    conversions: int
     n_bytes: int
     stage_s: dict[str, float]
     host_calm_s: float
@@ -117,14 +116,14 @@ def row_of(strategy: Strategy, design: Design) -> Row:
     """
     n = design.n_taxels
     m = strategy.m(n, design.n_rows)
-    wires = wires_of(strategy, design)
+    lines, conversions = wires_of(strategy, design)
     sent = frame_bytes(strategy, design)
     sums = 0 if strategy.reads_single else m
     patches = -(-n // LARGEST)
     host = cost(strategy.name, -(-n // patches))
     stage_s = {
-        "ADC": design.adc.seconds(wires.conversions),
-        "edge": design.edge.seconds(strategy.name, n, wires.conversions, sums, sent),
+        "ADC": design.adc.seconds(conversions),
+        "edge": design.edge.seconds(strategy.name, n, conversions, sums, sent),
         "bus": design.bus.seconds(sent),
         "host": host.dense_s,
     }
@@ -132,7 +131,8 @@ def row_of(strategy: Strategy, design: Design) -> Row:
     return Row(
         strategy=strategy,
         m=m,
-        wires=wires,
+        lines=lines,
+        conversions=conversions,
         n_bytes=sent,
         stage_s=stage_s,
         host_calm_s=host.calm_s,
@@ -141,6 +141,24 @@ def row_of(strategy: Strategy, design: Design) -> Row:
         range_n=design.range_n,
         patches=patches,
     )
+
+
+def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:
+    """Wires that leave the skin or end in an amplifier on it, and conversions of a frame. An array
+    has a wire a row and column, analog sums of SBHE one a taxel. Of points, the array is the
+    smallest near square.
+    """
+    n = design.n_taxels
+    sums = design.sums if strategy.phi == "sbhe" else strategy.sums
+    is_every = sums == DIGITAL or strategy.phi == "full"
+    conversions = n if is_every else strategy.m(n, design.n_rows)
+    if sums == ANALOG and strategy.phi != "row_local":
+        return n, conversions
+    n_rows, n_cols = design.n_rows, design.n_cols
+    if n_rows is None or n_cols is None:
+        n_rows = math.isqrt(n - 1) + 1
+        n_cols = -(-n // n_rows)
+    return n_rows + n_cols, conversions
 
 
 def frame_bytes(strategy: Strategy, design: Design) -> int:

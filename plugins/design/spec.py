@@ -48,17 +48,6 @@ def _placement(layout: object) -> Placement:
     return found
 
 
-def _whole(low: int, high: int) -> Callable[[object], int]:
-    def read(value: object) -> int:
-        if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 10:
-            value = int(value)
-        if not is_whole(value, low, high):
-            raise SettingsError(f"{shown(value)} is not allowed; allowed: {low}..{high}")
-        return int(value)
-
-    return read
-
-
 def _sums(value: object) -> str:
     if value not in (DIGITAL, ANALOG):
         text = str(value)[:40]
@@ -79,10 +68,6 @@ def _cores(value: object) -> int:
     return int(number)
 
 
-def _quantity(units: dict[str, float], example: str, low: float, high: float) -> Reads:
-    return partial(quantity, units=units, example=example, low=low, high=high)
-
-
 @dataclass(frozen=True)
 class Key:
     """A key of a design file, which is an option with two dashes too: default (None: it has to be
@@ -96,50 +81,44 @@ class Key:
     read: Reads
 
 
+def _whole(default: Any, about: str, form: str, low: int, high: int) -> Key:
+    def read(value: object) -> int:
+        if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 10:
+            value = int(value)
+        if not is_whole(value, low, high):
+            raise SettingsError(f"{shown(value)} is not allowed; allowed: {low}..{high}")
+        return int(value)
+
+    return Key(default, about, form, read)
+
+
+def _quantity(
+    default: str, about: str, form: str, units: dict[str, float], low: float, high: float
+) -> Key:
+    read = partial(quantity, units=units, example=default, low=low, high=high)
+    return Key(default, about, form, read)
+
+
+_TAXELS = "number of taxels of a skin that is no grid, in place of rows, cols"
+_POINTS = "layout of such a skin: .csv, .txt of an iCub, or example:torso"
+_SETTLING = "time that the multiplexer settles before a conversion"
+_SUMS = "where sums of SBHE are made: digital (edge) or analog (wires)"
+_BUS = "serial:BAUD, can:RATE, can-fd[:SLOW/FAST], spi:CLOCK, udp"
 KEYS = {
-    "rows": Key(None, "rows of taxels", "R", _whole(1, MAX_SIDE)),
-    "cols": Key(None, "columns of taxels", "C", _whole(1, MAX_SIDE)),
-    "taxels": Key(
-        None,
-        "number of taxels of a skin that is no grid, in place of rows, cols",
-        "N",
-        _whole(16, MAX_TAXELS),
-    ),
-    "points": Key(
-        None,
-        "layout of such a skin: .csv, .txt of an iCub, or example:torso",
-        "FILE",
-        _placement,
-    ),
-    "pitch": Key(
-        "4mm", "distance of neighbouring taxels", "LENGTH", _quantity(LENGTH, "4mm", 1e-5, 1.0)
-    ),
+    "rows": _whole(None, "rows of taxels", "R", 1, MAX_SIDE),
+    "cols": _whole(None, "columns of taxels", "C", 1, MAX_SIDE),
+    "taxels": _whole(None, _TAXELS, "N", 16, MAX_TAXELS),
+    "points": Key(None, _POINTS, "FILE", _placement),
+    "pitch": _quantity("4mm", "distance of neighbouring taxels", "LENGTH", LENGTH, 1e-5, 1.0),
     "rate": Key("1000", "frames a second that are asked for", "HZ", _rate),
-    "noise": Key(
-        "0.01N",
-        "standard deviation of a taxel's noise",
-        "FORCE",
-        _quantity(FORCE, "0.01N", 1e-9, 1e6),
-    ),
-    "range": Key("2.5N", "force at full scale", "FORCE", _quantity(FORCE, "2.5N", 1e-6, 1e6)),
+    "noise": _quantity("0.01N", "standard deviation of a taxel's noise", "FORCE", FORCE, 1e-9, 1e6),
+    "range": _quantity("2.5N", "force at full scale", "FORCE", FORCE, 1e-6, 1e6),
     "adc": Key("10bit@200kS/s", "bits and conversions a second of a converter", "ADC", read_adc),
-    "converters": Key(1, "converters that run at once", "K", _whole(1, 1024)),
-    "settling": Key(
-        "0us",
-        "time that the multiplexer settles before a conversion",
-        "TIME",
-        _quantity(TIME, "5us", 0.0, 1.0),
-    ),
-    "sums": Key(
-        DIGITAL,
-        "where sums of SBHE are made: digital (edge) or analog (wires)",
-        "digital|analog",
-        _sums,
-    ),
-    "bits": Key(8, "bits of a measurement on the bus, 4..16", "B", _whole(4, 16)),
-    "bus": Key(
-        "serial:2M", "serial:BAUD, can:RATE, can-fd[:SLOW/FAST], spi:CLOCK, udp", "BUS", read_bus
-    ),
+    "converters": _whole(1, "converters that run at once", "K", 1, 1024),
+    "settling": _quantity("0us", _SETTLING, "TIME", TIME, 0.0, 1.0),
+    "sums": Key(DIGITAL, _SUMS, "digital|analog", _sums),
+    "bits": _whole(8, "bits of a measurement on the bus, 4..16", "B", 4, 16),
+    "bus": Key("serial:2M", _BUS, "BUS", read_bus),
     "edge": Key("cortex-m4@168MHz", "cortex-m4@CLOCK or linux", "EDGE", read_edge),
     "host": Key("4cores", "cores of the host", "CORES", _cores),
 }

@@ -24,7 +24,7 @@ def _db(text: Callable[[Accuracy], str]) -> Callable[[Row], str]:
 COLUMNS: dict[str, Callable[[Row], str]] = {
     "way to read": lambda row: row.strategy.name,
     "M": lambda row: str(row.m),
-    "wires": lambda row: str(row.wires.lines),
+    "wires": lambda row: str(row.lines),
     "bytes": lambda row: str(row.n_bytes),
     "Hz": lambda row: f"{hertz(row.reached_hz)}{'' if row.is_met else '!'}",
     "limit": lambda row: f"({row.limit})" if row.is_met else row.limit,
@@ -43,12 +43,12 @@ def breaks(row: Row, design: Design) -> str:
     """What limits a strategy: the stage, what it has to do, its time, the rate that this allows."""
     ms = f"{row.stage_s[row.limit] * 1e3:.3g} ms"
     if row.limit == "ADC":
-        what = f"{row.wires.conversions} conversions take {ms} ({design.adc.label})"
+        what = f"{row.conversions} conversions take {ms} ({design.adc.label})"
     elif row.limit == "bus":
         what = f"{row.n_bytes} bytes take {ms} ({design.bus.label})"
     elif row.limit == "edge":
         sums = 0 if row.strategy.reads_single else row.m
-        work = f"{instructions(row.wires.conversions, sums, row.n_bytes):,} instructions take {ms}"
+        work = f"{instructions(row.conversions, sums, row.n_bytes):,} instructions take {ms}"
         work = f"{ms} a frame" if design.edge.clock_hz is None else work
         what = f"{work} ({design.edge.label})"
     elif row.patches > 1:
@@ -144,14 +144,12 @@ LEGEND = (
 
 def record(row: Row, design: Design) -> dict[str, object]:
     """A row as plain values with their units in the names."""
-    a, length = row.accuracy, row.wires.length
+    a = row.accuracy
     return {
         "strategy": row.strategy.name,
         "m": row.m,
-        "wires": row.wires.lines,
-        "crossings": row.wires.crossings,
-        "wire_length_m": None if length is None else length * design.pitch_m,
-        "conversions": row.wires.conversions,
+        "wires": row.lines,
+        "conversions": row.conversions,
         "bytes": row.n_bytes,
         "asked_hz": design.rate_hz,
         "reached_hz": row.reached_hz,

@@ -33,8 +33,7 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
 
-from .files import load_points
-from .points import Points
+from .files import Points, load_points
 from .surface import Edges, Joined, flattened, neighbours, parts
 
 SQUARE, HEXAGONAL = 4, 6

@@ -57,15 +57,13 @@ class _Header:
 class EmedRecording(Recording):
     """An emed text export.
 
-    A page lists only the rows and columns that were touched at some time, labelled from 1; they
-    are put in their places on the full matrix of the platform. Pages without a `Pict-No.`, or
-    where it is no number (the peak pictures MVP and MPP), are not frames. Where pages hold a
-    Force column and row, the total force is compared with the readings, which also verifies that
-    the pressures are in kPa: the file does not state their unit.
-
-    `forces` are float64, newtons: pressure times sensor area. Raises SourceError if a page is cut
-    short or does not fit its header, a frame is missing, a reading is not a finite number >= 0, or
-    a total force is not the sum of its readings.
+    A page lists only the rows and columns that were touched at some time, labelled from 1; they are
+    put in their places on the full matrix of the platform. Pages without a `Pict-No.`, or where it
+    is no number (the peak pictures MVP and MPP), are not frames. Where pages hold a Force column
+    and row, the total force is compared with the readings, which also verifies that the pressures
+    are in kPa: the file does not state their unit. `forces` are float64, newtons: pressure times
+    sensor area. Raises SourceError if a page is cut short or does not fit its header, a frame is
+    missing, a reading is not a finite number >= 0, or a total force is not the sum of its readings.
     """
 
     def __init__(self, lines: Lines) -> None:

@@ -28,14 +28,10 @@ _MOST = 4096
 
 class ArraysRecording(Recording):
     """The array of the stated topic, its name or path in the file (log.left.forces of structures of
-    MATLAB), or `forces`, or the only one of
-    three dimensions. MATLAB's have the frames last, as forces(:, :, k), unless only the first
-    dimension leaves the stated shape; those of two dimensions have a row a frame, as all of HDF5.
-
-    Raises
-    ------
-    SourceError
-        If the file is malformed, no array or several fit, or h5py is not installed for HDF5.
+    MATLAB), or `forces`, or the only one of three dimensions. MATLAB's have the frames last, as
+    forces(:, :, k), unless only the first dimension leaves the stated shape; those of two
+    dimensions have a row a frame, as all of HDF5. Raises SourceError if the file is malformed, no
+    array or several fit, or h5py is not installed.
     """
 
     def __init__(self, file: File) -> None:

@@ -35,10 +35,9 @@ def read_cells(
     lines: Lines, shape: tuple[int, int], number: int, keyword: str, absent: str
 ) -> tuple[Doubles, Mask]:
     """Read the readings of a frame, and the mask of sensels that exist, both of its shape; blank
-    lines are skipped. SourceError if rows or cells are missing or too many, by the name of the
-    `keyword` that states their number, or a reading is malformed.
-
-    `absent`: what stands in a cell without a sensel, in upper case.
+    lines are skipped, `absent`, in upper case, stands in a cell without a sensel. SourceError if
+    rows or cells are missing or too many, by the `keyword` of their number, or a reading is
+    malformed.
     """
     (n_rows, n_cols), label = shape, f"frame {number}"
     readings, exists = np.zeros(shape), np.ones(shape, dtype=np.bool_)

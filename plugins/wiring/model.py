@@ -16,14 +16,13 @@ _OFF_GRID = np.array([0.31, 0.17])
 
 @dataclass(frozen=True)
 class Wiring:
-    """Wires of a skin: those that leave it or end in an amplifier on it; places where two cross
-    (None: not counted); length of all, in pitches (None: not known); conversions from analog to
-    digital a frame.
+    """Wires of a skin: those that leave it or end in an amplifier on it; places where two cross;
+    length of all, in pitches; conversions from analog to digital a frame.
     """
 
     lines: int
-    crossings: int | None
-    length: float | None
+    crossings: int
+    length: float
     conversions: int
 
 

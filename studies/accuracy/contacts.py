@@ -212,7 +212,7 @@ class ContactScores:
 
     def figures(self) -> dict[str, Any]:
         """Counts by force; delays in frames; ghosts in 1000 frames; medians of the errors in
-        taxels, mm and %; root mean square errors in stated deviations; ids lost and swapped in 1000
+        taxels, mm and %; deviations of the errors, by their median, in those stated; ids lost and swapped in 1000
         frames of a contact; bytes a frame.
         """
         off = float(np.median(self.off)) if self.off else None
@@ -232,7 +232,7 @@ class ContactScores:
             "off_mm": off * pitch_mm if off is not None and pitch_mm else None,
             "force": 100 * float(np.median(self.relative)) if self.relative else None,
             **{
-                name: float(np.sqrt(np.mean(np.square(z)))) if z else None
+                name: float(np.median(np.abs(z))) / 0.6745 if z else None
                 for name, z in zip(("total_sds", "centre_sds"), self.in_sd, strict=True)
             },
             "lost": part * self.n_lost if n_true else None,

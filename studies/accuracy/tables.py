@@ -273,7 +273,7 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         by_ratio(rows, keys, "{off_mm:.2f}"),
         "Median error of the total force in %:",
         by_ratio(rows, keys, "{force:.1f}"),
-        "Root mean square errors of total and centre, in stated deviations:",
+        "True deviations of total and centre, by the median of the errors, in those stated:",
         by_ratio(rows, keys, "{total_sds:.1f}, {centre_sds:.1f}"),
         "Ids lost and swapped, in 1000 frames of a contact:",
         by_ratio(rows, keys, "{lost:.1f}, {swapped:.1f}"),

@@ -28,9 +28,8 @@ def test_a_full_raster_of_a_palm_is_limited_by_its_line():
     assert found.stage_s["ADC"] == pytest.approx(4096 / 200e3)
     assert found.stage_s["bus"] == pytest.approx(51350 / 2e6)
     assert found.limit == "bus"
-    # A line a row and column, 4 mm apart.
-    assert (found.wires.lines, found.wires.crossings, found.wires.conversions) == (128, 4096, 4096)
-    assert found.wires.length == 2 * 64 * 63
+    # A line a row and column.
+    assert (found.lines, found.conversions) == (128, 4096)
     assert found.possible_hz == pytest.approx(2e6 / 51350)
     assert not found.is_met
 
@@ -51,8 +50,8 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
 
 def test_digital_sums_need_every_conversion_and_analog_ones_m():
     digital, analog = (row("N/4 sums"), row("N/4 sums", sums="analog", rows=16, cols=16))
-    assert (digital.m, digital.wires.conversions) == (1024, 4096)
-    assert (analog.m, analog.wires.conversions, analog.wires.lines) == (64, 64, 256)
+    assert (digital.m, digital.conversions) == (1024, 4096)
+    assert (analog.m, analog.conversions, analog.lines) == (64, 64, 256)
     # 24 * 4096 + 72 * 1024 + 16 * 1039 + 550 instructions of 2 cycles
     assert digital.stage_s["edge"] == pytest.approx(2 * 189_206 / 168e6)
 
@@ -88,8 +87,7 @@ def test_points_have_no_rows_and_no_neighbourhoods():
     rows = budget(make_design({"taxels": 4000}))
     assert [r.strategy.name for r in rows] == [n for n in STRATEGIES if n not in NO_GRID]
     # The smallest near square: 64 x 63 lines for 4000 points.
-    assert (rows[0].wires.lines, rows[0].wires.crossings) == (64 + 63, 4000)
-    assert rows[0].wires.length is None
+    assert rows[0].lines == 64 + 63
     # They are simulated on it, too.
     mask = grid_of(make_design({"taxels": 4000}))
     assert (mask.shape, np.count_nonzero(mask)) == ((63, 64), 4000)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.plugins.points.examples import grip, torso
+from sparseskin.plugins.points.files import Points, estimated_normals
 from sparseskin.plugins.points.placing import place
-from sparseskin.plugins.points.points import Points, estimated_normals
 
 UP = np.array([0.0, 0.0, 1.0])
 
