@@ -8,11 +8,10 @@ from typing import Any
 from sparseskin.messages.text import printable
 from sparseskin.nodes.sensor.source import Address, Listing
 
-from .board import Board, check_board, describe_board
 from .can_port import can_channels
 from .serial_port import serial_devices
 from .settings import KINDS, PROFILES, profile_names, read_toml
-from .source import BoardSource
+from .source import Board, BoardSource, check_board, describe_board
 
 
 class BoardAddress(Address):

@@ -34,65 +34,48 @@ MAX_AT = 4096
 PROFILES = Path(__file__).parent / "profiles"
 MAX_FIXED_BYTES = 64
 """Most start or end bytes."""
+NUMBERS = ("none", "u8", "u16", "u32")
+STAMPS = ("none", "sequence", "u8", "u16", "u24", "u32", "u48", "u64")
+PARTS = ("start", "sequence", "payload")
+AT = "bytes from the begin of the frame"
 
 
 @dataclass(frozen=True)
 class BoardSettings(Settings):
     """Settings of every board."""
 
-    start: str = setting(
-        "", "bytes with which each frame begins, in hexadecimal digits: AA55; ??: any byte"
-    )
-    sequence: str = setting(
-        "none", "number of the frame, after the start bytes", choices=("none", "u8", "u16", "u32")
-    )
-    sequence_at: int | None = setting(
-        None, "place of the number: bytes from the begin of the frame", low=0, high=MAX_AT
-    )
+    start: str = setting("", "bytes that begin each frame, hexadecimal: AA55; ??: any byte")
+    sequence: str = setting("none", "number of the frame, after the start bytes", choices=NUMBERS)
+    sequence_at: int | None = setting(None, f"place of the number: {AT}", low=0, high=MAX_AT)
     skip: int = setting(0, "bytes before the readings that are not used", low=0, high=1024)
     after: int = setting(0, "bytes after the readings that are not used", low=0, high=1024)
     stamp: str = setting(
-        "none",
-        "time of the frame on the board's clock; sequence: its number, of a board that has a timer",
-        choices=("none", "sequence", "u8", "u16", "u24", "u32", "u48", "u64"),
+        "none", "time on the board's clock; sequence: its number, if a timer sends", choices=STAMPS
     )
-    stamp_at: int | None = setting(
-        None, "place of the stamp: bytes from the begin of the frame", low=0, high=MAX_AT
-    )
+    stamp_at: int | None = setting(None, f"place of the stamp: {AT}", low=0, high=MAX_AT)
     stamp_hz: float = setting(1e6, "ticks of the board's clock a second", low=1e-3, high=1e10)
-    stamp_wrap: int | None = setting(
-        None, "ticks after which it begins at 0 again; 2 to the bits by default", low=2
-    )
+    stamp_wrap: int | None = setting(None, "ticks until it is 0 again; else 2^bits", low=2)
     checksum: str = setting("none", "checksum after the readings", choices=tuple(CHECKSUMS))
     checksum_from: str = setting(
-        "sequence",
-        "what the checksum begins with; it covers all from there to the last reading",
-        choices=("start", "sequence", "payload"),
+        "sequence", "first part that the checksum covers; the last are the readings", choices=PARTS
     )
     confirm: bool = setting(
-        True,
-        "without a CRC: wait for the start of the next frame; false: one frame earlier, but one "
-        "that lost bytes may get through",
+        True, "without a CRC: wait for the next frame; false: one that lost bytes may get through"
     )
-    end: str = setting("", "bytes with which each frame ends, in hexadecimal digits: 0D0A")
+    end: str = setting("", "bytes that end each frame, hexadecimal: 0D0A")
     dtype: str = setting("uint8", "type of a reading", choices=DTYPES)
     byte_order: str = setting("little", "order of the bytes of a number", choices=("little", "big"))
     rows: int | None = setting(None, "rows of the skin", low=1, high=4096)
     cols: int | None = setting(None, "columns of the skin", low=1, high=4096)
     order: str = setting("rows", "row after row, or column after column", choices=ORDERS)
-    row_order: str = setting(
-        "forward", "places of the rows as they are sent: forward, reversed, or 2,0,1"
-    )
+    row_order: str = setting("forward", "rows as they are sent: forward, reversed, or 2,0,1")
     col_order: str = setting("forward", "the same of the columns")
     zero: float = setting(0.0, "count of an untouched taxel", low=-1e30, high=1e30)
     scale: float = setting(
-        1.0, "reading of one count above zero; below 0 where a press lowers counts", low=-1e30,
-        high=1e30,
-    )  # fmt: skip
-    unit: str = setting("raw", "unit of the readings")
-    f_max: float | None = setting(
-        None, "upper end of the range, in unit; that of the type by default", low=1e-9, high=1e30
+        1.0, "reading of a count; below 0: a press lowers them", low=-1e30, high=1e30
     )
+    unit: str = setting("raw", "unit of the readings")
+    f_max: float | None = setting(None, "end of the range; else of the type", low=1e-9, high=1e30)
     pitch_mm: float | None = setting(None, "distance of two taxels", low=1e-3, high=1e3)
 
     needs_start: ClassVar[bool] = False
@@ -193,23 +176,11 @@ class BoardSettings(Settings):
 class StreamSettings(BoardSettings):
     """Settings of a board that sends frames of any length: a serial port, UDP."""
 
-    piece: int | None = setting(
-        None, "readings in a frame, where a frame holds a piece of the skin", low=1, high=1 << 20
-    )
-    first: str = setting(
-        "none", "number of the first reading of a piece", choices=("none", "u8", "u16", "u32")
-    )
-    first_at: int | None = setting(
-        None, "place of that number: bytes from the begin of the frame", low=0, high=MAX_AT
-    )
-    length: str = setting(
-        "none",
-        "bytes from the first reading to the checksum, where they vary",
-        choices=("none", "u8", "u16", "u32"),
-    )
-    length_at: int | None = setting(
-        None, "place of the length: bytes from the begin of the frame", low=0, high=MAX_AT
-    )
+    piece: int | None = setting(None, "readings, of a piece of the skin", low=1, high=1 << 20)
+    first: str = setting("none", "number of the first reading of a piece", choices=NUMBERS)
+    first_at: int | None = setting(None, f"place of that number: {AT}", low=0, high=MAX_AT)
+    length: str = setting("none", "bytes from readings to checksum, if they vary", choices=NUMBERS)
+    length_at: int | None = setting(None, f"place of the length: {AT}", low=0, high=MAX_AT)
 
     def fields(self) -> dict[str, tuple[str, int | None]]:
         own = {"first": (self.first, self.first_at), "length": (self.length, self.length_at)}
@@ -258,12 +229,7 @@ class CanSettings(BoardSettings):
     """Settings of a board on a CAN bus: a frame of the skin is spread over several CAN frames."""
 
     ids: str = setting("", "arbitration ids in order of the readings: 0x100-0x10F, or 0x100,0x102")
-    chunk: int | None = setting(
-        None,
-        "bytes of the frame in one CAN frame; 8, or 64 with fd, less index and counter",
-        low=1,
-        high=64,
-    )
+    chunk: int | None = setting(None, "bytes of it in a CAN frame; all that fit", low=1, high=64)
     index: str = setting(
         "none", "number of the chunk, first in each CAN frame", choices=("none", "u8", "u16")
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sparseskin.messages.quantised import n_bytes
 from sparseskin.plugins.edge.description import CRC_BYTES, HEADER_BYTES
 
-from .models.costs import HOP_S, LARGEST, cost
+from .models import HOP_S, LARGEST, cost
 from .spec import Design
 from .strategies import ANALOG, DIGITAL, STRATEGIES, Strategy
 

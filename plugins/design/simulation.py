@@ -1,17 +1,11 @@
 """Accuracy of each strategy on the skin of a design, by simulations that the command runs.
 
-Presses
-    `N_SCENES` scenes: each body of `presses.BODIES` with each course of `presses.COURSES`. Bodies
-    touch 3 to 20 % of the taxels (log-uniform) with peaks of 0.2 to 0.9 of the range; moving ones
-    slide by `SPEED` taxels a second; a ramp lasts 50 ms, a sudden contact 100 ms, a pause 50 ms,
-    a scene 0.5 s, whatever the frame rate, and `MOST_FRAMES` at most. `N_UNTOUCHED` untouched
-    frames precede it.
-Noise
-    Normal with one standard deviation at all forces, clipped to the range. All taxels of a frame
-    are read at one time.
-Converter
-    Single taxels are rounded to steps of f_max / (2^bits - 1), sums as the compressor does
-    (`quantiser`): relative to the largest of their frame.
+`N_SCENES` scenes: each body of `presses.BODIES` with each course of `presses.COURSES`. Bodies touch
+3 to 20 % of the taxels (log-uniform) with peaks of 0.2 to 0.9 of the range; moving ones slide by
+`SPEED` taxels a second; times of a scene are those below, whatever the frame rate. Noise is normal
+with one standard deviation at all forces, clipped to the range; all taxels of a frame are read at
+one time. Single taxels are rounded to steps of f_max / (2^bits - 1), sums as the compressor does,
+relative to the largest of their frame.
 """
 
 from __future__ import annotations
@@ -100,11 +94,6 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     return lambda taxels: method.reconstruct(taxels).forces
 
 
-def noise_model(noise: float) -> NoiseModel:
-    """Noise of one standard deviation at all forces, stated as a part of the range."""
-    return NoiseModel(F_MAX_N, noise * F_MAX_N, noise * F_MAX_N)
-
-
 def presses(
     scene: int, mask: Mask, noise: float, rate_hz: float, seed: int
 ) -> Iterator[tuple[Floats, Floats]]:
@@ -122,7 +111,7 @@ def presses(
         active=active,
         mask=mask,
         f_max=F_MAX_N,
-        noise=noise_model(noise),
+        noise=NoiseModel(F_MAX_N, noise * F_MAX_N, noise * F_MAX_N),
         timing=Timing(N_UNTOUCHED, ramp, pause, held),
     )
 
@@ -152,11 +141,11 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
     part of the range; NaN if not even touches with the whole range are found.
 
     The touch begins from one frame to the next at a random place. It is found if in one of the
-    first 8 frames the mean reconstructed force over its 3 x 3 taxels is larger than that of any
-    3 x 3 taxels in 60 untouched frames, and within 50 % of the true one. Forces are tested from
-    half the noise upwards in steps of 25 %, 10 touches each.
+    first 8 frames the mean reconstructed force over its taxels is larger than that of any 3 x 3
+    taxels in 60 untouched frames, and within 50 % of the true one. Forces rise from half the noise
+    in steps of 25 %, 10 touches each.
     """
-    model, rng = noise_model(noise), np.random.default_rng([seed, 5])
+    model, rng = NoiseModel(F_MAX_N, *2 * [noise * F_MAX_N]), np.random.default_rng([seed, 5])
     nothing = np.zeros(mask.shape, dtype=np.float32)
     sides = tuple(min(TOUCH_SIDE, side) for side in mask.shape)
     inside = np.lib.stride_tricks.sliding_window_view(mask, sides).all(axis=(-2, -1))

@@ -16,10 +16,19 @@ from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.files.recording import shown
 from sparseskin.nodes.toml import parse_toml
 
-from .models.adc import Adc, read_adc
-from .models.buses import Bus, read_bus
-from .models.edge import Edge, read_edge
-from .models.units import FORCE, LENGTH, RATE, TIME, quantity
+from .models import (
+    FORCE,
+    LENGTH,
+    RATE,
+    TIME,
+    Adc,
+    Bus,
+    Edge,
+    quantity,
+    read_adc,
+    read_bus,
+    read_edge,
+)
 from .strategies import ANALOG, DIGITAL
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 
 from .budget import Accuracy, Row
-from .models.edge import instructions
+from .models import instructions
 from .spec import Design
 
 

@@ -15,9 +15,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean, suggestion
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.settings import PatchSettings, naming, setting
-from sparseskin.plugins.boards.board import Board, naming_board
 from sparseskin.plugins.boards.settings import read_settings, split_source
-from sparseskin.plugins.boards.source import BoardSource
+from sparseskin.plugins.boards.source import Board, BoardSource, naming_board
 from sparseskin.plugins.boards.udp_port import UdpPort
 
 from .description import EdgeDescription

@@ -4,10 +4,8 @@ Each part of the skin is laid flat (`surface`). Steps between neighbours that ar
 lattice, square or hexagonal, are rounded to whole ones, in an orientation that may turn from place
 to place, and all steps joined by least squares: a lattice that is bent, stretched or has holes
 becomes a grid with cells without a taxel. What is no lattice is kept as it lies. Points then go to
-the nearest free cells: those with the least sum of squared distances.
-
-The quad tree of that grid is a tree of neighbours on the skin. The grid's Haar basis, its shifts
-and its neighbours are those of the skin, and all that works on a grid with a mask works on it.
+free cells with the least sum of squared distances. All that works on a grid with a mask works on
+it.
 
 Source: lattices rounded on a surface: Ray et al., "Periodic global parameterization", ACM
 Transactions on Graphics 25(4), 2006; Bommes et al., "Mixed-integer quadrangulation", ACM

@@ -1,23 +1,16 @@
 """Scenes on a skin of points: a finger, a ball or a limb presses it and moves over it.
 
-| scene        | body                                 | push | course                              |
-|--------------|--------------------------------------|------|-------------------------------------|
-| finger_path  | a sphere of 10 mm radius, 0.05 kg    | 1 N  | along a path over the skin, 0.1 m/s |
-| ball_presses | a sphere of 40 mm radius, 0.3 kg     | 6 N  | pressed, lifted, at place by place  |
-| limb_path    | a bead of 35 mm radius, 160 mm, 1 kg | 15 N | as finger_path, across its length   |
-
 The contact model is that of all scenes (`scenes.contact`): each taxel a unilateral spring-damper
-with k and c of `scenes.scenes.SKIN`, one rigid body. The body is free along the normal of the skin
-at the place where it presses, and pushed against it by a constant force; along the skin it is
-guided. A taxel is a sphere of half their distance, r, whose top is at its place p: its middle is
-m = p - r n with the normal n. With c the middle, or the nearest point of the axis, of a body of
-radius R, its gap is the distance in space,
+with k and c of `scenes.scenes.SKIN`, one rigid body, free along the normal of the skin where it
+presses, pushed against it by a constant force, and guided along the skin. A taxel is a sphere of
+half their distance, r, whose top is at its place p: its middle is m = p - r n with the normal n.
+With c the middle, or the nearest point of the axis, of a body of radius R, its gap is
 
     g = |c - m| - R - r,        J = dg/dq = a . (c - m) / |c - m|,
 
 where a is the outward normal along which the body is free, q its height. A taxel that faces away
-from the body is not touched. The course is a shortest way over neighbours on the skin between
-places drawn at random, smoothed. A frame is the mean of `STEPS` steps: 10 ms.
+from the body is not touched. The course is a shortest way over neighbours between places drawn at
+random, smoothed. A frame is the mean of `STEPS` steps: 10 ms.
 """
 
 from __future__ import annotations
@@ -59,7 +52,7 @@ _REACH_M = 0.01
 
 @dataclass(frozen=True)
 class Scene:
-    """A body, as in the table of this module; a sphere where its length is 0."""
+    """A body, a sphere where its length is 0; a limb moves across its length, at 0.1 m/s as all."""
 
     radius_m: float
     mass_kg: float

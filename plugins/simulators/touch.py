@@ -1,18 +1,13 @@
 """Forces of the taxels of a skin in a MuJoCo simulation, by the force law of the scenes.
 
-Each taxel is a needle along the normal n of the skin. A body whose surface has passed the plane of
-the unloaded taxels by d > 0 there, at the rate d' of its material point against the skin, presses
-with
+Each taxel is a needle along the normal of the skin: a surface, found by rays against the geoms
+themselves, that has passed the plane of the unloaded taxels by d > 0 at the rate d' of its material
+point presses with f = max(0, k d + c d'), as in `scenes.contact`. All rays of a frame are one call
+of MuJoCo: they start at one point, 1 km behind the skin, so that they are parallel to 0.1 mrad on a
+skin of 0.2 m; at a penetration of 10 mm that is 1 um aside.
 
-    f = max(0, k d + c d'),
-
-as in `scenes.contact`. The surfaces are found by rays against the geoms themselves, of any type.
-
-All rays of a frame are one call of MuJoCo: they start at one point, 1 km behind the skin, so that
-they are parallel to 0.1 mrad on a skin of 0.2 m; at a penetration of 10 mm that is 1 um aside.
-
-Limits. Needles are not spheres: an edge is felt where it is, not a radius before. There is no
-friction. A body thinner than its penetration, or deeper than `depth_m`, reads `depth_m`.
+Limits: an edge is felt where it is, not a taxel's radius before; there is no friction; a body
+thinner than its penetration, or deeper than `depth_m`, reads `depth_m`.
 """
 
 from __future__ import annotations

@@ -212,7 +212,7 @@ class ContactScores:
 
     def figures(self) -> dict[str, Any]:
         """Counts by force; delays in frames; ghosts in 1000 frames; medians of the errors in
-        taxels, mm and %; deviations of the errors, by their median, in those stated; ids lost and swapped in 1000
+        taxels, mm and %, and in stated deviations (1: as stated); ids lost and swapped in 1000
         frames of a contact; bytes a frame.
         """
         off = float(np.median(self.off)) if self.off else None

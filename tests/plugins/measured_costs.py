@@ -1,7 +1,7 @@
 r"""Measures the processor time of edge and host for every strategy: `costs.toml` on stdout.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
-        python tests/plugins/measured_costs.py > plugins/design/models/costs.toml
+        python tests/plugins/measured_costs.py > plugins/design/costs.toml
 """
 
 import os
@@ -15,7 +15,7 @@ from sparseskin.messages import Message, SkinState, Taxels, encode
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.presses import BODIES, Timing, press_frames
-from sparseskin.plugins.design.models.costs import FIGURES
+from sparseskin.plugins.design.models import FIGURES
 from sparseskin.plugins.design.strategies import SINGLE, STRATEGIES, Strategy
 from sparseskin.studies.speed.bodies import WARM_UP, made_node, timed_step
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sparseskin.plugins.boards.board import describe_board
 from sparseskin.plugins.boards.framing import Frame
+from sparseskin.plugins.boards.source import describe_board
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs/howto/boards.md"

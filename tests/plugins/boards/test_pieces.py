@@ -10,9 +10,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.plugins.boards.board import describe_board
 from sparseskin.plugins.boards.framing import Counts, Frame, FrameParser
 from sparseskin.plugins.boards.pieces import Pieces
+from sparseskin.plugins.boards.source import describe_board
 
 N = 10
 MODULUS = 1 << 8

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.sources import find_address
-from sparseskin.plugins.boards.board import describe_board
 from sparseskin.plugins.boards.readings import DTYPES, Decoder
 from sparseskin.plugins.boards.settings import profile_names
+from sparseskin.plugins.boards.source import describe_board
 
 PLAIN = "rows=2&cols=3&start=AA55"
 

@@ -9,7 +9,7 @@ from measured_costs import SIZES, measure
 
 from sparseskin.plugins.design import text
 from sparseskin.plugins.design.budget import NO_GRID, STAGES, Accuracy, budget, frame_bytes, row_of
-from sparseskin.plugins.design.models.costs import FIGURES, HOP_S, LARGEST, cost, stored
+from sparseskin.plugins.design.models import FIGURES, HOP_S, LARGEST, cost, stored
 from sparseskin.plugins.design.simulation import grid_of
 from sparseskin.plugins.design.spec import make_design
 from sparseskin.plugins.design.strategies import STRATEGIES

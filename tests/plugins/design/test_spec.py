@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.plugins.design.models.buses import Bus
+from sparseskin.plugins.design.models import Bus
 from sparseskin.plugins.design.spec import make_design, read_file
 
 PAD = {"rows": 12, "cols": 32}

@@ -4,7 +4,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.plugins.wiring.model import array_wiring, count_crossings, sbhe_wiring, star_wiring
+from sparseskin.plugins.wiring.study import array_wiring, count_crossings, sbhe_wiring, star_wiring
 
 
 def test_a_star_is_as_long_as_the_distances_from_its_median():

@@ -9,13 +9,23 @@ from pathlib import Path
 import pytest
 
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.plugins.design.models.adc import Adc, read_adc
-from sparseskin.plugins.design.models.buses import Bus, read_bus
-from sparseskin.plugins.design.models.edge import Edge, instructions, read_edge
-from sparseskin.plugins.design.models.units import FORCE, LENGTH, RATE, TIME, quantity
+from sparseskin.plugins.design.models import (
+    FORCE,
+    LENGTH,
+    RATE,
+    TIME,
+    Adc,
+    Bus,
+    Edge,
+    instructions,
+    quantity,
+    read_adc,
+    read_bus,
+    read_edge,
+)
 from sparseskin.plugins.edge.description import EdgeDescription
 
-RIGS = Path(__file__).parents[1] / "rigs.toml"
+RIGS = Path(__file__).parent / "rigs.toml"
 
 
 def a_length(text):
