@@ -49,9 +49,7 @@ class BoardAddress(Address):
 
 
 class SerialAddress(BoardAddress):
-    """A board on a serial port; `sparseskin sources` lists those that pyserial describes, or where
-    it is not installed those in /dev.
-    """
+    """A board on a serial port."""
 
     form = "serial:DEVICE"
 

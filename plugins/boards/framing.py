@@ -109,9 +109,7 @@ class Framing:
         return n + self._check.n_bytes + len(self.end)
 
     def size(self, raw: Raw) -> int:
-        """Length of the frame that these bytes begin; the least, where they state none that is
-        allowed.
-        """
+        """Length of the frame that these bytes begin; the least, where they state none allowed."""
         n, least = self.n_bytes, self.payload_bytes + self.after
         if self.length is None or len(raw) < n:
             return n
@@ -220,9 +218,7 @@ class Sequence:
 
 
 class FrameParser:
-    """Finds the frames in a stream of bytes, however it is cut; `framing` has start bytes, `counts`
-    are added to.
-    """
+    """Finds the frames in a stream of bytes, however it is cut; `framing` has start bytes."""
 
     def __init__(self, framing: Framing, counts: Counts | None = None) -> None:
         if not framing.start:

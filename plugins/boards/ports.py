@@ -20,9 +20,7 @@ Arrived = tuple[int, Frame]
 
 
 class Port(ABC):
-    """A port with the parser of its frames; `n_bytes` received since it was made, `lines` for the
-    log.
-    """
+    """A port with the parser of its frames; `n_bytes` received so far, `lines` for the log."""
 
     def __init__(self, address: str, settings: Any, framing: Framing, counts: Counts) -> None:
         self.address, self._settings = address, settings

@@ -1,19 +1,21 @@
-"""From the payload of a frame to readings: type, order of the taxels, zero and scale."""
+"""From frames to readings: pieces put together; type, order of the taxels, zero and scale."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
+
+from .framing import Counts, Frame
 
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 ORDERS = ("rows", "columns")
 
 
 def order_of(text: str, n: int) -> list[int] | None:
-    """Places in which n rows or columns are sent: "forward", "reversed" or "2,0,1"; None for other
-    texts.
-    """
+    """Places of n rows or columns as sent: "forward", "reversed" or "2,0,1"; None: other texts."""
     if text == "forward":
         return list(range(n))
     if text == "reversed":
@@ -65,3 +67,43 @@ class Decoder:
             if self._dtype.itemsize > 2:  # counts of up to 24 bits are exact in float32
                 return ((counts.astype(np.float64) - self._zero) * self._scale).astype(np.float32)
             return (counts.astype(np.float32) - np.float32(self._zero)) * np.float32(self._scale)
+
+
+class Pieces:
+    """Puts frames of `n_readings` of `n_bytes` each together from pieces, which state their first
+    reading, and whose numbers begin at 0 again after `modulus` (0: they have none). A piece may end
+    one frame and begin the next; a frame that lacks one is counted and dropped, as its readings
+    would be of two times. `counts`: those of the parser of the pieces.
+    """
+
+    def __init__(self, n_readings: int, n_bytes: int, modulus: int, counts: Counts) -> None:
+        self._n, self._size, self._modulus, self._counts = n_readings, n_bytes, modulus, counts
+        self._begun = bytearray()
+        self._number = 0
+
+    def reset(self) -> None:
+        """Drop the frame that has begun: the stream was interrupted."""
+        self._counts.bad_frames += bool(self._begun)
+        self._counts.dropped_bytes += len(self._begun)
+        self._begun.clear()
+
+    def add(self, piece: Frame) -> Frame | None:
+        """Add a piece; return the frame that it completes, with its stamp and end."""
+        counts, at, whole = self._counts, piece.first * self._size, self._n * self._size
+        counts.frames -= 1
+        in_turn = not self._modulus or piece.sequence == self._number
+        if piece.sequence is not None:
+            self._number = (piece.sequence + 1) % max(1, self._modulus)
+        if at != len(self._begun) or not in_turn:
+            self.reset()
+        used = piece.payload
+        if at != len(self._begun):  # only what is of the next frame can be used
+            used = used[whole - at :] if at < whole < at + len(used) else b""
+            counts.dropped_bytes += len(piece.payload) - len(used)
+        self._begun += used
+        if len(self._begun) < whole:
+            return None
+        found = replace(piece, payload=bytes(self._begun[:whole]), first=0)
+        del self._begun[:whole]
+        counts.frames += 1
+        return found

@@ -287,9 +287,7 @@ def split_source(source: str) -> tuple[str, str, dict[str, str]]:
 
 
 def read_settings(kind: str, query: Mapping[str, str]) -> BoardSettings:
-    """Settings of a kind of board from a query and its profile; SparseskinError if one is not
-    allowed.
-    """
+    """Settings of a kind of board, by query and profile; SparseskinError if not allowed."""
     cls, own = KINDS[kind], dict(query)
     profile = own.pop("profile", None)
     stated = {} if profile is None else read_profile(profile, cls)
@@ -297,8 +295,8 @@ def read_settings(kind: str, query: Mapping[str, str]) -> BoardSettings:
 
 
 def typed(cls: type[Settings], query: Mapping[str, str], *more: str) -> dict[str, Any]:
-    """Texts of a query as the types of a class's settings. Raises SourceError of other keys
-    (`more`: further keys to propose).
+    """Texts of a query as a class's settings; SourceError of other keys (`more`: ones to
+    propose).
     """
     entries = {entry["key"]: entry for entry in cls.described()}
     for key in query:

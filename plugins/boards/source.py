@@ -21,8 +21,8 @@ from sparseskin.nodes.sensor.source import LiveSource
 
 from .can_port import CanPort, chunks_of
 from .framing import Counts, Framing
-from .pieces import Pieces
 from .ports import Arrived, Port
+from .readings import Pieces
 from .serial_port import SerialPort
 from .settings import (
     BoardSettings,

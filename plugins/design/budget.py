@@ -83,15 +83,13 @@ class Row:
 
     @property
     def light_touch_n(self) -> float:
-        """Least force a taxel, newtons, at which a press of 3 x 3 taxels is found; NaN if not
-        known.
-        """
+        """Least force a taxel, N, at which a press of 3 x 3 taxels is found; NaN if not known."""
         return self.accuracy.light_touch * self.range_n
 
     @property
     def latency_s(self) -> float:
-        """Time from the first conversion of a frame to its reconstruction under a dense press,
-        without queues.
+        """Time from a frame's first conversion to its reconstruction, dense press, without
+        queues.
         """
         return sum(self.stage_s.values()) + HOP_S
 

@@ -132,8 +132,8 @@ def _udp_s(n: int, bit_s: float) -> float:
 
 
 class _Kind(NamedTuple):
-    """The bus in words, but its rates; time of a frame of n data bytes and the gap after it, by the
-    rates; data bytes of a frame at most (None: no framing); the rates where none is stated.
+    """Label without rates; time of a frame of n bytes by the rates; its most bytes; default
+    rates.
     """
 
     label: str
@@ -217,8 +217,8 @@ HOP_S = 0.28e-3
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time of a frame, seconds: of the compressor on Linux, and of the reconstructor for
-    an untouched frame and for one of a dense press.
+    """Processor time of a frame, s: compressor on Linux; reconstructor, untouched and densely
+    pressed.
     """
 
     edge_s: float
@@ -262,9 +262,7 @@ _M4 = re.compile(r"cortex-m4\s*@\s*(.+)", re.ASCII)
 
 @dataclass(frozen=True)
 class Edge:
-    """The processor beside the skin: clock of a Cortex-M4, or None for a computer with Linux like
-    the one that was measured.
-    """
+    """The processor beside the skin: clock of a Cortex-M4; None: Linux on the computer measured."""
 
     clock_hz: float | None
 
@@ -290,9 +288,7 @@ def instructions(readings: int, sums: int, n_bytes: int) -> int:
 
 
 def read_edge(text: object) -> Edge:
-    """The edge that a text states: "cortex-m4@168MHz" or "linux". Raises SettingsError for other
-    forms.
-    """
+    """The edge of "cortex-m4@168MHz" or "linux"; raises SettingsError for other forms."""
     if text == LINUX:
         return Edge(None)
     found = _M4.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None

@@ -13,8 +13,7 @@ from sparseskin.nodes.compressor.phi.hadamard import block_sizes
 from sparseskin.nodes.compressor.quantiser import SMALLEST
 from sparseskin.nodes.files import whole_folder
 
-from .description import EdgeDescription
-from .frames import Counts, compressed
+from .description import Counts, EdgeDescription, compressed
 
 DESCRIPTION = "edge.toml"
 COPIED = (

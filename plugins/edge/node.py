@@ -19,8 +19,7 @@ from sparseskin.plugins.boards.settings import read_settings, split_source
 from sparseskin.plugins.boards.source import Board, BoardSource, naming_board
 from sparseskin.plugins.boards.udp_port import UdpPort
 
-from .description import EdgeDescription
-from .frames import framing_of, read_frame, stated
+from .description import EdgeDescription, framing_of, read_frame, stated
 
 COUNTS = "counts"
 WAIT_S = 0.05

@@ -64,10 +64,7 @@ def _sections() -> tuple[PchipInterpolator, PchipInterpolator]:
 
 
 def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
-    """Heights of the rings, their taxels and the way around each at the angles `_AROUND`.
-
-    They are a pitch apart along the mean of the front's and the side's line.
-    """
+    """Heights of the rings, a pitch apart, their taxels, and the way around each at `_AROUND`."""
     widths, depths = _sections()
     z = np.linspace(_TORSO[0, 0], _TORSO[-1, 0], 2000)
     steps = np.mean([np.hypot(np.diff(line(z)), np.diff(z)) for line in (widths, depths)], axis=0)

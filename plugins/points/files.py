@@ -79,11 +79,9 @@ class Points:
 
 
 def estimated_normals(places: Doubles) -> Doubles:
-    """Normals of points by the plane of least squares through their neighbours, float64 (n, 3).
-
-    The sign, which neighbours do not tell, is that which points away from the middle of all points;
-    on a part that curves back it may be wrong. Source: Hoppe et al., "Surface reconstruction from
-    unorganized points", SIGGRAPH 1992.
+    """Normals of points by the plane of least squares through their neighbours, float64 (n, 3),
+    away from the middle of all points: on a part that curves back the sign may be wrong. Source:
+    Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """
     n = len(places)
     if n < 3:

@@ -35,10 +35,7 @@ from .files import Points, load_points
 from .surface import Edges, Joined, flattened, neighbours, parts
 
 SQUARE, HEXAGONAL = 4, 6
-_AXES = {
-    SQUARE: np.eye(2),
-    HEXAGONAL: np.array([[1.0, 0.5], [0.0, math.sqrt(0.75)]]),
-}
+_AXES = {SQUARE: np.eye(2), HEXAGONAL: np.array([[1.0, 0.5], [0.0, math.sqrt(0.75)]])}
 """Axes of a lattice of spacing 1, as columns."""
 ORDERED = 0.3
 """Least mean cosine of `order` times the angle between two neighbours of a point, at which points
@@ -122,8 +119,8 @@ class Placement:
 
 
 def placed(layout: str) -> Placement:
-    """The placement of a layout; remembered while the file stays. Raises SourceError as
-    `load_points` and `place` do.
+    """The placement of a layout, remembered while the file stays; raises as `load_points`,
+    `place`.
     """
     try:
         state = Path(layout).stat()
@@ -285,9 +282,8 @@ def _joined(steps: Doubles, edges: Edges, n: int) -> Doubles:
 
 
 def _upright(lattice: Doubles, places: Doubles, order: int) -> Doubles:
-    """Rows and columns, (n, 2), of coordinates on a lattice; row 0 is at the upper end.
-
-    Up is +z, on a level skin +y. Rows of a hexagonal lattice are half a cell apart in turn.
+    """Rows and columns, (n, 2), row 0 at the upper end (+z, on a level skin +y); hexagons in
+    rows.
     """
     up = places[:, 2] if np.ptp(places[:, 2]) > 0.1 * np.ptp(places, axis=0).max() else places[:, 1]
     flat = lattice @ _AXES[order].T

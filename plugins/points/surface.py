@@ -45,9 +45,7 @@ MOST_OUTWARD = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Pairs of neighbours a, b, each in both directions, and their distance in metres, (n_edges,)
-    each.
-    """
+    """Pairs of neighbours a, b, in both directions, and their distance in metres, (n_edges,)."""
 
     a: Indices
     b: Indices
@@ -129,9 +127,8 @@ def summed(at: Indices, values: Doubles, n: int) -> Doubles:
 
 
 def _tangents(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
-    """Two axes of the tangent plane of each point, (n, 2, 3), to the right and up from outside.
-
-    The plane is that of its neighbours: normals in files are not always those of the surface.
+    """Axes of each point's tangent plane by its neighbours, (n, 2, 3), to the right and up from
+    outside.
     """
     n = len(places)
     step = places[edges.b] - places[edges.a]

@@ -81,8 +81,8 @@ def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
 
 
 def shape_in_child(address: str, n_bytes: int) -> tuple[int, int]:
-    """Rows and columns of the skin of a model MODEL#SITE, a file of `n_bytes`: its first state is
-    computed in a child, as a model of a few lines may take any time and memory. Raises SourceError.
+    """Rows and columns of the skin MODEL#SITE, of a file of `n_bytes`, by a child: a short model
+    may take any time and memory. Raises SourceError.
     """
     found = output_of(f"{__package__}.source", address, n_bytes=n_bytes)
     n_rows, n_cols = map(int, found.split()[-2:])
@@ -117,9 +117,8 @@ def load_model(path: str) -> Any:
 
 def find_pad(model: Any, site: str, path: str) -> Pad:
     """The skin at a site; its constants are numerics SITE_pitch_m, SITE_stiffness, SITE_damping and
-    SITE_depth_m of the model's section `custom`, else those of the scenes of this package. Raises
-    SourceError if there is no such site, it is no box, or a constant or the number of taxels is not
-    allowed.
+    SITE_depth_m of the model, else those of the scenes. Raises SourceError if there is no such
+    site, it is no box, or a constant or the number of taxels is not allowed.
     """
     import mujoco
 

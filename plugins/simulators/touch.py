@@ -69,8 +69,8 @@ class Touch:
         return forces.reshape(self._pad.shape).astype(np.float32)
 
     def press(self) -> Floats:
-        """As `read`; and the forces act on the bodies in the next `mj_step2`, those of the last
-        call no more. Forces are added to `xfrc_applied`, which others may use too.
+        """As `read`; the forces, and no longer those of the last call, act on the bodies in the
+        next `mj_step2`: they are added to `xfrc_applied`, which others may use too.
         """
         forces, points, bodies = self._forces()
         normal = self._frame()[1][:, 2]

@@ -48,13 +48,11 @@ def is_tekscan(raw: bytes) -> bool:
 class TekscanRecording(Recording):
     """A Tekscan ASCII movie export.
 
-    `B` marks a cell of the grid without a sensel: it is masked, and its value is 0. Raw counts
-    are compared with the `Raw Sum` of each frame. The times of the frames are used where all
-    differ; they are printed to 0.01 s, so for fast recordings `SECONDS_PER_FRAME` counts.
-
-    `forces` are float64, in the file's UNITS. Raises SourceError if a header or frame is missing,
-    cut short or malformed, a reading is not a finite number >= 0, the mask changes, or a raw sum is
-    not the sum of its frame.
+    `B` marks a cell without a sensel: it is masked, and its value is 0. The times of the frames are
+    used where all differ; they are printed to 0.01 s, so for fast recordings `SECONDS_PER_FRAME`
+    counts. `forces` are float64, in the file's UNITS. Raises SourceError if a header or frame is
+    missing, cut short or malformed, a reading is not a finite number >= 0, the mask changes, or a
+    `Raw Sum` is not the sum of its frame.
     """
 
     def __init__(self, lines: Lines) -> None:

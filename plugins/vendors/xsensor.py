@@ -54,14 +54,13 @@ class XsensorRecording(Recording):
     """An XSENSOR text export; blank lines hold commas alone.
 
     A frame holds one sensor or more (a pair of insoles), and groups of their sensels: the first
-    sensor is read. Its peak is compared with the one that the frame states. An empty cell is one
-    without a sensel. Where there is none, but the stated total area is less than that of the
-    grid, cells that read 0 in all frames are taken as such: an insole's export has zeros outside
-    its outline. The rate is the mean one by the times of the frames, which are printed to 1 ms.
-
-    `forces` are float64, in the file's Units. Raises SourceError if a header or frame is missing,
-    cut short or malformed, a reading is not a finite number >= 0, frames differ in sensor, grid or
-    mask or one is left out, times fall, or a peak is not the largest reading of its frame.
+    sensor is read. An empty cell is one without a sensel. Where there is none, but the stated total
+    area is less than that of the grid, cells that read 0 in all frames are taken as such: an
+    insole's export has zeros outside its outline. The rate is the mean one by the times of the
+    frames, printed to 1 ms. `forces` are float64, in the file's Units. Raises SourceError if a
+    header or frame is missing, cut short or malformed, a reading is not a finite number >= 0,
+    frames differ in sensor, grid or mask or one is left out, times fall, or a peak is not the
+    largest reading of its frame.
     """
 
     def __init__(self, lines: Lines) -> None:

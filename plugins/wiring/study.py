@@ -20,13 +20,7 @@ from sparseskin.nodes.numerics.arrays import Indices, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
 from sparseskin.studies.frames import Frames, PressFrames, SceneFrames
-from sparseskin.studies.harness import (
-    Candidate,
-    Experiment,
-    Measurement,
-    method_rows,
-    unrefused,
-)
+from sparseskin.studies.harness import Candidate, Experiment, Measurement, method_rows, unrefused
 from sparseskin.studies.points import compute
 from sparseskin.studies.report import Page, markdown
 
@@ -106,9 +100,7 @@ def experiment(frames: list[Frames], seeds: range) -> Experiment:
 
 
 def conclusion(rows: pd.DataFrame) -> list[str]:
-    """Loss and length of wires of the shortest neighbourhood, of rows of an array, and of single
-    taxels, against rows over the whole skin, with the default solver.
-    """
+    """Loss and length of wires of other kinds against rows over the whole skin, default solver."""
     some = rows[rows["preset"] == "skin"].groupby("kind")[["loss_db", "length"]].mean()
     whole = some.loc[SCRAMBLED, "length"]
     texts = {
@@ -193,19 +185,15 @@ def star_wiring(groups: list[Indices], cells: Indices, n_cols: int, conversions:
 
 
 def sbhe_wiring(phi: SbhePhi, exists: Mask) -> Wiring:
-    """Wires where each Hadamard block is a group of taxels, and its sums are made in analog: M
-    conversions a frame.
-    """
+    """Wires where each Hadamard block is a group whose sums are analog: M conversions a frame."""
     ends = np.cumsum(phi.sizes)[:-1]
     groups = np.split(phi.permutation, ends)
     return star_wiring(groups, np.flatnonzero(exists), exists.shape[1], phi.m)
 
 
 def array_wiring(n_rows: int, n_cols: int, conversions: int) -> Wiring:
-    """Wires of a row-column array: a line along each row and each column.
-
-    Length n_rows (n_cols - 1) + n_cols (n_rows - 1); each row crosses each column, which is where
-    the taxel lies; all of them leave the skin.
+    """Wires of a row-column array: a line along each row and column, which leave the skin and cross
+    at the taxels; length n_rows (n_cols - 1) + n_cols (n_rows - 1).
     """
     length = float(n_rows * (n_cols - 1) + n_cols * (n_rows - 1))
     return Wiring(n_rows + n_cols, n_rows * n_cols, length, conversions)
@@ -214,9 +202,7 @@ def array_wiring(n_rows: int, n_cols: int, conversions: int) -> Wiring:
 def count_crossings(
     begins: npt.NDArray[np.float64], ends: npt.NDArray[np.float64], group_of: npt.NDArray[np.intp]
 ) -> int:
-    """Number of pairs of straight lines of different groups that cross within both; (k, 2) and
-    (k,).
-    """
+    """Pairs of straight lines, (k, 2) each, of different groups, (k,), that cross within both."""
     total = 0
     for k in range(0, len(begins), _CHUNK):
         part = slice(k, k + _CHUNK)

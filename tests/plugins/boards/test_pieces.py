@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.plugins.boards.framing import Counts, Frame, FrameParser
-from sparseskin.plugins.boards.pieces import Pieces
+from sparseskin.plugins.boards.readings import Pieces
 from sparseskin.plugins.boards.source import describe_board
 
 N = 10

@@ -13,8 +13,7 @@ from edges import as_input, compiled
 
 from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, decode
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.plugins.edge.description import EdgeDescription
-from sparseskin.plugins.edge.frames import compressed, read_frame
+from sparseskin.plugins.edge.description import EdgeDescription, compressed, read_frame
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 

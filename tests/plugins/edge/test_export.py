@@ -16,9 +16,8 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
 from sparseskin.nodes.node import Context
 from sparseskin.plugins.boards.framing import FrameParser
-from sparseskin.plugins.edge.description import EdgeDescription
+from sparseskin.plugins.edge.description import EdgeDescription, compressed, framing_of, read_frame
 from sparseskin.plugins.edge.export import COPIED, export
-from sparseskin.plugins.edge.frames import compressed, framing_of, read_frame
 
 
 def described(n_rows, n_cols, ratio=3, holes=False, **more):

@@ -15,8 +15,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.plugins.edge.description import EdgeDescription
-from sparseskin.plugins.edge.frames import compressed, read_frame, stated
+from sparseskin.plugins.edge.description import EdgeDescription, compressed, read_frame, stated
 from sparseskin.plugins.edge.node import Edge
 
 pytest.importorskip("serial", reason="pyserial is not installed")
