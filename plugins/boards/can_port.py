@@ -117,10 +117,6 @@ class Assembler:
         self._parts: dict[int, bytes] = {}
         self._counter = -1
 
-    def reset(self) -> None:
-        """Drop what is waiting: the bus was interrupted."""
-        self._give_up()
-
     def add(self, arbitration_id: int, data: bytes) -> bytes | None:
         """Add the data of a CAN frame, of any id; return the frame that it completes."""
         chunks = self._chunks
@@ -141,7 +137,7 @@ class Assembler:
         else:
             starts_new = number == 0 or number != len(self._parts)
         if starts_new or number in self._parts:
-            self._give_up()
+            self.reset()
             self._counter = counter
             if number and not chunks.counter_bytes:  # its begin is lost
                 self._counts.dropped_bytes += len(data) - n_head
@@ -154,7 +150,8 @@ class Assembler:
         self._counter = -1
         return whole
 
-    def _give_up(self) -> None:
+    def reset(self) -> None:
+        """Drop what is waiting: the bus was interrupted, or a part is missing."""
         if self._parts:
             self._counts.bad_frames += 1
             self._counts.dropped_bytes += sum(map(len, self._parts.values()))

@@ -54,7 +54,6 @@ def quantity(text: object, units: dict[str, float], example: str, low: float, hi
     return value
 
 
-ADC_FORM = "10bit@200kS/s"
 _ADC = re.compile(r"(\d{1,2})\s*bits?\s*@\s*(.+)", re.ASCII)
 
 
@@ -90,7 +89,7 @@ def read_adc(text: object) -> Adc:
     """One converter that a text such as "10bit@200kS/s" states; SettingsError for other forms."""
     found = _ADC.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None
     if found is None:
-        raise SettingsError(f"{shown(text)}: expected bits and conversions a second, as {ADC_FORM}")
+        raise SettingsError(f"{shown(text)}: expected bits and samples a second, as 10bit@200kS/s")
     bits = int(found[1])
     if not 4 <= bits <= 24:
         raise SettingsError(f"{shown(text)}: {bits} bits; allowed: 4..24")

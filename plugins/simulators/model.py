@@ -169,9 +169,8 @@ def find_pad(model: Any, site: str, path: str) -> Pad:
 
 
 def touching_geoms(model: Any, pad: Pad, path: str) -> Any:
-    """Ids of the geoms that can touch the skin: those that collide, of bodies that are not welded
-    to it or to its parent (which MuJoCo does not let collide either). Raises SourceError if there
-    is none.
+    """Ids of the geoms that can touch the skin: those that collide, of bodies not welded to it or
+    its parent (which MuJoCo does not let collide either). SourceError if there is none.
     """
     own = int(model.body_weldid[pad.body])
     parent = int(model.body_weldid[model.body_parentid[own]]) if own else 0

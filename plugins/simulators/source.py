@@ -73,8 +73,8 @@ class MujocoSource(Source):
         self.touch = Touch(self.model, self._reset(), self.pad, self.path)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
-        """Yield (stamp_ns, forces): simulated nanoseconds since the first frame, and forces in N in
-        [0, f_max]; a fresh float32 array (n_rows, n_cols).
+        """Yield simulated ns since the first frame, and forces in N, a fresh float32 (n_rows,
+        n_cols).
         """
         import mujoco
 
