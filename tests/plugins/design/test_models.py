@@ -66,7 +66,7 @@ def test_a_datagram_has_66_bytes_beside_its_data():
         (read_bus, "seral:2M", "'seral:2M': bus is not known (did you mean 'serial'?)"),
         (read_bus, "serial:2Mbaud", "'2Mbaud': unit 'Mbaud' is not known"),
         (read_bus, "can-fd:5M/1M", "'can-fd:5M/1M': data are slower than the arbitration"),
-        (read_adc, "10bit", "expected bits and conversions a second, as 10bit@200kS/s"),
+        (read_adc, "10bit", "expected bits and samples a second, as 10bit@200kS/s"),
         (read_adc, "10bit@200k", "unit 'k' is not known; allowed: S/s, kS/s, MS/s"),
         (read_edge, "cortex-m5@1MHz", "did you mean 'cortex-m4'?"),
         *((a_length, text, "") for text in ("4", "-4mm", "nanmm", 4)),
