@@ -95,7 +95,7 @@ def swept(one: Experiment, out: Path, executor: str) -> pd.DataFrame:
     split = rows["method"].str.split(": ", expand=True).reindex(columns=[0, 1])
     value = rows[one.label] if one.label in rows else pd.to_numeric(split[1])
     rows = rows.assign(sweep=one.label, solver=split[0], value=value)
-    rows["touched_db"] = -20 * np.log10(1e-3 * rows["touched_mn"])
+    rows["touched_db"] = -20 * np.log10((1e-3 * rows["touched_mn"]).clip(1e-6))
     keys, names = ["sweep", "ratio", "solver", "value"], list(SHOWN)
     means = rows.groupby(keys, sort=False, dropna=False)[names].mean().reset_index()
     noisy = means[means["solver"].isin(READINGS)].rename(columns={s: f"noisy_{s}" for s in names})
