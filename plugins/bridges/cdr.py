@@ -5,14 +5,14 @@ rosbags, which needs no ROS.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Contacts, SkinState
-from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.numerics.arrays import Floats
 
 from .base import ROW
 from .contacts import COLOURS, numbers, shapes, wrench
@@ -29,12 +29,12 @@ ORIGIN = np.zeros(3)
 
 @functools.cache
 def types(ros: int = 2) -> Any:
-    """Messages of ROS 2 Humble, or of ROS 1 Noetic, a `Typestore` of rosbags.
+    """Messages of ROS 2 Jazzy, or of ROS 1 Noetic, a `Typestore` of rosbags.
     Raises ImportError without rosbags.
     """
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS2_HUMBLE if ros == 2 else Stores.ROS1_NOETIC)
+    return get_typestore(Stores.ROS2_JAZZY if ros == 2 else Stores.ROS1_NOETIC)
 
 
 def encoded(kind: str, **fields: object) -> bytes:
@@ -129,29 +129,21 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
     mesh = made["visualization_msgs/msg/MeshFile"]("", none)
     colour = made["std_msgs/msg/ColorRGBA"](*COLOURS[contacts.trusted[0]])
 
-    def marker(
-        name: str,
-        kind: int,
-        scale: tuple[float, float, float],
-        number: int = 0,
-        at: Doubles = ORIGIN,
-        points: Sequence[Doubles] = (),
-        text: str = "",
-        action: int = ADD,
-    ) -> Any:
-        pose = made["geometry_msgs/msg/Pose"](point(*at.tolist()), upright)
-        ends = [point(*one.tolist()) for one in points]
-        return made["visualization_msgs/msg/Marker"](
-            *(header, name, number, kind, action, pose, vector(*scale), colour, never),
-            *(False, ends, [], "", texture, [], text, "", mesh, False),
-        )
-
-    markers = [marker("", SPHERE, (0.0, 0.0, 0.0), action=DELETE_ALL)]
+    rows: list[tuple[Any, ...]] = [("", SPHERE, DELETE_ALL, 0, (0.0, 0.0, 0.0), ORIGIN, (), "")]
     for one in shapes(contacts, skin):
-        d = one.diameter
-        markers += [
-            marker("sphere", SPHERE, (d, d, d / 4), one.id, one.centre),
-            marker("arrow", ARROW, (d / 4, d / 2, 0.0), one.id, points=(one.tail, one.centre)),
-            marker("text", TEXT, (0.0, 0.0, d), one.id, one.tail, text=one.text),
+        n, d, tail, tip = one.id, one.diameter, one.tail, one.centre
+        rows += [
+            ("sphere", SPHERE, ADD, n, (d, d, d / 4), tip, (), ""),
+            ("arrow", ARROW, ADD, n, (d / 4, d / 2, 0.0), ORIGIN, (tail, tip), ""),
+            ("text", TEXT, ADD, n, (0.0, 0.0, d), tail, (), one.text),
         ]
+    markers = [
+        made["visualization_msgs/msg/Marker"](
+            *(header, name, number, kind, action),
+            made["geometry_msgs/msg/Pose"](point(*at.tolist()), upright),
+            *(vector(*scale), colour, never, False, [point(*end.tolist()) for end in ends]),
+            *([], "", texture, [], text, "", mesh, False),
+        )
+        for name, kind, action, number, scale, at, ends, text in rows
+    ]
     return encoded(MARKERS, markers=markers)

@@ -16,14 +16,8 @@ from sparseskin.nodes.sensor.files.recording import choose
 from .cdr import CLOUD, IMAGE, types
 
 FORMATS = {
-    "32FC1": "f4",
-    "64FC1": "f8",
-    "16UC1": "u2",
-    "mono16": "u2",
-    "16SC1": "i2",
-    "8UC1": "u1",
-    "mono8": "u1",
-    "32SC1": "i4",
+    **{"32FC1": "f4", "64FC1": "f8", "16UC1": "u2", "mono16": "u2"},
+    **{"16SC1": "i2", "8UC1": "u1", "mono8": "u1", "32SC1": "i4"},
 }
 """Encodings of sensor_msgs/Image that hold one number a pixel, and the dtype of each."""
 FIELDS = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")

@@ -37,21 +37,11 @@ class Latest(NamedTuple):
 
 
 class LatestFrames:
-    """Reads the reconstructions of a patch in a thread, and keeps the newest; no node waits for it.
+    """Reads the reconstructions of a patch (of one in a batch BATCH/PATCH) of a graph, by default
+    the only one that runs, in a thread, and keeps the newest, with its contacts where they are
+    wanted; no node waits for it.
 
-    Parameters
-    ----------
-    graph : str or None
-        Name or label of the graph; None: the only one that runs.
-    patch : str
-        Name of the patch; of one in a batch BATCH/PATCH.
-    with_contacts : bool
-        True if each frame is to have its contacts.
-
-    Raises
-    ------
-    GraphError
-        If there is no such graph, or it does not publish that.
+    Raises GraphError if there is no such graph, or it does not publish that.
     """
 
     def __init__(self, graph: str | None, patch: str, with_contacts: bool) -> None:
@@ -69,7 +59,7 @@ class LatestFrames:
         self._stream = TopicStream(found, *topics)
         self._news = Condition()
         self._latest: Latest | None = None
-        self._why_ended = ""
+        self._number, self._why_ended = 0, ""
         self._skin: SkinState | None = None
         self._frame: Reconstruction | None = None
         self._held: dict[str, Floats] = {}
@@ -82,13 +72,10 @@ class LatestFrames:
         come in time. Raises GraphError once the graph has ended.
         """
         with self._news:
-            self._news.wait_for(
-                lambda: self._why_ended or (self._latest and self._latest.number > after), timeout_s
-            )
+            self._news.wait_for(lambda: self._why_ended or self._number > after, timeout_s)
             if self._why_ended:
                 raise GraphError(self._why_ended)
-            latest = self._latest
-        return latest if latest is not None and latest.number > after else None
+            return self._latest if self._number > after else None
 
     def close(self) -> None:
         """Stop reading."""
@@ -142,6 +129,6 @@ class LatestFrames:
         if contacts is not None and contacts.stamp_ns != frame.stamp_ns:
             return
         with self._news:
-            number = self._latest.number + 1 if self._latest else 1
-            self._latest = Latest(number, time.monotonic(), self._skin, frame, contacts)
+            self._number += 1
+            self._latest = Latest(self._number, time.monotonic(), self._skin, frame, contacts)
             self._news.notify_all()

@@ -165,29 +165,19 @@ def export_lerobot(
     topics
         Topics of maps and contacts; by default the reconstructions, or else the taxels, and all
         contacts.
-    fps : int, optional
-        Rows a second, the rate of the video that the dataset is for; by default 30.
-    window : int, optional
-        Number K of tactile frames a row; by default as many as come in 1 / fps, rounded up.
-    contacts : int
-        Number of contacts of a patch in the state.
+    fps, window, contacts : int, optional
+        Rows a second (30), tactile frames K of a row (as many as come in 1 / fps, rounded up), and
+        contacts of a patch in the state.
     into : str, optional
-        Folder of a dataset with an episode for each bag, which `out` has, too. It is not changed.
+        Folder of a dataset with an episode for each bag, to whose copy the features are added.
     offset : str
         Time of the first row after the first frame, seconds; of all episodes, or of each, separated
         by commas.
 
-    A row whose timestamp is s is that of the time t = t0 + offset + s, where t0 is the stamp from
-    which on there are frames of all topics; without `into` there is one each 1 / fps, up to the
-    last frame. Its feature observation.tactile.NAME, float32 (K, N), holds the last K frames at or
-    before t, the newest last, each row after row; observation.tactile.NAME.age, float32 (K,), how
-    long before t each was acquired, in seconds. Before K frames have come, the first stands in
-    place of those that are missing. NAME is PATCH for reconstructions, PATCH_SCHEMA for others.
-    observation.environment_state, float32, holds the newest frame of each map, 0 where a reading is
-    missing. Where there are contacts, observation.state, float32, holds `state` of the last of each
-    patch, with the names of its numbers. These two are appended to those of `into`. Without it,
-    observation.state holds the forces if there are no contacts, and action the state of the next
-    row, or of the last.
+    The features are those of docs/howto/bridges.md. A row with timestamp s is that of the time
+    t0 + offset + s, where t0 is the stamp from which on there are frames of all topics. Before K
+    frames have come, the first stands in place of those that are missing. In names of features
+    PATCH stands for reconstructions, PATCH_SCHEMA for others.
 
     Raises BagError if pyarrow is not installed, the bags have no such frames or those of different
     skins, a number is out of its range, `into` is no such dataset, or an episode is not within its
