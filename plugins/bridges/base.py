@@ -72,8 +72,6 @@ class BridgeSettings(Settings):
 S = TypeVar("S", bound=BridgeSettings)
 
 
-RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
-"""Numbers of a resultant that are sent."""
 UNKNOWN_PITCH_M = 1.0
 """Pitch of a skin that states none, metres: places then count taxels."""
 
@@ -121,6 +119,8 @@ class Bridge(Node[S]):
 
     HELP: ClassVar[str] = "show a running graph to another tool"
     """One line of `sparseskin bridge`."""
+    EXTRAS: ClassVar[tuple[str, ...]] = (Contacts.schema,)
+    """Schemas that are sent besides `maps`."""
     required = False
     observes = True
 
@@ -142,7 +142,7 @@ class Bridge(Node[S]):
 
     @classmethod
     def optional_inputs(cls, settings: S) -> tuple[str, ...]:
-        schemas = (*settings.maps, Resultant.schema, Contacts.schema)
+        schemas = (*settings.maps, *cls.EXTRAS)
         return tuple(topic_of(patch, schema) for patch in settings.patches for schema in schemas)
 
     def step(self, message: Message) -> Iterable[Message]:
@@ -156,31 +156,21 @@ class Bridge(Node[S]):
             for part in message.split(self._held[topic]):  # none before the first that is solved
                 self._send(part, skin)
         elif isinstance(message, Resultant):
-            self.send_resultant(message)
+            self._send(message, self.skins.get(message.patch))
         return ()
 
-    def _send(self, message: Map | Contacts, skin: SkinState | None) -> None:
-        if skin is None or not (
-            isinstance(message, Contacts) or skin.skin.shape == message.forces.shape[1:]
-        ):
+    def _send(self, message: Map | Contacts | Resultant, skin: SkinState | None) -> None:
+        shape = message.forces.shape[1:] if isinstance(message, Map) else None
+        if skin is None or shape not in (None, skin.skin.shape):
             # The skin may arrive on another connection than its frames.
             self.n_dropped += 1
             return
-        if isinstance(message, Contacts):
-            self.send_contacts(message, skin)
-        else:
-            self.send(message, skin)
+        self.send(message, skin)
         self.n_sent += 1
 
-    def send(self, message: Map, skin: SkinState) -> None:
-        """Send one map."""
+    def send(self, message: Map | Contacts | Resultant, skin: SkinState) -> None:
+        """Send a map, contacts or a resultant of one patch."""
         raise NotImplementedError
-
-    def send_contacts(self, message: Contacts, skin: SkinState) -> None:
-        """Send the contacts of a frame, where the tool has a place for them."""
-
-    def send_resultant(self, message: Resultant) -> None:
-        """Send one resultant, where the tool has a place for it."""
 
     def overtaken(self, message: Message) -> None:
         self.n_dropped += 1

@@ -6,14 +6,18 @@ the members of a message to DDS, as it asks for, and carry its bytes as they are
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import socket
 import types
 from dataclasses import dataclass
+from threading import Event, Thread
 from typing import Any
+from uuid import UUID
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import (
     DDSException,
@@ -36,7 +40,14 @@ from rosbags.interfaces import Nodetype
 from sparseskin.nodes.errors import SettingsError
 
 from . import cdr
+from .topics import Reader, Writer
 
+NODES = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+"""Type of the messages by which participants of ROS 2 state their nodes, of Jazzy and later."""
+NODES_HASH = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
+"""Hash of that type in rmw_dds_common, whose char is a uint8; that of rosbags differs."""
+ANNOUNCE_S = 0.2
+"""Time between two looks whether the nodes of ROS 2 have changed, seconds; chosen."""
 TOPIC_PREFIX = "rt"
 """Begins the DDS name of a ROS topic: /skin/taxels is rt/skin/taxels."""
 BLOCK_MS = 10
@@ -48,10 +59,15 @@ WHC_HIGH = "16 MB"
 
 @functools.cache
 def message_type(kind: str) -> type[Any]:
-    """Type of a message such as "sensor_msgs/msg/Image", by its definition of ROS 2; the bytes of
-    `ready` messages are written as they are, and received ones kept so.
+    """Type of a message such as "sensor_msgs/msg/Image", with the members by which DDS joins the
+    ends of a topic. The bytes of `ready` messages are written as they are, and kept when received.
     """
-    made = _type_of(kind)
+    package, _, name = kind.split("/")
+    members = {member: _member(form) for member, form in cdr.types().fielddefs[kind][1]}
+    form = {"typename": f"{package}::msg::dds_::{name}_"}
+    body = {"__annotations__": members, "__module__": __name__}
+    new = types.new_class(name, (IdlStruct,), form, lambda made: made.update(body))
+    made: type[Any] = dataclass(new)
     made.serialize = lambda self, *_, **__: self.cdr
     made.deserialize = classmethod(lambda cls, data, *_, **__: ready(cls, bytes(data)))
     return made
@@ -64,24 +80,14 @@ def ready(cls: type[Any], data: bytes) -> Any:
     return made
 
 
-@functools.cache
-def _type_of(kind: str) -> type[Any]:
-    """Type of cyclonedds with the members of a message, by which DDS joins readers and writers."""
-    package, _, name = kind.split("/")
-    members = {member: _member(form) for member, form in cdr.types().fielddefs[kind][1]}
-    form = {"typename": f"{package}::msg::dds_::{name}_"}
-    body = {"__annotations__": members, "__module__": __name__}
-    return dataclass(types.new_class(name, (IdlStruct,), form, lambda made: made.update(body)))
-
-
 def _member(form: Any) -> Any:
     """Type of cyclonedds of a member, by its form in a definition of rosbags."""
     node, of = form
-    if node == Nodetype.SEQUENCE:
-        sequence: Any = idl.sequence
-        return sequence[_member(of[0])]
+    made: Any = idl.sequence if node == Nodetype.SEQUENCE else idl.array
+    if node in (Nodetype.SEQUENCE, Nodetype.ARRAY):  # of which the first may have a limit
+        return made[_member(of[0]), of[1]] if of[1] else made[_member(of[0])]
     if node == Nodetype.NAME:
-        return _type_of(of)
+        return message_type(of)
     return {"string": str, "bool": bool}.get(of[0]) or getattr(idl, of[0])
 
 
@@ -92,12 +98,12 @@ _domains: dict[int, tuple[str, Domain]] = {}
 class Member:
     """A participant in a domain; `where` it listens, in words."""
 
-    def __init__(self, domain: int, interface: str) -> None:
+    def __init__(self, domain: int, interface: str, name: str) -> None:
         before = _udp_sockets()
         try:
             if interface and _domains.get(domain, ("",))[0] != interface:
                 _domains[domain] = interface, Domain(domain, _config(interface))
-            self.participant = DomainParticipant(domain)
+            self.participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
             made = {fd: at for fd, at in _udp_sockets().items() if fd not in before}
             for fd in made if interface == "lo" else ():
                 # cyclonedds 11 binds what it receives by to all interfaces, whichever is stated.
@@ -113,17 +119,43 @@ class Member:
         self.where = f"DDS domain {domain} by {by}"
         self._discovered = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication)
         self._publications: dict[str, tuple[str, bool]] = {}
+        topic = Topic(self.participant, "ros_discovery_info", message_type(NODES))
+        qos = Qos(Policy.Durability.TransientLocal, _hash_of(NODES), base=quality(1))
+        self._nodes = DataWriter(self.participant, topic, qos=qos)
+        self._writers, self._readers, self._left = list[UUID](), list[UUID](), Event()
+        self._announcing = Thread(target=self._announce, args=(name,), daemon=True)
+        self._announcing.start()
 
     def writer(self, topic: str, kind: str, depth: int, reliable: bool) -> Writer:
         """A writer of messages of a type, as "sensor_msgs/msg/Image", with its hash for ROS 2."""
-        user = Policy.Userdata(f"typehash={cdr.types().hash_rihs01(kind)};".encode())
-        qos = Qos(user, base=quality(depth, reliable))
-        return Writer(DataWriter(self.participant, self._topic(topic, kind), qos=qos))
+        qos = Qos(_hash_of(kind), base=quality(depth, reliable))
+        writer = DataWriter(self.participant, self._topic(topic, kind), qos=qos)
+        self._writers.append(writer.guid)
+
+        def write(data: bytes) -> bool:
+            try:
+                writer.write(ready(writer.topic.data_type, data))
+            except DDSException:
+                return False
+            return True
+
+        return Writer(writer.get_matched_subscriptions, write)
 
     def reader(self, topic: str, kind: str, depth: int, reliable: bool) -> Reader:
         """A reader of these messages."""
-        qos = quality(depth, reliable)
-        return Reader(DataReader(self.participant, self._topic(topic, kind), qos=qos))
+        qos = Qos(_hash_of(kind), base=quality(depth, reliable))
+        reader: Any = DataReader(self.participant, self._topic(topic, kind), qos=qos)
+        self._readers.append(reader.guid)
+        waiting = WaitSet(self.participant)
+        anything = SampleState.Any | ViewState.Any | InstanceState.Any
+        waiting.attach(ReadCondition(reader, anything))
+
+        def take(wait_s: float, n: int) -> list[bytes]:
+            waiting.wait(duration(seconds=wait_s))
+            found = (getattr(sample, "cdr", None) for sample in reader.take(N=n))
+            return [data for data in found if data is not None]  # or a note that its writer is gone
+
+        return Reader(take, lambda: reader.get_sample_lost_status().total_count)
 
     def publications(self) -> dict[str, tuple[str, bool]]:
         """Type of the messages on each topic, and True if they are sent reliably."""
@@ -137,49 +169,35 @@ class Member:
 
     def close(self) -> None:
         """Leave the domain."""
-        del self.participant, self._discovered
+        self._left.set()
+        self._announcing.join()
+        del self.participant, self._discovered, self._nodes
 
     def _topic(self, topic: str, kind: str) -> Topic[Any]:
         return Topic(self.participant, TOPIC_PREFIX + topic, message_type(kind))
 
+    def _announce(self, name: str) -> None:
+        """State the node and its endpoints to nodes of Jazzy and later, each time that these or
+        those change. In Humble, whose readers state no hash, that message has another form.
+        """
+        types, writer, stated = cdr.types().types, self._nodes, None
 
-class Writer:
-    """A writer of DDS."""
+        def gids(guids: list[UUID]) -> list[Any]:
+            gid = types["rmw_dds_common/msg/Gid"]
+            return [gid(np.frombuffer(guid.bytes, np.uint8)) for guid in guids]
 
-    def __init__(self, writer: Any) -> None:
-        self._writer = writer
-
-    def is_read(self) -> bool:
-        """True if somebody reads the topic."""
-        return bool(self._writer.get_matched_subscriptions())
-
-    def write(self, data: bytes) -> bool:
-        """Publish a message in CDR; False if a reader was behind and it is dropped."""
-        try:
-            self._writer.write(ready(self._writer.topic.data_type, data))
-        except DDSException:
-            return False
-        return True
-
-
-class Reader:
-    """A reader of DDS; `n_lost`, messages that were lost on the way."""
-
-    def __init__(self, reader: Any) -> None:
-        self._reader = reader
-        self._waiting = WaitSet(reader.participant)
-        anything = SampleState.Any | ViewState.Any | InstanceState.Any
-        self._waiting.attach(ReadCondition(reader, anything))
-
-    @property
-    def n_lost(self) -> int:
-        return int(self._reader.get_sample_lost_status().total_count)
-
-    def take(self, wait_s: float, n: int) -> list[bytes]:
-        """At most n messages in CDR, after a wait for the first one."""
-        self._waiting.wait(duration(seconds=wait_s))
-        found = (getattr(sample, "cdr", None) for sample in self._reader.take(N=n))
-        return [data for data in found if data is not None]  # or a note that its writer is gone
+        while not self._left.wait(ANNOUNCE_S):
+            with contextlib.suppress(DDSException):  # of a reader that has left meanwhile
+                readers = writer.get_matched_subscriptions()
+                now = readers, [*self._readers], [*self._writers]
+                found = map(writer.get_matched_subscription_data, readers)
+                if now != stated and any(one and _hash_of(NODES) in one.qos for one in found):
+                    ends = map(gids, now[1:])
+                    node = types["rmw_dds_common/msg/NodeEntitiesInfo"]("/", name, *ends)
+                    (own,) = gids([self.participant.guid])
+                    data = cdr.encoded(NODES, gid=own, node_entities_info_seq=[node])
+                    writer.write(ready(writer.topic.data_type, data))
+                    stated = now
 
 
 def _udp_sockets() -> dict[int, str]:
@@ -211,6 +229,12 @@ def _config(interface: str) -> str:
         f"<Internal><Watermarks><WhcHigh>{WHC_HIGH}</WhcHigh></Watermarks></Internal>"
         "</Domain></CycloneDDS>"
     )
+
+
+def _hash_of(kind: str) -> Any:
+    """Hash of a type of messages, as nodes of Jazzy and later state it for a writer or reader."""
+    found = NODES_HASH if kind == NODES else cdr.types().hash_rihs01(kind)
+    return Policy.Userdata(f"typehash={found};".encode())
 
 
 def quality(depth: int, reliable: bool = True) -> Qos:

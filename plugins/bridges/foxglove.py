@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,18 +13,8 @@ from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.settings import setting
 
-from .base import LOOPBACK, MAPS, RESULTANT, Bridge, BridgeSettings, Map, check_installed
-from .contacts import as_json, json_schema
-from .exports.foxglove import (
-    Channels,
-    Schema,
-    contact_scene,
-    figure_names,
-    figures_of,
-    grid,
-    point_cloud,
-    raw_image,
-)
+from .base import LOOPBACK, MAPS, Bridge, BridgeSettings, check_installed
+from .exports.foxglove import Channels, contents, figures_schema
 
 BACKLOG = 1024
 """Messages that the server keeps for a client that reads slowly; beyond it drops the oldest."""
@@ -42,15 +32,10 @@ class FoxgloveSettings(BridgeSettings):
 
 
 class FoxgloveBridge(Bridge[FoxgloveSettings]):
-    """Sends each map as `foxglove.RawImage` (32FC1) and `foxglove.Grid`, its figures as JSON; of a
-    skin of points as `foxglove.PointCloud`, too.
-
-    Topics: /PATCH/SCHEMA, /PATCH/SCHEMA/grid, /PATCH/SCHEMA/figures, /PATCH/resultant, and
-    /PATCH/contacts as JSON, /PATCH/contacts/scene as `foxglove.SceneUpdate`. A topic that no client
-    has subscribed to costs nothing.
-    """
+    """Sends what an export to Foxglove writes; a topic without a subscriber costs nothing."""
 
     HELP = "serve a running graph to Foxglove and Lichtblick"
+    EXTRAS = (Contacts.schema, Resultant.schema)
     Settings = FoxgloveSettings
     patience_s = 0.008  # not visible to a person; messages are read together
 
@@ -83,7 +68,8 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 topic = topic_of(patch, schema)
                 self._channels.of(topic, "RawImage")
                 self._channels.of(f"{topic}/grid", "Grid")
-                self._channels.of(f"{topic}/figures", _names(MAPS[schema]))
+                figures = figures_schema(MAPS[schema], ("seq", "latency_ms"))
+                self._channels.of(f"{topic}/figures", figures)
         self.context.log(f"foxglove: {self.where()}")
         if self.settings.host not in LOOPBACK:
             self.context.log("foxglove: whoever reaches that address can read the graph")
@@ -92,38 +78,15 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
     def where(self) -> str:
         return self._url
 
-    def send(self, message: Map, skin: SkinState) -> None:
-        layers = {"force": message.forces[0]}
-        now = {
-            "seq": message.seq,
-            "latency_ms": (self.context.clock.now_ns() - message.stamp_ns) / 1e6,
-        }
-        self._log(message, "", "RawImage", lambda: raw_image(message, message.forces[0]))
-        self._log(message, "/grid", "Grid", lambda: grid(message, layers, skin))
-        if skin.points is not None:
-            self._log(message, "/points", "PointCloud", lambda: point_cloud(message, layers, skin))
-        names = _names(type(message))
-        self._log(message, "/figures", names, lambda: figures_of(message) | now)
-
-    def send_contacts(self, message: Contacts, skin: SkinState) -> None:
-        self._log(message, "", json_schema(message), lambda: as_json(message))
-        self._log(message, "/scene", "SceneUpdate", lambda: contact_scene(message, skin))
-
-    def send_resultant(self, message: Resultant) -> None:
-        self._log(message, "", RESULTANT, lambda: figures_of(message, RESULTANT))
+    def send(self, message: Message, skin: SkinState) -> None:
+        late_ms = (self.context.clock.now_ns() - message.stamp_ns) / 1e6
+        now = {"seq": message.seq, "latency_ms": late_ms}
+        for topic, schema, make in contents(message, skin, now):
+            channel = self._channels.of(topic, schema)
+            if channel.has_sinks():
+                channel.log(make(), log_time=message.stamp_ns)
 
     def close(self, counts: dict[str, Any]) -> None:
         for channel in self._channels.values():
             channel.close()
         self._server.stop()
-
-    def _log(self, message: Message, ending: str, schema: Schema, make: Callable[[], Any]) -> None:
-        """Log what `make` returns, where a client has subscribed to the topic with that ending."""
-        channel = self._channels.of(message.topic + ending, schema)
-        if channel.has_sinks():
-            channel.log(make(), log_time=message.stamp_ns)
-
-
-def _names(cls: type[Map]) -> list[str]:
-    """Names of the numbers that are sent of a map."""
-    return [*figure_names(cls), "seq", "latency_ms"]

@@ -1,13 +1,9 @@
-"""Topics of ROS 2 by rclpy, with messages whose CDR is ready made; as `dds`.
-
-Source of the interface: ros2/rclpy, `node.py`, `publisher.py`, `executors.py`, as of Jazzy.
-"""
+"""Topics of ROS 2 by rclpy (ros2/rclpy, Jazzy), with messages of ready made CDR; as `dds`."""
 
 from __future__ import annotations
 
 import importlib
 import os
-import re
 from collections import deque
 from itertools import islice
 from typing import Any
@@ -15,9 +11,13 @@ from typing import Any
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import SubscriptionEventCallbacks
 
 from sparseskin.nodes.errors import SettingsError
+
+from .topics import Reader, Writer
 
 
 class Member:
@@ -29,15 +29,19 @@ class Member:
                 f"interface: {interface[:40]!r} is not allowed with rclpy (allowed: 'lo', ''); "
                 "another is stated by the configuration of its DDS"
             )
-        if interface:
-            os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOCALHOST_ONLY": "1"}
+        if interface and os.environ.get("ROS_DISTRO") == "humble":
+            os.environ["ROS_LOCALHOST_ONLY"] = "1"
+        elif interface:
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         self._context = Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         options = dict.fromkeys(
             ("use_global_arguments", "enable_rosout", "start_parameter_services"), False
         )
-        name = re.sub(r"\W", "_", f"sparseskin_{name}", flags=re.ASCII)
-        self._node = rclpy.create_node(name, context=self._context, **options)
+        unserved = Parameter("start_type_description_service", value=False)
+        self._node = rclpy.create_node(
+            name, context=self._context, parameter_overrides=[unserved], **options
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self.where = f"ROS domain {domain} by {interface or 'the interfaces of rclpy'}"
@@ -45,14 +49,32 @@ class Member:
     def writer(self, topic: str, kind: str, depth: int, reliable: bool) -> Writer:
         """A writer of messages of a type, as "sensor_msgs/msg/Image"."""
         quality = _quality(depth, reliable)
-        return Writer(self._node.create_publisher(_message_type(kind), topic, quality))
+        publisher = self._node.create_publisher(_message_type(kind), topic, quality)
+        return Writer(
+            publisher.get_subscription_count, lambda data: publisher.publish(data) is None
+        )
 
     def reader(self, topic: str, kind: str, depth: int, reliable: bool) -> Reader:
         """A reader of these messages."""
-        held = deque[bytes](maxlen=depth)
-        quality = _quality(depth, reliable)
-        self._node.create_subscription(_message_type(kind), topic, held.append, quality, raw=True)
-        return Reader(self._executor, held)
+        held, lost = deque[bytes](maxlen=depth), deque[Any](maxlen=1)
+        events = SubscriptionEventCallbacks(message_lost=lambda event: lost.append(event))
+        self._node.create_subscription(
+            _message_type(kind),
+            topic,
+            lambda data: held.append(data),  # rclpy asks for a signature
+            _quality(depth, reliable),
+            event_callbacks=events,
+            raw=True,
+        )
+
+        def take(wait_s: float, n: int) -> list[bytes]:
+            before = -1
+            while before < len(held) < n:
+                before = len(held)
+                self._executor.spin_once(timeout_sec=0 if before else wait_s)
+            return [held.popleft() for _ in islice(range(n), len(held))]
+
+        return Reader(take, lambda: lost[0].total_count if lost else 0)
 
     def publications(self) -> dict[str, tuple[str, bool]]:
         """Type of the messages on each topic, and True if they are sent reliably."""
@@ -67,39 +89,6 @@ class Member:
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
-
-
-class Writer:
-    """A publisher."""
-
-    def __init__(self, publisher: Any) -> None:
-        self._publisher = publisher
-
-    def is_read(self) -> bool:
-        """True if somebody reads the topic."""
-        return bool(self._publisher.get_subscription_count())
-
-    def write(self, data: bytes) -> bool:
-        """Publish a message in CDR. Its return value False: a reader was behind, it is dropped."""
-        self._publisher.publish(data)
-        return True
-
-
-class Reader:
-    """Messages of a subscription, in CDR. Those that were lost on the way are not known."""
-
-    n_lost = 0
-
-    def __init__(self, executor: Any, held: deque[bytes]) -> None:
-        self._executor, self._held = executor, held
-
-    def take(self, wait_s: float, n: int) -> list[bytes]:
-        """At most n messages, after a wait for the first one."""
-        before = -1
-        while before < len(self._held) < n:
-            before = len(self._held)
-            self._executor.spin_once(timeout_sec=0 if before else wait_s)
-        return [self._held.popleft() for _ in islice(range(n), len(self._held))]
 
 
 def _quality(depth: int, reliable: bool) -> Any:

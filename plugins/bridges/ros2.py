@@ -13,15 +13,19 @@ from sparseskin.nodes.settings import setting
 from . import cdr, topics
 from .base import Bridge, BridgeSettings, Map, check_words, point_columns
 
-KINDS = {
-    "image": ("", cdr.IMAGE),
-    "points": ("/points", cdr.CLOUD),
-    "array": ("/array", cdr.ARRAY),
-    "wrench": ("/wrench", cdr.WRENCH),
-    "markers": ("/markers", cdr.MARKERS),
+Form = tuple[str, str, Callable[[Any, SkinState], bytes]]
+OF_MAPS: dict[str, Form] = {
+    "image": ("", cdr.IMAGE, lambda m, _: cdr.image(_time(m), m.patch, m.forces[0])),
+    "points": ("/points", cdr.CLOUD, lambda m, skin: _cloud(m, skin)),
+    "array": ("/array", cdr.ARRAY, lambda m, _: cdr.array(m.forces[0])),
 }
-"""Ending of the topic of each kind of message, and its type."""
-OF_MAPS, OF_CONTACTS = ("image", "points", "array"), ("array", "wrench", "markers")
+"""Ending of the topic of each kind of message of a map, its type, and what makes it."""
+OF_CONTACTS: dict[str, Form] = {
+    "array": ("/array", cdr.ARRAY, lambda m, _: cdr.contact_array(m)),
+    "wrench": ("/wrench", cdr.WRENCH, lambda m, _: cdr.contact_wrench(_time(m), m)),
+    "markers": ("/markers", cdr.MARKERS, lambda m, skin: cdr.contact_markers(_time(m), m, skin)),
+}
+KINDS = tuple(OF_MAPS | OF_CONTACTS)
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Ros2Settings(BridgeSettings):
     """Settings of the bridge `ros2`."""
 
     messages: tuple[str, ...] = setting(
-        tuple(KINDS),
+        KINDS,
         "image: sensor_msgs/Image on /PATCH/MAP; points: sensor_msgs/PointCloud2 on "
         "/PATCH/MAP/points; array: std_msgs/Float32MultiArray on /PATCH/MAP/array; of contacts: "
         "array, wrench: geometry_msgs/WrenchStamped, markers: visualization_msgs/MarkerArray",
@@ -81,41 +85,26 @@ class Ros2Bridge(Bridge[Ros2Settings]):
     def _announce(self, patch: str) -> None:
         """Make the writers of a patch; those of a batch come with their first frame."""
         settings = self.settings
-        quality = settings.history, settings.reliable
-        kinds_of = dict.fromkeys(settings.maps, OF_MAPS) | {Contacts.schema: OF_CONTACTS}
+        forms_of = dict.fromkeys(settings.maps, OF_MAPS) | {Contacts.schema: OF_CONTACTS}
         self._announced.add(patch)
-        for schema, kinds in kinds_of.items():
-            topic = topic_of(patch, schema)
-            for kind in (kind for kind in kinds if kind in settings.messages):
-                ending, of = KINDS[kind]
-                self._writers[f"{kind} {topic}"] = self._member.writer(topic + ending, of, *quality)
+        for topic, forms in ((topic_of(patch, schema), of) for schema, of in forms_of.items()):
+            for kind in (kind for kind in forms if kind in settings.messages):
+                ending, of, _ = forms[kind]
+                self._writers[f"{kind} {topic}"] = self._member.writer(
+                    topic + ending, of, settings.history, settings.reliable
+                )
 
     def where(self) -> str:
-        return self._member.where
+        return str(self._member.where)
 
-    def send(self, message: Map, skin: SkinState) -> None:
-        stamp, patch, forces = _time(message), message.patch, message.forces[0]
-
-        def points() -> bytes:
-            return cdr.cloud(stamp, patch, point_columns(skin, {"force": forces}))
-
-        self._write("image", message, lambda: cdr.image(stamp, patch, forces))
-        self._write("points", message, points)
-        self._write("array", message, lambda: cdr.array(forces))
-
-    def send_contacts(self, message: Contacts, skin: SkinState) -> None:
-        stamp = _time(message)
-        self._write("array", message, lambda: cdr.contact_array(message))
-        self._write("wrench", message, lambda: cdr.contact_wrench(stamp, message))
-        self._write("markers", message, lambda: cdr.contact_markers(stamp, message, skin))
-
-    def _write(self, kind: str, message: Message, make: Callable[[], bytes]) -> None:
-        """Write what `make` returns, where that kind is wanted and somebody reads it."""
+    def send(self, message: Message, skin: SkinState) -> None:
         if message.patch not in self._announced:
             self._announce(message.patch)
-        writer = self._writers.get(f"{kind} {message.topic}")
-        if writer is not None and writer.is_read():
-            self.n_dropped += not writer.write(make())
+        forms = OF_CONTACTS if isinstance(message, Contacts) else OF_MAPS
+        for kind, (_, _, make) in forms.items():
+            writer = self._writers.get(f"{kind} {message.topic}")
+            if writer is not None and writer.readers():
+                self.n_dropped += not writer.write(make(message, skin))
 
     def close(self, counts: dict[str, Any]) -> None:
         self._writers.clear()
@@ -125,3 +114,7 @@ class Ros2Bridge(Bridge[Ros2Settings]):
 def _time(message: Message) -> tuple[int, int]:
     """Seconds and nanoseconds of its stamp."""
     return divmod(message.stamp_ns, 1_000_000_000)
+
+
+def _cloud(m: Map, skin: SkinState) -> bytes:
+    return cdr.cloud(_time(m), m.patch, point_columns(skin, {"force": m.forces[0]}))

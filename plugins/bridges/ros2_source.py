@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,74 +73,56 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
     has none, or 0.
 
     Messages that are malformed, or less than 1 s older than the last one, are dropped and counted
-    in the log, as are those that DDS has lost, unless read by rclpy. Raises SourceError if nothing
-    is published there, or nothing comes for `timeout_s`.
+    in the log, as are those that were lost on the way. Raises SourceError if nothing is published
+    there, or nothing comes for `timeout_s`.
     """
     topic, query = parse(source)
-    member = topics.join(query.domain, query.interface, "source")
-    print(f"{source}: {member.where}", file=sys.stderr, flush=True)
-    kind, reliable = _publication(member, topic, query.timeout_s)
-    reader = member.reader(topic, kind, HISTORY, reliable)
-    counted = _Counted(source)
-    last_ns = -1
-    heard_s = time.monotonic()
-    while True:
-        messages = reader.take(WAIT_S, BATCH)
-        counted.lost(reader.n_lost)
-        if messages:
-            heard_s = time.monotonic()
-        elif time.monotonic() - heard_s > query.timeout_s:
-            raise SourceError(f"{source}: nothing came for {query.timeout_s:g} s")
-        for data in messages:
-            try:
-                received = read_frame(kind, data)
-                if received.values.ndim != 2:
-                    raise SourceError("a shape that is not (rows, columns)")
-            except SourceError as error:
-                counted.bad(str(error))
-                continue
-            stamp_ns = received.stamp_ns or time.monotonic_ns()
-            if last_ns - RESTART_NS < stamp_ns <= last_ns:
-                counted.bad("a stamp that is not after the one before it")
-                continue
-            last_ns = stamp_ns
-            yield stamp_ns, received.values
+    with closing(topics.join(query.domain, query.interface, "source")) as member:
+        print(f"{source}: {member.where}", file=sys.stderr, flush=True)
+        kind, reliable = _publication(member, topic, query.timeout_s)
+        reader = member.reader(topic, kind, HISTORY, reliable)
+        last_ns, n_refused, logged, why = -1, 0, 0, "none"
+        heard_s = time.monotonic()
+        while True:
+            messages = reader.take(WAIT_S, BATCH)
+            if messages:
+                heard_s = time.monotonic()
+            elif time.monotonic() - heard_s > query.timeout_s:
+                raise SourceError(f"{source}: nothing came for {query.timeout_s:g} s")
+            for data in messages:
+                try:
+                    received = read_frame(kind, data)
+                    stamp_ns = received.stamp_ns or time.monotonic_ns()
+                    if received.values.ndim != 2:
+                        raise SourceError("a shape that is not (rows, columns)")
+                    if last_ns - RESTART_NS < stamp_ns <= last_ns:
+                        raise SourceError("a stamp that is not after the one before it")
+                except SourceError as error:
+                    n_refused, why = n_refused + 1, str(error)
+                    continue
+                last_ns = stamp_ns
+                yield stamp_ns, received.values
+            if (total := n_refused + reader.n_lost()) > 2 * logged:
+                logged = total
+                counts = (
+                    f"{n_refused} messages refused, {reader.n_lost()} lost; last refusal: {why}"
+                )
+                print(f"{source}: {counts}", file=sys.stderr, flush=True)
 
 
 def _publication(member: Any, topic: str, timeout_s: float) -> tuple[str, bool]:
     """Type of the messages on a topic, of `KINDS`, and True if they are sent reliably."""
-    deadline_s = time.monotonic() + timeout_s
+    deadline_s, published = time.monotonic() + timeout_s, dict[str, tuple[str, bool]]()
     while time.monotonic() < deadline_s:
-        if topic in (published := member.publications()):
+        published = member.publications()
+        if topic in published:
             kind, reliable = published[topic]
             if kind in KINDS:
                 return kind, reliable
             allowed = ", ".join(KINDS)
             raise SourceError(f"ros2:{topic}: is of type {kind[:80]}; allowed are {allowed}")
         time.sleep(0.01)
-    hint = did_you_mean(topic, sorted(published)[:20]) if published else ""
     raise SourceError(
-        f"ros2:{topic}: nobody publishes there on {member.where} within {timeout_s:g} s{hint}"
+        f"ros2:{topic}: nobody publishes there on {member.where} within {timeout_s:g} s"
+        + (did_you_mean(topic, sorted(published)[:20]) if published else "")
     )
-
-
-class _Counted:
-    """Counts messages that were not used, and logs them each time that their number has doubled."""
-
-    def __init__(self, source: str) -> None:
-        self._source = source
-        self._n_bad = self._n_lost = self._logged = 0
-
-    def bad(self, why: str) -> None:
-        self._n_bad += 1
-        self._log(why)
-
-    def lost(self, n: int) -> None:
-        self._n_lost = n
-        self._log("lost on the way")
-
-    def _log(self, why: str) -> None:
-        if (total := self._n_bad + self._n_lost) > 2 * self._logged:
-            self._logged = total
-            counts = f"{self._n_bad} messages refused, {self._n_lost} lost"
-            print(f"{self._source}: {counts}; the last: {why}", file=sys.stderr, flush=True)

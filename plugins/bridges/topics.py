@@ -3,30 +3,49 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+import re
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any, NamedTuple
 
 from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.lookup import one_line
 
 from .base import check_installed
-
-if TYPE_CHECKING:
-    from .dds import Member as DdsMember
-    from .rcl import Member as RclMember
 
 MAX_DOMAIN = 232
 RANGES = {"LOCALHOST": "lo", "SUBNET": "", "SYSTEM_DEFAULT": ""}
 """Interface of each range of discovery of ROS 2."""
 
 
+class Writer(NamedTuple):
+    """A writer: the readers of its topic, or their number; and what publishes a message in CDR and
+    returns False if it is dropped, as a reader is behind.
+    """
+
+    readers: Callable[[], object]
+    write: Callable[[bytes], bool]
+
+
+class Reader(NamedTuple):
+    """A reader: what takes at most n messages in CDR, after a wait of some seconds for the first;
+    and the number of messages that were lost on the way.
+    """
+
+    take: Callable[[float, int], list[bytes]]
+    n_lost: Callable[[], int]
+
+
 def check(what: str, error: type[SparseskinError] = SettingsError) -> None:
     """Raise `error` unless messages of ROS 2 can be made and sent."""
-    if not _has_rclpy():
+    if _why_no_rclpy():
         text = f"{what}, outside of a terminal with ROS 2 (source /opt/ros/.../setup.bash),"
         check_installed(text, "ros2", "cyclonedds", error=error)
     check_installed(what, "ros2", "rosbags", error=error)
 
 
-def join(domain: int | None, interface: str | None, name: str) -> DdsMember | RclMember:
+def join(domain: int | None, interface: str | None, name: str) -> Any:
     """Join a domain as a node of that name, by one network interface: "lo" for this host alone, ""
     as the configuration of DDS has it. Where None is stated, as the variables of ROS 2 have it.
 
@@ -34,21 +53,24 @@ def join(domain: int | None, interface: str | None, name: str) -> DdsMember | Rc
     """
     domain = ros_domain() if domain is None else domain
     interface = ros_interface() if interface is None else interface
-    if _has_rclpy():
-        from .rcl import Member as RclMember
+    name = re.sub(r"\W", "_", f"sparseskin_{name}", flags=re.ASCII)
+    if not (why := _why_no_rclpy()):
+        from . import rcl
 
-        return RclMember(domain, interface, name)
-    from .dds import Member as DdsMember
+        return rcl.Member(domain, interface, name)
+    if find_spec("rclpy"):
+        print(f"rclpy: {why}; messages go by cyclonedds", file=sys.stderr, flush=True)
+    from . import dds
 
-    return DdsMember(domain, interface)
+    return dds.Member(domain, interface, name)
 
 
-def _has_rclpy() -> bool:
+def _why_no_rclpy() -> str:
     try:
         import rclpy  # noqa: F401
-    except ImportError:  # that of another Python, too
-        return False
-    return True
+    except ImportError as error:  # that of another Python, too
+        return one_line(error)
+    return ""
 
 
 def ros_domain() -> int:

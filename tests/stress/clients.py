@@ -28,11 +28,11 @@ def foxglove(address: str) -> Iterator[Any]:
 def ros2(address: str) -> Iterator[Any]:
     """Subscribe to image, points and array of the reconstruction, on a DDS domain."""
     from sparseskin.plugins.bridges.dds import Member
-    from sparseskin.plugins.bridges.ros2 import KINDS
+    from sparseskin.plugins.bridges.ros2 import OF_MAPS
 
-    member = Member(int(address), "lo")
+    member = Member(int(address), "lo", "stress")
     readers = [
-        member.reader(f"{MAP}{ending}", kind, HISTORY, True) for ending, kind in KINDS.values()
+        member.reader(f"{MAP}{ending}", kind, HISTORY, True) for ending, kind, _ in OF_MAPS.values()
     ]
     while True:
         for image in readers[0].take(0.1, HISTORY):

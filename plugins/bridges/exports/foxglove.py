@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import (
     Contacts,
@@ -21,6 +20,7 @@ from sparseskin.messages import (
 from sparseskin.messages.fields import Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.nodes.files import OutputError, whole_file
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.recorder.bag.format import GRAPH_RECORD, JSON_KEY, BagError
 from sparseskin.nodes.recorder.bag.frames import (
     STATES,
@@ -41,31 +41,16 @@ from sparseskin.plugins.bridges.base import (
 from sparseskin.plugins.bridges.contacts import COLOURS, as_json, json_schema, shapes
 
 FLOAT32_BYTES = 4
-Schema = str | Sequence[str] | Mapping[str, Any]
-"""Schema of a channel: a name of Foxglove's, "json", a JSON Schema, or the names of the numbers in
-an object."""
+Schema = str | Mapping[str, Any]
+"""Schema of a channel: a name of Foxglove's, "json", or a JSON Schema."""
 
 
 def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
     """Write one .mcap with the schemas of Foxglove; its path.
 
-    Of /PATCH/SCHEMA it has:
-
-    - the frames as foxglove.RawImage, 32FC1, on the same topic; measurements are 1 x M;
-    - taxels, truth and reconstruction as foxglove.Grid on /PATCH/SCHEMA/grid, field `force`, in
-      metres: x along a row, y along a column, from the middle of the skin, which is the origin of
-      the frame PATCH; of a skin of points also as foxglove.PointCloud on /PATCH/SCHEMA/points, with
-      normals and, where known, the row of each point in its file;
-    - the standard deviations as a RawImage on /PATCH/reconstruction/sd, and as field `sd` of that
-      grid;
-    - all numbers of the message, and the sum of the frame, as JSON on /PATCH/SCHEMA/figures;
-    - contacts as JSON, numbers and events, on /PATCH/contacts, and as foxglove.SceneUpdate on
-      /PATCH/contacts/scene: an arrow, a sphere and a text for each, in the frame of the grid or, of
-      a skin of points, of the cloud;
-    - skin, calibration, Phi and solver as JSON on /PATCH/skin, /PATCH/phi ...
-
-    Stamps are those of the acquisition, log times those of the recording. The bag's metadata are
-    metadata of the file.
+    It has the `contents` of all messages, skin, calibration, Phi and solver as JSON on /PATCH/skin,
+    /PATCH/phi ..., and the bag's metadata. Stamps are those of the acquisition, log times those of
+    the recording.
 
     Raises BagError if foxglove-sdk is not installed or the bag has no such frames, OutputError if
     the file exists or cannot be written.
@@ -90,8 +75,11 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
                 writer.write_metadata("counts", {JSON_KEY: json.dumps(bag.counts)})
             channels = Channels(context)
             for message, log_time_ns in streams(bag, with_states(bag, wanted), "export"):
-                for topic, schema, content in _messages(message, skins[message.patch]):
-                    channels.of(topic, schema).log(content, log_time=log_time_ns)
+                if isinstance(message, STATES):
+                    channel = channels.of(message.topic, "json")
+                    channel.log(state_json(message), log_time=log_time_ns)
+                for topic, schema, make in contents(message, skins[message.patch]):
+                    channels.of(topic, schema).log(make(), log_time=log_time_ns)
     return [out]
 
 
@@ -107,42 +95,48 @@ class Channels(dict[str, Any]):
         from foxglove import channels
 
         if topic not in self:
-            make: Any = foxglove.Channel
-            form: dict[str, Any] = {}
+            make, form = foxglove.Channel, dict[str, Any]()
             if schema == "json":
                 form = {"message_encoding": "json"}
             elif isinstance(schema, str):
                 make = getattr(channels, f"{schema}Channel")
             else:
-                is_json_schema = isinstance(schema, Mapping)
-                form = {"schema": schema if is_json_schema else numbers_schema(schema)}
+                form = {"schema": schema}
             self[topic] = make(topic, context=self._context, **form)
         return self[topic]
 
 
-def _messages(message: Message, skin: SkinState | None) -> Iterable[tuple[str, Any, Any]]:
-    """Topic, schema and content of all that is written of one message."""
+def contents(
+    message: Message, skin: SkinState | None, more: Mapping[str, float] | None = None
+) -> Iterator[tuple[str, Schema, Callable[[], Any]]]:
+    """Topic, schema and a function that makes the content of all that is sent of one message:
+
+    - a frame as RawImage on its own topic, measurements as 1 x M, standard deviations on .../sd;
+    - taxels, truth and reconstruction as Grid on .../grid, metres, with the middle of the skin as
+      origin of the frame PATCH; of a skin of points also as PointCloud on .../points, with normals
+      and, where known, the row of each point in its file; layers `force`, and `sd` where known;
+    - numbers of the message, the sum of the frame and `more` as JSON on .../figures;
+    - contacts as JSON on their own topic, and as SceneUpdate on .../scene.
+    """
     topic, cls, values = message.topic, type(message), values_alone(message)
-    if isinstance(message, STATES):
-        yield topic, "json", state_json(message)
-        return
     if isinstance(message, Contacts):
-        yield topic, json_schema(message), as_json(message)
+        yield topic, json_schema(message), lambda: as_json(message)
         if skin is not None:
-            yield f"{topic}/scene", "SceneUpdate", contact_scene(message, skin)
+            yield f"{topic}/scene", "SceneUpdate", lambda: contact_scene(message, skin)
     elif isinstance(message, Measurements):
-        yield topic, "RawImage", raw_image(message, np.asarray(message.y))
+        yield topic, "RawImage", lambda: raw_image(message, np.asarray(message.y))
     elif (forces := values.get("forces")) is not None:
-        yield topic, "RawImage", raw_image(message, forces)
         layers = {"force": forces}
+        yield topic, "RawImage", lambda: raw_image(message, forces)
         if (sd := values.get("sd")) is not None:
-            yield f"{topic}/sd", "RawImage", raw_image(message, sd)
             layers["sd"] = sd
-        yield f"{topic}/grid", "Grid", grid(message, layers, skin)
+            yield f"{topic}/sd", "RawImage", lambda: raw_image(message, sd)
+        yield f"{topic}/grid", "Grid", lambda: grid(message, layers, skin)
         if skin is not None and skin.points is not None:
-            yield f"{topic}/points", "PointCloud", point_cloud(message, layers, skin, True)
+            yield f"{topic}/points", "PointCloud", lambda: point_cloud(message, layers, skin)
     if cls in (Reconstruction, Resultant) or "forces" in values:
-        yield f"{topic}/figures", figure_names(cls), figures_of(message)
+        schema, more = figures_schema(cls, more or {}), dict(more or {})
+        yield f"{topic}/figures", schema, lambda: figures_of(message) | more
 
 
 def figure_names(cls: type[Message]) -> list[str]:
@@ -153,23 +147,23 @@ def figure_names(cls: type[Message]) -> list[str]:
     return total + [name for name in names if name not in ("run_id", "seq")]
 
 
-def figures_of(message: Message, names: Iterable[str] = ()) -> dict[str, float]:
-    """Numbers of a message by name, by default all, without those that it does not have."""
+def figures_of(message: Message) -> dict[str, float]:
+    """Numbers of a message by name, without those that it does not have."""
     values = values_alone(message)
     if (forces := values.get("forces")) is not None:
         values["total_force"] = float(forces.sum(dtype="f8"))
-    names = names or figure_names(type(message))
+    names = figure_names(type(message))
     return {name: values[name] for name in names if values[name] is not None}
 
 
-def numbers_schema(names: Iterable[str]) -> dict[str, Any]:
-    """JSON Schema of an object of numbers, with `trusted` where it is known."""
-    fields: dict[str, Any] = {name: {"type": "number"} for name in names}
-    properties = {**fields, "trusted": {"type": "boolean"}}
+def figures_schema(cls: type[Message], more: Iterable[str] = ()) -> dict[str, Any]:
+    """JSON Schema of the numbers of a message class and of those that `more` names."""
+    properties = {name: {"type": "number"} for name in (*figure_names(cls), *more)}
+    properties["trusted"] = {"type": "boolean"}
     return {"type": "object", "title": "sparseskin.Figures", "properties": properties}
 
 
-def raw_image(message: Message, array: npt.NDArray[np.float32]) -> Any:
+def raw_image(message: Message, array: Floats) -> Any:
     """foxglove.RawImage of a frame, float32 (n_rows, n_cols)."""
     from foxglove.messages import RawImage
 
@@ -184,9 +178,7 @@ def raw_image(message: Message, array: npt.NDArray[np.float32]) -> Any:
     )
 
 
-def grid(
-    message: Message, layers: dict[str, npt.NDArray[np.float32]], skin: SkinState | None
-) -> Any:
+def grid(message: Message, layers: dict[str, Floats], skin: SkinState | None) -> Any:
     """foxglove.Grid of the layers of a frame, each float32 (n_rows, n_cols)."""
     from foxglove.messages import Grid, Vector2
 
@@ -206,16 +198,11 @@ def grid(
     )
 
 
-def point_cloud(
-    message: Message,
-    layers: dict[str, npt.NDArray[np.float32]],
-    skin: SkinState,
-    normals: bool = False,
-) -> Any:
+def point_cloud(message: Message, layers: dict[str, Floats], skin: SkinState) -> Any:
     """foxglove.PointCloud of the layers of a frame on a skin of points; see `point_columns`."""
     from foxglove.messages import PointCloud
 
-    columns = point_columns(skin, layers, normals)
+    columns = point_columns(skin, layers, normals=True)
     return PointCloud(
         timestamp=_timestamp(message.stamp_ns),
         frame_id=message.patch,
@@ -269,7 +256,7 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
     return made.SceneUpdate(deletions=[everything], entities=entities)
 
 
-def _turn_from_x(direction: npt.NDArray[np.float64]) -> tuple[float, float, float, float]:
+def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
     """Quaternion x, y, z, w of the shortest turn of the x axis into a unit vector."""
     x, y, z = direction.tolist()
     if x < -0.999999:

@@ -70,7 +70,7 @@ def test_fast_dds_receives_what_the_bridge_sends(peer):
     writer = bridge._writers["array /skin/taxels"]
     skin = skin_state(n_rows=3, n_cols=4, mask=None)
     with started(peer, "read", "rt/skin/taxels/array", 20) as process:
-        wait_until(writer.is_read, "the reader")
+        wait_until(writer.readers, "the reader")
         list(bridge.step(skin))
         for k in range(20):
             forces = np.full((1, 3, 4), k / 8, np.float32)

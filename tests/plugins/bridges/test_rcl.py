@@ -1,19 +1,23 @@
-"""Bridge and source of ROS 2 by rclpy: here a stand-in with those signatures of ros2/rclpy (Jazzy)
-that are used, which hands bytes from publisher to subscription within this process. It shows the
-calls and the flow of data, no behaviour of ROS 2 itself, which cannot be installed by pip.
+"""Bridge and source of ROS 2 by rclpy: the real one in a terminal with ROS 2, else a stand-in with
+those of its signatures that are used, which hands bytes from publisher to subscription.
 """
 
+import inspect
 import os
 import sys
 from collections import deque
+from importlib.util import find_spec
 from itertools import islice
-from types import ModuleType, SimpleNamespace
+from threading import Thread
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rosbags", reason="rosbags is not installed")
 from bags import skin_state
+from conftest import wait_until
 
 from sparseskin.messages import Taxels
 from sparseskin.nodes.clock import ManualClock
@@ -23,35 +27,34 @@ from sparseskin.plugins.bridges import topics
 from sparseskin.plugins.bridges.ros2 import Ros2Bridge, Ros2Settings
 from sparseskin.plugins.bridges.ros2_source import frames
 
-
-class QoSProfile:
-    def __init__(self, history=None, depth=None, reliability=None):
-        self.depth, self.reliability = depth, reliability
-
-
-PUBLISHED = {}
-"""Type, quality and messages, not yet received, of each topic."""
-SUBSCRIBED = {}
+DOMAIN = 100 + hash(sys.executable + str(os.getcwd())) % 100
 
 
 class Node:
+    topics = None
+    """Type, quality, messages and callback of each topic."""
+
     def create_publisher(self, msg_type, topic, qos_profile):
         held = deque[bytes]()
-        PUBLISHED[topic] = msg_type, qos_profile, held
-        return SimpleNamespace(publish=held.append, get_subscription_count=lambda: 1)
+        self.topics[topic] = made = SimpleNamespace(
+            topic_type=msg_type.__doc__, qos_profile=qos_profile, held=held, callback=None
+        )
+        return SimpleNamespace(
+            publish=held.append, get_subscription_count=lambda: int(made.callback is not None)
+        )
 
-    def create_subscription(self, msg_type, topic, callback, qos_profile, *, raw=False):
+    def create_subscription(self, msg_type, topic, callback, qos_profile, *, event_callbacks, raw):
+        inspect.signature(callback).bind(b"")
         assert raw
-        assert msg_type is PUBLISHED[topic][0]
-        assert qos_profile.reliability == PUBLISHED[topic][1].reliability
-        SUBSCRIBED[topic] = callback
+        assert msg_type.__doc__ == self.topics[topic].topic_type
+        assert qos_profile.reliability == self.topics[topic].qos_profile.reliability
+        self.topics[topic].callback = callback
 
     def get_topic_names_and_types(self):
-        return [(topic, [found[0].__doc__ or ""]) for topic, found in PUBLISHED.items()]
+        return [(topic, [one.topic_type]) for topic, one in self.topics.items()]
 
     def get_publishers_info_by_topic(self, topic):
-        msg_type, quality, _ = PUBLISHED[topic]
-        return [SimpleNamespace(topic_type=msg_type.__doc__, qos_profile=quality)]
+        return [self.topics[topic]]
 
     def destroy_node(self): ...
 
@@ -62,73 +65,72 @@ class Executor:
     def add_node(self, node): ...
 
     def spin_once(self, timeout_sec=None):
-        for topic, callback in SUBSCRIBED.items():
-            if held := PUBLISHED[topic][2]:
-                callback(held.popleft())
+        for one in Node.topics.values():
+            if one.held:
+                one.callback(one.held.popleft())
 
     def shutdown(self): ...
 
 
-@pytest.fixture
-def started(monkeypatch):
-    """A stand-in for rclpy; what `init` and `create_node` were called with."""
-    calls = []
+@pytest.fixture(autouse=True)
+def ros(monkeypatch):
+    """A stand-in for rclpy, where it is not installed."""
+    monkeypatch.setattr(os, "environ", os.environ.copy())
+    monkeypatch.setitem(os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if find_spec("rclpy"):
+        return
 
-    def init(*, args, context, domain_id):
-        calls.append({"args": args, "domain_id": domain_id})
-
-    def create_node(node_name, *, context, **options):
-        calls.append({"node_name": node_name, **options})
+    def create_node(node_name, *, context, parameter_overrides, **flags):
+        assert node_name.isidentifier()
+        assert flags.keys() == {"use_global_arguments", "enable_rosout", "start_parameter_services"}
         return Node()
 
-    policy = SimpleNamespace(RELIABLE=1, BEST_EFFORT=2)
-    of_std = {"Float32MultiArray": type("A", (), {"__doc__": "std_msgs/msg/Float32MultiArray"})}
-    made = {
-        "rclpy": {"init": init, "create_node": create_node},
-        "rclpy.context": {"Context": lambda: SimpleNamespace(try_shutdown=lambda: None)},
-        "rclpy.executors": {"SingleThreadedExecutor": Executor},
-        "rclpy.qos": {"QoSProfile": QoSProfile, "ReliabilityPolicy": policy},
-        "std_msgs": {},
-        "std_msgs.msg": of_std,
+    array = SimpleNamespace(__doc__="std_msgs/msg/Float32MultiArray")
+    modules = dict.fromkeys(
+        ("rclpy.context", "rclpy.parameter", "rclpy.subscription", "std_msgs"), MagicMock()
+    ) | {
+        "rclpy": SimpleNamespace(
+            init=lambda *, args, context, domain_id: None, create_node=create_node
+        ),
+        "rclpy.executors": SimpleNamespace(SingleThreadedExecutor=Executor),
+        "rclpy.qos": SimpleNamespace(
+            QoSProfile=SimpleNamespace, ReliabilityPolicy=MagicMock(BEST_EFFORT=2)
+        ),
+        "std_msgs.msg": SimpleNamespace(Float32MultiArray=array),
     }
-    for name, held in made.items():
-        module = ModuleType(name)
-        vars(module).update(held)
+    for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.delitem(sys.modules, "sparseskin.plugins.bridges.rcl", raising=False)
-    monkeypatch.setattr(os, "environ", os.environ.copy())
-    PUBLISHED.clear()
-    SUBSCRIBED.clear()
-    return calls
+    monkeypatch.setattr(Node, "topics", {})
 
 
-def test_frames_go_from_the_bridge_to_the_source_by_rclpy(started):
-    settings = Ros2Settings(domain=7, messages=("array",), reliable=False, maps=("taxels",))
+@pytest.mark.parametrize("reliable", [True, False])
+def test_frames_go_from_the_bridge_to_the_source_by_rclpy(reliable):
+    settings = Ros2Settings(domain=DOMAIN, messages=("array",), reliable=reliable, history=100)
     bridge = Ros2Bridge(settings, Context("ros2-1", ManualClock(0)))
-    assert started[0] == {"args": [], "domain_id": 7}
-    assert started[1]["node_name"] == "sparseskin_ros2_1"
-    assert not started[1]["use_global_arguments"]
     list(bridge.start())
-    assert PUBLISHED["/skin/taxels/array"][1].depth == settings.history
+    received = []
+    found = frames(f"ros2:/skin/taxels/array?domain={DOMAIN}&interface=lo&timeout_s=60")
+    reading = Thread(target=lambda: received.extend(islice(found, 20)))
+    reading.start()
+    wait_until(bridge._writers["array /skin/taxels"].readers, "the source")
     list(bridge.step(skin_state(n_rows=3, n_cols=4, mask=None)))
     sent = [np.full((1, 3, 4), k / 8, np.float32) for k in range(20)]
     for k, forces in enumerate(sent):
         list(bridge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces)))
-    found = frames("ros2:/skin/taxels/array?domain=7&interface=lo&timeout_s=60")
-    received = [forces.tolist() for _, forces in islice(found, 20)]
-    assert received == [one[0].tolist() for one in sent]
-    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    reading.join()
+    assert [forces.tolist() for _, forces in received] == [one[0].tolist() for one in sent]
     bridge.close({})
 
 
-def test_rclpy_has_no_other_interface_and_its_absence_is_one_line(started, monkeypatch):
+def test_rclpy_has_no_other_interface_and_its_absence_is_one_line(monkeypatch):
     with pytest.raises(SettingsError, match=r"'eth0' is not allowed with rclpy \(allowed: 'lo'"):
-        topics.join(0, "eth0", "a")
-    with pytest.raises(SettingsError, match="MarkerArray needs the ROS package"):
-        topics.join(0, "", "a").writer("/a", "visualization_msgs/msg/MarkerArray", 1, True)
+        topics.join(DOMAIN, "eth0", "a")
+    member = topics.join(DOMAIN, "", "a")
+    with pytest.raises(SettingsError, match="my_msgs/msg/Touch needs the ROS package my_msgs"):
+        member.writer("/a", "my_msgs/msg/Touch", 1, True)
+    member.close()
     monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.setattr("sparseskin.plugins.bridges.base.find_spec", lambda _: None)
-    with pytest.raises(SettingsError) as caught:
+    with pytest.raises(SettingsError, match=r"source /opt/ros/.*pip install 'sparseskin\[ros2\]'"):
         topics.check("type ros2")
-    assert "source /opt/ros/.../setup.bash" in str(caught.value)
-    assert "pip install 'sparseskin[ros2]'" in str(caught.value)

@@ -6,6 +6,7 @@ import re
 import socket
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,10 @@ from hypothesis import strategies as st
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
 from bags import skin_state
 from conftest import wait_until
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
 from exported import contacts
 from ros2_peer import forces
 
@@ -26,7 +31,7 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor.sources import find_address, open_source
 from sparseskin.plugins.bridges import cdr, dds, topics
 from sparseskin.plugins.bridges.frames import read_frame
-from sparseskin.plugins.bridges.ros2 import Ros2Bridge, Ros2Settings
+from sparseskin.plugins.bridges.ros2 import OF_CONTACTS, Ros2Bridge, Ros2Settings
 from sparseskin.plugins.bridges.ros2_source import frames
 
 PEER = Path(__file__).parents[1] / "ros2_peer.py"
@@ -42,27 +47,12 @@ def this_host_alone(monkeypatch):
     monkeypatch.delenv("ROS_LOCALHOST_ONLY", raising=False)
 
 
-class Peer:
-    """The other process; it ends by itself with its `with`, so that no reader of it is left."""
-
-    def __init__(self, action, topic, kind, n):
-        self.process = subprocess.Popen(
-            [sys.executable, str(PEER), action, topic, kind, str(n), str(DOMAIN)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        try:
-            self.process.communicate(timeout=10)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.communicate()
-
-    def line(self):
-        return self.process.stdout.readline().strip()
+@contextmanager
+def peer(action, topic, kind, n):
+    """The other process; it ends by itself, so that no reader of it is left."""
+    words = [sys.executable, str(PEER), action, topic, kind, str(n), str(DOMAIN)]
+    with subprocess.Popen(words, stdin=-1, stdout=-1, text=True) as process:
+        yield process.stdout
 
 
 def frame(k):
@@ -80,14 +70,14 @@ def sent(messages, kind, topic, **of_skin):
     list(bridge.start())
     skin = skin_state(n_rows=6, n_cols=9, pitch_m=0.25, mask=MASK, **of_skin)
     writer = bridge._writers[f"{kind} /skin/taxels"]
-    with Peer("read", topic, kind, len(messages)) as peer:
-        assert peer.line() == "MATCHED"
-        wait_until(writer.is_read, "the reader")
+    with peer("read", topic, kind, len(messages)) as lines:
+        assert lines.readline() == "MATCHED\n"
+        wait_until(writer.readers, "the reader")
         for message in (skin, *messages):
             list(bridge.step(message))
         assert bridge.n_dropped == 0
         for _ in messages:
-            yield json.loads(peer.line())
+            yield json.loads(lines.readline())
     bridge.close({})
 
 
@@ -121,32 +111,25 @@ def test_arrays_have_rows_and_columns():
 
 
 def test_contacts_are_published_as_wrench_markers_and_array():
-    kinds = {"wrench": cdr.WRENCH, "markers": cdr.MARKERS, "array": cdr.ARRAY}
-    bridge = Ros2Bridge(
-        Ros2Settings(domain=DOMAIN, messages=tuple(kinds)), Context("ros2", ManualClock(0))
-    )
+    settings = Ros2Settings(domain=DOMAIN, messages=tuple(OF_CONTACTS))
+    bridge = Ros2Bridge(settings, Context("ros2", ManualClock(0)))
+    skin, sent = skin_state(), contacts(5)
     list(bridge.start())
     readers = {}
-    for kind, of in kinds.items():
-        readers[kind] = bridge._member.reader(f"/skin/contacts/{kind}", of, 10, True)
-        wait_until(bridge._writers[f"{kind} /skin/contacts"].is_read, kind)
-    for message in (skin_state(), contacts(5)):
+    for kind, (ending, of, _) in OF_CONTACTS.items():
+        readers[kind] = bridge._member.reader(f"/skin/contacts{ending}", of, 10, True)
+        wait_until(bridge._writers[f"{kind} /skin/contacts"].readers, kind)
+    for message in (skin, sent):
         list(bridge.step(message))
-    got = {}
-    for kind, reader in readers.items():
-        (data,) = reader.take(60, 1)
-        got[kind] = cdr.types().deserialize_cdr(data, kinds[kind])
+    for kind, (_, _, make) in OF_CONTACTS.items():
+        assert readers[kind].take(60, 1)[0].startswith(make(sent, skin))  # DDS pads to 4 bytes
     bridge.close({})
-    assert got["wrench"].header.frame_id == "skin"
-    assert got["wrench"].wrench.force.z == -11
-    assert [m.id for m in got["markers"].markers] == [0, 1, 1, 1, 2, 2, 2]
-    assert got["array"].layout.dim[0].size == 2
 
 
 @pytest.mark.parametrize("kind", ["image", "array"])
 def test_a_topic_of_another_process_is_a_source(kind):
     n = 300
-    with Peer("write", f"/peer/{kind}", kind, n):
+    with peer("write", f"/peer/{kind}", kind, n):
         source = open_source(f"ros2:/peer/{kind}?domain={DOMAIN}&timeout_s=60", seed=0)
         assert source.skin.shape == (6, 9)
         for k, (_, got) in zip(range(n), source, strict=False):
@@ -174,9 +157,7 @@ def test_a_malformed_source_is_refused_before_any_node_starts(source, fault):
 
 def test_an_interface_that_is_not_there_is_one_line():
     with pytest.raises(SettingsError, match="cannot join DDS domain"):
-        Ros2Bridge(
-            Ros2Settings(domain=DOMAIN + 31, interface="nowhere0"), Context("r", ManualClock(0))
-        )
+        topics.join(DOMAIN + 31, "nowhere0", "test")
 
 
 def test_by_lo_no_packet_of_another_host_is_received():
@@ -189,6 +170,25 @@ def test_by_lo_no_packet_of_another_host_is_received():
         with socket.socket(fileno=os.dup(fd)) as one:
             device = one.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16)
         assert device.strip(b"\0") == b"lo"
+
+
+@pytest.mark.parametrize("hashes", [1, 0])
+def test_nodes_that_state_hashes_read_the_name_and_its_topics(hashes):
+    member = topics.join(DOMAIN + 33, None, "ros2-1")
+    other = DomainParticipant(DOMAIN + 33)
+    topic = Topic(other, "ros_discovery_info", dds.message_type(dds.NODES))
+    stated = Policy.Durability.TransientLocal, *[dds._hash_of(dds.NODES)] * hashes
+    reader = DataReader(other, topic, qos=Qos(*stated, base=dds.quality(10)))
+    member.writer("/a", cdr.ARRAY, 1, True)
+    wait_until(member._nodes.get_matched_subscriptions, "the reader")
+    for n in (1, 2) if hashes else ():
+        held = []
+        wait_until(lambda: held.extend(reader.take(1)) or held, "the node")  # noqa: B023
+        (info,) = cdr.types().deserialize_cdr(held[0].cdr, dds.NODES).node_entities_info_seq
+        assert (info.node_name, len(info.writer_gid_seq)) == ("sparseskin_ros2_1", n)
+        member.writer("/b", cdr.ARRAY, 1, True)
+    member.close()
+    assert not [one for one in reader.take(10) if hasattr(one, "cdr")]
 
 
 @pytest.mark.parametrize(
