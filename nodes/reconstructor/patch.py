@@ -259,7 +259,8 @@ class Patch:
         self._following = self._subsets[following]
         self._fitted, self._next = measured(self.solver, forces, self._phi, self._following)
         left = np.subtract(self._y, self._fitted, dtype=np.float64)
-        filled, reason = self.faults.checked(forces, left, self._trusted)
+        bound = self._error or 0.0 if self._trusted else math.inf
+        filled, reason = self.faults.checked(forces, left, bound)
         residual = math.sqrt(float(np.dot(left, left)) / left.size)
         sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
         if sd is not None and self._missing is not None:

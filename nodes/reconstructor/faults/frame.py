@@ -15,7 +15,7 @@ from sparseskin.nodes.compressor.phi.quadtree import N_DETAILS
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 
 from .rows import OUTLYING, Subset
-from .taxels import alone
+from .taxels import LEAST_SEEN, alone
 
 FRAMES, MEASUREMENTS = 4, 60
 """Least number of frames that repeat exactly, and of the measurements in them, after which a board
@@ -53,7 +53,8 @@ LEAST_SUMS, MOST_SUMS = 3, 0.5
 """Least number of sums of blocks, and least part of them, that contradict their blocks if all
 taxels rise together. Chosen: a body is in some blocks, and changes the other measurements there."""
 LEAST_UNIFORM = 256
-"""Least number of taxels of a skin that no flat body covers evenly."""
+"""Least number of taxels of a skin that no flat body covers evenly, and of one on which a contact
+of a single taxel is hardly where an offset looks like one."""
 BEYOND = 0.1
 """Part of f_max by which the error of a reconstruction may exceed it: such forces are f_max."""
 
@@ -229,12 +230,12 @@ class FrameWatch:
             if total * self.offset**2 < SIGNIFICANT**2:
                 self.offset = 0.0
 
-    def checked(self, forces: Floats, left: Doubles, trusted: bool) -> tuple[Floats, str]:
+    def checked(self, forces: Floats, left: Doubles, error: float) -> tuple[Floats, str]:
         """Return the forces within the range, and why they cannot be right; "" if they can.
 
         `forces` and the result are float32 (n_rows, n_cols), in the unit of the skin; `left`,
-        float64 (m,), is the residual. `trusted` is False where the solver doubts them: forces of
-        too few measurements are everywhere. "range": a force exceeds f_max by more than a tenth.
+        float64 (m,), is the residual; `error` the estimated RMS error of a taxel, infinite where
+        the solver doubts the frame. "range": a force exceeds f_max by more than a tenth.
         "uniform": all taxels have risen together, now or in one of the last frames. "offset": all
         measurements share one, or those taxels alone are pressed that it would look like.
         """
@@ -243,32 +244,35 @@ class FrameWatch:
             if largest > (1 + BEYOND) * self._f_max:
                 return forces, "range"
             forces = np.minimum(forces, self._f_max)
-        risen = trusted and self._is_uniform(forces)
+        risen = self._is_uniform(forces, error)
         self._since_uniform = 0 if risen else self._since_uniform + 1
         if self._since_uniform < SWINGS:
             return forces, "uniform"
-        return forces, "offset" if trusted and self._is_offset(forces, left) else ""
+        return forces, "offset" if self._is_offset(forces, left, error) else ""
 
-    def _is_offset(self, forces: Floats, left: Doubles) -> bool:
+    def _is_offset(self, forces: Floats, left: Doubles, error: float) -> bool:
         """True if all measurements of a skin of few blocks have an offset, so far as it shows."""
-        rows = self._rows
-        if rows is None or not rows.comparable or rows.like <= MOST_LIKE or not self._sd:
+        rows, m = self._rows, left.size
+        if rows is None or not (rows.comparable and self._sd) or rows.like <= MOST_LIKE:
+            return False
+        few = self._n_taxels < LEAST_UNIFORM or m < LEAST_SEEN * self._n_taxels
+        if few or math.isinf(error):
             return False
         # Forces cannot be negative: what is below them is in the residual.
-        if left.sum() < -SIGNIFICANT * self._sd * math.sqrt(left.size):
+        if left.mean() * math.sqrt(m) < -SIGNIFICANT * max(self._sd, float(left.std())):
             return True
         lone = alone(forces, self._mask, SIGNIFICANT * self._sd)
         return bool(lone[self._mask][rows.offset_like].all())
 
-    def _is_uniform(self, forces: Floats) -> bool:
-        """True if all taxels have risen together."""
+    def _is_uniform(self, forces: Floats, error: float) -> bool:
+        """True if all taxels have risen together, by more than the error."""
         level = LEVEL * self._sd
         if not self._sd or self._n_taxels < LEAST_UNIFORM:
             return False
         if np.count_nonzero(forces > np.float32(level)) < 0.9 * self._n_taxels:
             return False  # so are most frames, and a quantile takes a sort
         low, middle = np.quantile(forces[self._mask], (0.1, 0.5))
-        return bool(middle - low < ALIKE * self._sd)
+        return bool(middle - low < ALIKE * self._sd and middle > error)
 
 
 def _outlying(rows: Subset, squared: Floats, noise2: float) -> Mask:

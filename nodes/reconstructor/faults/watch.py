@@ -165,13 +165,13 @@ class FaultWatch:
         elif was_off and not offset:
             self._log("all measurements have no offset any more")
 
-    def checked(self, forces: Floats, left: Doubles, trusted: bool) -> tuple[Floats, str]:
+    def checked(self, forces: Floats, left: Doubles, error: float) -> tuple[Floats, str]:
         """Return the frame with faulty taxels filled in and forces within the range, and why they
         cannot be right; arguments as in `FrameWatch.checked`.
         """
         if self._taxels is not None:
             forces = self._taxels.filled(forces)
-        return (forces, "") if self._frame is None else self._frame.checked(forces, left, trusted)
+        return (forces, "") if self._frame is None else self._frame.checked(forces, left, error)
 
     def update(
         self, phi: Phi, given: Floats, believed: Floats, forces: Floats, fitted: Floats

@@ -214,7 +214,11 @@ class SkinEstimator:
         known = self._n_frames > t.bias_known
         most = o.where(known, o.zero + t.untouched, o.zero + t.most_bias**2)
         of_skin = noise / self._trust  # whatever passes for it in motion
-        untouched = (power <= most * of_skin) & (settled.residual2 <= t.unexplained * of_skin)
+        excess = t.unexplained
+        if self.noise_of is not None:
+            excess = min(excess, t.unresolved * math.sqrt(2 / self._values.shape[-1]))
+        excess = o.where(known, o.zero + excess, o.zero + t.unexplained)
+        untouched = (power <= most * of_skin) & (settled.residual2 <= (1 + excess) * of_skin)
         self.trusted = untouched | (error2 <= t.trusted**2 * power)
         self._follow_bias(settled)
         return settled.forces

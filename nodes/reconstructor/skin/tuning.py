@@ -68,8 +68,11 @@ class SkinTuning:
     doubtful: float = 1.0
     #: Largest noise variance, in the least one so far.
     louder: float = 4.0
-    #: Mean squared residual, in noise variances, beyond which a skin is not untouched.
-    unexplained: float = 2.0
+    #: Part by which the mean squared residual of an untouched skin exceeds the noise variance at
+    #: most; and where the skin states its noise, in deviations of the mean square. Derived: noise
+    #: alone exceeds 6, of 86 measurements and more, in one frame of a million.
+    unexplained: float = 1.0
+    unresolved: float = 6.0
     #: Mean squared force, in noise variances, up to which nothing touches the skin.
     untouched: float = 0.05
     #: Largest error that is trusted, as a part of the forces, both RMS.

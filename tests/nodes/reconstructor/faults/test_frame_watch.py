@@ -115,17 +115,17 @@ def test_equal_measurements_are_no_reading_unless_they_may_be_equal():
 
 def test_forces_beyond_the_range_and_all_taxels_together_are_no_reading():
     watch = FrameWatch(STATE, MASK)
-    forces, reason = watch.checked(DISC[9], LEFT, True)
+    forces, reason = watch.checked(DISC[9], LEFT, 0.0)
     np.testing.assert_array_equal(forces, DISC[9])
     assert reason == ""
-    forces, reason = watch.checked(DISC[9] * np.float32(2.6 / 0.6), LEFT, True)
+    forces, reason = watch.checked(DISC[9] * np.float32(2.6 / 0.6), LEFT, 0.0)
     assert (forces.max(), reason) == (2.5, "")
-    assert watch.checked(DISC[9] * np.float32(3.0 / 0.6), LEFT, True)[1] == "range"
+    assert watch.checked(DISC[9] * np.float32(3.0 / 0.6), LEFT, 0.0)[1] == "range"
     risen = DISC[9] + np.float32(0.6 * NOISE.sigma_end)
-    assert watch.checked(risen, LEFT, False)[1] == ""  # the solver doubts the frame itself
-    assert watch.checked(risen, LEFT, True)[1] == "uniform"
+    assert watch.checked(risen, LEFT, 0.1)[1] == ""  # the solver knows of an error
+    assert watch.checked(risen, LEFT, 0.0)[1] == "uniform"
     sloped = np.linspace(0.05, 0.5, N, dtype=np.float32).reshape(DESK_SHAPE)
-    assert FrameWatch(STATE, MASK).checked(sloped, LEFT, True)[1] == ""  # a body on the whole skin
+    assert FrameWatch(STATE, MASK).checked(sloped, LEFT, 0.0)[1] == ""  # a body on the whole skin
 
 
 @pytest.mark.parametrize(("offset", "press"), [(0.02, 0.0), (-0.02, 0.0), (0.02, 0.3)])
@@ -139,7 +139,7 @@ def test_an_offset_of_one_block_is_doubted_but_for_where_a_body_may_have_made_it
     forces[row, col] += max(0, 16 * offset)
     watch.cleaned(rows, y, y)
     left = y - phi.forward(forces.reshape(-1))
-    assert watch.checked(forces, left, True)[1] == ("" if press else "offset")
+    assert watch.checked(forces, left, 0.0)[1] == ("" if press else "offset")
 
 
 def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while():
@@ -150,7 +150,7 @@ def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while(
     _, believed = watch.cleaned(rows, y, np.zeros(phi.m, np.float32))
     assert watch.n_outlying == rows.heavy.size
     assert not believed[rows.heavy].any()
-    reasons = [watch.checked(noise, LEFT, True)[1] for _ in range(30)]
+    reasons = [watch.checked(noise, LEFT, 0.0)[1] for _ in range(30)]
     assert reasons == ["uniform"] * SWINGS + [""] * (30 - SWINGS)
 
 
