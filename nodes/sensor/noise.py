@@ -92,9 +92,8 @@ class NoiseModel:
 
         Arguments and result as in `sigma`, squared; arrays of any library.
         """
-        sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * abs(
-            2 / self.f_max * forces - 1
-        )
+        apart = abs(2 / self.f_max * forces - 1).clip(None, 1)
+        sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * apart
         if not clips or not self.sigma_end:
             return sigma * sigma
         slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end
