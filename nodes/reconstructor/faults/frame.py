@@ -1,6 +1,4 @@
-"""Faults of frames: those that repeat, measurements that contradict the others, forces that no skin
-has.
-"""
+"""Faults of frames: repeated ones, measurements that contradict others, impossible forces."""
 
 from __future__ import annotations
 
@@ -45,8 +43,8 @@ LEVEL = 0.5
 """Force that nine of ten taxels reach if they have risen together, in deviations of the noise.
 Measured: of 8,600 trusted frames of scenes and presses, N/3 to N/16, none does."""
 ALIKE = 2.0
-"""Largest difference of the lowest tenth of the taxels and of their median then, in the same; and
-what the tenth exceeds where that is clear, whatever the solver knows of its error."""
+"""Largest difference of the lowest tenth of the taxels and of their median then, in the same; a
+tenth above it is no error of the solver."""
 SWINGS = 20
 """Frames for which readings are not right after all taxels have risen together: hum lowers them in
 the other half of its period, which has 20 frames of 1 ms at 50 Hz."""
@@ -54,8 +52,8 @@ LEAST_SUMS, MOST_SUMS = 3, 0.5
 """Least number of sums of blocks, and least part of them, that contradict their blocks if all
 taxels rise together. Chosen: a body is in some blocks, and changes the other measurements there."""
 LEAST_UNIFORM = 256
-"""Least number of taxels of a skin that no flat body covers evenly, and of one on which a contact
-of a single taxel is hardly where an offset looks like one."""
+"""Least number of taxels of a skin that no flat body covers evenly, nor one taxel where an offset
+looks like it."""
 BEYOND = 0.1
 """Part of f_max by which the error of a reconstruction may exceed it: such forces are f_max."""
 
@@ -63,8 +61,7 @@ BEYOND = 0.1
 class FrozenWatch:
     """Finds frames that repeat those before bit by bit, on a skin that states a noise.
 
-    A frame is compared with the last one of its own row subset. It makes no difference whether
-    anything touches the skin.
+    A frame is compared with the last one of its own row subset.
 
     Parameters
     ----------
@@ -236,9 +233,9 @@ class FrameWatch:
 
         `forces` and the result are float32 (n_rows, n_cols), in the unit of the skin; `left`,
         float64 (m,), is the residual; `error` the estimated RMS error of a taxel, infinite where
-        the solver doubts the frame. "range": a force exceeds f_max by more than a tenth.
-        "uniform": all taxels have risen together, now or in one of the last frames. "offset": all
-        measurements share one, or those taxels alone are pressed that it would look like.
+        the solver doubts the frame. "range": a force exceeds f_max by more than a tenth. "uniform":
+        all taxels have risen together, now or in one of the last frames. "offset": all measurements
+        share one, or those taxels alone are pressed that it would look like.
         """
         largest = forces.max()
         if largest > self._f_max:

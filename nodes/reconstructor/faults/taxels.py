@@ -27,8 +27,7 @@ LEAST_DOUBTED = 16
 #: Samples, and least frames, in which the noise of suspects is measured; stuck ones have less than
 #: this part of the stated variance; the force may change by this part meanwhile.
 MEASURED, MEASURED_FRAMES, QUIET, CHANGE = 200, 40, 0.2, 0.1
-#: Least part of the stated noise variance that the measurements must have: a skin quieter than
-#: stated has no stuck taxels.
+#: Least part of the stated noise variance in measurements: quieter skins have no stuck taxels.
 REAL = 0.5
 #: Median of the square of a standard normal number.
 MEDIAN_SQUARE = 0.455
@@ -95,8 +94,8 @@ class EndWatch:
         `dead` and the results are places in the flat grid: of taxels excluded already; of dead and
         saturated ones newly found, and of excluded ones that work again.
         """
-        found, believed = self._look_for_holes(forces, dead)
-        return found, self._look_for_full(forces), believed
+        holes, believed = self._look_for_holes(forces, dead)
+        return holes, self._look_for_full(forces), believed
 
     def _look_for_holes(self, forces: Floats, dead: Container[int]) -> tuple[list[int], list[int]]:
         pressed = forces > np.float32(PRESSED * self._f_max)

@@ -198,10 +198,9 @@ class FaultWatch:
         if watch.update(y, fitted):
             self._describe_rows()
             new, healed = watch.left_out & ~before, before & ~watch.left_out
-            if new.any():
-                self._log(f"measurements left out, faulty: {listed(np.flatnonzero(new).tolist())}")
-            if healed.any():
-                self._log(f"measurements used again: {listed(np.flatnonzero(healed).tolist())}")
+            for rows, what in ((new, "left out, faulty"), (healed, "used again")):
+                if rows.any():
+                    self._log(f"measurements {what}: {listed(np.flatnonzero(rows).tolist())}")
             return bool(new.any())
         if watch.swamped and not was_swamped:
             self._log(
@@ -214,8 +213,7 @@ class FaultWatch:
         several = len(self._rows) > 1
         parts = []
         for subset, watch in enumerate(self._rows.values()):
-            out = np.flatnonzero(watch.left_out).tolist()
-            if out:
+            if out := np.flatnonzero(watch.left_out).tolist():
                 where = f" of row subset {subset}" if several else ""
                 parts.append(f"{len(out)} of {watch.left_out.size}{where} ({listed(out)})")
         self._rows_text = f"faulty measurements left out: {'; '.join(parts)}" if parts else ""

@@ -138,8 +138,8 @@ def test_an_offset_of_one_block_is_doubted_but_for_where_a_body_may_have_made_it
     y = phi.forward(forces.reshape(-1)) + np.float32(offset)
     forces[row, col] += max(0, 16 * offset)
     watch.cleaned(rows, y, y)
-    left = y - phi.forward(forces.reshape(-1))
-    assert watch.checked(forces, left, 0.0)[1] == ("" if press else "offset")
+    reason = watch.checked(forces, y - phi.forward(forces.reshape(-1)), 0.0)[1]
+    assert reason == ("" if press else "offset")
 
 
 def test_all_taxels_that_rise_in_one_frame_are_replaced_and_doubted_for_a_while():
