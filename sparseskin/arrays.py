@@ -42,7 +42,6 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.npz import export_npz
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.recording import READ_AS, REFUSE, Policy
-from sparseskin.nodes.sensor.missing import MissingReadings
 
 Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -501,12 +500,10 @@ def read_recording(
             raise SparseskinError(f"{word}: unknown argument{nearest_of(word, READ_AS)}")
     policy = Policy(stated.pop("nan", REFUSE), stated.pop("negative", REFUSE))
     source = open_file(path, policy=policy, **stated)
-    fill = MissingReadings(policy.nan, source.skin, learns=False).fill
-    found = [(stamp, fill(forces, stamp)) for stamp, forces in source]
-    pairs = [(stamp, filled[0]) for stamp, filled in found if filled is not None]
+    stamps, forces, _ = zip(*source.filled(), strict=True)
     return {
-        "forces": np.stack([forces for _, forces in pairs]),
-        "stamp_ns": np.array([stamp for stamp, _ in pairs], dtype=np.int64),
+        "forces": np.stack(forces),
+        "stamp_ns": np.array(stamps, dtype=np.int64),
         **described(source.skin, source.rate_hz),
     }
 

@@ -20,10 +20,10 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.scenes.presses import press_frames, scattered_mask
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
 from sparseskin.nodes.sensor.scenes.simulation import Scene
 from sparseskin.nodes.touch import in_contact
+from sparseskin.studies.presses import press_frames, scattered_mask
 
 from .evaluate import LOADED
 from .points import StudyError

@@ -26,7 +26,7 @@ CONTACT_HZ, CONTACT_FROM, CONTACT_S = 55, 300, 15.0
 TWO_BODIES = """
 import numpy as np
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.sensor.scenes.presses import press_frames
+from sparseskin.studies.presses import press_frames
 from sparseskin.nodes.sensor.source import Source
 
 class Bodies(Source):

@@ -12,21 +12,12 @@ SMALLEST = 1e-12
 
 
 def quantised(y: Floats, bits: int) -> Quantised:
-    """Round the measurements of a frame to `bits` bits.
+    """Round the measurements of a frame, float32 newtons of any shape, to 2..24 bits.
 
     Codes are round(y / step), with step = max |y| / (2^(bits - 1) - 1) of this frame, which is
     published with them: none is clipped. The error is at most half a step (and the rounding of
     a float32), and nearly uniform: its standard deviation is step / sqrt(12).
 
-    Parameters
-    ----------
-    y : ndarray of float32
-        Measurements, newtons, of any shape.
-    bits : int
-        2..24.
-
-    Notes
-    -----
     Source: uniform mid-tread quantiser; Widrow, Kollar, "Quantization Noise", Cambridge
     University Press, 2008, chapter 1.
     """

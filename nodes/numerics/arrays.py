@@ -42,17 +42,12 @@ def each_frame(
     name: str,
     error: type[Exception],
 ) -> Floats:
-    """Return what an operator makes of a frame, or of each of several.
+    """What an operator makes of a frame, or of each of several: `apply` writes its result of the
+    first array to the second, both contiguous float32, one frame.
 
-    Parameters
-    ----------
-    apply : callable
-        Writes its result of the first array to the second; both contiguous float32, one frame.
-    given : ndarray of float32, of the first of `shapes`, or (k, *shape)
-    out : ndarray of float32, of the second shape, or (k, *shape), optional
-        Array for the result.
-    name, error
-        Name of `given`, as in "sbhe: x", and what is raised if a shape or type is another.
+    `given` is float32 of the first of `shapes`, or (k, *shape); the result, in `out` where one is
+    given, of the second. `error` is raised, with the name of `given` as in "sbhe: x", if a shape or
+    type is another.
     """
     given = real_floats(given, name, error)
     expected, made = shapes

@@ -35,14 +35,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def check_fast(fast: str) -> str:
-    """Return "on" (always), "off" (never), or "auto" where numba is to be used if it can be.
-
-    "auto" means: where numba is installed, unless the environment has SPARSESKIN_FAST=off.
-
-    Raises
-    ------
-    SettingsError
-        If it is another word, in the environment too, or "on" without numba.
+    """Return "on" (always), "off" (never), or "auto" where numba is to be used if it can be: where
+    it is installed, unless the environment has SPARSESKIN_FAST=off. Raises SettingsError if it is
+    another word, in the environment too, or "on" without numba.
     """
     name = "fast"
     if fast == "auto" and ENVIRONMENT in os.environ:
@@ -58,10 +53,8 @@ def check_fast(fast: str) -> str:
 
 
 def use_compiled(fast: str) -> bool:
-    """Return True if compiled loops are to be used; numba is then imported.
-
-    Parameters and Raises as in `check_fast`; also if it is "on" and importing numba fails: each
-    numba needs certain versions of numpy.
+    """True if compiled loops are to be used; numba is then imported. Raises as `check_fast`, also
+    if it is "on" and importing numba fails: each numba needs certain versions of numpy.
     """
     checked = check_fast(fast)
     if checked == "off":

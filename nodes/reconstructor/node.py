@@ -21,8 +21,8 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.messages.contacts import summary
-from sparseskin.nodes.compressor.phi.acts import ActsPhi, follow
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow_nodes, phis_for
+from sparseskin.nodes.compressor.phi.acts import ActsPhi
+from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow, phis_for
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.errors import (
     PhiError,
@@ -234,8 +234,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         unchanged = [False] * n
         try:
             patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
-            follow(phi, measurements.places)
-            follow_nodes(phi, measurements.nodes)
+            follow(phi, measurements.places, measurements.nodes)
             if self._idle is not None:
                 wanted = self._idle.to_solve(phi.fingerprint, measurements.y)
                 unchanged = [not wanted[k] and patches[k].solved is not None for k in range(n)]

@@ -27,40 +27,25 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class ClockTuning:
-    """Constants of the mapping; all chosen, but the last, which is fitted.
+    """Constants of the mapping; all chosen, but the last, which is fitted."""
 
-    Attributes
-    ----------
-    first_ns, period_ns : float
-        Time of which the least delayed frame is kept, at first and later: it is doubled whenever
-        `kept` are.
-    kept : int
-        Most periods that are kept: 32 s, in which the drift of a quartz hardly changes.
-    settle_ns, settle_frames : float, int
-        Length of a line before it is used, and its number of frames.
-    doubt_ns : float
-        Length of a line whose drift is not believed before that is logged.
-    most_drift : float
-        Largest drift that is believed: the RC oscillator of an ATmega328P is within 10 % (data
-        sheet, calibrated internal oscillator).
-    step_ns, patience_ns : float
-        A frame that is earlier than the line by so much is of a clock that was set; so are all
-        frames of this time, if they are later by as much.
-    spread : float
-        Standard deviation of the slope in mean heights of the points over the line, per number of
-        points and length: 8 to 12 for uniform and exponential delays at 10 to 1000 frames a second,
-        22 for delays of a gamma distribution, shape 2, of which the least are rare (simulated).
-    """
-
+    # Time of which the least delayed frame is kept, at first and later: doubled once `kept` are.
     first_ns: float = 62.5e6
     period_ns: float = 5e8
-    kept: int = 64
-    settle_ns: float = 2e9
-    settle_frames: int = 20
-    doubt_ns: float = 1e10
+    kept: int = 64  # most periods that are kept: 32 s, in which a quartz hardly drifts
+    settle_ns: float = 2e9  # length of a line before it is used
+    settle_frames: int = 20  # and its number of frames
+    doubt_ns: float = 1e10  # length of a line whose drift is not believed before that is logged
+    #: Largest drift that is believed: the RC oscillator of an ATmega328P is within 10 % (data
+    #: sheet, calibrated internal oscillator).
     most_drift: float = 0.1
+    # A frame that is earlier than the line by so much is of a clock that was set; so are all frames
+    # of the time `patience_ns`, if they are later by as much.
     step_ns: float = 1e7
     patience_ns: float = 5e9
+    #: Standard deviation of the slope in mean heights of the points over the line, per number of
+    #: points and length: 8 to 12 for uniform and exponential delays at 10 to 1000 frames a second,
+    #: 22 for delays of a gamma distribution, shape 2, of which the least are rare (simulated).
     spread: float = 25.0
 
 
@@ -93,16 +78,9 @@ class DeviceClock:
     """Maps stamps of a source to the graph's clock. Until it has settled, and where its stamps do
     not run as they should, a frame has the time of its arrival.
 
-    Parameters
-    ----------
-    name : str
-        Name of the source, for the log.
-    log : callable
-        Receives one line of text if the clock was set, or its stamps cannot be used.
-    tick_ns : float
-        Unit of a stamp, nanoseconds.
-    wrap : int or None
-        Number of ticks after which stamps begin at 0 again; None: they do not.
+    `tick_ns` is the unit of a stamp, which begins at 0 again after `wrap` ticks (None: never).
+    `log` receives a line if the clock was set, or its stamps cannot be used, with the `name` of the
+    source.
     """
 
     def __init__(
@@ -118,15 +96,9 @@ class DeviceClock:
         self._begin(0, 0, 0)
 
     def map(self, stamp: int, arrived_ns: int) -> int:
-        """Time of the next frame on the graph's clock, nanoseconds: after that of the one before,
-        and never later than its arrival, but for a nanosecond between frames that arrive at once.
-
-        Parameters
-        ----------
-        stamp : int
-            Its stamp, in ticks.
-        arrived_ns : int
-            Its arrival on the graph's clock, nanoseconds; it does not decrease.
+        """Time of the next frame on the graph's clock, nanoseconds, by its stamp in ticks and its
+        arrival, which does not decrease: after that of the one before, and never later than its
+        arrival, but for a nanosecond between frames that arrive at once.
         """
         time_ns, was_settled = arrived_ns, False
         if self._advance(stamp, arrived_ns):
@@ -145,14 +117,11 @@ class DeviceClock:
         return time_ns
 
     def state(self) -> dict[str, Any]:
-        """Figures for the operator.
-
-        `clock`: "source", or "arrival" while frames have the time of their arrival;
-        `clock_restarts`: times that it was set or started again. Of a source also
-        `clock_drift_ppm`, by how much its clock is fast, with its standard deviation
-        `clock_drift_sd_ppm`; and the standard deviations from the line, over the last `kept`
-        periods, of arrivals (`clock_jitter_before_ms`) and of the times of frames
-        (`clock_jitter_after_ms`).
+        """Figures for the operator: `clock`, "source", or "arrival" while frames have the time of
+        their arrival; `clock_restarts`, times that it was set or started again. Of a source also
+        by how much its clock is fast, `clock_drift_ppm`, with its standard deviation
+        `clock_drift_sd_ppm`; and standard deviations from the line, over the last `kept` periods,
+        of arrivals (`clock_jitter_before_ms`) and times of frames (`clock_jitter_after_ms`).
         """
         restarts = {"clock_restarts": self._n_restarts}
         if not self._is_settled:

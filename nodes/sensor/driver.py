@@ -37,11 +37,10 @@ again; by less, of a frame in the wrong place."""
 class DriverSource(LiveSource):
     """The frames of a user's driver, each checked as it is yielded.
 
-    Readings outside [0, f_max] are clipped, as a sensor saturates at the ends of its range. Its
-    attributes are those of a `Source`: the driver's own where it has them, or else the name
-    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. With `raw`, no
-    reading is clipped: a calibration converts them. Readings that are not finite are NaN, unless
-    `nan` refuses them.
+    Readings are clipped to [0, f_max], as a sensor saturates; with `raw`, none is: a calibration
+    converts them. Attributes are the driver's own where it has them, or else the name
+    `module:callable`, a skin of the first frame's shape, and "taxels" to deliver. Readings that are
+    not finite are NaN, unless `nan` refuses them.
     """
 
     def __init__(
@@ -94,13 +93,8 @@ class DriverSource(LiveSource):
         self.clock = DeviceClock(self.name, self._lines.append)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
-        """Yield (stamp_ns, forces): nanoseconds since the first frame, and float32 forces of
-        shape (n_rows, n_cols) in [0, f_max], 0 in masked cells. The driver is closed at the end.
-
-        Raises
-        ------
-        SourceError
-            If the driver raises, yields a bad frame, or is a generator that was read before.
+        """As of `Source`; the driver is closed at the end. Raises SourceError if it raises, yields
+        a bad frame, or is a generator that was read before.
         """
         self._checked = self._checked or self._check_frames()
         try:
@@ -120,12 +114,8 @@ class DriverSource(LiveSource):
             raise
 
     def close(self) -> None:
-        """Close the driver, so that its `finally` blocks run; may be called more than once.
-
-        Raises
-        ------
-        SourceError
-            If the driver raises as it closes.
+        """Close the driver, so that its `finally` blocks run; raises SourceError if it raises
+        then.
         """
         checked, self._checked, self._first = self._checked, None, None
         if checked is not None:
@@ -250,17 +240,15 @@ def open_callable(
         integer or float. It may have the attributes of a `Source`. Without a `skin`, its first
         frame is pulled at once, to learn the shape.
     f_max, unit : float, str, optional
-        Upper end of the range and its unit; by default those of the driver's skin, or 2.5 N.
-    raw : bool
-        True: readings are not clipped to the range.
-    nan : str
-        "refuse" for an error at a reading that is not finite; else it is NaN.
+        Range and unit; by default those of the driver's skin, or 2.5 N.
+    raw, nan
+        As of `DriverSource`, which raises SourceError for later frames.
 
     Raises
     ------
     SourceError
         If the module or callable is missing or fails, its first frame is bad, or a setting is
-        out of range or contradicts the driver's skin. Iteration raises it for later frames.
+        out of range or contradicts the driver's skin.
     """
     check_number(target, "f_max", f_max)
     check_unit(target, unit)

@@ -24,15 +24,8 @@ class MissingReadings:
     neighbours that have a reading (0 where none has), the last reading, or 0. That number travels
     marked, and is no measurement. Frames without any reading are left out, and counted.
 
-    Parameters
-    ----------
-    way : str
-        How they are filled: "mask", "hold" or "zero".
-    skin : Skin
-        The skin of the frames.
-    learns : bool
-        True to mask cells that no frame has held a number of, first by the first frame. One that
-        then holds one is a taxel from the next renewal of the skin on.
+    `way` is "mask", "hold" or "zero". With `learns`, cells that no frame has held a number of are
+    masked, first by the first frame. One that then holds one is a taxel from the next renewal on.
 
     Attributes
     ----------

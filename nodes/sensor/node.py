@@ -25,7 +25,7 @@ from .points import point_skins
 from .rest import Rest
 from .saturation import clipped_text
 from .settings import SensorSettings
-from .source import DEFAULT_RATE_HZ, Skin
+from .source import DEFAULT_RATE_HZ, Skin, Source
 
 WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
@@ -56,20 +56,21 @@ class Sensor(SourceNode[SensorSettings]):
         self._placement = self._described.placement if self._described else None
         if settings.points:
             self._placement = point_skins().place(settings.points)
+        source: Source | None = None
         try:
-            self._source = settings.address().open()
-        except SourceError as error:
-            text = spelled(str(error), lambda key: f"--set {context.name}.{key}=")
-            raise SourceError(text) from error
-        self._source.loops = settings.loop
-        try:
+            source = self._source = settings.address().open()
+            source.loops = settings.loop
             if settings.first or settings.every > 1:
-                self._source.read_part(settings.first, settings.every)
+                source.read_part(settings.first, settings.every)
             self._source_skin = self._placed_skin()
             self._stage = self._made_stage()
-        except Exception:
-            self.close({})
-            raise
+        except Exception as error:
+            if source is not None:
+                source.close()
+            if not isinstance(error, SourceError):
+                raise
+            text = spelled(str(error), lambda key: f"--set {context.name}.{key}=")
+            raise SourceError(text) from error
         skin = self._stage.skin if self._stage else self._source_skin
         learns = settings.nan == MASK and self._source.is_live
         self._readings = MissingReadings(settings.nan, skin, learns)

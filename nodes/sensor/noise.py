@@ -38,23 +38,12 @@ class NoiseModel:
     """Zero-mean normal noise whose sigma depends on the force, clipped to [0, f_max].
 
     Clipping makes untouched taxels read sigma_end / sqrt(2 pi) = 0.4 sigma_end too high on average.
-
-    Attributes
-    ----------
-    f_max : float
-        Upper end of the range, in the unit of the forces, above 0.
-    sigma_mid, sigma_end : float
-        Standard deviation at mid-range and at both ends, in the same unit, in [0, f_max].
-
-    Raises
-    ------
-    SettingsError
-        If a parameter is not finite or outside its range.
+    Raises SettingsError if a parameter is not finite or outside its range.
     """
 
-    f_max: float = PAPER_F_MAX_N
-    sigma_mid: float = PAPER_SIGMA_MID_N
-    sigma_end: float = PAPER_SIGMA_END_N
+    f_max: float = PAPER_F_MAX_N  # upper end of the range, in the unit of the forces, above 0
+    sigma_mid: float = PAPER_SIGMA_MID_N  # standard deviation at mid-range, in [0, f_max]
+    sigma_end: float = PAPER_SIGMA_END_N  # the same at both ends
 
     def __post_init__(self) -> None:
         if not (is_real(self.f_max, 0.0) and self.f_max > 0.0):
@@ -76,9 +65,8 @@ class NoiseModel:
         return cls(f_max, times * (scale * PAPER_SIGMA_MID_N), times * (scale * PAPER_SIGMA_END_N))
 
     def sigma(self, forces: Floats) -> Floats:
-        """Return the standard deviation of the noise before clipping, in the unit of the forces.
-
-        `forces` are true forces in [0, f_max], float32, any shape; the result has that shape.
+        """Standard deviation of the noise before clipping, in the unit and shape of the true
+        forces, float32 in [0, f_max].
         """
         half = np.float32(self.f_max / 2)
         slope = np.float32((self.sigma_end - self.sigma_mid) / (self.f_max / 2))
@@ -100,19 +88,8 @@ class NoiseModel:
         return sigma * sigma * (CLIPPED + slope * forces).clip(None, 1)
 
     def apply(self, truth: Floats, rng: np.random.Generator) -> Floats:
-        """Return the readings of a noisy skin.
-
-        Parameters
-        ----------
-        truth : ndarray of float32, any shape
-            True forces in [0, f_max]; not modified.
-        rng : numpy.random.Generator
-            The same state gives the same readings.
-
-        Returns
-        -------
-        ndarray of float32, same shape
-            A fresh array in [0, f_max].
+        """Readings of a noisy skin, a fresh array in [0, f_max], of true forces in that range,
+        float32 of any shape. The same state of `rng` gives the same readings.
         """
         taxels = rng.standard_normal(truth.shape, dtype=np.float32)
         taxels *= self.sigma(truth)

@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import POINTS, load, loaded, offered
 
-from .placement import Placement
+from .calibration.description import Placement
 from .source import Listing, Source
 
 NAME = "points"
 """Name of the entry point."""
 
 
-class PointSkins(ABC):
+class PointSkins(Protocol):
     """What a plug-in brings for skins of points."""
 
-    @abstractmethod
     def n_taxels(self, layout: str) -> int:
         """Number of taxels of a layout, a path or `example:NAME`. Raises SourceError if it is
         missing or malformed.
         """
 
-    @abstractmethod
     def place(self, layout: str) -> Placement:
         """The placement of a layout; raises SourceError as `n_taxels`."""
 
-    @abstractmethod
     def scenes(self) -> Mapping[str, str]:
         """Names of scenes that press such a skin, and a few words on each."""
 
-    @abstractmethod
     def open_scene(self, name: str, layout: str, seed: int) -> Source:
         """One of `scenes` on a layout; raises SourceError as `n_taxels`."""
 
-    @abstractmethod
     def listings(self) -> Sequence[Listing]:
         """Layouts that need no file."""
 

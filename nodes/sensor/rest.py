@@ -19,12 +19,7 @@ and the rim read nothing."""
 class Rest:
     """Notices a level at rest: in the mean of the first `TARE_FRAMES` frames nearly all taxels read
     more than the noise of one frame, and more than the least contact. Clipped noise has a mean of
-    0.4 deviations.
-
-    Attributes
-    ----------
-    line : str
-        What was found, and its remedy; empty where there is none.
+    0.4 deviations. `line` states what was found, and its remedy; it is empty where there is none.
     """
 
     def __init__(self, skin: Skin) -> None:

@@ -15,19 +15,11 @@ from sparseskin.messages.text import printable
 
 @dataclass
 class Clipped:
-    """Counts of readings that were clipped, 1 a taxel and frame.
+    """Counts of readings that were clipped, 1 a taxel and frame."""
 
-    Attributes
-    ----------
-    n_below, n_above : int
-        Readings below and above the range.
-    lowest, highest : float
-        Extremes of the frames that had such, before they were clipped.
-    """
-
-    n_below: int = 0
+    n_below: int = 0  # the range
     n_above: int = 0
-    lowest: float = math.inf
+    lowest: float = math.inf  # of the frames that had such, before they were clipped
     highest: float = -math.inf
 
     @property

@@ -10,7 +10,7 @@ from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .calibration.chain import MAX_TARE_FRAMES
 from .calibration.skin_file import load_skin
-from .files.recording import NAN_WAYS, NEGATIVE_WAYS, Policy
+from .files.recording import NAN_WAYS, NEGATIVE_WAYS, Policy, check_unit
 from .points import point_skins
 from .source import Address
 from .sources import find_address
@@ -72,7 +72,9 @@ class SensorSettings(PatchesSettings):
         low=1,
         high=4096,
     )
-    unit: str | None = setting(None, "unit of a file's or driver's readings")
+    unit: str | None = setting(
+        None, "unit of a file's or driver's readings: N, kPa, counts or another text"
+    )
     f_max: float | None = setting(
         None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
     )
@@ -147,23 +149,15 @@ class SensorSettings(PatchesSettings):
 
     def address(self) -> Address:
         """The source, as these settings state it. Raises SourceError if it has no known form."""
+        same = ("n_rows", "n_cols", "unit", "f_max", "columns", "topic", "seed", "points")
+        of_bodies = ("n_patches", "simulated", "active")
         return find_address(
             self.source,
-            n_rows=self.n_rows,
-            n_cols=self.n_cols,
-            unit=self.unit,
-            f_max=self.f_max,
             rate_hz=self.rate_hz or None,
-            columns=self.columns,
-            topic=self.topic,
-            seed=self.seed,
             policy=Policy(self.nan, self.negative),
             raw=self.is_calibrated,
-            points=self.points,
             described=load_skin(self.skin) if self.skin else None,
-            n_patches=self.n_patches,
-            simulated=self.simulated,
-            active=self.active,
+            **{key: getattr(self, key) for key in (*same, *of_bodies)},
         )
 
     def check(self) -> None:
@@ -179,6 +173,7 @@ class SensorSettings(PatchesSettings):
             with naming("points"):
                 point_skins().n_taxels(self.points)
         with naming("source"):
+            check_unit(self.source, self.unit)
             address = self.address()
             address.check()
             if self.n_patches > 1 and address.kind != "scene":

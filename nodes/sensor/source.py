@@ -29,66 +29,35 @@ MAX_LINES = 100
 
 
 class Source:
-    """A source of frames: a simulated scene, a recording, a board, or a driver.
+    """A source of frames: a simulated scene, a recording, a board, or a driver."""
 
-    Attributes
-    ----------
-    name : str
-        Name for summaries, e.g. "drag_wrench_64".
-    skin : Skin
-        The patch the frames belong to.
-    delivers : "truth" or "taxels"
-        "truth": noise-free forces, to which the sensor adds noise. "taxels": readings of a real
-        skin, whose truth is not known, and which a calibration may convert to forces.
-    rate_hz : float or None
-        Native frame rate; None if the source has none of its own.
-    n_frames : int or None
-        Number of frames; None for an endless source.
-    is_live : bool
-        True if a frame is of the time at which it is read. Other sources are read a frame ahead.
-    arrives : bool
-        True if frames arrive whether or not they are read; `next_frame` then states when.
-    on_points : bool
-        True if the frames of a skin of points are on its virtual grid already.
-    ended : bool
-        True once `next_frame` has found that there is no frame any more.
-    clipped : Clipped
-        Counts of the readings that were clipped to the range.
-    sigmas : (float, float) or None
-        Noise of a taxel at half the range, and untouched, in the unit of the skin, that the sensor
-        adds to a truth; None: that of the paper's skin.
-    period_s : float
-        Time between the frames that the sensor reads, seconds, which it sets.
-    clock : DeviceClock or None
-        Clock of the stamps of its frames; None if they have none.
-    stamp : int
-        Stamp of the last frame on that clock.
-    loops : bool
-        True: a scene or recording begins again at its end, which the sensor sets.
-    """
-
-    name: str
-    skin: Skin
+    name: str  # for summaries, e.g. "drag_wrench_64"
+    skin: Skin  # that the frames belong to
+    #: "truth": noise-free forces, to which the sensor adds noise. "taxels": readings of a real
+    #: skin, whose truth is not known, and which a calibration may convert to forces.
     delivers: Literal["truth", "taxels"] = "taxels"
-    rate_hz: float | None = None
-    n_frames: int | None = None
-    is_live: bool = False
-    arrives: bool = False
-    on_points: bool = False
-    ended: bool = False
-    clipped: Clipped = Clipped()
+    rate_hz: float | None = None  # native frame rate; None: it has none of its own
+    n_frames: int | None = None  # None: endless
+    is_live: bool = False  # a frame is of the time at which it is read; others are read ahead
+    arrives: bool = False  # frames arrive whether or not they are read; `next_frame` states when
+    on_points: bool = False  # frames of a skin of points are on its virtual grid already
+    ended: bool = False  # `next_frame` has found that there is no frame any more
+    clipped: Clipped = Clipped()  # counts of the readings that were clipped to the range
+    #: Noise of a taxel at half the range, and untouched, in the unit of the skin, that the sensor
+    #: adds to a truth; None: that of the paper's skin.
     sigmas: tuple[float, float] | None = None
-    period_s: float = 1 / DEFAULT_RATE_HZ
-    clock: DeviceClock | None = None
-    stamp: int = 0
-    loops: bool = False
+    clock: DeviceClock | None = None  # of the stamps of its frames; None: they have none
+    stamp: int = 0  # of the last frame on that clock
+    # The sensor sets these:
+    period_s: float = 1 / DEFAULT_RATE_HZ  # time between the frames that it reads
+    loops: bool = False  # a scene or recording begins again at its end
     _began_ns = _last_ns = 0
     _frames: Iterator[tuple[int, Floats]] | None = None
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
-        """Yield (stamp_ns, forces): time since the first frame in nanoseconds, and
-        float32 forces of shape (n_rows, n_cols) in [0, f_max], or (n_patches, n_rows, n_cols) of
-        several patches; 0 in masked cells. NaN where a reading is missing, where that was allowed.
+        """Yield (stamp_ns, forces): nanoseconds since the first frame, and float32 (n_rows, n_cols)
+        in [0, f_max], or (n_patches, n_rows, n_cols); 0 in masked cells, NaN where a reading is
+        missing and that is allowed.
         """
         raise NotImplementedError
 
@@ -105,14 +74,9 @@ class Source:
         return True
 
     def next_frame(self, wait_s: float, newest: bool = False) -> tuple[int, Floats] | None:
-        """The next frame, as `__iter__` yields it; None if there is none.
-
-        Parameters
-        ----------
-        wait_s : float
-            Longest wait for a frame that arrives, seconds.
-        newest : bool
-            True to take the newest of the frames that have arrived; the others are not used.
+        """The next frame, as `__iter__` yields it; None if there is none. One that arrives is
+        waited for at most `wait_s` seconds; with `newest`, those that arrived before it are not
+        used.
         """
         if self._frames is None:
             self._frames = iter(self)
@@ -182,19 +146,11 @@ class LiveSource(Source):
 
 @dataclass(frozen=True)
 class Listing:
-    """Sources of one kind that there are, for `sparseskin sources`.
-
-    Attributes
-    ----------
-    key : str
-        Key in its JSON.
-    title : str
-    entries : sequence of mapping
-        `about`, a few words on each, and `source`, its address; or `name`, for what is part of one.
-    """
+    """Sources of one kind that there are, for `sparseskin sources`; `key` is that in its JSON."""
 
     key: str
     title: str
+    #: `about`, a few words on each, and `source`, its address; or `name`, for a part of one.
     entries: Sequence[Mapping[str, str]]
 
 
@@ -208,35 +164,10 @@ def about(make: Callable[..., object]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Address(ABC):
-    """What settings state of a source that is not open; a subclass for each kind.
+    """What settings state of a source that is not open; a subclass for each kind."""
 
-    Attributes
-    ----------
-    source : str
-        The address itself, e.g. "file:press.npy".
-    n_rows, n_cols, unit, f_max, rate_hz, columns, topic
-        Properties that the source does not state itself, or that it must have; None: any.
-    seed : int
-        Seed of a scene.
-    policy : Policy
-        What to do with readings that are not finite, and with those of a file below 0.
-    raw : bool
-        True: readings may have any sign and size, as a calibration converts them.
-    points : str
-        File with the places of the taxels of a skin of points; "" for a grid.
-    described : SkinDescription or None
-        What the file of the skin states.
-    n_patches, simulated, active
-        Number of patches, their skin, and the part that is pressed, for a scene of a body.
-    form : str
-        The form of such addresses, for help and errors.
-    delivers : "truth", "taxels" or None
-        As of the source it opens; None: only that shows it.
-    own : tuple of str
-        Settings of the sensor that such a source has itself: they must not be stated.
-    """
-
-    source: str
+    source: str  # the address itself, e.g. "file:press.npy"
+    # Properties that the source does not state itself, or that it must have; None: any.
     n_rows: int | None = None
     n_cols: int | None = None
     unit: str | None = None
@@ -244,17 +175,19 @@ class Address(ABC):
     rate_hz: float | None = None
     columns: str = ""
     topic: str = ""
-    seed: int = 0
-    policy: Policy = DEFAULT_POLICY
-    raw: bool = False
-    points: str = ""
-    described: SkinDescription | None = None
+    seed: int = 0  # of a scene
+    policy: Policy = DEFAULT_POLICY  # for readings that are not finite, and those of a file below 0
+    raw: bool = False  # readings have any sign and size, as a calibration converts them
+    points: str = ""  # file with the places of the taxels of a skin of points; "": a grid
+    described: SkinDescription | None = None  # what the file of the skin states
+    # Number of patches, their skin, and the part that is pressed, for a scene of a body:
     n_patches: int = 1
     simulated: Mapping[str, Any] | None = None
     active: float | None = None
-    form: ClassVar[str] = "module:callable"
+    form: ClassVar[str] = "module:callable"  # of such addresses, for help and errors
+    #: As of the source it opens; None: only that shows it.
     delivers: ClassVar[Literal["truth", "taxels"] | None] = None
-    own: ClassVar[tuple[str, ...]] = ()
+    own: ClassVar[tuple[str, ...]] = ()  # settings that such a source has itself: not to be stated
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from sparseskin.nodes.sensor.placement import Placement
+from sparseskin.nodes.sensor.calibration.description import Placement
 from sparseskin.nodes.sensor.points import PointSkins
 from sparseskin.nodes.sensor.source import Listing, Source, about
 

@@ -25,11 +25,11 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
 from sparseskin.nodes.sensor.files.recording import (
+    Lines,
     parse_number,
     parse_whole,
-    read_bytes,
+    reading,
     shown,
-    text_lines,
 )
 
 from .examples import EXAMPLES
@@ -144,7 +144,8 @@ def load_points(layout: str) -> Points:
     size = Path(layout).stat().st_size if Path(layout).is_file() else 0
     if size > MAX_BYTES:
         raise SourceError(f"{layout}: {size} bytes; at most {MAX_BYTES} are allowed")
-    lines = text_lines(read_bytes(layout))
+    with reading(layout) as file:
+        lines = [*Lines(file, layout)]
     return _read_csv(lines, layout) if suffix == ".csv" else _read_icub(lines, layout)
 
 

@@ -17,13 +17,12 @@ from sparseskin.nodes.sensor.files.recording import (
     Parsed,
     Recording,
     parse_number,
-    parse_reading,
     parse_whole,
     shown,
     stack_frames,
 )
 
-from .movies import KPA_CM2_IN_NEWTONS, LARGEST_NUMBER, check_number, parse_shape
+from .movies import KPA_CM2_IN_NEWTONS, LARGEST_NUMBER, check_number, parse_reading, parse_shape
 
 _MATRIX = re.compile(r"Matrix:\s*(\S*)")
 _AREA = re.compile(r"Sensor area:\s*(\S+)\s*(\S*)")

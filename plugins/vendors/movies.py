@@ -11,17 +11,30 @@ from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import (
+    MAX_READING,
     Lines,
     check_grid,
-    parse_reading,
+    parse_number,
     parse_whole,
     rising,
+    shown,
 )
 
 LARGEST_NUMBER = 999_999_999
 """Largest number of a frame."""
 KPA_CM2_IN_NEWTONS = 0.1
 _DAY_S = 86400.0
+
+
+def parse_reading(token: str, where: str, row: int, col: int) -> float:
+    """Read the reading of a cell (row, col), from 0; SourceError if it is not in [0, 1e30]."""
+    where = f"{where}, row {row}, column {col}"
+    value = parse_number(token, where)
+    if value < 0:
+        raise SourceError(f"{where}: {shown(token)} is below 0; a range starts at 0")
+    if value > MAX_READING:
+        raise SourceError(f"{where}: {shown(token)} is beyond {MAX_READING:g}")
+    return value
 
 
 def parse_shape(rows: tuple[str, str], cols: tuple[str, str]) -> tuple[int, int]:

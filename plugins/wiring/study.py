@@ -18,10 +18,10 @@ from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, m_of
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Indices, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
 from sparseskin.studies.frames import Frames, PressFrames, SceneFrames
 from sparseskin.studies.harness import Candidate, Experiment, Measurement, method_rows, unrefused
 from sparseskin.studies.points import compute
+from sparseskin.studies.presses import N_BEFORE
 from sparseskin.studies.report import Page, markdown
 
 SHAPE = (64, 64)

@@ -11,7 +11,6 @@ import pandas as pd
 from sparseskin.nodes.compressor.phi.rotation import ROTATING, ROWS
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES, SKINS
 from sparseskin.studies.baselines.sampling import CODECS
 from sparseskin.studies.frames import (
     Frames,
@@ -25,6 +24,7 @@ from sparseskin.studies.frames import (
 )
 from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
 from sparseskin.studies.points import StudyError
+from sparseskin.studies.presses import BODIES, COURSES, SKINS
 
 RATIOS = (3, 4, 8)
 DEFAULT, SKIN, PAPER = "skin, rotating", "skin", "paper"

@@ -14,9 +14,9 @@ import numpy as np
 from sparseskin.messages import Message, SkinState, Taxels, encode
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.scenes.presses import BODIES, Timing, press_frames
 from sparseskin.plugins.design.models import FIGURES
 from sparseskin.plugins.design.strategies import SINGLE, STRATEGIES, Strategy
+from sparseskin.studies.presses import BODIES, Timing, press_frames
 from sparseskin.studies.speed.bodies import WARM_UP, made_node, timed_step
 
 SIZES = ((12, 32), (32, 32), (64, 64))

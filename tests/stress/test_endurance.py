@@ -18,8 +18,8 @@ from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.scenes.presses import BODIES, press_frames
 from sparseskin.studies.evaluate import make_method
+from sparseskin.studies.presses import BODIES, press_frames
 
 #: Rows and columns, N / M, rows of the measurement matrix.
 STREAMS = ((20, 3, "fixed"), (20, 3, "rotating"), (20, 8, "rotating"))

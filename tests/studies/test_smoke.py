@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.nodes.sensor.scenes.presses import N_BEFORE
 from sparseskin.studies import command, frames, harness, needs
 from sparseskin.studies.accuracy import constants, contacts
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
+from sparseskin.studies.presses import N_BEFORE
 from sparseskin.studies.speed import latency
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy

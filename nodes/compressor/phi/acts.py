@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 
-from .base import BLOCK, Phi, fingerprint_of
+from .base import BLOCK, fingerprint_of
 from .identity import SubsamplePhi
 
 SIGMAS = 4.0
@@ -35,15 +35,9 @@ Read = Callable[[Indices], Floats]
 
 
 class ActsPhi(SubsamplePhi):
-    """Phi = Q of this frame: m single taxels, set by `choose` for each frame.
-
-    Before the first choice they are those of `SubsamplePhi`. The fingerprint is of n and m alone:
-    the choice has to travel with the measurements.
-
-    Raises
-    ------
-    PhiError
-        As in `Phi`.
+    """Phi = Q of this frame: m single taxels, set by `choose` for each frame; before the first
+    choice those of `SubsamplePhi`. The fingerprint is of n and m alone: the choice has to travel
+    with the measurements.
     """
 
     kind = "acts"
@@ -54,13 +48,7 @@ class ActsPhi(SubsamplePhi):
         self.fingerprint = fingerprint_of(self.kind, n, m, 1)
 
     def choose(self, taxels: Indices) -> None:
-        """Set the taxels of a frame: intp, shape (m,), ascending indices in 0..n-1.
-
-        Raises
-        ------
-        PhiError
-            If they are not m such indices.
-        """
+        """Set the taxels of a frame; PhiError unless they are m ascending indices in 0..n-1."""
         if taxels.shape != (self.m,):
             raise PhiError(f"acts: {taxels.size} taxels are read; expected m = {self.m}")
         if taxels[0] < 0 or taxels[-1] >= self.n or (taxels[1:] <= taxels[:-1]).any():
@@ -69,36 +57,10 @@ class ActsPhi(SubsamplePhi):
 
 
 def packed_places(taxels: Indices, n: int) -> npt.NDArray[np.uint8]:
-    """Return one bit a taxel, the highest first, set for those read: uint8, shape (ceil(n / 8),).
-
-    `taxels` are the indices of those read, intp, shape (m,), each in 0..n-1.
-    """
+    """One bit a taxel, the highest first, set for those of the indices: uint8 (ceil(n / 8),)."""
     is_read = np.zeros(n, dtype=np.bool_)
     is_read[taxels] = True
     return np.packbits(is_read)
-
-
-def follow(phi: Phi, places: npt.NDArray[np.uint8] | None) -> None:
-    """Set the taxels of an `ActsPhi` from those that came with a frame's measurements.
-
-    Parameters
-    ----------
-    phi : Phi
-        Any kind; all but "acts" are left unchanged.
-    places : ndarray of uint8, shape (ceil(n / 8),), or None
-        As `packed_places` returns them.
-
-    Raises
-    ------
-    PhiError
-        If they are absent for "acts", present for another kind, or not m of n taxels.
-    """
-    if isinstance(phi, ActsPhi):
-        if places is None:
-            raise PhiError("acts: the measurements come without the places of their taxels")
-        phi.choose(np.flatnonzero(np.unpackbits(places)))
-    elif places is not None:
-        raise PhiError(f'{phi.kind}: measurements with places; allowed: phi "acts" alone has them')
 
 
 class ActsSearch:
@@ -110,22 +72,9 @@ class ActsSearch:
     readings far apart. Where nothing is left to refine, the lattice is made finer everywhere,
     which may find more to refine. A frame's choice depends on that frame alone.
 
-    Parameters
-    ----------
-    exists : ndarray of bool, shape (n_rows, n_cols)
-        True where a taxel exists.
-    m : int
-        Number of taxels to read, 1..n.
-    threshold : float
-        Readings above it are forces; as `touch_level`, of `SIGMAS`.
+    `exists`, bool (n_rows, n_cols), is True where a taxel exists; readings above `threshold`, as of
+    `touch_level` with `SIGMAS`, are forces. Raises PhiError if m is not in 1..n.
 
-    Raises
-    ------
-    PhiError
-        If m is not in 1..n.
-
-    Notes
-    -----
     Source: the binary sampling of Slepyan et al.; the score is this project's own.
     """
 
@@ -147,10 +96,7 @@ class ActsSearch:
         self._exists = exists.copy()
 
     def places(self, read: Read) -> Indices:
-        """Read a frame; return its m taxels, intp, shape (m,), ascending.
-
-        `read` takes indices of taxels, intp, shape (k,), and returns their readings, float32.
-        """
+        """Read a frame by `read`, of indices of taxels; return its m taxels, intp, ascending."""
         self._readings.fill(-np.inf)
         np.copyto(self._unread, self._exists)
         n_left = self.m - self._read(self._lattice(self._steps[0]), self.m, read)
@@ -213,10 +159,7 @@ def _steps(exists: npt.NDArray[np.bool_], m: int) -> list[int]:
 
 
 def _around(known: Floats) -> tuple[Floats, Floats]:
-    """Return the highest and lowest reading of each cell and its eight neighbours.
-
-    -inf and +inf where none of them was read.
-    """
+    """Highest and lowest reading of each cell and its neighbours; -inf and inf if none was read."""
     high = np.pad(known, 1, constant_values=-np.inf)
     low = np.where(high == -np.inf, np.float32(np.inf), high)
     for axis in (0, 1):

@@ -1,8 +1,9 @@
 """Adaptive rows: in each frame those of W are measured that changed most since they were read.
 
-`AdaptivePhi` is the measurement matrix of a frame's choice, which travels with the measurements as
-a few bits a node of the quad tree; `AdaptiveChoice` chooses at the edge, from what was measured;
-`HeldRows` is what both ends know: the last measurement of every row.
+Method and symbols: docs/explanation/adaptive.md. `AdaptivePhi` is the measurement matrix of a
+frame's choice, which travels with the measurements as a few bits a node of the quad tree;
+`AdaptiveChoice` chooses at the edge, from what was measured; `HeldRows` is what both ends know: the
+last measurement of every row.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
 
+from .acts import ActsPhi
 from .base import BLOCK, Phi, fingerprint_of, make_phi
 from .quadtree import N_DETAILS, Quadtree
 from .rotation import row_subsets
@@ -58,11 +60,10 @@ Read = Callable[[Indices], npt.NDArray[np.floating]]
 
 
 class AdaptivePhi(Phi):
-    """Phi = Q W of this frame: m rows of a quad tree's W, set by `choose` for each frame.
-
-    Before the first choice they are the first m rows. `lay_out` states the grid; before that, the
-    taxels are in a line. The fingerprint is of n, m and the grid: the choice has to travel with
-    the measurements.
+    """Phi = Q W of this frame: m rows of a quad tree's W, set by `choose` for each frame; before
+    the first choice the first m. `lay_out` states the grid; before that, the taxels are in a line.
+    The fingerprint is of n, m and the grid: the choice has to travel with the measurements. Raises
+    PhiError also if m is less than 4, a sum and the details of a node.
 
     Attributes
     ----------
@@ -75,11 +76,6 @@ class AdaptivePhi(Phi):
     bias, untouched : float
         Mean reading of an untouched taxel, and the normalised sum up to which a node counts as
         untouched, in the unit of the forces.
-
-    Raises
-    ------
-    PhiError
-        If m is less than 4, a sum and the details of a node; and as in `Phi`.
     """
 
     kind = "adaptive"
@@ -125,15 +121,9 @@ class AdaptivePhi(Phi):
         self.untouched = max(noise, UNTOUCHED_FRACTION * f_max)
 
     def choose(self, chosen: Mask) -> None:
-        """Set the nodes of a frame, bool (n_nodes,).
-
-        Measured are the sums of all tiles, the details of these nodes, and the first rows of W that
-        are not among them, up to m.
-
-        Raises
-        ------
-        PhiError
-            If these nodes have more than m measurements, or more than two fewer.
+        """Set the nodes of a frame, bool (n_nodes,). Measured are the sums of all tiles, the
+        details of these nodes, and the first rows of W that are not among them, up to m. Raises
+        PhiError if these nodes have more than m measurements, or more than two fewer.
         """
         tree = self.tree
         measured = np.ones(self.n, dtype=np.bool_)
@@ -147,7 +137,7 @@ class AdaptivePhi(Phi):
         self.chosen, self.rows = chosen, np.flatnonzero(measured)
 
     def largest(self, y: Floats) -> Doubles:
-        """Return the magnitude, (m,), that measurements y, float32 (m,), of the rows chosen cannot
+        """The magnitude, (m,), that measurements y, float32 (m,), of the rows chosen cannot
         exceed, in the unit of the forces: taxels are in the range, and each force of a node, whose
         details have rows of length 1, is part of its tile's sum.
         """
@@ -160,14 +150,8 @@ class AdaptivePhi(Phi):
         return most
 
     def dense(self) -> npt.NDArray[np.float64]:
-        """Return the explicit matrix, float64, shape (m, n), a row at a time."""
-        one = np.zeros(self.n)
-        matrix = np.zeros((self.m, self.n))
-        for measurement, row in enumerate(self.rows):
-            one[row] = 1
-            matrix[measurement] = self.tree.synthesis(one)
-            one[row] = 0
-        return matrix
+        """As of `Phi`, in float64 throughout."""
+        return np.array([self.tree.synthesis(row) for row in np.eye(self.n)[self.rows]])
 
     def _forward(self, x: Floats, out: Floats) -> None:
         out[:] = self.tree.analysis(x)[self.rows]
@@ -184,16 +168,10 @@ class HeldRows:
     Details that were not read again scale with the sum of their node: a contact that presses
     harder keeps its shape. Those of an untouched node are 0, because forces are not negative.
 
-    Parameters
-    ----------
-    phi : AdaptivePhi
-
     Attributes
     ----------
-    sums : ndarray of float64, shape (n_nodes,)
-        Normalised sum of each node in this frame.
-    sums_read : ndarray of float64, shape (n_nodes,)
-        The same when the details of the node were read; 0 before that.
+    sums, sums_read : ndarray of float64, shape (n_nodes,)
+        Normalised sum of each node in this frame, and when its details were read; 0 before that.
     now, details : ndarray of float64, shape (n_nodes, 3)
         Details in this frame, and as they were read.
     """
@@ -244,9 +222,8 @@ class HeldRows:
         return expected
 
     def end(self) -> Mask:
-        """End a frame, of which all rows are read; return which nodes are untouched.
-
-        What was read of a part of a node's details is not kept.
+        """End a frame, of which all rows are read; return which nodes are untouched. What was read
+        of a part of a node's details is not kept.
         """
         whole = np.count_nonzero(self._fresh, axis=1) == self._tree.n_details
         self.details[whole] = self.now[whole]
@@ -258,17 +235,8 @@ class HeldRows:
 
 
 class AdaptiveChoice:
-    """Chooses and reads m rows of a frame, at the edge, from what it has measured.
-
-    First the sums of all tiles. Then, in rounds, the details of the nodes with the largest expected
-    squared change since they were read: half of the squared change of their own sum, and the
-    squared change a frame that was seen when they were read last, times their age. An eighth of the
-    measurements goes to the nodes that were read longest ago.
-
-    Parameters
-    ----------
-    phi : AdaptivePhi
-        Laid out, its noise stated; `choose` of it is called in each frame.
+    """Chooses and reads m rows of a frame, at the edge, from what it has measured. Phi, whose
+    `choose` is called in each frame, is laid out and its noise stated.
     """
 
     def __init__(self, phi: AdaptivePhi) -> None:
@@ -278,9 +246,8 @@ class AdaptiveChoice:
         self._untouched = np.zeros(phi.tree.n_nodes, dtype=np.bool_)
 
     def measure(self, read: Read) -> Floats:
-        """Choose and read a frame; return the measurements, float32 (m,), in the order of `rows`.
-
-        `read` takes rows of W, intp, shape (k,), and returns their measurements.
+        """Choose and read a frame by `read`, of rows of W; return its measurements, float32 (m,),
+        in the order of `rows`.
         """
         phi, tree, held = self._phi, self._phi.tree, self._held
         self._age += 1
@@ -293,7 +260,8 @@ class AdaptiveChoice:
         oldest = int(self._owed)
         for n_rounds in range(N_ROUNDS, 0, -1):
             held.update()
-            left -= self._read_most(self._expected(), (left - oldest) // n_rounds, chosen, read)
+            expected2 = held.changed2() + self._drift * self._age
+            left -= self._read_most(expected2, (left - oldest) // n_rounds, chosen, read)
         waited = self._age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
         while left >= N_DETAILS:
             more = self._read_most(waited, left, chosen, read)
@@ -307,10 +275,6 @@ class AdaptiveChoice:
         self._drift[self._untouched] *= DRIFT_MEMORY
         measurements: Floats = self._values[phi.rows].astype(np.float32)
         return measurements
-
-    def _expected(self) -> Doubles:
-        """Expected squared change of each node's details since they were read."""
-        return self._held.changed2() + self._drift * self._age
 
     def _read_most(self, score: Doubles, n_most: int, chosen: Mask, read: Read) -> int:
         """Read the unread nodes of highest score a measurement, above 0; return their rows."""
@@ -346,32 +310,27 @@ class AdaptiveChoice:
             self._held.read(rows, self._values[rows])
 
 
-def follow_nodes(phi: Phi, code: npt.NDArray[np.uint8] | None) -> None:
-    """Set the nodes of an `AdaptivePhi` from the code that came with a frame's measurements.
+def follow(
+    phi: Phi, places: npt.NDArray[np.uint8] | None, nodes: npt.NDArray[np.uint8] | None
+) -> None:
+    """Set the rows of a matrix that chooses them in each frame, by what came with its measurements.
 
-    Parameters
-    ----------
-    phi : Phi
-        Any kind; all but "adaptive" are left unchanged.
-    code : ndarray of uint8, or None
-        As `Quadtree.coded` returns it.
-
-    Raises
-    ------
-    PhiError
-        If it is absent for "adaptive", present for another kind, no such code, or not of m
-        measurements.
+    `places` are those of "acts", as of `packed_places`; `nodes` those of "adaptive", as of
+    `Quadtree.coded`. Raises PhiError if one is absent, or of another kind, or malformed.
     """
-    if isinstance(phi, AdaptivePhi):
-        if code is None:
-            raise PhiError("adaptive: the measurements come without the nodes of their rows")
+    for kind, what, code in (("acts", "places", places), ("adaptive", "nodes", nodes)):
+        if phi.kind != kind and code is not None:
+            raise PhiError(f'{phi.kind}: measurements with {what}; allowed: phi "{kind}" alone')
+        if phi.kind == kind and code is None:
+            raise PhiError(f"{kind}: the measurements come without the {what} of their rows")
+    if isinstance(phi, ActsPhi) and places is not None:
+        phi.choose(np.flatnonzero(np.unpackbits(places)))
+    if isinstance(phi, AdaptivePhi) and nodes is not None:
         try:
-            chosen = phi.tree.decoded(code)
+            chosen = phi.tree.decoded(nodes)
         except ValueError as cause:
             raise PhiError(f"adaptive: the code of the nodes is malformed: {cause}") from cause
         phi.choose(chosen)
-    elif code is not None:
-        raise PhiError(f'{phi.kind}: measurements with nodes; allowed: phi "adaptive" alone')
 
 
 def layout(
@@ -393,10 +352,9 @@ def layout(
 def phis_for(
     skin: Skin, sigma_end: float, clips_noise: bool, rows: str | None, **parameters: Any
 ) -> list[Phi]:
-    """Return the matrices that measure the frames of a skin in turn, laid out.
-
-    `sigma_end` and `clips_noise` are as in `SkinState`, `rows` as in `row_subsets`, parameters
-    those of `make_phi` but n. Raises PhiError as they do.
+    """The matrices that measure the frames of a skin in turn, laid out. `sigma_end` and
+    `clips_noise` are as in `SkinState`, `rows` as in `row_subsets`, parameters those of `make_phi`
+    but n, as is PhiError.
     """
     phi = make_phi(n=skin.n_taxels, **parameters)
     layout(phi, skin.exists, sigma_end, skin.f_max, clips_noise)

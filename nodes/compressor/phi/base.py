@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -10,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages.frames import FINGERPRINT_PATTERN
 from sparseskin.messages.ranges import is_whole
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.lookup import find_callable, find_class
@@ -76,10 +78,7 @@ class Phi(ABC):
     lipschitz : float
         Largest eigenvalue of Phi Phi^T; 1 for orthonormal rows.
 
-    Raises
-    ------
-    PhiError
-        If a parameter is of the wrong type or out of its range.
+    Raises PhiError if a parameter is of the wrong type or out of its range.
     """
 
     kind: str
@@ -117,24 +116,11 @@ class Phi(ABC):
         return 1.0
 
     def forward(self, x: Floats, out: Floats | None = None) -> Floats:
-        """Return y = Phi x.
+        """Return y = Phi x: newtons, float32 (m,), of forces of the existing taxels in row-major
+        order, float32 (n,); or (k, m) of k such frames. A frame gives the same bits alone and in a
+        batch.
 
-        Parameters
-        ----------
-        x : ndarray of float32, shape (n,) or (k, n)
-            Forces of the existing taxels in row-major order, newtons; or k such frames.
-        out : ndarray of float32, shape (m,) or (k, m), optional
-            Array for the result.
-
-        Returns
-        -------
-        ndarray of float32, shape (m,) or (k, m)
-            Measurements, newtons. A frame gives the same bits alone and in a batch.
-
-        Raises
-        ------
-        PhiError
-            If x or out has another shape, or out another type than float32.
+        `out` is an array for the result. Raises PhiError if x or out has another shape or type.
         """
         shapes = (self.n,), (self.m,)
         return each_frame(self._forward, x, out, shapes, f"{self.kind}: x", PhiError)
@@ -145,17 +131,8 @@ class Phi(ABC):
         return each_frame(self._adjoint, y, out, shapes, f"{self.kind}: y", PhiError)
 
     def lay_out(self, exists: Mask) -> None:
-        """State the grid of the taxels, by which some kinds arrange their rows.
-
-        Parameters
-        ----------
-        exists : ndarray of bool, shape (n_rows, n_cols)
-            True where a taxel exists.
-
-        Raises
-        ------
-        PhiError
-            If there are more or fewer taxels than n, or the kind does not allow the grid.
+        """State the grid of the taxels, bool (n_rows, n_cols), True where one exists, by which some
+        kinds arrange their rows. Raises PhiError if they are not n, or the kind does not allow it.
         """
         if np.count_nonzero(exists) != self.n:
             raise PhiError(
@@ -184,13 +161,7 @@ class Phi(ABC):
 
 
 def phi_class(kind: str) -> Callable[..., Any]:
-    """Return the class of a kind, as `make_phi` takes it.
-
-    Raises
-    ------
-    PhiError
-        If there is none.
-    """
+    """The class of a kind, as `make_phi` takes it. Raises PhiError if there is none."""
     prefix, colon, parameter = kind.partition(":")
     if colon and (home := _WITH_PARAMETER.get(f"{prefix}:")):
         made: Callable[..., Any] = find_callable(home, PhiError)(parameter)
@@ -219,10 +190,8 @@ def check_parameters(n: int, m: int, seed: int, block: int) -> None:
 
 
 def fingerprint_of(kind: str, n: int, m: int, block: int, *arrays: npt.NDArray[np.generic]) -> str:
-    """Return the first 16 hexadecimal characters of the SHA-256 over the parts of a matrix.
-
-    Integers are hashed as little-endian int32, floats as little-endian float32, to be the same
-    on every machine.
+    """The first 16 hexadecimal characters of the SHA-256 over the parts of a matrix: integers as
+    little-endian int32, floats as little-endian float32, to be the same on every machine.
     """
     digest = hashlib.sha256(f"{kind} {n} {m} {block}".encode())
     for array in arrays:
@@ -233,13 +202,7 @@ def fingerprint_of(kind: str, n: int, m: int, block: int, *arrays: npt.NDArray[n
 
 
 def block_of(kind: str, block: int | None) -> int:
-    """Return the size of the Hadamard blocks: the stated one, or that of the kind.
-
-    Raises
-    ------
-    PhiError
-        If the kind is not known.
-    """
+    """Size of the Hadamard blocks: the stated one, or that of the kind; PhiError as `phi_class`."""
     return getattr(phi_class(kind), "default_block", BLOCK) if block is None else block
 
 
@@ -285,5 +248,8 @@ def make_phi(
         raise PhiError(f'phi "{kind}" is no measurement matrix: it lacks {", ".join(missing)}')
     if (made.n, made.m) != (n, m):
         raise PhiError(f'phi "{kind}" has n = {made.n}, m = {made.m}; expected n = {n}, m = {m}')
+    if not re.fullmatch(FINGERPRINT_PATTERN, str(made.fingerprint)):
+        what = f"fingerprint = {ascii(str(made.fingerprint))[:40]}; expected 16 hexadecimal digits"
+        raise PhiError(f'phi "{kind}" has {what}, as fingerprint_of makes them')
     phi: Phi = made
     return phi

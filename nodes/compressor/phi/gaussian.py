@@ -24,13 +24,8 @@ class GaussianPhi(Phi):
     not made orthonormal: the matrix, and so its fingerprint, would depend on the rounding of a
     linear algebra library. `lipschitz` is therefore more than 1: near (1 + sqrt(m / n))^2.
 
-    Raises
-    ------
-    PhiError
-        If n is over 4096 (the matrix is dense); and as in `Phi`.
+    Raises PhiError also if n is over 4096: the matrix is dense.
 
-    Notes
-    -----
     Source: the paper, section IV-B, as the matrix that theory favours and wiring forbids.
     """
 

@@ -49,16 +49,11 @@ def hadamard_matrix(size: int) -> npt.NDArray[np.float64]:
 
 
 def side_by_side(sizes: Sequence[int]) -> tuple[Indices, npt.NDArray[np.int64]]:
-    """Return the order in which equal blocks lie side by side: all first places, all second ones.
+    """The order in which equal blocks lie side by side, all first places, all second ones: place p
+    of a vector belongs to column, and after the transform to row, columns[p], intp (n,). Then
+    start, size and number of the blocks of each size, int64 (k, 3).
 
     `sizes` are those of the blocks in their order, equal ones together.
-
-    Returns
-    -------
-    columns : ndarray of intp, shape (n,)
-        Place p of a vector belongs to column, and after the transform to row, columns[p].
-    groups : ndarray of int64, shape (k, 3)
-        Start, size and number of the blocks of each size.
     """
     groups, columns, start = [], [], 0
     for size in dict.fromkeys(sizes):
@@ -77,18 +72,9 @@ class BlockHadamard:
     takes the two halves of a vector and writes sums and differences in turn, so that every operand
     is one evenly spaced run of numbers; the order of the output differs from that of the input.
 
-    Parameters
-    ----------
-    sizes : list of int
-        Sizes of the blocks in their order, equal ones together.
+    `sizes` are those of the blocks in their order, equal ones together. Place p of the input
+    belongs to column order_in[p] of W, of the output to row order_out[p], both intp (n,).
 
-    Attributes
-    ----------
-    order_in, order_out : ndarray of intp, shape (n,)
-        Place p of the input belongs to column order_in[p] of W, of the output to row order_out[p].
-
-    Notes
-    -----
     Source: Pease, "An adaptation of the fast Fourier transform for parallel processing", J. ACM
     15(2), 1968.
     """
@@ -108,10 +94,8 @@ class BlockHadamard:
             start = group.stop
 
     def program(self, v: Floats, scratch: Floats, back: bool = False) -> list[Call]:
-        """Return the calls that transform v in place, or by W^T if `back`.
-
-        Both are float32, shape (n,): v from `order_in` to `order_out`; the other way round if
-        `back`.
+        """The calls that transform v, float32 (n,) as `scratch`, in place from `order_in` to
+        `order_out`; the other way round, and by W^T, if `back`.
         """
         calls: list[Call] = []
         for group, n_stages in self._groups:
@@ -134,21 +118,8 @@ class HadamardProducts:
 
     A matrix of up to 64 rows is one product. A larger one is two, by its factors: the Kronecker
     product of the Hadamard matrices of sizes a and b is that of size a b. Quicker than butterflies
-    in numpy; its bits depend on the BLAS, which adds in an order of its own.
-
-    Parameters
-    ----------
-    sizes : list of int
-        Sizes of the blocks, in their order.
-    array : callable
-        Makes the matrices arrays of the library and device of the vectors.
-
-    Attributes
-    ----------
-    order_in : ndarray of intp, shape (n,)
-        Place p of the input belongs to column order_in[p] of W.
-    order_out : ndarray of intp, shape (n,)
-        Place p of the output belongs to row order_out[p] of W.
+    in numpy; its bits depend on the BLAS, which adds in an order of its own. `array` makes the
+    matrices arrays of the library and device of the vectors. Places as of `BlockHadamard`.
     """
 
     def __init__(self, sizes: list[int], array: Callable[[Floats], Any] = np.asarray) -> None:

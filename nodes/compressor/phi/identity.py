@@ -12,13 +12,7 @@ from .rotation import RotatingPhi
 
 
 class FullPhi(Phi):
-    """Phi = I, m = n: a skin without compression, as a yardstick.
-
-    Raises
-    ------
-    PhiError
-        If m is not n; and as in `Phi`.
-    """
+    """Phi = I, m = n (else PhiError): a skin without compression, as a yardstick."""
 
     kind = "full"
 
@@ -42,11 +36,6 @@ class SubsamplePhi(RotatingPhi):
     ----------
     rows : ndarray of intp, shape (m,)
         The taxels that are read, ascending. With one seed, a smaller m keeps a subset of them.
-
-    Raises
-    ------
-    PhiError
-        As in `Phi`.
     """
 
     kind = "subsample"

@@ -29,11 +29,6 @@ class LocalSbhePhi(SbhePhi):
     neighbourhood as large as the skin is `SbhePhi`.
 
     Until `lay_out` states the grid, it is a square of n taxels, or else one row of them.
-
-    Raises
-    ------
-    PhiError
-        As in `Phi`.
     """
 
     by_blocks = True
@@ -54,20 +49,8 @@ class LocalSbhePhi(SbhePhi):
 
 
 def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> Indices:
-    """Return the taxels, shuffled within neighbourhoods of `side` x `side` cells.
-
-    Parameters
-    ----------
-    exists : ndarray of bool, shape (n_rows, n_cols)
-        True where there is a taxel.
-    side : int
-        Side of a neighbourhood, cells; those at the last rows and columns are smaller.
-    rng : Generator
-
-    Returns
-    -------
-    ndarray of intp, shape (n,)
-        Numbers of the taxels, counted row by row.
+    """The taxels, counted row by row, intp (n,), shuffled within neighbourhoods of `side` x `side`
+    cells; those at the last rows and columns are smaller.
     """
     n_rows, n_cols = exists.shape
     number = np.cumsum(exists.ravel()).reshape(exists.shape) - 1
@@ -83,12 +66,8 @@ def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> In
 
 @functools.cache
 def local_class(text: str) -> type[LocalSbhePhi]:
-    """Return the class of a kind "local:SIDE".
-
-    Raises
-    ------
-    PhiError
-        If SIDE is no whole number in 1..4096.
+    """The class of a kind "local:SIDE". Raises PhiError unless SIDE is a whole number in
+    1..4096.
     """
     if not (text.isascii() and text.isdigit() and 1 <= int(text[:6]) <= MAX_SIDE):
         raise PhiError(

@@ -22,45 +22,29 @@ _HAAR = 0.5 * np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]], dtype=n
 
 @dataclass(frozen=True)
 class Level:
-    """Nodes of one size.
+    """Nodes of one size."""
 
-    Attributes
-    ----------
-    first, size : int
-        Number of its first node, and of nodes.
-    parts : ndarray of intp, shape (size, 4)
-        Place of each quarter among the nodes of the next level, or the taxels on the last one;
-        their number where there is no taxel.
-    weights : ndarray of float64, shape (size, 4)
-        Normalised sum of a node from those of its quarters: the first row of an orthonormal matrix.
-    details : ndarray of float64, shape (size, 3, 4)
-        The other rows; 0 where there are fewer quarters.
-    """
-
-    first: int
-    size: int
+    first: int  # number of its first node
+    size: int  # number of its nodes
+    #: (size, 4): place of each quarter among the nodes of the next level, or the taxels on the last
+    #: one; their number where there is no taxel.
     parts: Indices
+    #: (size, 4): normalised sum of a node from those of its quarters, the first row of an
+    #: orthonormal matrix.
     weights: Doubles
-    details: Doubles
+    details: Doubles  # (size, 3, 4): the other rows; 0 where there are fewer quarters
 
 
 class Quadtree:
     """W x: normalised sums of tiles, and for each node of a quad tree what its quarters differ by.
 
-    A node is a square of 2, 4, 8 ... taxels; its normalised sum is the sum of its forces divided
-    by the square root of the number of its taxels. Where all four quarters exist in equal number
-    the three details are those of the two-dimensional Haar wavelet; elsewhere they complete the sum
-    to an orthonormal matrix.
+    Where all four quarters of a node exist in equal number the three details are those of the
+    two-dimensional Haar wavelet; elsewhere they complete its normalised sum to an orthonormal
+    matrix (docs/explanation/adaptive.md). Rows of W: the sums of the tiles, then the details of all
+    nodes, from the largest to the smallest.
 
-    Rows of W: the sums of the tiles, then the details of all nodes, from the largest to the
-    smallest.
-
-    Parameters
-    ----------
-    exists : ndarray of bool, shape (n_rows, n_cols)
-        True where a taxel exists.
-    m : int
-        Number of measurements: tiles are so large that their sums are at most a quarter of them.
+    Taxels are where `exists`, bool (n_rows, n_cols), is True; tiles are so large that their sums
+    are at most a quarter of the m measurements.
 
     Attributes
     ----------
@@ -78,8 +62,6 @@ class Quadtree:
     tile_of_row : ndarray of intp, shape (n,)
         The tile that the node of each row is in.
 
-    Notes
-    -----
     Source: Haar wavelets on four quarters; Averbuch, Dekel, Deutsch, "Adaptive compressed image
     sensing using dictionaries", SIAM J. Imaging Sciences 5(1), 2012, for reading a tree of them
     from its root.

@@ -36,26 +36,12 @@ def m_of(n: int, ratio: float, rows: str = FIXED) -> int:
 def rows_and_m(
     kind: str, n: int, *, rows: str | None = None, m: int | None = None, ratio: float = RATIO
 ) -> tuple[str, int]:
-    """Return rows ("fixed" or "rotating") and M by settings that may leave them open.
+    """Rows ("fixed" or "rotating") and M by settings that may leave them open.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of Phi, as in `make_phi`.
-    n : int
-        Number of taxels.
-    rows : str, optional
-        "fixed" or "rotating"; "paper" is fixed. By default rotating where the rows of that kind
-        can rotate and M is in N / 64 .. N - 1, and for a file with a stack of matrices; else fixed.
-    m : int, optional
-        M, in place of `ratio`.
-    ratio : float
-        N / M; see `m_of`. Kind "full" has M = N whatever is stated, "file:PATH" the M of its file.
-
-    Raises
-    ------
-    PhiError
-        If the kind is not known.
+    `rows` "paper" is fixed. By default rows rotate where those of the kind can and M is in N / 64
+    .. N - 1, and for a file with a stack of matrices; else they are fixed. M, where it is not
+    stated, is that of `m_of`; "full" has M = N whatever is stated, "file:PATH" that of its file.
+    Raises PhiError if the kind is not known.
     """
     if rows == PAPER:
         rows = FIXED
@@ -131,9 +117,8 @@ class RotatingPhi(Phi):
         """Measure by these rows of W, ascending."""
 
     def row_subsets(self) -> list[Phi]:
-        """Return one matrix a row subset, the first like this one; they share its arrays.
-
-        P = ceil(n / m) matrices of m rows, which together hold every row.
+        """P = ceil(n / m) matrices of m rows, which together hold every row, the first like this
+        one; they share its arrays.
         """
         return self._twins(split_rows(self._order, self.m))
 
@@ -146,16 +131,12 @@ class RotatingPhi(Phi):
 
 
 def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
-    """Return the matrices that successive frames are measured by.
+    """The matrices that successive frames are measured by.
 
     `rows` is "fixed": phi alone; or "rotating": P = ceil(n / m) matrices of m rows each, or those
     of a file; or None: rotating where they can, as `rows_and_m` has it. They share their work
-    arrays: use all of them in one thread.
-
-    Raises
-    ------
-    PhiError
-        If `rows` is neither, the rows of phi cannot rotate, or there were more than 64 subsets.
+    arrays: use all of them in one thread. Raises PhiError if `rows` is neither, the rows of phi
+    cannot rotate, or there were more than 64 subsets.
     """
     if rows is None:
         rows = _default_rows(phi, phi.kind, phi.n, phi.m) if can_rotate(phi) else FIXED

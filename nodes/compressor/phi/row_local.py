@@ -39,11 +39,8 @@ class RowLocalPhi(RotatingPhi):
     rows : ndarray of intp, shape (m,)
         t n_rows + r of each measurement, ascending.
 
-    Raises
-    ------
-    PhiError
-        If, once the grid is stated, a cell has no taxel, m is less than n_rows, or there are more
-        than 1024 columns; and as in `Phi`.
+    Raises PhiError also if, once the grid is stated, a cell has no taxel, m is less than n_rows, or
+    there are more than 1024 columns.
     """
 
     kind = "row_local"
@@ -73,7 +70,6 @@ class RowLocalPhi(RotatingPhi):
         order = np.append(0, 1 + rng.permutation(size - 1))
         signs = _independent(hadamard_matrix(size)[np.ix_(order, rng.permutation(n_cols))])
         b = signs / math.sqrt(n_cols)
-        #: Largest eigenvalue of B B^T of all patterns, rounded up: 1 for powers of two.
         self._lipschitz = math.ceil(float(np.linalg.eigvalsh(b @ b.T)[-1]) * 1e4 - 1e-2) / 1e4
         self.patterns: Floats = b.astype(np.float32)
         self.patterns.setflags(write=False)

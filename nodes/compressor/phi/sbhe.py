@@ -29,17 +29,10 @@ class SbhePhi(RotatingPhi):
     rule 1, the paper's, rows and row subsets are drawn at random from all. With one seed and rule,
     a smaller m keeps a subset of the rows of a larger one.
 
-    Parameters
-    ----------
-    n, m, seed, block
-        As in `Phi`.
-    rule : int
-        1 or 2.
-
     Attributes
     ----------
     rule : int
-        As stated.
+        1 or 2, as stated.
     permutation : ndarray of intp, shape (n,)
         P_N: column j of W sees taxel permutation[j].
     rows : ndarray of intp, shape (m,)
@@ -49,13 +42,6 @@ class SbhePhi(RotatingPhi):
     scale : ndarray of float32, shape (m,)
         1 / sqrt(B) of each measurement's block.
 
-    Raises
-    ------
-    PhiError
-        As in `Phi`.
-
-    Notes
-    -----
     Source: the paper, section IV-B; Gan, Do, Tran, "Fast compressive imaging using scrambled
     block Hadamard ensemble", EUSIPCO 2008. The paper's rows hold plain +1 and -1: they are
     sqrt(B) times as long. Row subsets are systematic samples: Cochran, "Sampling Techniques",
@@ -134,21 +120,11 @@ class SbhePhi(RotatingPhi):
 
 
 def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indices, Indices]:
-    """Return all rows of W in two orders: spread over the blocks, and block by block.
+    """All rows of W in two orders, intp (n,): spread over the blocks (first the sums of the blocks,
+    those of the largest first; then the other rows, of which the first k are divided among the
+    blocks in proportion to their rows); and block by block, shuffled within each.
 
-    Parameters
-    ----------
-    sizes : sequence of int
-        Sizes of the blocks, in order.
-    rng : Generator
-
-    Returns
-    -------
-    spread : ndarray of intp, shape (n,)
-        First the sums of the blocks, those of the largest first; then the other rows: the first k
-        of them are divided among the blocks in proportion to their rows.
-    by_block : ndarray of intp, shape (n,)
-        Block by block, shuffled within each.
+    `sizes` are those of the blocks, in order.
     """
     block = np.repeat(np.arange(len(sizes)), sizes)
     by_block = np.lexsort((rng.random(block.size), block)).astype(np.intp)
@@ -168,8 +144,6 @@ def in_proportion(numbers: Sequence[int]) -> Indices:
     Of the first k of n, numbers[b] k / n are b, to less than one: each has an earliest and a latest
     place, and of those that may come next the one that has to come first does.
 
-    Notes
-    -----
     Source: such places exist: Baruah, Cohen, Plaxton, Varvel, "Proportionate progress: a notion of
     fairness in resource allocation", Algorithmica 15, 1996.
     """

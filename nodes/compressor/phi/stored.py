@@ -37,17 +37,10 @@ _NAMES = ("indices", "indptr", "data", "shape", "format")
 class StoredPhi(Phi):
     """Phi as a file states it; the seed and the block size are not used.
 
-    Attributes
-    ----------
-    path : str
-        An .npz as `scipy.sparse.save_npz` writes a matrix in format "csr" of shape (m, n); or an
-        .npy, or an .npz with one array, of shape (k, m, n): a stack of k matrices.
-
-    Raises
-    ------
-    PhiError
-        If the file is missing, too large, no such file, or not of matrices of m x n finite numbers
-        with an entry in each row; and as in `Phi`.
+    `path` is an .npz as `scipy.sparse.save_npz` writes a matrix in format "csr" of shape (m, n); or
+    an .npy, or an .npz with one array, of shape (k, m, n): a stack of k matrices. Raises PhiError
+    also if it is missing, too large, no such file, or not of matrices of m x n finite numbers with
+    an entry in each row.
     """
 
     path: ClassVar[str] = ""
@@ -118,13 +111,7 @@ class StackedPhi(StoredPhi):
 
 
 def load_matrices(path: str) -> tuple[csr_array, ...]:
-    """Read and check the matrices of a file, float32 (m, n).
-
-    Raises
-    ------
-    PhiError
-        As in `StoredPhi`.
-    """
+    """Read and check the matrices of a file, float32 (m, n); PhiError as of `StoredPhi`."""
     try:
         found = Path(path).stat()
     except (OSError, ValueError) as error:

@@ -60,52 +60,27 @@ def check_new_bag(path: Path) -> Path:
 
 
 class BagMessage(NamedTuple):
-    """One recorded message.
+    """One recorded message."""
 
-    Attributes
-    ----------
-    topic : str
-        "/PATCH/SCHEMA".
-    schema, version
-        Those of the message: the end of a stream has a schema of its own.
-    log_time_ns, stamp_ns : int
-        Time of recording, and the stamp of the acquisition as in the message itself.
-    payload : bytes
-        Wire form of the message.
-    """
-
-    topic: str
-    schema: str
+    topic: str  # "/PATCH/SCHEMA"
+    schema: str  # of the message: the end of a stream has a schema of its own
     version: int
-    log_time_ns: int
-    stamp_ns: int
-    payload: bytes
+    log_time_ns: int  # time of recording
+    stamp_ns: int  # of the acquisition, as in the message itself
+    payload: bytes  # wire form of the message
 
 
 @dataclass
 class TopicInfo:
-    """Content of one topic of a bag; the message that ends its stream is not counted.
+    """Content of one topic of a bag; the message that ends its stream is not counted."""
 
-    Attributes
-    ----------
-    schema : str
-        Name of the schema, e.g. "taxels".
-    version : int
-        Version of the schema.
-    n_messages : int
-        Number of messages.
-    first_ns, last_ns : int
-        Smallest and largest stamp; 0 without a message.
-    min_lag_ns, max_lag_ns : int
-        Range of log time - stamp, of all messages: with it, an index of log times finds a range of
-        stamps. Without a message the range is empty.
-    """
-
-    schema: str
-    version: int
+    schema: str  # e.g. "taxels"
+    version: int  # of the schema
     n_messages: int = 0
-    first_ns: int = 0
+    first_ns: int = 0  # smallest and largest stamp; 0 without a message
     last_ns: int = 0
+    #: Range of log time - stamp, of all messages: with it, an index of log times finds a range of
+    #: stamps. Without a message the range is empty.
     min_lag_ns: int = INT64_MAX
     max_lag_ns: int = -INT64_MAX
 

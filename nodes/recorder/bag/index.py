@@ -197,17 +197,9 @@ class BagIndex:
 def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex, str]:
     """Read the index of a bag, or scan the file; `whole` as in `BagReader`.
 
-    Returns
-    -------
-    index : BagIndex
-        The index; of a broken file, every complete message before the first break.
-    recovered : str
-        "" for a whole file; else the number of messages found and the place of the break.
-
-    Raises
-    ------
-    BagError
-        If the file is no bag that this program reads, or broken before the first record.
+    Also returns "" for a whole file; of a broken one, whose index has every complete message before
+    the first break, the number of messages found and the place of the break. Raises BagError if the
+    file is no bag that this program reads, or broken before the first record.
     """
     first = file.read(len(MAGIC))
     if not first:

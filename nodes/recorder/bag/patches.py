@@ -50,17 +50,8 @@ class SplitBag(BagReader):
     several patches are those of each of them. Topics and their counts are those of the single
     messages.
 
-    Parameters
-    ----------
-    bag : BagReader
-        The bag, which is closed with this one.
-    names : mapping of str to tuple of str
-        Names of the patches whose frames its messages hold together, as of `names_of`.
-
-    Raises
-    ------
-    BagError
-        If a message of several patches cannot be decoded.
+    `names` are those of the patches whose frames its messages hold together, as of `names_of`. The
+    bag is closed with this one. Raises BagError if a message of several patches cannot be decoded.
     """
 
     def __init__(self, bag: BagReader, names: Mapping[str, tuple[str, ...]]) -> None:

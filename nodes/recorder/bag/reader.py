@@ -39,15 +39,14 @@ class BagReader(AbstractContextManager["BagReader"]):
     Parameters
     ----------
     path : path
-        The bag, NAME.mcap or NAME.mcap.part.
+        The bag, NAME.mcap or NAME.mcap.part. Raises BagError if it is missing, no bag, of a newer
+        version, or broken before the first record.
     whole : bool
         False: where the checksum of the index matches, the rest of the file is not read; a chunk
         that is damaged is then found when it is read.
 
     Attributes
     ----------
-    path : Path
-        The bag, NAME.mcap or NAME.mcap.part.
     metadata : dict of str to str
         Scene, seed, launch file, Phi, versions, as recorded.
     counts : dict or None
@@ -57,11 +56,6 @@ class BagReader(AbstractContextManager["BagReader"]):
     recovered : str
         "" for a whole file; else one line with the number of readable messages and the place of
         the break.
-
-    Raises
-    ------
-    BagError
-        If the file is missing, no bag, of a newer version, or broken before the first record.
     """
 
     def __init__(self, path: str | os.PathLike[str], whole: bool = True) -> None:

@@ -103,23 +103,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     Parameters
     ----------
     path : Path
-        Path of the complete bag, NAME.mcap; neither it nor NAME.mcap.part may exist.
+        The complete bag, NAME.mcap. Raises BagError if it or NAME.mcap.part exists or cannot be
+        created, or the metadata are no valid Unicode.
     metadata : mapping of str to str
         Origin of the recording: scene, seed, launch file, Phi, versions.
     flush_every_s : float
-        Longest time that a message stays in memory while `write` or `tick` is called.
-    monotonic : callable
-        The clock of `flush_every_s`, in seconds.
-
-    Attributes
-    ----------
-    n_messages : int
-        Number of messages written.
-
-    Raises
-    ------
-    BagError
-        If the file exists or cannot be created, or the metadata are no valid Unicode.
+        Longest time that a message stays in memory while `write` or `tick` is called, by the clock
+        `monotonic`, seconds.
     """
 
     def __init__(
@@ -165,14 +155,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagError(f"{self.part}: {error.strerror}; {NOT_KEPT}") from error
 
     def write(self, message: BagMessage) -> None:
-        """Record the wire payload of one message, byte for byte.
-
-        Raises
-        ------
-        BagError
-            If the topic is not /PATCH/SCHEMA, the schema is unknown, the payload is too large or
-            a time is outside 0 .. 2**63 - 1; if the disk refuses (each later call then raises the
-            same line, and the file is not changed any more); or if the bag is closed.
+        """Record the wire payload of one message, byte for byte. Raises BagError if the topic is
+        not /PATCH/SCHEMA, the schema is unknown, the payload is too large or a time is outside 0 ..
+        2**63 - 1; if the disk refuses (each later call then raises the same line, and the file is
+        not changed any more); or if the bag is closed.
         """
         self._check_open()
         topic, schema, version, log_time_ns, stamp_ns, payload = message
@@ -223,13 +209,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Complete the bag and rename it to NAME.mcap; a second call does nothing.
 
         After a failed write it only closes the file, which stays NAME.mcap.part. `counts` are
-        counters of the recording for JSON, e.g. lost and dropped messages a topic.
-
-        Raises
-        ------
-        BagError
-            If the disk refuses, or another file has taken the name meanwhile; the recorded
-            messages are then in NAME.mcap.part.
+        counters of the recording for JSON, e.g. lost and dropped messages a topic. Raises BagError
+        if the disk refuses, or another file has taken the name meanwhile; the recorded messages are
+        then in NAME.mcap.part.
         """
         if self._closed:
             return

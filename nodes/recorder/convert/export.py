@@ -13,27 +13,17 @@ from sparseskin.nodes.recorder.bag.format import BagError
 
 @dataclass(frozen=True)
 class Export:
-    """A kind of export.
+    """A kind of export."""
 
-    Attributes
-    ----------
-    ending : str
-        End of the default name of its output.
-    target : str
-        "module:function", imported when it is used: write(bag, out, topics, **options), of a
-        `BagReader`, a path and topics (None: all with frames), returns the paths written. It raises
-        BagError.
-    options : mapping
-        Options of its own: metavar and help of each, and its type, as in argparse; by default a
-        whole number, 1 or more.
-    several : bool
-        True if `bag` is a list of them.
-    """
-
-    ending: str
+    ending: str  # end of the default name of its output
+    #: "module:function", imported when it is used: write(bag, out, topics, **options), of a
+    #: `BagReader`, a path and topics (None: all with frames), returns the paths written. It raises
+    #: BagError.
     target: str
+    #: Options of its own: metavar and help of each, and its type, as in argparse; by default a
+    #: whole number, 1 or more.
     options: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
-    several: bool = False
+    several: bool = False  # `bag` is a list of them
 
 
 _HERE = __name__.rpartition(".")[0]

@@ -16,7 +16,6 @@ from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.recording import REFUSE, Policy
-from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 _RUN_ID_BYTES = 8
@@ -47,7 +46,6 @@ def import_file(
     """
     policy = Policy(nan, negative)
     frames = open_file(source, policy=policy, **stated)
-    skin = frames.skin
     for line in frames.take_lines():
         log(line)
     content = hashlib.blake2b(frames.frames.tobytes(), digest_size=_RUN_ID_BYTES)
@@ -56,7 +54,7 @@ def import_file(
         state = SkinState(
             stamp_ns=0,
             patch=patch,
-            **vars(skin),
+            **vars(frames.skin),
             source=frames.name,
             seed=0,
             rate_hz=frames.rate_hz if frames.rate_hz is not None else DEFAULT_RATE_HZ,
@@ -69,12 +67,10 @@ def import_file(
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
         bag.record(state.published(run_id, 0), 0)
-        readings = MissingReadings(nan, skin, learns=False)
-        for stamp_ns, forces in progress(frames, frames.n_frames or 0, "import"):
-            if (filled := readings.fill(forces, stamp_ns)) is not None:
-                values, missing = filled
-                taxels = Taxels(stamp_ns=stamp_ns, patch=patch, forces=values, missing=missing)
-                bag.record(taxels.published(run_id, bag.n_messages - 1), stamp_ns)
+        total = frames.n_frames or 0
+        for stamp_ns, forces, missing in progress(frames.filled(), total, "import"):
+            taxels = Taxels(stamp_ns=stamp_ns, patch=patch, forces=forces, missing=missing)
+            bag.record(taxels.published(run_id, bag.n_messages - 1), stamp_ns)
     return bag.n_messages - 1
 
 

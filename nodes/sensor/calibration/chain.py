@@ -37,21 +37,17 @@ passes them once in 10^9 readings."""
 class Chain:
     """Converts the raw readings of one skin to forces, and takes tares while frames pass.
 
-    A raw reading c of a taxel becomes
-
-        f = clip(R(g (c - b)) - w, f_min, f_max),
-
-    b the baseline, g the gain, R the response curve, w the drift; 0 in masked cells. Hysteresis is
-    not modelled: a reading that comes back slowly after a press shows as a force.
+    A raw reading c of a taxel becomes f = clip(R(g (c - b)) - w, f_min, f_max): see
+    `SkinDescription`, w is the drift; 0 in masked cells. Hysteresis is not modelled: a reading that
+    comes back slowly after a press shows as a force.
 
     Parameters
     ----------
-    description : SkinDescription
-        The skin.
     drift_rate : float
         Largest rate of the drift that is followed, in parts of f_max a second; 0: none is.
     tare : int
-        Frames of a tare at the start, which are not converted; 0: none.
+        Frames of a tare at the start, which are not converted; 0: none. RefusedError if they would
+        not fit in memory.
     log : callable
         Receives one line of text on each tare.
 
@@ -61,19 +57,12 @@ class Chain:
         The skin, with the baseline in use; it contains no drift.
     skin : Skin
         Geometry and range of the forces.
-    drift : Drift
-        The drift that is followed.
     clipped : Clipped
         Readings above f_max, and below f_min by more than noise, so far.
     is_starting : bool
         True while the tare at the start waits for frames.
     is_news : bool
         True once a tare has changed the baseline; whoever publishes it sets it to False.
-
-    Raises
-    ------
-    RefusedError
-        If the frames of the tare would not fit in memory.
     """
 
     def __init__(
@@ -111,20 +100,10 @@ class Chain:
         return self.apply(raw, stamp_ns)
 
     def apply(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats:
-        """Return the forces of a frame.
+        """Forces of a frame in the skin's unit, a fresh float32 array (rows, cols) in [f_min,
+        f_max], NaN where the reading, or that of the tare, is missing.
 
-        Parameters
-        ----------
-        raw : ndarray of a real number, shape (rows, cols)
-            Raw readings, NaN where they are missing; not modified.
-        stamp_ns : int
-            Time of the frame, nanoseconds.
-
-        Returns
-        -------
-        ndarray of float32, shape (rows, cols)
-            A fresh array in [f_min, f_max], in the skin's unit; NaN where the reading, or that of
-            the tare, is missing.
+        `raw` are its readings, any real dtype, NaN where they are missing; `stamp_ns` is its time.
         """
         d = self.description
         found = d.forces(raw)
@@ -142,12 +121,8 @@ class Chain:
 
     def start_tare(self, value: Any) -> str:
         """Begin a tare of the next `value` frames, `TARE_FRAMES` if None; one under way is
-        forgotten. Return what follows, in words.
-
-        Raises
-        ------
-        RefusedError
-            If that is no number of frames allowed, or they would not fit in memory.
+        forgotten. Return what follows, in words; RefusedError if that is no number of frames
+        allowed, or they would not fit in memory.
         """
         n_frames = TARE_FRAMES if value is None else value
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):

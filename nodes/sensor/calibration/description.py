@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +16,6 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 
-if TYPE_CHECKING:
-    from sparseskin.nodes.sensor.placement import Placement
-
 MAX_NAME = 64
 """Longest name of a skin, characters."""
 MAX_UNIT = 32
@@ -26,6 +24,8 @@ MAX_KNOTS = 32
 """Most knots of a response curve, chosen: a person applies fewer weights."""
 MAX_CURVES = 1 << 19
 """Most numbers of the response curves, so that a message holds them beside baseline and gains."""
+ARRAYS = ("baseline", "gains", "response_reading", "response_force")
+"""Arrays of a message of a calibration."""
 MAX_NUMBER = 1e30
 """Largest baseline, knot or range: as that of a reading, float32 holds it."""
 MIN_SLOPE, MAX_SLOPE = 1e-12, 1e12
@@ -36,26 +36,53 @@ class SkinFileError(SparseskinError):
     """A skin.toml that cannot be read, used or written: the file, the key, what is allowed."""
 
 
+class Placement(Protocol):
+    """The virtual grid of a skin of points, as a plug-in makes it."""
+
+    @property
+    def layout(self) -> str:
+        """Absolute path of the file with the points, or `example:NAME`."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+
+    @property
+    def pitch_m(self) -> float:
+        """Median distance of neighbours, metres."""
+
+    def skin(self, f_max: float, unit: str) -> Skin:
+        """The skin of this grid with a range."""
+
+    def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
+        """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
+
+    def summary(self) -> Sequence[str]:
+        """Lines for a log: number of taxels, grid and distance; what was estimated or left out."""
+
+    def check_size(self, n_readings: int) -> None:
+        """Raise SourceError unless a frame of so many readings has one for each taxel."""
+
+    def on_grid(self, values: npt.NDArray[Any], unused: float = 0.0) -> npt.NDArray[Any]:
+        """Readings in the order of the file on the grid, of the same dtype; `unused` in cells
+        without a taxel. Raises SourceError as `check_size`.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class Response:
     """The response curve of the taxels: force against reading, piecewise linear and rising.
 
     It passes through (0, 0) and the K knots. Below 0 it goes on with the slope of its first
-    segment, beyond the last knot with that of its last. The inverse is of the same kind: a curve
-    of one for all taxels whose knots are exchanged.
+    segment, beyond the last knot with that of its last. Raises SkinFileError if a number is not as
+    stated, or a slope is outside 1e-12..1e12.
 
     Attributes
     ----------
     reading : ndarray of float64, shape (K,) or (K, n_rows, n_cols)
-        Readings at the knots, above 0 and rising, of all taxels or of each: (raw - baseline) times
-        gain.
+        (raw - baseline) times gain at the knots, of all taxels or of each, above 0 and rising.
     force : ndarray of float64, shape (K,)
-        Forces at the knots, above 0 and rising, in the skin's unit.
-
-    Raises
-    ------
-    SkinFileError
-        If a number is not as stated, or a slope is outside 1e-12..1e12.
+        Forces at the knots, in the skin's unit, above 0 and rising.
     """
 
     reading: Doubles
@@ -107,61 +134,29 @@ class SkinDescription:
     A raw reading c of a taxel becomes the force R(g (c - b)): b its baseline, g its gain, R the
     response curve, which is the identity where none is stated.
 
-    Attributes
-    ----------
-    name : str
-        Name of the skin, at most 64 printable characters.
-    rows, cols : int
-        Size of the grid of taxels, 1..4096 each, 2**20 cells at most.
-    f_max : float
-        Upper end of the range of a taxel, in `unit`, above 0.
-    unit : str
-        Unit of the calibrated readings, at most 32 printable characters.
-    pitch_mm : float or None
-        Distance between the centres of neighbouring taxels, millimetres.
-    mask : ndarray of bool, shape (rows, cols), or None
-        True where a taxel exists and works; None if all do.
-    baseline : ndarray of float64, shape (rows, cols), or None
-        Raw readings of the untouched skin; None: 0.
-    gains : ndarray of float64, shape (rows, cols), or None
-        Factors of raw readings above the baseline, not 0, negative where a reading falls with
-        force; None: 1.
-    response : Response or None
-        Response curve after the gains; None: the identity.
-    noise : float or None
-        Standard deviation of the noise of an untouched taxel before clipping, in `unit`; None where
-        it was not measured.
-    noise_mid : float or None
-        The same at half the range; None: as `noise`.
-    f_min : float
-        Lower end of the range, -f_max..0, in `unit`: below 0, noise around 0 is not clipped.
-    points : ndarray of float32, shape (rows, cols, 6), or None
-        Place in metres and unit normal of the taxel of each cell of a virtual grid, as in
-        `sparseskin.messages.skin.Skin`; of cells without a taxel, anything. None: a flat grid.
-    placement : Placement or None
-        Where the readings of the source are to stand on that grid; None: as they come.
-
-    Raises
-    ------
-    SkinFileError
-        If a value is not as stated; the text begins with its key.
+    Raises SkinFileError if a value is not as stated; the text begins with its key.
     """
 
-    name: str
-    rows: int
+    name: str  # at most 64 printable characters
+    rows: int  # 1..4096, as cols; 2**20 cells at most
     cols: int
-    f_max: float
-    unit: str = "N"
-    pitch_mm: float | None = None
-    mask: Mask | None = None
-    baseline: Doubles | None = None
+    f_max: float  # upper end of the range of a taxel, in `unit`, above 0
+    unit: str = "N"  # of the calibrated readings, at most 32 printable characters
+    pitch_mm: float | None = None  # between the centres of neighbouring taxels
+    mask: Mask | None = None  # (rows, cols), True where a taxel exists and works; None: all do
+    baseline: Doubles | None = None  # (rows, cols), raw readings of the untouched skin; None: 0
+    #: (rows, cols), factors of raw readings above the baseline, not 0, negative where a reading
+    #: falls with force; None: 1.
     gains: Doubles | None = None
-    response: Response | None = None
+    response: Response | None = None  # after the gains; None: the identity
+    #: Standard deviation of an untouched taxel before clipping, in `unit`; None: not measured.
     noise: float | None = None
-    noise_mid: float | None = None
-    f_min: float = 0.0
+    noise_mid: float | None = None  # the same at half the range; None: as `noise`
+    f_min: float = 0.0  # lower end of the range, -f_max..0: below 0, noise is not clipped
+    #: (rows, cols, 6): place in metres and unit normal of the taxel of each cell of a virtual grid,
+    #: as in `Skin`; of cells without a taxel, anything. None: a flat grid.
     points: Floats | None = None
-    placement: Placement | None = None
+    placement: Placement | None = None  # of readings on that grid; None: as they come
 
     def __post_init__(self) -> None:
         for key, longest in (("name", MAX_NAME), ("unit", MAX_UNIT)):
@@ -241,8 +236,7 @@ class SkinDescription:
     @property
     def changes_readings(self) -> bool:
         """True if a reading and its force may differ: a baseline, gains or a curve."""
-        stated = (self.baseline, self.gains, self.response)
-        return any(one is not None for one in stated)
+        return any(one is not None for one in (self.baseline, self.gains, self.response))
 
     def forces(self, raw: npt.NDArray[Any]) -> Doubles:
         """Forces of raw readings, shape (..., rows, cols), not clipped to the range; 0 in masked
@@ -261,11 +255,7 @@ class SkinDescription:
 
     def on(self, skin: Skin, where: str) -> SkinDescription:
         """This description for a source with a skin of its own: cells that it masks are masked.
-
-        Raises
-        ------
-        SourceError
-            If the source has another shape; after `where`.
+        Raises SourceError, after `where`, if the source has another shape.
         """
         if self.shape != skin.shape:
             raise SourceError(
@@ -282,10 +272,9 @@ class SkinDescription:
         if self.response is not None:
             reading, force = self.response.reading, self.response.force
             reading = reading if reading.ndim == 3 else reading[:, None, None]
-        keys = ("baseline", "gains", "response_reading", "response_force")
         single: dict[str, Any] = {
             key: None if array is None else np.ascontiguousarray(array, dtype=np.float32)
-            for key, array in zip(keys, (self.baseline, self.gains, reading, force), strict=True)
+            for key, array in zip(ARRAYS, (self.baseline, self.gains, reading, force), strict=True)
         }
         return Calibration(stamp_ns=stamp_ns, patch=patch, name=self.name, **single)
 
@@ -303,21 +292,11 @@ def of_skin(name: str, skin: Skin) -> SkinDescription:
 
 def of_messages(state: SkinState, calibration: Calibration) -> SkinDescription:
     """The skin that the messages of a patch describe, the inverse of `SkinDescription.message` up
-    to the rounding of float32.
-
-    Raises
-    ------
-    SkinFileError
-        If the messages, which may come from anywhere, contradict each other.
+    to the rounding of float32. Raises SkinFileError if they contradict each other.
     """
+    single = (getattr(calibration, key) for key in ARRAYS)
     baseline, gains, reading, force = (
-        None if array is None else array.astype(np.float64)
-        for array in (
-            calibration.baseline,
-            calibration.gains,
-            calibration.response_reading,
-            calibration.response_force,
-        )
+        None if array is None else array.astype(np.float64) for array in single
     )
     response = None
     if reading is not None and force is not None:

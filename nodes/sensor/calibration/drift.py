@@ -34,80 +34,44 @@ Chosen: a force that rises unnoticed loses no more."""
 
 @dataclass(frozen=True)
 class DriftTuning:
-    """Constants of the drift that is followed, and of light presses; all chosen.
+    """Constants of the drift that is followed, and of light presses; all chosen."""
 
-    Attributes
-    ----------
-    tau_s : float
-        Time constant, seconds: long against a touch, short against warming up.
-    most : float
-        Largest drift that is followed, in parts of f_max.
-    sigmas : float
-        Threshold of a touch, in standard deviations of the noise; at least `CONTACT_FRACTION` of
-        f_max. A taxel is touched where its smoothed force is above it, or one frame above twice
-        of it: noise is not, with a drift of half the threshold either.
-    hold_s : float
-        Time after a touch for which the drift of the taxel and of its eight neighbours is held,
-        seconds: a reading creeps back after a press.
-    period_s : float
-        Shortest time between two updates, seconds.
-    gap_s : float
-        Longest time that one update stands for, seconds: a pause is not made up for.
-    undo_s : float
-        Time of which the drift of a taxel is undone where a press is noticed, seconds at least,
-        and twice that at most: it began before.
-    fast_s, slow_s : float
-        Time constants of the low passes that find a step, seconds: a press is complete within the
-        first, which is that of the smoothed force, too; the second leaves time to see it.
-    step_sigmas : float
-        Threshold of a step in standard deviations of j: of 10,000 taxels, noise passes it in one
-        of an hour.
-    step_least : float
-        Smallest threshold of a step, in parts of f_max: where the noise is not known.
-    step_drifts : float
-        Smallest threshold of a step, in what the bounded drift makes of j.
-    step_left : float
-        A press is over when its force falls as it rose, or less than this part of its largest rise
-        is left.
-    """
-
-    tau_s: float = 10.0
-    most: float = 0.1
+    tau_s: float = 10.0  # time constant: long against a touch, short against warming up
+    most: float = 0.1  # largest drift that is followed, in parts of f_max
+    #: Threshold of a touch, in standard deviations of the noise; at least `CONTACT_FRACTION` of
+    #: f_max. A taxel is touched where its smoothed force is above it, or one frame above twice of
+    #: it: noise is not, with a drift of half the threshold either.
     sigmas: float = 4.0
+    #: Time after a touch for which the drift of the taxel and of its eight neighbours is held: a
+    #: reading creeps back after a press.
     hold_s: float = 5.0
-    period_s: float = 0.05
-    gap_s: float = 0.5
+    period_s: float = 0.05  # shortest time between two updates
+    gap_s: float = 0.5  # longest time that one update stands for: a pause is not made up for
+    #: Time of which the drift of a taxel is undone where a press is noticed, at least, and twice
+    #: that at most: it began before.
     undo_s: float = 1.5
+    #: Time constants of the low passes that find a step: a press is complete within the first,
+    #: which is that of the smoothed force, too; the second leaves time to see it.
     fast_s: float = 0.5
     slow_s: float = 3.0
+    #: Threshold of a step in standard deviations of j: of 10,000 taxels, noise passes it in one of
+    #: an hour. The smallest one is in parts of f_max, where the noise is not known; and in what the
+    #: bounded drift makes of j.
     step_sigmas: float = 5.0
     step_least: float = 0.001
     step_drifts: float = 2.0
-    step_left: float = 0.5
+    step_left: float = 0.5  # part of its largest rise below which a press is over
 
 
 TUNING = DriftTuning()
 
 
 class Drift:
-    """The drift of each taxel, in the unit of the forces.
+    """The drift of each taxel, `value`, float64 (rows, cols), to be subtracted from forces, in
+    their unit; a taxel is touched above `threshold`.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    f_max, noise : float
-        Upper end of the range, and standard deviation of an untouched taxel's noise, 0 if not
-        known.
-    rate : float
-        Largest rate that is followed, in parts of f_max a second; 0: none is.
-
-    Attributes
-    ----------
-    value : ndarray of float64, shape (rows, cols)
-        The drift, to be subtracted from forces.
-    threshold : float
-        Force above which a taxel is touched.
+    `noise` is the standard deviation of an untouched taxel, 0 if not known; `rate` the largest one
+    that is followed, in parts of f_max a second; 0: none is.
     """
 
     def __init__(
@@ -135,14 +99,8 @@ class Drift:
         self._risen: Mask = np.zeros((2, *shape), np.bool_)
 
     def update(self, forces: Doubles, stamp_ns: int) -> None:
-        """Follow the drift by one frame.
-
-        Parameters
-        ----------
-        forces : ndarray of float64, shape (rows, cols)
-            Forces that are left after subtraction of the drift, not clipped.
-        stamp_ns : int
-            Time of the frame, nanoseconds; of frames within `period_s` the mean counts.
+        """Follow the drift by a frame of the time `stamp_ns`: forces that are left after
+        subtraction of the drift, not clipped. Of frames within `period_s` the mean counts.
         """
         t = TUNING
         if not self.rate:

@@ -41,39 +41,24 @@ HEADROOM = 1.25
 
 @dataclass(frozen=True)
 class PressResult:
-    """A press as the calibrated skin measures it.
-
-    Attributes
-    ----------
-    label : str
-    force, measured : float
-        Total force stated and measured, newtons; of an even load, the mean of the working taxels
-        of the area times its cells.
-    spread : float or None
-        Standard deviation of the forces of the taxels under an even load, in their mean.
-    spread_before : float or None
-        The same of raw readings above the baseline.
-    """
+    """A press as the calibrated skin measures it."""
 
     label: str
-    force: float
-    measured: float
+    force: float  # stated total, newtons
+    measured: float  # the same; of an even load, the mean of its working taxels times its cells
+    #: Standard deviation of the forces of the taxels under an even load, in their mean.
     spread: float | None = None
-    spread_before: float | None = None
+    spread_before: float | None = None  # the same of raw readings above the baseline
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A calibration: the skin, how well it measures its presses, and remarks, a line each.
-
-    `n_frames` is the number of untouched frames, `noise_raw` the noise of the median taxel in raw
-    readings, `stuck`, `noisy` and `dead` the numbers of taxels masked, and why.
-    """
+    """A calibration: the skin, how well it measures its presses, and remarks, a line each."""
 
     skin: SkinDescription
-    n_frames: int
-    noise_raw: float
-    stuck: int = 0
+    n_frames: int  # untouched ones
+    noise_raw: float  # of the median taxel, in raw readings
+    stuck: int = 0  # numbers of taxels masked, and why
     noisy: int = 0
     dead: int = 0
     presses: list[PressResult] = field(default_factory=list)

@@ -47,16 +47,8 @@ def read_part(text: str) -> tuple[float, float] | None:
 
 
 def file_frames(path: str, n_rows: int | None = None, n_cols: int | None = None) -> Frames:
-    """All frames of a file, as `open_file` reads it.
-
-    Returns
-    -------
-    ndarray of float32, shape (n, n_rows, n_cols)
-
-    Raises
-    ------
-    SparseskinError
-        If it cannot be read.
+    """All frames of a file, float32 (n, n_rows, n_cols), as `open_file` reads it; raises as it
+    does.
     """
     return open_file(path, n_rows=n_rows, n_cols=n_cols, policy=Policy(raw=True)).frames
 
@@ -141,11 +133,7 @@ def open_frames(
     source: str, n_rows: int | None = None, n_cols: int | None = None
 ) -> Recorded | Live:
     """Open the source of a skin that is to be calibrated, by its name as in `open_source`.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be opened, or delivers forces, as a scene does.
+    Raises SourceError if it cannot be opened, or delivers forces, as a scene does.
     """
     opened = open_source(source, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
     if opened.delivers == "truth":

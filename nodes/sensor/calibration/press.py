@@ -28,23 +28,12 @@ class CalibrationError(SparseskinError):
 
 @dataclass(frozen=True, eq=False)
 class Press:
-    """Frames of a skin under a known load.
+    """Frames of a skin under a known load."""
 
-    Attributes
-    ----------
-    label : str
-        Name for reports, e.g. "500g".
-    force : float
-        Total force, newtons, above 0.
-    frames : ndarray, shape (n, rows, cols)
-        Raw readings under the steady load.
-    area : ndarray of bool, shape (rows, cols), or None
-        True for the cells that carry the load evenly; None: only the total is known.
-    """
-
-    label: str
-    force: float
-    frames: npt.NDArray[Any]
+    label: str  # for reports, e.g. "500g"
+    force: float  # total, newtons, above 0
+    frames: npt.NDArray[Any]  # (n, rows, cols), raw readings under the steady load
+    #: (rows, cols), True for the cells that carry the load evenly; None: only the total is known.
     area: Mask | None = None
 
 

@@ -56,24 +56,18 @@ BESIDE = {**{key: key for key in (*GRIDS, "points")}, "response_reading": CURVE[
 def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
     """Read and check a skin.toml, and the .npz that it names.
 
-    Parameters
-    ----------
-    path : str or path
-        A TOML file with the keys of `KEYS`: rows, cols and f_max are required; `name` is by default
-        that of the file. `mask` is a list of texts, one a row, of 1 (a taxel) and 0 (none).
-        `baseline` and `gains` are one number for all taxels, or a list of rows. `response` is a
-        table of `reading` and `force`. Instead, an .npz beside the file, named by `arrays`, holds
-        `mask`, `baseline`, `gains` and `response_reading`.
+    Its keys are `KEYS`: rows, cols and f_max are required; `name` is by default that of the file.
+    `mask` is a list of texts, one a row, of 1 (a taxel) and 0 (none). `baseline` and `gains` are
+    one number for all taxels, or a list of rows. `response` is a table of `reading` and `force`.
+    Instead, an .npz beside the file, named by `arrays`, holds `mask`, `baseline`, `gains` and
+    `response_reading`.
 
-        `points` names a file with the places of the taxels (`layouts.files`), in place of rows,
-        cols, pitch_mm and mask; `baseline` and `gains` are then one number, or a list of numbers
-        in the order of that file. Points that are on a grid already are an array of the .npz.
+    `points` names a file with the places of the taxels, in place of rows, cols, pitch_mm and mask;
+    `baseline` and `gains` are then one number, or a list of numbers in the order of that file.
+    Points that are on a grid already are an array of the .npz.
 
-    Raises
-    ------
-    SkinFileError
-        If a file is missing, no regular file, too large or malformed, a key is unknown or missing,
-        or a value is not allowed.
+    Raises SkinFileError if a file is missing, no regular file, too large or malformed, a key is
+    unknown or missing, or a value is not allowed.
     """
     path = Path(path)
     text = _read(path, 4 * MAX_FILE_CHARS)
@@ -85,21 +79,8 @@ def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
 
 
 def parse_skin(table: Mapping[str, Any], where: str, folder: Path) -> SkinDescription:
-    """The skin that a table of a TOML file describes, with the keys of a skin.toml.
-
-    Parameters
-    ----------
-    table : mapping
-        As `parse_toml` returns it.
-    where : str
-        Begin of errors: the file, and the table in it.
-    folder : path
-        Folder of the file, in which `arrays` is searched.
-
-    Raises
-    ------
-    SkinFileError
-        As `load_skin` does.
+    """The skin that a table of a TOML file describes, with the keys of a skin.toml. Errors, those
+    of `load_skin`, begin with `where`; `arrays` is searched in `folder`.
     """
     try:
         return _described(table, folder)
@@ -216,15 +197,10 @@ def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
 
 def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]:
     """Write a skin.toml, and beside it an .npz where arrays are large; return both paths.
-
     `load_skin` returns the same description, bit for bit.
 
-    Raises
-    ------
-    SkinFileError
-        If the name does not end in .toml.
-    OutputError
-        If one of the files exists, or cannot be written.
+    Raises SkinFileError if the name does not end in .toml, OutputError if one of the files exists,
+    or cannot be written.
     """
     path = Path(path)
     beside = path.with_suffix(".npz")

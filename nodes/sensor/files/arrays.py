@@ -46,12 +46,7 @@ class ArrayRecording(Recording):
     n_cols), True or 1 where a taxel exists; `points`, float32 of shape (n_taxels, 6): place in
     metres and unit normal of each taxel of a skin that is no flat grid; `point_rows`, int32 of
     shape (n_taxels,): their rows in a file of points. Values of cells without a taxel are ignored,
-    and become 0.
-
-    Raises
-    ------
-    SourceError
-        If the file is no such one, or one of these arrays is not as described.
+    and become 0. Raises SourceError if one of these arrays is not as described.
     """
 
     def __init__(self, file: File) -> None:

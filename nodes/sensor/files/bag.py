@@ -16,12 +16,8 @@ def is_bag(begin: bytes) -> bool:
 
 
 class BagRecording(Recording):
-    """The taxels of a patch: that of the stated topic, or the only one.
-
-    Raises
-    ------
-    SourceError
-        If the recording cannot be read, holds no taxels, or forces where readings are expected.
+    """The taxels of a patch: that of the stated topic, or the only one. Raises SourceError if the
+    recording cannot be read, holds no taxels, or forces where readings are expected.
     """
 
     def __init__(self, file: File) -> None:

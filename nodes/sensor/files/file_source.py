@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
@@ -22,6 +23,7 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Source
 
 from .format import recording_of
@@ -62,8 +64,8 @@ _HEADS: dict[tuple[object, ...], Head] = {}
 class RecordedSource(Source):
     """The frames of a recording, in memory and checked; may be iterated any number of times.
 
-    Its attributes are those of a `Source`; its name is that of the file without suffix. `treated`
-    counts the readings that were not valid, and were treated by `policy`; `notes` are for the log.
+    `treated` counts the readings that were not valid, and were treated by `policy`; `notes` are for
+    the log.
     """
 
     name: str
@@ -81,11 +83,17 @@ class RecordedSource(Source):
         self.n_frames = len(self.frames)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
-        """Yield (stamp_ns, forces): nanoseconds since the first frame, and a new float32 array
-        of shape (n_rows, n_cols) in [0, f_max], 0 in masked cells; NaN as in `open_file`.
-        """
         for stamp, frame in zip(self.stamp_ns, self.frames, strict=True):
             yield stamp, frame.copy()
+
+    def filled(self) -> Iterator[tuple[int, Floats, npt.NDArray[np.uint8] | None]]:
+        """Yield stamps, frames whose missing readings are filled in, and the bits of these, as
+        `MissingReadings.fill`; frames without any reading are left out.
+        """
+        readings = MissingReadings(self.policy.nan, self.skin, learns=False)
+        for stamp_ns, forces in self:
+            if (found := readings.fill(forces, stamp_ns)) is not None:
+                yield stamp_ns, *found
 
     def take_lines(self) -> list[str]:
         is_new, self._is_new = self._is_new, False
@@ -122,29 +130,26 @@ def open_file(
     rate_hz : float, optional
         Frame rate, 1e-9..1e9, in place of the file's own rate and stamps.
     policy : Policy
-        What to do with readings that are not finite or below 0, in arrays and plain .csv; refused
-        by default.
+        Ways to treat readings that are not finite or below 0; refused by default.
     **stated
         n_rows, n_cols : int, shape of a frame, where the file does not state it (one of them is
-        enough), else it must agree; columns : str, those of a table, as in
-        `table.TableRecording`, or the field of a point cloud; topic : str, topic of a recording,
-        or name of an array in the file.
+        enough), else it must agree; columns, topic : str, as of `File`.
 
     Returns
     -------
     RecordedSource
         Frames float32 of shape (n_rows, n_cols) in [0, f_max]; 0 in masked cells; NaN where a
-        reading is not finite and `policy` allows it: `MissingReadings` fills it in. Stamps are the
-        file's, or follow from the rate, or are 10 ms apart where there is neither; a rate that
-        nothing states follows from the stamps.
+        reading is not finite and `policy` allows it. Stamps are the file's, or follow from the
+        rate, or are 10 ms apart where there is neither; a rate that nothing states follows from
+        the stamps.
 
     Raises
     ------
     SourceError
         If the file is missing, empty or of no known format, anything in it is malformed, it does
-        not state its shape or unit, which are then named with the rate in one line, a
-        reading is negative or not finite, a setting contradicts the file, `f_max` is below the
-        largest reading, or all readings are 0 and no `f_max` is stated.
+        not state its shape or unit, which are then named with the rate in one line, a reading is
+        negative or not finite, a setting contradicts the file, `f_max` is below the largest
+        reading, or all readings are 0 and no `f_max` is stated.
     """
     name = str(path)
     for what in ("n_rows", "n_cols"):
@@ -203,23 +208,8 @@ def n_taxels(
     policy: Policy = DEFAULT_POLICY,
     **stated: Any,
 ) -> int | None:
-    """Number of taxels of a recording, from the begin of its file: what a launch checks.
-
-    Parameters
-    ----------
-    path, unit, rate_hz, policy, **stated
-        As in `open_file`.
-
-    Returns
-    -------
-    int or None
-        Number of cells that exist; None where the begin of the file does not show it.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, its begin is malformed, its shape is not allowed or not the
-        one that is stated, or it does not state its shape or unit.
+    """Number of taxels of a recording, from the begin of its file, which a launch checks so; None
+    where that does not show it. Arguments and SourceError are those of `open_file`.
     """
     with _opened(path, policy, stated) as (file, recording):
         status = os.fstat(file.file.fileno())
@@ -308,8 +298,7 @@ def _range(frames: Floats, stated: float | None, name: str, keeps: bool) -> floa
 
 def _unit(stated: str | None, parsed: Parsed, default: str, name: str) -> str:
     found = parsed.unit
-    if found is not None and not (found.strip() and found.isprintable() and len(found) <= 32):
-        raise SourceError(f"{name}: unit {shown(found)}; expected 1 to 32 printable characters")
+    check_unit(name, found)
     if stated is not None and found is not None and stated != found:
         raise SourceError(
             f"{name}: unit = {shown(stated)} is stated, but the file states {shown(found)}"

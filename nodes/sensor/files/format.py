@@ -21,22 +21,14 @@ HEAD_BYTES = 1 << 16
 
 @dataclass(frozen=True)
 class Format:
-    """A format of recordings.
+    """A format of recordings."""
 
-    Attributes
-    ----------
-    suffixes : mapping
-        The suffixes of its files, in small letters with the dot, and a few words on what such a
-        file holds.
-    open : callable
-        Makes the `Recording` of a `File`; raises SourceError.
-    recognises : callable or None
-        True if a file that begins with these bytes (at most `HEAD_BYTES`) is one of this format;
-        None: every file with one of its suffixes that no other format recognises.
-    """
-
+    #: Suffixes of its files, in small letters with the dot, and what such a file holds, in few
+    #: words.
     suffixes: Mapping[str, str]
-    open: Callable[[File], Recording]
+    open: Callable[[File], Recording]  # raises SourceError
+    #: True if a file that begins with these bytes (at most `HEAD_BYTES`) is one of this format;
+    #: None: every file with one of its suffixes that no other format recognises.
     recognises: Callable[[bytes], bool] | None = None
 
 

@@ -12,22 +12,12 @@ from .recording import FILLED, MASK, OFFSET, REFUSE, ZERO, Parsed, Policy
 
 @dataclass(frozen=True)
 class Treated:
-    """Counts of invalid readings of a file.
-
-    Attributes
-    ----------
-    not_finite, negative : int
-        Readings that were not finite, and below 0.
-    masked_taxels : int
-        Taxels that were masked for them.
-    offset : float
-        What was subtracted from all readings, in their unit; 0 or less.
-    """
+    """Counts of invalid readings of a file."""
 
     not_finite: int = 0
     negative: int = 0
-    masked_taxels: int = 0
-    offset: float = 0.0
+    masked_taxels: int = 0  # for them
+    offset: float = 0.0  # subtracted from all readings, in their unit; 0 or less
 
     def lines(self, policy: Policy, unit: str) -> list[str]:
         """One line for a log on each kind of invalid reading; none where there was none."""

@@ -84,43 +84,20 @@ DEFAULT_POLICY = Policy()
 
 @dataclass(frozen=True, eq=False)
 class Parsed:
-    """A recording as its file states it; None where the file does not state a property.
+    """A recording as its file states it; None where the file does not state a property."""
 
-    Attributes
-    ----------
-    forces : ndarray of a real number, shape (n_frames, n_rows, n_cols) or (n_frames, n_cells)
-        Readings in `unit`, each >= 0 and finite wherever a taxel exists; row after row where the
-        file does not state their shape.
-    unit : str or None
-        Unit of the readings.
-    rate_hz : float or None
-        Frame rate.
-    stamp_ns : tuple of int or None
-        Time of each frame since the first, in nanoseconds, strictly increasing.
-    pitch_m : float or None
-        Distance between neighbouring taxels in metres.
-    mask : ndarray of bool, shape (n_rows, n_cols), or None
-        True where a taxel exists.
-    f_max : float or None
-        Upper end of the range, in `unit`.
-    points : ndarray of float32, shape (n_taxels, 6), or None
-        Place in metres and unit normal of each taxel.
-    point_rows : ndarray of int32, shape (n_taxels,), or None
-        Row of each taxel in a file of points.
-    notes : tuple of str
-        For the log: what was taken of the file, where it could be read in other ways.
-    """
-
+    #: Real numbers of shape (n_frames, n_rows, n_cols), or (n_frames, n_cells), row after row,
+    #: where their shape is not stated; each >= 0 and finite wherever a taxel exists.
     forces: npt.NDArray[Any]
     unit: str | None = None
     rate_hz: float | None = None
-    stamp_ns: tuple[int, ...] | None = None
-    pitch_m: float | None = None
-    mask: Mask | None = None
-    f_max: float | None = None
-    points: npt.NDArray[Any] | None = None
-    point_rows: npt.NDArray[Any] | None = None
-    notes: tuple[str, ...] = ()
+    stamp_ns: tuple[int, ...] | None = None  # of each frame since the first, strictly increasing
+    pitch_m: float | None = None  # between neighbouring taxels
+    mask: Mask | None = None  # (n_rows, n_cols), True where a taxel exists
+    f_max: float | None = None  # upper end of the range, in `unit`
+    points: npt.NDArray[Any] | None = None  # float32 (n_taxels, 6): places, m, and unit normals
+    point_rows: npt.NDArray[Any] | None = None  # int32 (n_taxels,): their rows in a file of points
+    notes: tuple[str, ...] = ()  # for the log: what was taken, where the file can be read otherwise
 
 
 class Head(NamedTuple):
@@ -204,12 +181,8 @@ def shape_text(n_cells: int) -> str:
 
 @contextmanager
 def reading(name: str) -> Iterator[IO[bytes]]:
-    """Open a file that is read within the context.
-
-    Raises
-    ------
-    SourceError
-        If it is missing, no regular file, not readable, larger than memory or empty.
+    """Open a file that is read within the context. Raises SourceError if it is missing, no regular
+    file, not readable, larger than memory or empty.
     """
     path = Path(name)
     try:
@@ -236,26 +209,11 @@ def unreadable(name: str, error: Exception) -> SourceError:
     return SourceError(f"{name}: cannot be read ({text})")
 
 
-def read_bytes(name: str) -> bytes:
-    """Read a whole file; raises as `reading`."""
-    with reading(name) as file:
-        return file.read()
-
-
-def text_lines(raw: bytes) -> list[str]:
-    """Split a text file into lines, numbered as in an editor.
-
-    Latin-1 decodes every byte; the formats here are ASCII except for a superscript two.
-    `str.splitlines` would also split at form feeds.
-    """
-    lines = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split("\n")
-    return [line.removesuffix("\r") for line in lines]
-
-
 @dataclass(frozen=True)
 class File:
-    """An open file of a recording, the names of those that go on with it, and what is stated of it,
-    as in `open_file`.
+    """An open file of a recording, the names of those that go on with it, and what is stated of it:
+    `columns` of a table, as in `TableRecording`, or the field of a point cloud; `topic` of a
+    recording, or name of an array.
     """
 
     file: IO[bytes]
@@ -274,18 +232,14 @@ class File:
 
 
 class Lines(Iterator[str]):
-    """The lines of a text file, read one after the other, without their ends; as `text_lines`.
-
-    Attributes
-    ----------
-    name : str
-        Name of the file, for errors.
-    number : int
-        Number of the line that was read last, from 1, as in an editor.
+    """The lines of a text file, read one after the other, without their ends. Latin-1 decodes every
+    byte; the formats here are ASCII except for a superscript two.
     """
 
     def __init__(self, file: IO[bytes], name: str) -> None:
-        self._file, self.name, self.number = file, name, 0
+        #: Number of the line that was read last, from 1, as in an editor.
+        self.number = 0
+        self._file, self.name = file, name
         self._line, self._again = "", False
 
     @property
@@ -298,7 +252,8 @@ class Lines(Iterator[str]):
             raw = self._file.readline(MAX_LINE_BYTES)
             if not raw:
                 raise StopIteration
-            (self._line, *_) = text_lines(raw)
+            text = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+            self._line = text.removesuffix("\n").removesuffix("\r")
             if len(raw) == MAX_LINE_BYTES:
                 raise SourceError(f"{self.where}: is followed by one of {len(raw)} bytes or more")
         self._again = False
@@ -330,17 +285,6 @@ def parse_number(token: str, where: str, low: float = -math.inf, high: float = m
 def is_missing(token: str) -> bool:
     """True if a cell is empty or a name of what is no finite number."""
     return token.strip().lower() in _MISSING
-
-
-def parse_reading(token: str, where: str, row: int, col: int) -> float:
-    """Read the reading of a cell (row, col), from 0; SourceError if it is not in [0, 1e30]."""
-    where = f"{where}, row {row}, column {col}"
-    value = parse_number(token, where)
-    if value < 0:
-        raise SourceError(f"{where}: {shown(token)} is below 0; a range starts at 0")
-    if value > MAX_READING:
-        raise SourceError(f"{where}: {shown(token)} is beyond {MAX_READING:g}")
-    return value
 
 
 def parse_whole(token: str, where: str, low: int, high: int) -> int:
@@ -377,9 +321,11 @@ def check_number(
 
 
 def check_unit(where: str, unit: object) -> None:
-    """Raise SourceError unless a stated unit is None or a text that is not blank."""
-    if unit is not None and not (isinstance(unit, str) and unit.strip()):
-        raise SourceError(f"{where}: unit = {shown(unit)}; expected a text such as N")
+    """Raise SourceError unless a unit is None or a free text of 1 to 32 printable characters."""
+    is_text = isinstance(unit, str) and unit.strip() and unit.isprintable() and len(unit) <= 32
+    if unit is not None and not is_text:
+        place = f"{where}: unit = {shown(unit)}"
+        raise SourceError(f"{place}; expected 1 to 32 printable characters, as N or kPa")
 
 
 def check_grid(n_rows: int, n_cols: int, where: str) -> None:
@@ -406,10 +352,8 @@ def check_stated_shape(
 def check_readings(
     forces: npt.NDArray[Any], where: str, low: float = 0.0, nan: bool = False
 ) -> None:
-    """Raise SourceError unless all readings are finite and in [low, 1e30], or NaN where `nan`
-    allows it; 0 in masked cells.
-
-    `forces` has the shape (n_frames, n_rows, n_cols). The error names frame and cell, from 0.
+    """Raise SourceError, with frame and cell from 0, unless all readings (n_frames, n_rows, n_cols)
+    are finite and in [low, 1e30], or NaN where `nan` allows it; 0 in masked cells.
     """
     below = f"is below {low:g}" if low else f"is below 0; a range starts at 0{NEGATIVE_HINT}"
     # A part at a time: a recording of bytes would become eight times as large.

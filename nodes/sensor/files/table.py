@@ -47,12 +47,8 @@ class TableRecording(Recording):
     times does, or that holds ISO 8601 stamps; without a header the first one, where a line has one
     cell more than the stated shape. Taxels are the columns that `columns` states, or else those
     named alike but for numbers, if they are most, or all of numbers. Two numbers in each name are
-    row and column of a taxel, where they fill a grid.
-
-    Raises
-    ------
-    SourceError
-        If a line has more or fewer cells than the first, a reading is no number, or times fall.
+    row and column of a taxel, where they fill a grid. Raises SourceError if a line has more or
+    fewer cells than the first, a reading is no number, or times fall.
     """
 
     def __init__(self, file: File) -> None:

@@ -6,13 +6,9 @@ point p it is felt at the height
     felt(p) = min over |d| < r of  height(p + d) + r - sqrt(r^2 - |d|^2).
 
 Limit. The map is eroded on a grid of 0.5 mm and interpolated between its points, so r = 2.5 mm is
-felt up to 2.0 mm beyond a straight edge, where the flank of the sphere is 1.0 mm high, and up to
-1.6 to 2.0 mm beyond a round one: an edge that sinks deeper misses taxels. The peg of path_40 with
-seed 0 presses 18 taxels at its first landing where exact distances give 19; its contact frames
-differ by 64.5 dB (PSNR; noise 47.9 dB), 49 of 11541 by more than their noise, the worst (37.1 dB)
-at its second landing. On a grid of 0.125 mm the contact frames of lift_wrench_40 differ by 51.3 dB
-(noise 47.3 dB), 214 of 2362 by more than their noise. The cube is exact: no taxel has its centre
-less than 2.5 mm beyond its edges. Measured by tests/nodes/sensor/scenes/test_exact.py.
+felt up to 2.0 mm beyond a straight edge and 1.6 to 2.0 mm beyond a round one: an edge that sinks
+deeper than 1 mm misses taxels. The cube is exact. tests/nodes/sensor/scenes/test_exact.py has the
+errors: 51 dB and more (PSNR), where the noise has 47 to 48 dB.
 """
 
 from __future__ import annotations
@@ -39,40 +35,22 @@ _ROUNDING_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Sole:
-    """The underside of a body as a height map.
+    """The underside of a body as a height map."""
 
-    Attributes
-    ----------
-    heights : ndarray of float64, shape (n_y, n_x)
-        Height above the body's lowest point in m, 0 or more; FAR_M where there is no body. The
-        outermost rows and columns are FAR_M.
-    x_min, y_min : float
-        Body coordinates of heights[0, 0] in m; the centre of mass is at (0, 0).
-    grid_m : float
-        Spacing of the map in m.
-    """
-
-    heights: Doubles
-    x_min: float
+    heights: Doubles  # (n_y, n_x), m above its lowest point; FAR_M beside it, at all edges too
+    x_min: float  # body coordinates of heights[0, 0], m; the centre of mass is at (0, 0)
     y_min: float
     grid_m: float = GRID_M
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """x_min, x_max, y_min, y_max of the map in m."""
-        n_y, n_x = self.heights.shape
-        return (
-            self.x_min,
-            self.x_min + (n_x - 1) * self.grid_m,
-            self.y_min,
-            self.y_min + (n_y - 1) * self.grid_m,
-        )
+        n_y, n_x = (self.grid_m * (n - 1) for n in self.heights.shape)
+        return self.x_min, self.x_min + n_x, self.y_min, self.y_min + n_y
 
     def sample(self, x: Doubles, y: Doubles) -> Doubles:
-        """Return the heights in m at points of the body, interpolated bilinearly.
-
-        `x` and `y` are body coordinates in m, float64, shape (n,), as is the result; outside the
-        map the height is FAR_M.
+        """Heights in m at points of the body, float64 (n,), interpolated bilinearly; outside the
+        map FAR_M.
         """
         n_y, n_x = self.heights.shape
         # Just inside the last point, which has no next neighbour.
@@ -85,7 +63,7 @@ class Sole:
         i *= n_x
         i += j
         flat = self.heights.reshape(-1)
-        near = flat.take(i)
+        near: Doubles = flat.take(i)
         near += (flat.take(i + 1) - near) * col
         i += n_x
         far = flat.take(i)
@@ -93,8 +71,7 @@ class Sole:
         far -= near
         far *= row
         near += far
-        heights: Doubles = near
-        return heights
+        return near
 
 
 def slab(x_min: float, x_max: float, y_min: float, y_max: float, height: float) -> Primitive:
@@ -158,6 +135,7 @@ def bar(
 def _distance(
     x: Doubles, y: Doubles, start: tuple[float, float], end: tuple[float, float]
 ) -> Doubles:
+    """Distance of points from a segment."""
     along = np.array(end) - np.array(start)
     share = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / float(along @ along)
     share = np.clip(share, 0.0, 1.0)
@@ -170,13 +148,10 @@ def build_sole(
     bounds: tuple[float, float, float, float],
     taxel_radius_m: float,
 ) -> Sole:
-    """Return the lowest of the primitives, eroded by the sphere of a taxel.
+    """The lowest of the primitives, eroded by the sphere of a taxel, of radius 0 for needles.
 
     An edge of the body meets the flank of a sphere before its top: while it slides across, the
-    force grows over a radius, where it would jump on a needle.
-
-    `bounds` are x_min, x_max, y_min and y_max of the body in m; the radius is 0 for needles. The
-    grid is `GRID_M`.
+    force grows over a radius, where it would jump on a needle. `bounds` are those of the body.
     """
     margin = taxel_radius_m + 2 * GRID_M
     x_min, y_min = bounds[0] - margin, bounds[2] - margin
@@ -207,21 +182,11 @@ def _eroded(heights: Doubles, radius_m: float) -> Doubles:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body.
+    """A rigid body."""
 
-    Attributes
-    ----------
-    sole : Sole
-        Its underside, as taxels of one radius feel it.
-    mass_kg : float
-        Mass in kg.
-    inertia_kg_m2 : float
-        Moment of inertia about each horizontal axis through the centre of mass, in kg m2.
-    """
-
-    sole: Sole
+    sole: Sole  # as taxels of one radius feel it
     mass_kg: float
-    inertia_kg_m2: float
+    inertia_kg_m2: float  # about each horizontal axis through the centre of mass
 
 
 @cache

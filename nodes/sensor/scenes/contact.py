@@ -1,37 +1,12 @@
 """The contact model, one rigid body on a bed of unilateral spring-dampers, and its integrator.
 
-Contact model. The body has the free coordinates q (height z in m, tilts in rad) and their rates
-v = q'. Cell i, a taxel or a piece of ground, has the gap to the sole of the body
-
-    g_i = g_i0 + J_i q,        penetration  d_i = -g_i,    d_i' = -J_i v,
-
-and presses on the body with the force
-
-    f_i(q, v) = max(0, k_i d_i + c_i d_i')  where d_i > 0,  and 0 elsewhere.
-
-The cells are independent and never pull. With the diagonal inertia I and the constant load l
-(-m g for z, 0 for a tilt about the centre of mass) the body moves by
-
-    I v' = J^T f(q, v) + l.
-
-Integrator. SDIRK2 with step dt, gamma = 1 - 1 / sqrt(2), h = gamma dt, in two implicit stages:
+Symbols, model, limits and sources: docs/explanation/scenes.md. With h = gamma dt a step is two
+implicit stages, then implicit Euler where the set of loaded cells still changes in a sixteenth:
 
     stage 1:  I (v1 - v)  = h (J^T f(q  + h v1, v1) + l)
     between:  q* = q + (1 - gamma) dt v1,    v* = v + (1 - gamma) / gamma (v1 - v)
     stage 2:  I (v2 - v*) = h (J^T f(q* + h v2, v2) + l)
     result:   q(t + dt) = q* + h v2,         v(t + dt) = v2
-
-It is of second order and L-stable on a linear bed: stable at any omega dt and c dt / m, and it
-damps what is too fast for the step. Each stage is solved exactly by Newton's method on the set
-of loaded cells (`RigidBody._solve_stage`). Where that set changes within a step, the step is
-halved up to four times, and then done by implicit Euler, which on cells that only push never
-adds energy and whose error is then one of a sixteenth of a step.
-
-Limits. The rate d_i' is that of the free coordinates: the sliding of a sole along the skin moves
-the gaps g_i0 between steps, and neither damps nor drags. There is no friction.
-
-Sources: Habib et al., SkinSim (CASE 2014): spheres on springs and dampers. Alexander, Diagonally
-implicit Runge-Kutta methods for stiff O.D.E.'s, SIAM J. Numer. Anal. 14 (1977).
 """
 
 from __future__ import annotations
@@ -53,40 +28,23 @@ two or three."""
 _MAX_HALVINGS = 30
 """Most halvings of a Newton step that does not lower the cost."""
 _MAX_SPLITS = 4
-"""Most halvings of a time step in which cells come into contact or leave it.
-
-A landing early or late by part of a step changes the height of the bounce. PSNR of the contact
-frames against the exact solution (tests/nodes/sensor/scenes/test_exact.py): lift_wrench_40 59.0 dB,
-11.7 dB below the noise, with 50 of 2325 frames above their noise and the worst (40.8 dB) at its
-second landing; lift_box_40 73.4 dB, 26.8 dB below the noise."""
+"""Most halvings of a time step in which cells come into contact or leave it. A landing early or
+late by part of a step changes the height of the bounce: test_exact.py has the errors.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Bed:
-    """The cells under a body.
+    """The cells under a body: arrays of float64, shape (n_cells,), and (n_cells, n_dof)."""
 
-    Attributes
-    ----------
-    stiffness : ndarray of float64, shape (n_cells,)
-        k of each cell, in N/m, above 0.
-    damping : ndarray of float64, shape (n_cells,)
-        c of each cell, in N s/m, 0 or more.
-    gap : ndarray of float64, shape (n_cells,)
-        g0: height of the sole above each unloaded cell at q = 0, in m.
-    jacobian : ndarray of float64, shape (n_cells, n_dof)
-        J: change of the gap with each free coordinate; 1 for z, in m/rad for a tilt.
-    """
-
-    stiffness: Doubles
-    damping: Doubles
-    gap: Doubles
-    jacobian: Doubles
+    stiffness: Doubles  # k in N/m, above 0
+    damping: Doubles  # c in N s/m, 0 or more
+    gap: Doubles  # g0, height of the sole above an unloaded cell at q = 0, in m
+    jacobian: Doubles  # J, change of the gap: 1 for z, in m/rad for a tilt
 
     def forces(self, q: Doubles, v: Doubles) -> Doubles:
-        """Return the force of each cell on the body, in N, 0 or more; float64, shape (n_cells,).
-
-        `q` and `v` are the coordinates of the body and their rates, in m and rad, m/s and rad/s;
-        float64, shape (n_dof,).
+        """The force of each cell on the body, N, 0 or more; `q` and `v` are the coordinates of the
+        body and their rates, m and rad, float64 (n_dof,).
         """
         gap = self.gap + self.jacobian @ q
         force = -(self.stiffness * gap + self.damping * (self.jacobian @ v))
@@ -96,27 +54,16 @@ class Bed:
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """Inertia and load of a rigid body along its free coordinates.
+    """Inertia and load of a rigid body along its free coordinates: float64, shape (n_dof,)."""
 
-    Attributes
-    ----------
-    inertia : ndarray of float64, shape (n_dof,)
-        Mass in kg for z, moment of inertia in kg m2 for a tilt; above 0.
-    load : ndarray of float64, shape (n_dof,)
-        Constant generalised force: -m g in N for z, its moment in N m for a tilt.
-    """
-
-    inertia: Doubles
-    load: Doubles
+    inertia: Doubles  # kg for z, kg m2 for a tilt; above 0
+    load: Doubles  # constant: -m g in N for z, its moment in N m for a tilt
 
     def step(
         self, bed: Bed, q: Doubles, v: Doubles, dt_s: float, splits: int = _MAX_SPLITS
     ) -> tuple[Doubles, Doubles]:
-        """Return q and v of the body after one time step, as described in this module.
-
-        `bed` are the cells under the body, and `q` and `v` its coordinates and rates (`Bed.forces`)
-        at the start of the step of `dt_s` seconds, which may be halved `splits` times; none is
-        modified.
+        """q and v of the body after a time step (see the module) on the cells of `bed`, from those
+        at its beginning (`Bed.forces`). It may be halved `splits` times.
         """
         loaded0 = bed.forces(q, v).nonzero()[0]
         h = _GAMMA * dt_s

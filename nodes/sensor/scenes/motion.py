@@ -50,10 +50,8 @@ class RandomPath:
     def draw(
         self, rng: np.random.Generator, half_width_m: float, half_height_m: float, end_s: float
     ) -> tuple[Place, PolygonalCourse]:
-        """Draw the place of the drop, and a course from there that lasts until `end_s` seconds.
-
-        The places are uniform in a rectangle about the middle of the skin, `half_width_m` and
-        `half_height_m` being half its sides. The place of the drop is in m from that middle.
+        """Draw the place of the drop, in m from the middle of the skin, and a course from there
+        until `end_s`. Places are uniform in a rectangle about that middle.
         """
         half = np.array([half_width_m, half_height_m])
         start = rng.uniform(-half, half)
@@ -69,18 +67,10 @@ class RandomPath:
 
 @dataclass(frozen=True)
 class PolygonalCourse:
-    """Straight lines between corners, reached at given times.
-
-    Attributes
-    ----------
-    times_s : tuple of float
-        Increasing times in s; the body rests at the first corner before and the last one after.
-    offsets_m : tuple of (x, y)
-        The corners, as offsets from the place of the drop, in m.
-    """
+    """Straight lines between corners, reached at given times; the body rests before and after."""
 
     times_s: tuple[float, ...]
-    offsets_m: tuple[Place, ...]
+    offsets_m: tuple[Place, ...]  # from the place of the drop
 
     def place(self, t_s: float) -> Place:
         """Return the offset (x, y) in m from the place of the drop."""

@@ -1,17 +1,7 @@
-"""The six simulated scenes of the paper, by name.
-
-| scene          | body   | free     | prescribed motion          | taxels  | steps x dt     |
-|----------------|--------|----------|----------------------------|---------|----------------|
-| lift_box_40    | cube   | z        | lifted, 0.1 m/s            | 40 x 40 |   700 x 1 ms   |
-| lift_box_64    | cube   | z        | lifted, 0.1 m/s            | 64 x 64 |  7600 x 0.1 ms |
-| lift_wrench_40 | wrench | z, pitch | lifted, 0.1 m/s            | 40 x 40 |  3000 x 1 ms   |
-| drag_wrench_40 | wrench | z, pitch | dragged off it, 0.05 m/s   | 40 x 40 |  5000 x 1 ms   |
-| drag_wrench_64 | wrench | z, pitch | dragged off it, 0.05 m/s   | 64 x 64 | 12600 x 0.1 ms |
-| path_40        | peg    | z        | random path, 0.05 m/s      | 40 x 40 | 12200 x 1 ms   |
+"""The six simulated scenes of the paper, by name: docs/explanation/scenes.md has their table.
 
 Each body is dropped on the skin; then its motion along the skin, or its lift, is prescribed
-(`motion`). It moves freely along the degrees of freedom in column "free" (`contact`); all others
-are held.
+(`motion`). It moves freely along the degrees of freedom `dof` (`contact`); all others are held.
 
 All scenes have the same skin: a pitch of 5 mm, taxels that are spheres of 2.5 mm radius and whose
 tops stand 10 mm above the ground, and
@@ -19,17 +9,14 @@ tops stand 10 mm above the ground, and
 - k = 122.24 N/m a taxel, the default of SkinSim's plugin. With it the box stays in contact for
   8 ms, nearly the 10 ms of the moving average: on a stiffer skin that average would leave little
   of the peak of an impact.
-- c = 0.4 N s/m a taxel, chosen: the box bounces twice, 0.18 and 0.05 s long, and lies still
-  before its 0.7 s are over. SkinSim's default, 1.83 N s/m, would answer the box's 3.1 m/s with
-  5.7 N a taxel, beyond the range.
+- c = 0.4 N s/m a taxel, chosen: the box bounces twice and lies still before its 0.7 s are over.
+  SkinSim's default, 1.83 N s/m, would answer the box's 3.1 m/s with 5.7 N a taxel, beyond the
+  range.
 - the drop: 0.5 m (3.1 m/s) unless stated otherwise. The peak of the box is then 1.2 N a taxel, at
-  mid-range, where the noise is largest. Published is the mean of 10 steps: 1.24 N at most where
-  a step is 0.1 ms, and 0.50 N where it is 1 ms and the mean is longer than the contact.
+  mid-range, where the noise is largest; published is the mean of 10 steps.
 - the ground: hard (10 kN/m a cell) and damped (100 N s/m), so that a wrench that sticks out over
-  the edge of the skin does not drum on it. It lies 10 mm down, twice the height of a sphere: the
-  box sinks by 5.6 mm at most. The springs have no stop: for 2 to 7 ms of its first impact the
-  wheel of the wrench goes deeper, to 12.2 mm (10.1 mm from 0.2 m), and so may the peg, to 10.7 mm,
-  by the number of taxels under it.
+  the edge of the skin does not drum on it; 10 mm down, twice the height of a sphere. The springs
+  have no stop: wheel and peg go deeper for some milliseconds, to 12.2 mm at most.
 
 Source: paper, section II-B and table I for bodies, motions, numbers and lengths of steps.
 """
@@ -173,27 +160,15 @@ SCENES: dict[str, Callable[[], Scene]] = {
 
 
 def check_scene(name: str, others: Iterable[str] = ()) -> None:
-    """Check that a scene exists, without building it; `others` are known elsewhere.
-
-    Raises
-    ------
-    SourceError
-        If there is no scene of that name.
-    """
+    """Raise SourceError if there is no scene of a name; `others` are known elsewhere."""
     if name not in SCENES:
         raise SourceError(f"no scene is called {name!r}{did_you_mean(name, (*SCENES, *others))}")
 
 
 def open_scene(name: str, seed: int) -> SceneSource:
-    """Open a scene, one of `SCENES`, as a source of true forces.
-
-    Its frames are float32 forces in [0, 2.5] N, one a time step. `seed`, 0 or more, is that of the
-    place and path of the peg in path_40; nothing is random in the other scenes.
-
-    Raises
-    ------
-    SourceError
-        If there is no scene of that name.
+    """Open a scene, one of `SCENES`, as a source of true forces: float32 in [0, 2.5] N, one a time
+    step. `seed` is that of place and path in path_40; nothing is random in the other scenes.
+    Raises SourceError as `check_scene`.
     """
     check_scene(name)
     return SceneSource(SCENES[name](), seed)

@@ -27,65 +27,30 @@ SMOOTHING_STEPS = 10
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """Parameters of a simulated scene; the defaults are those of most scenes of the paper.
-
-    Attributes
-    ----------
-    name : str
-        Registered name, e.g. "lift_box_40".
-    shape : (n_rows, n_cols)
-        Grid of taxels.
-    n_steps, dt_ns : int
-        Number of frames and the time step between them in nanoseconds.
-    body : Body
-        The body that is dropped.
-    surface : Surface
-        Constants of the skin and of the ground beside it.
-    drop_height_m : float
-        Height above the skin from which the body falls at the first frame, in m.
-    motion : Lift, Drag or RandomPath
-        Its prescribed motion.
-    dof : ("z",), ("z", "pitch") or ("z", "pitch", "roll")
-        Free coordinates.
-    place_m : (x, y)
-        Place of the centre of mass when dropped, from the middle of the skin, in m; not used
-        with RandomPath, which draws its own.
-    yaw_rad : float
-        Rotation of the body about the vertical, in rad.
-    f_max_n : float
-        Upper end of the taxels' range, in N.
-    """
+    """Parameters of a simulated scene; the defaults are those of most scenes of the paper."""
 
     name: str
-    shape: tuple[int, int] = (40, 40)
-    n_steps: int
-    dt_ns: int = 1_000_000
+    shape: tuple[int, int] = (40, 40)  # rows and columns of taxels
+    n_steps: int  # number of frames
+    dt_ns: int = 1_000_000  # from one frame to the next
     body: Body
     surface: Surface
-    drop_height_m: float = 0.5
+    drop_height_m: float = 0.5  # above the skin, from which the body falls at the first frame
     motion: Lift | Drag | RandomPath
-    dof: tuple[Literal["z", "pitch", "roll"], ...] = ("z",)
-    place_m: Place = (0.0, 0.0)
-    yaw_rad: float = 0.0
+    dof: tuple[Literal["z", "pitch", "roll"], ...] = ("z",)  # free coordinates, as of `Terrain`
+    place_m: Place = (0.0, 0.0)  # of the drop, from the middle; `RandomPath` draws its own
+    yaw_rad: float = 0.0  # rotation of the body about the vertical
     f_max_n: float = PAPER_F_MAX_N
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of the simulation at one time step.
+    """State of the simulation at one time step."""
 
-    Attributes
-    ----------
-    bed, taxels
-        The cells under the body, as in `Terrain.under`.
-    q, v : ndarray of float64, shape (n_dof,)
-        Coordinates (m, rad) and rates (m/s, rad/s) of the body.
-    """
-
-    bed: Bed
+    bed: Bed  # the cells under the body, and indices of the taxels, as of `Terrain.under`
     taxels: Indices
-    q: Doubles
-    v: Doubles
+    q: Doubles  # coordinates of the body, (n_dof,), in m and rad
+    v: Doubles  # and their rates
 
     def write_forces(self, out: Floats) -> None:
         """Write the taxels' forces, in N, to out, float32 of shape (n_rows, n_cols)."""
@@ -94,10 +59,8 @@ class State:
 
 
 class SceneSource(Source):
-    """A simulated scene as a source of true forces.
-
-    Every iteration runs the scene from its beginning; the same seed, that of a random path,
-    gives the same frames.
+    """A simulated scene as a source of true forces. Every iteration runs it from its beginning;
+    the same seed, that of a random path, gives the same frames.
     """
 
     delivers = "truth"
@@ -111,9 +74,7 @@ class SceneSource(Source):
         self.n_frames: int | None = scene.n_steps
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
-        """Yield (stamp_ns, forces), computed on demand: nanoseconds since the first frame, and true
-        forces in N in [0, f_max], smoothed over 10 steps; a fresh float32 array (n_rows, n_cols).
-        """
+        """As of `Source`, computed on demand: true forces in N, smoothed over 10 steps."""
         scene = self.scene
         average = MovingAverage(SMOOTHING_STEPS, scene.shape)
         for step, state in enumerate(self.states()):
@@ -186,18 +147,13 @@ class MovingAverage:
 
     @property
     def newest(self) -> Floats:
-        """Array for the next frame, to be written before `step`; float32, shape `shape`."""
+        """Array for the next frame, float32 of `shape`, to be written before `step`."""
         slot: Floats = self._ring[self._oldest]
         return slot
 
     def step(self) -> Floats:
-        """Return the mean that includes the frame written to `newest`.
-
-        Returns
-        -------
-        ndarray of float32, shape (n_rows, n_cols)
-            A fresh array. It is summed anew each time: a taxel that was not touched during
-            `width` frames is exactly 0.
+        """The mean with the frame written to `newest`, a fresh float32 array. It is summed anew
+        each time: a taxel that was not touched during `width` frames is exactly 0.
         """
         width = len(self._ring)
         self._oldest = (self._oldest + 1) % width

@@ -20,25 +20,13 @@ _Value = TypeVar("_Value", float, Doubles)
 
 @dataclass(frozen=True)
 class Surface:
-    """The constants of the skin as a bed, and of the ground beside it.
+    """The constants of the skin as a bed, and of the ground beside it."""
 
-    Attributes
-    ----------
-    pitch_m : float
-        Distance of neighbouring taxels, and of the ground's cells, in m.
-    stiffness, damping : float
-        k in N/m and c in N s/m of each taxel.
-    ground_drop_m : float or None
-        Depth of the ground below the tops of the taxels, in m; None: no ground.
-    ground_stiffness, ground_damping : float
-        k in N/m and c in N s/m of each cell of the ground.
-    """
-
-    pitch_m: float
-    stiffness: float
-    damping: float
-    ground_drop_m: float | None = None
-    ground_stiffness: float = 1.0e4
+    pitch_m: float  # distance of neighbouring taxels, and of the ground's cells
+    stiffness: float  # k in N/m of a taxel
+    damping: float  # c in N s/m of a taxel
+    ground_drop_m: float | None = None  # depth below the tops of the taxels; None: no ground
+    ground_stiffness: float = 1.0e4  # the same of a cell of the ground
     ground_damping: float = 100.0
 
 
@@ -49,20 +37,10 @@ class Terrain:
     skin, x along a row and y along a column. A cell at (x, y) in body coordinates has the gap
     sole(x, y) + depth of the ground, and the Jacobian (1, -x, y) for (z, pitch, roll).
 
-    Parameters
-    ----------
-    surface : Surface
-        Constants of skin and ground.
-    shape : (n_rows, n_cols)
-        The skin's grid of taxels.
-    sole : Sole
-        The underside of the body.
-    yaw_rad : float
-        Rotation of the body about the vertical, constant.
-    dof : ("z",), ("z", "pitch") or ("z", "pitch", "roll")
-        The free coordinates, in the order of the bed's Jacobian. Pitch is the rotation about the
-        body's y axis; positive lowers points of positive x. Roll is that about its x axis;
-        positive lifts points of positive y.
+    `dof` are the free coordinates, ("z",), ("z", "pitch") or ("z", "pitch", "roll"), in the order
+    of the bed's Jacobian. Pitch is the rotation about the body's y axis; positive lowers points of
+    positive x. Roll is that about its x axis; positive lifts points of positive y. The rotation of
+    the body about the vertical, `yaw_rad`, is constant.
     """
 
     def __init__(
@@ -93,14 +71,8 @@ class Terrain:
         )
 
     def under(self, place: Place) -> tuple[Bed, Indices]:
-        """Return the cells under the body with its centre of mass over `place`.
-
-        Returns
-        -------
-        bed : Bed
-            The cells, taxels first; among them some beside the body, out of its reach.
-        taxels : ndarray of intp, shape (n_taxels,)
-            Indices of the bed's first n_taxels cells in the flattened frame.
+        """The cells under the body with its centre of mass over `place`, taxels first, some beside
+        it, out of its reach; and the indices of these taxels in the flattened frame.
         """
         if self._searched_at is None or (
             math.dist(place, self._searched_at) > self._surface.pitch_m

@@ -1,19 +1,11 @@
 """Scenes of a body: many equal patches of skin, of which a part is pressed in turn.
 
-| scene | pressed by | active | period | pressed for | which patches                          |
-|-------|------------|--------|--------|-------------|----------------------------------------|
-| lying | a limb     | 1 / 2  | 10 s   | 9 s         | others in each period: the body turns  |
-| hug   | a limb     | 2 / 5  | 4 s    | 2.5 s       | the same, one after the other in 0.8 s |
-| walk  | a sole     | 1 / 4  | 1.1 s  | 0.6 s       | the same, alternating: left and right  |
-
-"active" is the part of the patches that are pressed in a period; all others are idle.
-
-A press is simulated once for each shape of patches, by the contact model of `contact`: a limb (a
-round bead) or a sole (heel and ball) falls from 2 mm on the skin, settles for 1.2 s, and is lifted
-at 0.1 m/s. Every press replays that simulation: the settled frame is repeated for as long as the
-body rests, and patches differ by mirroring and by the time of their press. Body sizes are those of
-the patch; their weights are such that the settled forces are near 0.3 N a taxel. Frames are 2 ms
-apart.
+docs/howto/patches.md has their table. A press is simulated once for each shape of patches, by the
+contact model of `contact`: a limb (a round bead) or a sole (heel and ball) falls from 2 mm on the
+skin, settles for 1.2 s, and is lifted at 0.1 m/s. Every press replays that simulation: the settled
+frame is repeated for as long as the body rests, and patches differ by mirroring and by the time of
+their press. Body sizes are those of the patch; their weights are such that the settled forces are
+near 0.3 N a taxel.
 """
 
 from __future__ import annotations
@@ -48,44 +40,30 @@ SINK_M = 0.003
 
 @dataclass(frozen=True)
 class Tiling:
-    """Times of the presses of a scene, as in the table of this module.
-
-    `moves` is True if other patches are pressed in each period, `spread_s` the time over which the
-    presses of one period begin, `alternate` True if every second one is half a period later.
-    """
+    """Times of the presses of a scene."""
 
     body: Callable[[tuple[int, int], float], Body]
-    active: float
+    active: float  # part of the patches that are pressed in a period; all others are idle
     period_s: float
     pressed_s: float
-    moves: bool = False
-    spread_s: float = 0.0
-    alternate: bool = False
+    moves: bool = False  # other patches are pressed in each period
+    spread_s: float = 0.0  # time over which the presses of one period begin
+    alternate: bool = False  # every second one is half a period later
+
+    @property
+    def settle_s(self) -> float:
+        """Time from the fall to rest."""
+        return min(SETTLE_S, self.pressed_s - LIFT_S)
 
 
 class TiledScene(Source):
     """A scene of a body: true forces on equal patches as a function of time. As a source, its
     frames are as far apart as the sensor reads them.
 
-    Parameters
-    ----------
-    name : str
-        One of `TILED`.
-    skin : Skin
-        That of every patch, in newtons.
-    n_patches : int
-        Number of patches.
-    active : float, optional
-        Part of the patches that are pressed in a period, in [0, 1], in place of the scene's.
-    seed : int
-        Of the order of the patches; walk presses the first ones.
-    sigmas : (float, float), optional
-        As of `Source`.
-
-    Raises
-    ------
-    SourceError
-        If the skin has no pitch or is none of newtons.
+    `skin` is that of every patch; `active`, in [0, 1], the part of the patches that are pressed in
+    a period, in place of the scene's; `seed` that of the order of the patches: walk presses the
+    first ones; `sigmas` as of `Source`. Raises SourceError if the skin has no pitch or is none of
+    newtons.
     """
 
     delivers = "truth"
@@ -146,30 +124,25 @@ class TiledScene(Source):
     def _index(self, since_s: float) -> int:
         """Number of the frame of the press."""
         left_s = self._tiling.pressed_s - since_s
-        settled = min(since_s, self._settle_s)
+        settled = min(since_s, self._tiling.settle_s)
         if left_s < LIFT_S:
-            settled = self._settle_s + LIFT_S - left_s
+            settled = self._tiling.settle_s + LIFT_S - left_s
         return min(len(self._press) - 1, int(settled / FRAME_S))
-
-    @property
-    def _settle_s(self) -> float:
-        return min(SETTLE_S, self._tiling.pressed_s - LIFT_S)
 
 
 @functools.lru_cache(maxsize=8)
 def _press(name: str, shape: tuple[int, int], pitch_m: float, f_max: float) -> Floats:
     """Frames of one press, every `FRAME_S`: float32, shape (n_frames, n_rows, n_cols)."""
     tiling = TILED[name]
-    settle_s = min(SETTLE_S, tiling.pressed_s - LIFT_S)
     scene = Scene(
         name=name,
         shape=shape,
-        n_steps=round(1e3 * (settle_s + LIFT_S)),
+        n_steps=round(1e3 * (tiling.settle_s + LIFT_S)),
         dt_ns=1_000_000,
         body=tiling.body(shape, pitch_m),
         surface=replace(SKIN, pitch_m=pitch_m),
         drop_height_m=DROP_M,
-        motion=Lift(at_s=settle_s),
+        motion=Lift(at_s=tiling.settle_s),
         f_max_n=f_max,
     )
     every = round(1e3 * FRAME_S)

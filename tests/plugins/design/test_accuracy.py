@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from sparseskin.nodes.sensor.scenes.presses import BODIES, COURSES
 from sparseskin.plugins.design.budget import budget
 from sparseskin.plugins.design.simulation import (
     ACTIVE,
@@ -22,6 +21,7 @@ from sparseskin.plugins.design.simulation import (
 from sparseskin.plugins.design.simulation import simulate as simulate_on
 from sparseskin.plugins.design.spec import make_design
 from sparseskin.plugins.design.strategies import FEW_SCENES, N_SCENES, STRATEGIES
+from sparseskin.studies.presses import BODIES, COURSES
 
 ALL = np.ones((12, 12), dtype=np.bool_)
 

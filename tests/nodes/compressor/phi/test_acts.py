@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.messages import Measurements, MessageError
-from sparseskin.nodes.compressor.phi.acts import ActsSearch, follow, packed_places
+from sparseskin.nodes.compressor.phi.acts import ActsSearch, packed_places
+from sparseskin.nodes.compressor.phi.adaptive import follow
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
 
@@ -67,7 +68,7 @@ def test_more_readings_than_taxels_are_refused(m):
 def test_what_is_read_are_the_taxels_that_were_chosen():
     phi = make_phi("acts", 100, 4, seed=0)
     taxels = np.array([0, 7, 50, 99])
-    follow(phi, packed_places(taxels, 100))
+    follow(phi, packed_places(taxels, 100), None)
     x = np.arange(100, dtype=np.float32)
     np.testing.assert_array_equal(phi.forward(x), [0, 7, 50, 99])
     np.testing.assert_array_equal(phi.dense() @ x, phi.forward(x))
@@ -89,7 +90,7 @@ def test_what_is_read_are_the_taxels_that_were_chosen():
 )
 def test_places_that_do_not_fit_are_refused(kind, places, text):
     with pytest.raises(PhiError, match=text):
-        follow(make_phi(kind, 100, 4, seed=0), places)
+        follow(make_phi(kind, 100, 4, seed=0), places, None)
     y = np.ones(4, np.float32)
     with pytest.raises(MessageError, match="places: 3 of them for 4 measurements"):
         Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16, places=np.uint8([7]))

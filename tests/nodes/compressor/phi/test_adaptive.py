@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.checks import check_phi
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, HeldRows, follow_nodes
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, HeldRows, follow
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import PhiError
 
@@ -47,7 +47,7 @@ def test_m_rows_are_read_each_once_and_are_those_of_the_code(exists, data):
         assert len(asked) == len(set(asked)) == m
         np.testing.assert_array_equal(np.sort(asked), phi.rows)
         np.testing.assert_array_equal(y, phi.forward(x))
-        follow_nodes(other, phi.tree.coded(phi.chosen))
+        follow(other, None, phi.tree.coded(phi.chosen))
         np.testing.assert_array_equal(other.rows, phi.rows)
 
 
@@ -120,4 +120,4 @@ GRID = np.ones((16, 16), np.bool_)
 )
 def test_nodes_that_do_not_fit_are_refused(phi, code, text):
     with pytest.raises(PhiError, match=text):
-        follow_nodes(phi, code)
+        follow(phi, None, code)

@@ -14,7 +14,7 @@ from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.reconstructor.estimates.resultant import T
 from sparseskin.nodes.reconstructor.node import ReconstructorSettings
-from sparseskin.nodes.sensor.scenes.presses import press_frames
+from sparseskin.studies.presses import press_frames
 
 
 def resultants(truth, ratio=3, rows=FIXED):

@@ -13,7 +13,7 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
-from sparseskin.nodes.sensor.scenes.presses import press_frames
+from sparseskin.studies.presses import press_frames
 
 #: Moving bodies that the constants were not fitted on, and how much of them is held at least and
 #: at most. Smooth contacts are better than they show; small ones with an edge are worse.

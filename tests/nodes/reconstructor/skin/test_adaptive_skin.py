@@ -13,8 +13,8 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.adaptive import AdaptiveSkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.scenes.presses import press_frames
 from sparseskin.studies.evaluate import Reading, Scores, make_method
+from sparseskin.studies.presses import press_frames
 
 
 def method(shape, ratio, mask=None, **more):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.scenes.presses import (
+from sparseskin.studies.presses import (
     BODIES,
     COURSES,
     N_BEFORE,

@@ -23,11 +23,9 @@ SKINS = ((1, 16), (4, 4), (5, 5), (8, 8), (10, 10), (1, 128), (40, 40), (64, 64)
 """Shapes from the smallest skins that are sold to the largest of the paper."""
 
 N_BEFORE = 10
-"""Untouched frames at the begin."""
-RAMP, PAUSE = 20, 10
-"""Frames of a ramp from 0 to the full force, and of a pause between two contacts."""
-HELD = 20
-"""Frames that a sudden contact lasts."""
+"""Untouched frames at the beginning."""
+RAMP = 20
+"""Frames of a ramp from 0 to the full force."""
 _CHUNK = 32
 _LEAST_SIZE = 0.4
 """Least size of a body in taxels: a smaller one would vanish between two of them."""
@@ -39,23 +37,12 @@ Field = Callable[[Doubles, Doubles, float], Doubles]
 
 @dataclass(frozen=True)
 class Timing:
-    """Lengths of the parts of a course, in frames.
+    """Lengths of the parts of a course, in frames."""
 
-    Attributes
-    ----------
-    before : int
-        Untouched frames at the begin, 0 or more.
-    ramp, pause, held : int
-        As `RAMP`, `PAUSE` and `HELD`, 1 or more.
-    """
-
-    before: int = N_BEFORE
+    before: int = N_BEFORE  # untouched, 0 or more
     ramp: int = RAMP
-    pause: int = PAUSE
-    held: int = HELD
-
-
-TIMING = Timing()
+    pause: int = 10  # between two contacts
+    held: int = 20  # that a sudden contact lasts
 
 
 def press_frames(
@@ -70,9 +57,10 @@ def press_frames(
     mask: Mask | None = None,
     f_max: float = PAPER_F_MAX_N,
     noise: NoiseModel | None = None,
-    timing: Timing = TIMING,
+    timing: Timing = Timing(),
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the true forces and the readings of a skin that a body presses.
+    """Yield true forces and readings of a skin that a body presses: fresh arrays, float32 of
+    `shape`, in [0, f_max], 0 where no taxel exists.
 
     Parameters
     ----------
@@ -80,16 +68,10 @@ def press_frames(
         "plate": a rectangle, flat and a little tilted; "wrench": a handle and an open jaw; "peg": a
         disc, flat; "fingertips": three to five round tips, each with a course of its own;
         "gaussian": one to three smooth presses.
-    shape : (int, int)
-        Rows and columns of the skin, 1..4096 each.
-    n_frames : int
-        Number of frames; the first of them are untouched.
-    seed : int
-        Of all that is drawn: size ratios, places, directions, forces and noise.
     course : str
         "moving": after a ramp, the body moves on a straight path and turns back near the edges of
         the skin; "ramped": it rests, and its force rises and falls; "sudden": it presses with its
-        full force from one frame to the next for `HELD` frames, then somewhere else.
+        full force from one frame to the next, then somewhere else.
     speed : float
         Taxels a frame, of a moving body; the outer parts of a turning one are up to 1.5 times as
         fast.
@@ -102,13 +84,6 @@ def press_frames(
         Upper end of the range; peaks are 0.2 to 0.9 of it.
     noise : NoiseModel, optional
         That of the readings. None: none.
-    timing : Timing
-        Frames before the first contact, of a ramp, a pause and a sudden contact.
-
-    Yields
-    ------
-    truth, reading : ndarray of float32, shape `shape`
-        In [0, f_max], 0 where no taxel exists; fresh arrays.
     """
     if mask is None:
         mask = np.ones(shape, dtype=np.bool_)
