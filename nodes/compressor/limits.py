@@ -14,10 +14,8 @@ MIN_BITS = 5
 def compression_warnings(
     kind: str, n: int, m: int, block: int, bits: int | None = None
 ) -> list[str]:
-    """Return warnings about a valid measurement matrix that is known to reconstruct badly.
-
-    One line each: the setting, its effect, the advised value. `kind`, `n`, `m` and `block` are
-    those of `make_phi`; `bits` are those of a measurement, None for float32.
+    """Warnings about a valid measurement matrix, with arguments of `make_phi`, that is known to
+    reconstruct badly: a line each with the setting, its effect, the advised value.
     """
     warnings = []
     if n > MAX_RATIO * m:

@@ -254,14 +254,10 @@ class Compressor(Node[CompressorSettings]):
         x = forces.reshape(len(forces), -1)
         return x if self._cells is None else x[:, self._cells]
 
-    def _next_phi(self) -> Phi:
-        phi = self._subsets[self._subset]
-        self._subset = (self._subset + 1) % len(self._subsets)
-        return phi
-
     def _compress(self, taxels: Taxels) -> Measurements:
         x = self._existing(taxels)
-        phi = self._next_phi()
+        phi = self._subsets[self._subset]
+        self._subset = (self._subset + 1) % len(self._subsets)
         places = nodes = None
         if isinstance(phi, ActsPhi) and self._search is not None:
             found = self._search.places(x[0].take)

@@ -27,7 +27,7 @@ from sparseskin.nodes.sensor.files.recording import (
 )
 
 from .device_clock import DeviceClock
-from .source import LiveSource
+from .source import Address, LiveSource
 
 RESTART_NS = 1_000_000_000
 """A stamp that is earlier than the one before by so much is of a clock that was set or started
@@ -35,7 +35,7 @@ again; by less, of a frame in the wrong place."""
 
 
 class DriverSource(LiveSource):
-    """The frames of a user's driver, each checked as it is yielded.
+    """The frames of a user's driver, each checked as it is yielded; raises as `open_callable`.
 
     Readings are clipped to [0, f_max], as a sensor saturates; with `raw`, none is: a calibration
     converts them. Attributes are the driver's own where it has them, or else the name
@@ -43,19 +43,10 @@ class DriverSource(LiveSource):
     not finite are NaN, unless `nan` refuses them.
     """
 
-    def __init__(
-        self,
-        target: str,
-        driver: Iterable[object],
-        *,
-        f_max: float | None,
-        unit: str | None,
-        raw: bool = False,
-        nan: str = REFUSE,
-    ) -> None:
+    def __init__(self, address: Address, driver: Iterable[object]) -> None:
         super().__init__()
-        self._raw, self._nan = raw, nan
-        self._target = target
+        target, f_max, unit, raw = address.source, address.f_max, address.unit, address.raw
+        self._target, self._raw, self._nan = target, raw, address.policy.nan
         self._driver = driver
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._is_in_newtons = unit is None and f_max is None and not raw
@@ -91,6 +82,11 @@ class DriverSource(LiveSource):
             self.skin = Skin(n_rows, n_cols, self._f_max, "N" if unit is None else unit)
         self._skin = self.skin
         self.clock = DeviceClock(self.name, self._lines.append)
+        try:
+            check_stated_shape(*self.skin.shape, address.n_rows, address.n_cols, target)
+        except SourceError:
+            self.close()
+            raise
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """As of `Source`; the driver is closed at the end. Raises SourceError if it raises, yields
@@ -104,14 +100,6 @@ class DriverSource(LiveSource):
             yield from self._checked
         finally:
             self.close()
-
-    def check_shape(self, n_rows: int | None, n_cols: int | None) -> None:
-        """Raise SourceError, and close the driver, if its frames have another shape than stated."""
-        try:
-            check_stated_shape(*self.skin.shape, n_rows, n_cols, self._target)
-        except SourceError:
-            self.close()
-            raise
 
     def close(self) -> None:
         """Close the driver, so that its `finally` blocks run; raises SourceError if it raises
@@ -221,37 +209,18 @@ class DriverSource(LiveSource):
         return skin
 
 
-def open_callable(
-    target: str,
-    *,
-    f_max: float | None = None,
-    unit: str | None = None,
-    raw: bool = False,
-    nan: str = REFUSE,
-) -> DriverSource:
-    """Open a user's sensor driver.
+def open_callable(address: Address) -> DriverSource:
+    """Open a user's sensor driver, module:callable, of the current directory too.
 
-    Parameters
-    ----------
-    target : str
-        "module:callable"; the module is searched in the current directory too. It is called
-        without arguments and returns an iterable (a generator, mostly) of pairs (stamp_ns,
-        forces): an int that rises from frame to frame, and an array of shape (n_rows, n_cols),
-        integer or float. It may have the attributes of a `Source`. Without a `skin`, its first
-        frame is pulled at once, to learn the shape.
-    f_max, unit : float, str, optional
-        Range and unit; by default those of the driver's skin, or 2.5 N.
-    raw, nan
-        As of `DriverSource`, which raises SourceError for later frames.
-
-    Raises
-    ------
-    SourceError
-        If the module or callable is missing or fails, its first frame is bad, or a setting is
-        out of range or contradicts the driver's skin.
+    It is called without arguments and returns an iterable (a generator, mostly) of pairs (stamp_ns,
+    forces): an int that rises from frame to frame, and an array of shape (n_rows, n_cols), integer
+    or float. It may have the attributes of a `Source`. Without a `skin`, its first frame is pulled
+    at once, to learn the shape. Raises SourceError if the module or callable is missing or fails,
+    its first frame is bad, or a setting is out of range or contradicts the driver's skin.
     """
-    check_number(target, "f_max", f_max)
-    check_unit(target, unit)
+    target = address.source
+    check_number(target, "f_max", address.f_max)
+    check_unit(target, address.unit)
     make = find_callable(target, SourceError)
     with _running(target):
         driver = make()
@@ -260,7 +229,7 @@ def open_callable(
             f"{target}: returned {type(driver).__name__}; expected a generator or an iterable of "
             "(stamp_ns, forces)"
         )
-    return DriverSource(target, driver, f_max=f_max, unit=unit, raw=raw, nan=nan)
+    return DriverSource(address, driver)
 
 
 @contextmanager

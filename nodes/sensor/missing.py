@@ -27,19 +27,14 @@ class MissingReadings:
     `way` is "mask", "hold" or "zero". With `learns`, cells that no frame has held a number of are
     masked, first by the first frame. One that then holds one is a taxel from the next renewal on.
 
-    Attributes
-    ----------
-    skin : Skin
-        The skin without the masked cells.
-    is_news : bool
-        True once the skin has changed; whoever publishes it sets it to False.
-    n_cells, n_now, n_empty : int
-        Readings that were missing so far, in the newest frame, and frames without any reading.
+    `skin` is without the masked cells; `is_news` is True once it has changed, until whoever
+    publishes it sets it to False.
     """
 
     def __init__(self, way: str, skin: Skin, learns: bool) -> None:
         self.skin = skin
         self.is_news = False
+        #: Missing readings so far, in the newest frame, and frames without any reading.
         self.n_cells = self.n_now = self.n_empty = 0
         self.learns = learns
         self._way, self._whole = way, skin

@@ -56,19 +56,9 @@ def forms() -> str:
 
 
 def find_address(source: str, **stated: Any) -> Address:
-    """Return the address of a source.
-
-    Parameters
-    ----------
-    source : str
-        One of `forms`.
-    **stated
-        What settings state of it: attributes of `Address`.
-
-    Raises
-    ------
-    SourceError
-        If it has none of these forms, or the plug-in of its kind is missing, or cannot be imported.
+    """The address of a source, one of `forms`, with what settings state of it: attributes of
+    `Address`. Raises SourceError if it has none of these forms, or the plug-in of its kind is
+    missing, or cannot be imported.
     """
     kind, colon, rest = source.partition(":")
     if not (kind and colon and rest):
@@ -96,10 +86,7 @@ class DriverAddress(Address):
 
     def open(self) -> Source:
         self.check()
-        stated: dict[str, Any] = {"f_max": self.f_max, "unit": self.unit, "raw": self.raw}
-        driver = open_callable(self.source, **stated, nan=self.policy.nan)
-        driver.check_shape(self.n_rows, self.n_cols)
-        return driver
+        return open_callable(self)
 
 
 def check_module(target: str) -> None:
@@ -125,12 +112,8 @@ def check_module(target: str) -> None:
 
 
 def open_source(source: str, **stated: Any) -> Source:
-    """Open a source: arguments as of `find_address`.
-
-    Raises
-    ------
-    SourceError
-        If the source is missing or malformed, or a setting contradicts it.
+    """Open a source: arguments as of `find_address`. Raises SourceError if it is missing or
+    malformed, or a setting contradicts it.
     """
     address = find_address(source, **stated)
     address.check()

@@ -62,10 +62,7 @@ class Ros2Address(Address):
 
     def open(self) -> DriverSource:
         self.check()
-        stated: dict[str, Any] = {"f_max": self.f_max, "unit": self.unit, "raw": self.raw}
-        driver = DriverSource(self.source, frames(self.source), **stated, nan=self.policy.nan)
-        driver.check_shape(self.n_rows, self.n_cols)
-        return driver
+        return DriverSource(self, frames(self.source))
 
 
 def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:

@@ -16,7 +16,7 @@ from conftest import free_port
 import sparseskin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable
-from sparseskin.nodes.sensor.driver import open_callable
+from sparseskin.nodes.sensor.sources import open_source
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 UDP_SHAPE, SERIAL_SHAPE = (40, 40), (12, 32)
@@ -32,7 +32,7 @@ def opened(monkeypatch):
         find_callable(f"{name}:frames", SourceError)
         for key, value in constants.items():
             monkeypatch.setattr(sys.modules[name], key, value)
-        made.append(open_callable(f"{name}:frames"))
+        made.append(open_source(f"{name}:frames"))
         return made[-1]
 
     yield make

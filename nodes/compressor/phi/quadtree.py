@@ -46,21 +46,8 @@ class Quadtree:
     Taxels are where `exists`, bool (n_rows, n_cols), is True; tiles are so large that their sums
     are at most a quarter of the m measurements.
 
-    Attributes
-    ----------
-    n, n_tiles, n_nodes : int
-        Numbers of taxels, of the largest nodes, and of all nodes.
-    levels : list of Level
-        From the largest nodes to those whose quarters are taxels.
-    n_details : ndarray of intp, shape (n_nodes,)
-        Number of details of each node, 0..3: one less than it has quarters.
-    n_taxels : ndarray of intp, shape (n_nodes,)
-        Number of taxels of each node.
-    node_of_row, place_of_row : ndarray of intp, shape (n,)
-        Node of each row, and its place in a flat array of three details a node; those of a tile's
-        sum are the tile and -1.
-    tile_of_row : ndarray of intp, shape (n,)
-        The tile that the node of each row is in.
+    `n`, `n_tiles`, `n_nodes` are the numbers of taxels, of the largest nodes, and of all nodes;
+    `levels` go from the largest nodes to those whose quarters are taxels.
 
     Source: Haar wavelets on four quarters; Averbuch, Dekel, Deutsch, "Adaptive compressed image
     sensing using dictionaries", SIAM J. Imaging Sciences 5(1), 2012, for reading a tree of them
@@ -95,11 +82,14 @@ class Quadtree:
         self.n_tiles = self.levels[0].size if self.levels else 1
         each = [taxels for _, taxels in reversed(found)]
         stacked = np.concatenate(each) if each else np.zeros((0, N_PARTS), dtype=np.intp)
+        # Numbers of details, 0..3, one less than it has quarters, and of taxels of each node.
         self.n_details = np.maximum(np.count_nonzero(stacked, axis=1) - 1, 0)
         self.n_taxels = stacked.sum(axis=1) if each else np.ones(1, dtype=np.intp)
         used = np.arange(N_DETAILS) < self.n_details[:, None]
         places = np.flatnonzero(used)
         tiles = np.arange(self.n_tiles)
+        # Node of each row, and its place in a flat array of three details a node; those of a tile's
+        # sum are the tile and -1. Then the tile that the node is in.
         self.node_of_row = np.concatenate([tiles, places // N_DETAILS])
         self.place_of_row = np.concatenate([np.full_like(tiles, -1), places])
         tile_of_node = np.arange(max(self.n_nodes, 1))

@@ -36,17 +36,14 @@ class BagReader(AbstractContextManager["BagReader"]):
     Opening it checks the whole file: by its one checksum, at the speed of the disk, or chunk by
     chunk where the file has no index. Memory holds one chunk at a time.
 
-    Parameters
-    ----------
-    path : path
-        The bag, NAME.mcap or NAME.mcap.part. Raises BagError if it is missing, no bag, of a newer
-        version, or broken before the first record.
-    whole : bool
-        False: where the checksum of the index matches, the rest of the file is not read; a chunk
-        that is damaged is then found when it is read.
+    With `whole` False, where the checksum of the index matches, the rest of the file is not read; a
+    chunk that is damaged is then found when it is read. Raises BagError if the file is missing, no
+    bag, of a newer version, or broken before the first record.
 
     Attributes
     ----------
+    path : Path
+        NAME.mcap or NAME.mcap.part.
     metadata : dict of str to str
         Scene, seed, launch file, Phi, versions, as recorded.
     counts : dict or None
@@ -54,8 +51,7 @@ class BagReader(AbstractContextManager["BagReader"]):
     topics : dict of str to TopicInfo
         Readable topics, by name.
     recovered : str
-        "" for a whole file; else one line with the number of readable messages and the place of
-        the break.
+        "" for a whole file; else a line with the number of readable messages, and where it breaks.
     """
 
     def __init__(self, path: str | os.PathLike[str], whole: bool = True) -> None:

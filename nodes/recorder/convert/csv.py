@@ -49,10 +49,11 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     with whole_folder(out), ExitStack() as stack:
 
         def write(topic: str, suffix: str, figures: dict[str, Any], cells: Floats) -> None:
-            path = out / f"{'_'.join(split_topic(topic))}{suffix}.csv"
+            patch, schema = split_topic(topic)
+            path = out / f"{patch}_{schema}{suffix}.csv"
             if path not in files:
                 files[path] = stack.enter_context(open(path, "x", encoding="ascii"))
-                ours = {t.rpartition("/")[2]: s for t, s in states.items() if _alike(t, topic)}
+                ours = {t.rpartition("/")[2]: s for t, s in states.items() if patch_of(t) == patch}
                 names = ",".join([*figures, *_cell_names(cells, longest.get(topic, 0))])
                 title = f"# sparseskin frames of {topic}{suffix}"
                 files[path].write(f"{title}\n# {json.dumps(ours)}\n{names}\n")
@@ -83,10 +84,6 @@ def _events(message: Contacts) -> list[dict[str, Any]]:
         {"stamp_ns": message.stamp_ns, "id": number, "event": event}
         for number, event in message.named_events
     ]
-
-
-def _alike(topic: str, other: str) -> bool:
-    return patch_of(topic) == patch_of(other)
 
 
 def _figures(message: Message) -> dict[str, Any]:

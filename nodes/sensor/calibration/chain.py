@@ -50,19 +50,6 @@ class Chain:
         not fit in memory.
     log : callable
         Receives one line of text on each tare.
-
-    Attributes
-    ----------
-    description : SkinDescription
-        The skin, with the baseline in use; it contains no drift.
-    skin : Skin
-        Geometry and range of the forces.
-    clipped : Clipped
-        Readings above f_max, and below f_min by more than noise, so far.
-    is_starting : bool
-        True while the tare at the start waits for frames.
-    is_news : bool
-        True once a tare has changed the baseline; whoever publishes it sets it to False.
     """
 
     def __init__(
@@ -72,13 +59,15 @@ class Chain:
         tare: int = 0,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
-        d = self.description = description
+        d = self.description = description  # with the baseline in use; it contains no drift
         self.skin: Skin = d.skin
         self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
-        self.clipped = Clipped()
+        self.clipped = Clipped()  # above f_max, and below f_min by more than noise
         self._last: Doubles | None = None
         self._untared: Mask = np.zeros(d.shape, np.bool_)
         self._log = log
+        #: True while the tare at the start waits for frames; once a tare has changed the baseline,
+        #: until whoever publishes it sets it to False.
         self.is_starting, self.is_news = tare > 0, False
         self._tared = ""
         self._taring: list[npt.NDArray[Any]] = []

@@ -86,25 +86,21 @@ def fit(
 
     Parameters
     ----------
-    name : str
-        Name of the skin.
+    name, unit, pitch_mm, mask
+        As of `SkinDescription`; with presses the unit is "N".
     untouched : ndarray, shape (n, rows, cols)
         Raw readings of the untouched skin, n >= 2.
     presses : sequence of Press
         Known loads; none: readings above the baseline are forces.
     f_max : float, optional
         Upper end of the range, in `unit`; by default 1.25 times the largest force of a press.
-    unit, pitch_mm, mask
-        As of `SkinDescription`; with presses the unit is "N".
     curve : "shared", "taxel" or "linear"
         Response curve where even loads of several forces are known.
     keep_noise : bool
         True: the range begins at -4 standard deviations of the noise, so that none is clipped.
 
-    Raises
-    ------
-    CalibrationError
-        If there are too few frames, a press is not seen, or readings do not rise with force.
+    Raises CalibrationError if there are too few frames, a press is not seen, or readings do not
+    rise with force.
     """
     untouched = np.asarray(untouched)
     if untouched.ndim != 3 or len(untouched) < 2:

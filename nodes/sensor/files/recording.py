@@ -66,11 +66,8 @@ class Policy:
     raw: bool = False
 
     def __post_init__(self) -> None:
-        for name, way, ways in (
-            ("nan", self.nan, NAN_WAYS),
-            ("negative", self.negative, NEGATIVE_WAYS),
-        ):
-            if way not in ways:
+        for name, ways in (("nan", NAN_WAYS), ("negative", NEGATIVE_WAYS)):
+            if (way := getattr(self, name)) not in ways:
                 raise SourceError(f"{name}: {shown(way)} is not known{nearest_of(str(way), ways)}")
 
     @property

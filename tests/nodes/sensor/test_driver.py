@@ -9,9 +9,9 @@ import pytest
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.sensor.driver import DriverSource, open_callable
+from sparseskin.nodes.sensor import driver
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
-from sparseskin.nodes.sensor.sources import open_source
+from sparseskin.nodes.sensor.sources import DriverAddress, open_source
 
 
 @pytest.fixture
@@ -28,10 +28,14 @@ def module(tmp_path, monkeypatch):
     return write
 
 
+def opened(target, **stated):
+    return driver.open_callable(DriverAddress(target, **stated))
+
+
 def yielding(module, *pairs):
     """Open a generator of the given pairs, written as Python expressions."""
     lines = "\n".join(f"    yield {pair}" for pair in pairs)
-    return open_callable(module(f"def frames():\n{lines}\n") + ":frames")
+    return opened(module(f"def frames():\n{lines}\n") + ":frames")
 
 
 class TestFrames:
@@ -49,8 +53,8 @@ class TestFrames:
 
     def test_a_first_frame_of_another_shape_than_stated_is_refused(self, module):
         name = module("def frames():\n    yield 0, np.zeros((2, 3))\n")
-        opened = open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=3)
-        assert opened.skin.shape == (2, 3)
+        right = open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=3)
+        assert right.skin.shape == (2, 3)
         with pytest.raises(SourceError, match="n_cols = 4 is stated, but the frames have 3"):
             open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=4)
 
@@ -107,14 +111,14 @@ class TestLife:
 
     def test_the_driver_is_closed_once_when_reading_stops_early(self, module):
         name = module(self.BODY)
-        source = open_callable(f"{name}:frames")
+        source = opened(f"{name}:frames")
         next(iter(source))
         source.close()
         source.close()
         assert sys.modules[name].events == ["closed"]
 
     def test_a_generator_is_not_read_twice(self, module):
-        source = open_callable(module(self.BODY) + ":frames")
+        source = opened(module(self.BODY) + ":frames")
         assert len(list(source)) == 3
         with pytest.raises(SourceError, match="was read before"):
             list(source)
@@ -136,7 +140,7 @@ class TestSourceObject:
     """
 
     def test_its_own_attributes_hold_and_masked_cells_do_not_count(self, module):
-        source = open_callable(module(self.BODY) + ":Hand")
+        source = opened(module(self.BODY) + ":Hand")
         assert (source.name, source.delivers) == ("hand", "truth")
         assert (source.rate_hz, source.n_frames) == (200.0, 1)
         assert source.skin.n_taxels == 2
@@ -166,7 +170,7 @@ class TestSourceObject:
     def test_attributes_that_cannot_hold_are_refused(self, module, old, new, message):
         name = module(self.BODY.replace(old, new))
         with pytest.raises(SourceError, match=message):
-            open_callable(f"{name}:Hand", f_max=4, unit="N")
+            opened(f"{name}:Hand", f_max=4, unit="N")
 
 
 class TestName:
@@ -179,7 +183,7 @@ class TestName:
     )
     def test_what_is_not_module_and_callable_is_refused(self, target, message):
         with pytest.raises(SourceError, match=message):
-            open_callable(target)
+            opened(target)
 
     @pytest.mark.parametrize(
         ("body", "message"),
@@ -194,15 +198,15 @@ class TestName:
     )
     def test_what_is_no_driver_is_refused(self, module, body, message):
         with pytest.raises(SourceError, match=message):
-            open_callable(module(body) + ":frames")
+            opened(module(body) + ":frames")
 
     def test_a_range_that_is_none_is_refused(self):
         with pytest.raises(SourceError, match="f_max = "):
-            open_callable("a_skin:frames", f_max=float("nan"))
+            opened("a_skin:frames", f_max=float("nan"))
 
 
 def test_a_frame_is_a_copy_of_what_was_delivered():
     delivered = np.ones((3, 4), np.float32)
-    ((_, forces),) = DriverSource("skin:frames", [(0, delivered)], f_max=2.5, unit=None)
+    ((_, forces),) = driver.DriverSource(DriverAddress("skin:frames", f_max=2.5), [(0, delivered)])
     assert not np.shares_memory(forces, delivered)
     np.testing.assert_array_equal(forces, delivered)

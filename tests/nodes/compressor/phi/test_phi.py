@@ -9,10 +9,15 @@ import pytest
 from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.identity import FullPhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError
 
 KINDS = ["sbhe", "full", "subsample", "gaussian"]
+
+
+class Unnamed(FullPhi):
+    fingerprint = property(lambda self: "", lambda self, value: None)
 
 
 def normal(shape, seed=5):
@@ -117,6 +122,7 @@ def test_describe_is_enough_to_make_it_again(kind):
         (("no_such_module:Phi", 64, 20, 0), "no_such_module"),
         (("collections:OrderedDict", 64, 20, 0), "no measurement matrix: it lacks kind"),
         (("decimal:Decimal", 64, 20, 0), "does not take n, m, seed, block"),
+        ((f"{__name__}:Unnamed", 64, 64, 0), "fingerprint = ''; expected 16 hexadecimal digits"),
     ],
 )
 def test_what_cannot_be_made_is_named(arguments, message):

@@ -7,19 +7,17 @@ from sparseskin.nodes.sensor.scenes.bodies import wooden_cube
 from sparseskin.nodes.sensor.scenes.scenes import SKIN, TAXEL_RADIUS_M
 from sparseskin.nodes.sensor.scenes.terrain import Terrain
 
-SHAPE = (40, 40)
-
 
 @pytest.mark.parametrize(("axis", "sign"), [("pitch", -1.0), ("roll", 1.0)])
 def test_a_tilt_lifts_one_side_of_the_body_and_lowers_the_other(axis, sign):
     yaw_rad = 0.7
     sole = wooden_cube(TAXEL_RADIUS_M).sole
-    bed, taxels = Terrain(SKIN, SHAPE, sole, yaw_rad, ("z", "pitch", "roll")).under((0.01, -0.02))
-    rows, cols = np.divmod(taxels, SHAPE[1])
+    terrain = Terrain(SKIN, (40, 40), sole, yaw_rad, ("z", "pitch", "roll"))
+    bed, taxels = terrain.under((0.01, -0.02))
+    rows, cols = np.divmod(taxels, 40)
     x = (cols - 19.5) * SKIN.pitch_m - 0.01
     y = (rows - 19.5) * SKIN.pitch_m + 0.02
-    along = x if axis == "pitch" else y
-    across = y if axis == "pitch" else -x
+    along, across = (x, y) if axis == "pitch" else (y, -x)
     place = np.cos(yaw_rad) * along + np.sin(yaw_rad) * across
     column = bed.jacobian[:, 1 if axis == "pitch" else 2]
     np.testing.assert_allclose(column, sign * place, atol=1e-12)
