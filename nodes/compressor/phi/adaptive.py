@@ -65,17 +65,9 @@ class AdaptivePhi(Phi):
     The fingerprint is of n, m and the grid: the choice has to travel with the measurements. Raises
     PhiError also if m is less than 4, a sum and the details of a node.
 
-    Attributes
-    ----------
-    tree : Quadtree
-        W.
-    rows : ndarray of intp, shape (m,)
-        Rows of W that are measured, ascending.
-    chosen : ndarray of bool, shape (n_nodes,)
-        Nodes of which all details are measured.
-    bias, untouched : float
-        Mean reading of an untouched taxel, and the normalised sum up to which a node counts as
-        untouched, in the unit of the forces.
+    `tree` is W, of which the `rows`, intp (m,), ascending, are measured: all details of the nodes
+    `chosen`, bool (n_nodes,). `bias` and `untouched` are the mean reading of an untouched taxel,
+    and the normalised sum up to which a node counts as untouched, in the unit of the forces.
     """
 
     kind = "adaptive"
@@ -168,12 +160,9 @@ class HeldRows:
     Details that were not read again scale with the sum of their node: a contact that presses
     harder keeps its shape. Those of an untouched node are 0, because forces are not negative.
 
-    Attributes
-    ----------
-    sums, sums_read : ndarray of float64, shape (n_nodes,)
-        Normalised sum of each node in this frame, and when its details were read; 0 before that.
-    now, details : ndarray of float64, shape (n_nodes, 3)
-        Details in this frame, and as they were read.
+    `sums` and `sums_read`, float64 (n_nodes,), are the normalised sum of each node in this frame,
+    and when its details were read, 0 before that; `now` and `details`, (n_nodes, 3), its details in
+    this frame, and as they were read.
     """
 
     def __init__(self, phi: AdaptivePhi) -> None:

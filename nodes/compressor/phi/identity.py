@@ -32,10 +32,8 @@ class FullPhi(Phi):
 class SubsamplePhi(RotatingPhi):
     """Phi = Q_M: m single taxels, chosen at random; needs no wiring between taxels.
 
-    Attributes
-    ----------
-    rows : ndarray of intp, shape (m,)
-        The taxels that are read, ascending. With one seed, a smaller m keeps a subset of them.
+    `rows` are the taxels that are read, intp (m,), ascending. With one seed, a smaller m keeps a
+    subset of them.
     """
 
     kind = "subsample"

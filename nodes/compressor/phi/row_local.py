@@ -32,12 +32,8 @@ class RowLocalPhi(RotatingPhi):
 
     Until `lay_out` states the grid, it is a square of n taxels, or else one column of them.
 
-    Attributes
-    ----------
-    patterns : ndarray of float32, shape (n_cols, n_cols)
-        B of all patterns; row 0 is that of all columns.
-    rows : ndarray of intp, shape (m,)
-        t n_rows + r of each measurement, ascending.
+    `patterns` are B of all patterns, float32 (n_cols, n_cols), row 0 that of all columns; `rows`
+    are t n_rows + r of each measurement, intp (m,), ascending.
 
     Raises PhiError also if, once the grid is stated, a cell has no taxel, m is less than n_rows, or
     there are more than 1024 columns.

@@ -29,18 +29,9 @@ class SbhePhi(RotatingPhi):
     rule 1, the paper's, rows and row subsets are drawn at random from all. With one seed and rule,
     a smaller m keeps a subset of the rows of a larger one.
 
-    Attributes
-    ----------
-    rule : int
-        1 or 2, as stated.
-    permutation : ndarray of intp, shape (n,)
-        P_N: column j of W sees taxel permutation[j].
-    rows : ndarray of intp, shape (m,)
-        Q_M: measurement i is row rows[i] of W; ascending.
-    sizes : list of int
-        Sizes of the blocks of W, in their order.
-    scale : ndarray of float32, shape (m,)
-        1 / sqrt(B) of each measurement's block.
+    Column j of W sees taxel `permutation[j]`, intp (n,); measurement i is its row `rows[i]`, intp
+    (m,), ascending, of a block whose 1 / sqrt(B) is `scale[i]`, float32 (m,). `sizes` are those of
+    the blocks of W, in their order.
 
     Source: the paper, section IV-B; Gan, Do, Tran, "Fast compressive imaging using scrambled
     block Hadamard ensemble", EUSIPCO 2008. The paper's rows hold plain +1 and -1: they are

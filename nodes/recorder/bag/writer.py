@@ -100,16 +100,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     Memory holds a chunk of messages and the index of all chunks, 0.5 kB a chunk and 60 bytes for
     each topic in it: 15 MB an hour with five chunks a second of five topics.
 
-    Parameters
-    ----------
-    path : Path
-        The complete bag, NAME.mcap. Raises BagError if it or NAME.mcap.part exists or cannot be
-        created, or the metadata are no valid Unicode.
-    metadata : mapping of str to str
-        Origin of the recording: scene, seed, launch file, Phi, versions.
-    flush_every_s : float
-        Longest time that a message stays in memory while `write` or `tick` is called, by the clock
-        `monotonic`, seconds.
+    `path` is that of the complete bag, NAME.mcap; `metadata` state its origin: scene, seed, launch
+    file, Phi, versions. A message stays in memory for `flush_every_s` seconds of the clock
+    `monotonic` at most, while `write` or `tick` is called. Raises BagError if NAME.mcap or
+    NAME.mcap.part exists or cannot be created, or the metadata are no valid Unicode.
     """
 
     def __init__(

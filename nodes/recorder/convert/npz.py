@@ -51,9 +51,7 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     (n_frames, n_rows, n_cols), NaN where a reading is missing; `measurements`, float32 of shape
     (n_frames, M), padded with NaN where M changes; a stamp a frame in `stamp_ns` (of `forces`),
     `truth_stamp_ns`, `reconstruction_stamp_ns`, `measurements_stamp_ns`, int64; and the skin's
-    `f_max`, `unit`, `mask`, `points` (float32, (n_taxels, 6): place in metres and normal of each
-    taxel of a skin that is no flat grid), `point_rows` (int32, (n_taxels,): the row of each among
-    those of the file of points), `pitch_m`, `rate_hz`, where known.
+    `f_max`, `unit`, `mask`, `points`, `point_rows`, `pitch_m`, `rate_hz` as of `Skin`, where known.
 
     All other numbers and texts of all messages are arrays SCHEMA_FIELD with one entry a message,
     e.g. `reconstruction_sd` (NaN in frames without one), `reconstruction_trusted`,
@@ -61,9 +59,9 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     the last states, in `states`, as the comment of `export_csv` has them. `states`, `patch`,
     `metadata` and `counts` are texts, JSON but for the patch.
 
-    Of contacts there is an array `contacts_COLUMN` with an entry for each contact of each frame, by
-    the columns of `Contacts`, e.g. `contacts_stamp_ns`, `contacts_id`, `contacts_total`; and of
-    events `contacts_event_stamp_ns`, `contacts_event_id` and `contacts_event`, its name.
+    Contacts are arrays `contacts_COLUMN` with an entry for each contact of each frame, by the
+    columns of `Contacts`; their events `contacts_event_stamp_ns`, `contacts_event_id` and
+    `contacts_event`.
 
     Raises BagError if the bag has no such frames or their shape changes, OutputError if a file
     exists or cannot be written.

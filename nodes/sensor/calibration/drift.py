@@ -1,13 +1,8 @@
-"""Slow drift of the baseline, followed only where a skin is untouched.
+"""Slow drift of the baseline, followed only where a skin is untouched: docs/howto/calibration.md.
 
-The drift w of a taxel, in newtons, is subtracted from its force. While the taxel is untouched, w
-follows the smoothed force f that is left, with the time constant tau and at most the rate r:
-
-    dw/dt = clip(f / tau, -r, r),    |w| <= w_max,
-
-so that a constant force loses at most r t in the time t. A press loses none: above a threshold a
-taxel counts as touched, and below it a press is told from drift by how fast it begins. Two low
-passes of the force, of 0.5 s and 3 s, differ by
+A constant force loses at most r t in the time t. A press loses none: above a threshold a taxel
+counts as touched, and below it a press is told from drift by how fast it begins. Two low passes of
+the force, of 0.5 s and 3 s, differ by
 
     j(t) = h (exp(-t / 3 s) - exp(-t / 0.5 s)),    0.58 h at most,
 

@@ -53,8 +53,7 @@ class TestFrames:
 
     def test_a_first_frame_of_another_shape_than_stated_is_refused(self, module):
         name = module("def frames():\n    yield 0, np.zeros((2, 3))\n")
-        right = open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=3)
-        assert right.skin.shape == (2, 3)
+        assert open_source(f"{name}:frames", n_rows=2, n_cols=3).skin.shape == (2, 3)
         with pytest.raises(SourceError, match="n_cols = 4 is stated, but the frames have 3"):
             open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=4)
 
