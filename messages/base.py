@@ -18,24 +18,8 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Message:
-    """A typed, immutable message; its fields are checked when it is made.
-
-    Attributes
-    ----------
-    stamp_ns : int
-        Time of the acquisition (not of sending) on the graph's clock, in nanoseconds.
-        It names the frame: all messages that descend from one frame carry its stamp.
-    patch : str
-        The patch of skin that the message belongs to.
-    run_id : str
-        16 hex digits, drawn when the publisher starts; "" until it is published.
-    seq : int
-        0, 1, 2, ... of a publisher run and topic; a gap is a loss.
-
-    Raises
-    ------
-    MessageError
-        If a field has the wrong type, shape or range; the subclass names the reason.
+    """A typed, immutable message; its fields are checked when it is made. Raises MessageError if
+    one has the wrong type, shape or range; the subclass names the reason.
     """
 
     schema: ClassVar[str]
@@ -46,9 +30,13 @@ class Message:
     """Fields that are times on the graph's clock."""
 
     stamp_ns: int = wire(Integer())
+    """Time of the acquisition (not of sending) on the graph's clock, nanoseconds. It names the
+    frame: all messages that descend from one frame carry its stamp."""
     patch: str = wire(Text(MAX_NAME, NAME_PATTERN))
     run_id: str = wire(Text(16, r"([0-9a-f]{16})?"), default="")
+    """16 hex digits, drawn when the publisher starts; "" until it is published."""
     seq: int = wire(Integer(), default=0)
+    """0, 1, 2, ... of a publisher run and topic; a gap is a loss."""
 
     def __post_init__(self) -> None:
         values = self.__dict__

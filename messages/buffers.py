@@ -113,11 +113,7 @@ def is_frame(cls: type[Message]) -> bool:
 
 def frame_pieces(message: Message) -> list[Any]:
     """Bytes and arrays, not copied, that follow each other in the buffer of a message.
-
-    Raises
-    ------
-    MessageError
-        If its description is too large to travel.
+    Raises MessageError if its description is too large to travel.
     """
     form, values = _form(type(message)), message.__dict__
     key: list[Any] = [form.cls, *(values[name] for name, _ in form.texts)]
@@ -155,11 +151,7 @@ def frame_pieces(message: Message) -> list[Any]:
 
 def decode_frame(topic: bytes, payload: Payload) -> Message:
     """Turn topic and payload of a frame back into the message; its arrays are read-only views.
-
-    Raises
-    ------
-    MessageError
-        As `decode` does.
+    Raises MessageError as `decode` does.
     """
     stream = _stream_of(topic, payload)
     n_bytes = len(payload)
@@ -191,13 +183,7 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
 
 def head_of(topic: bytes, payload: Payload) -> tuple[str, int, int]:
     """Run id, sequence number and stamp of a frame, unchecked.
-
-    Raises
-    ------
-    MessageError
-        If it has no description.
-    struct.error
-        If it is cut off.
+    Raises MessageError if it has no description, struct.error if it is cut off.
     """
     stream = _stream_of(topic, payload)
     numbers = stream.numbers.unpack_from(payload, stream.numbers_at)

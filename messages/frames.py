@@ -33,13 +33,9 @@ def _of_patches(cls: type[Message]) -> dict[str, Each | Array]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frames(Message):
-    """Base of the messages of frames.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the patches in the order of the arrays, 1 to 256; `patch` is then the name under
-        which they are published together. (): one patch, of the name `patch`.
+    """Base of the messages of frames. `names` are those of the patches in the order of the arrays,
+    1 to 256; `patch` is then the name under which they are published together. (): one patch, of
+    the name `patch`.
     """
 
     version: ClassVar[int] = 2
@@ -70,13 +66,9 @@ class Frames(Message):
         return False
 
     def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
-        """Messages of the single patches, arrays being views.
-
-        Parameters
-        ----------
-        held : mapping, optional
-            Last forces of each patch by its name, in which they are kept for those that a later
-            `Reconstruction` does not send. A patch of which nothing is known is left out.
+        """Messages of the single patches, arrays being views. `held` keeps the last forces of each
+        patch by its name, for those that a later `Reconstruction` does not send; a patch of which
+        nothing is known is left out.
         """
         return [self._single(k) for k in range(len(self.names))] if self.names else [self]
 
@@ -211,37 +203,28 @@ class Reconstruction(Sensed):
     forces : ndarray of float32, shape (n_patches, n_rows, n_cols)
         In the skin's unit, 0 or more; 0 in masked cells. Those of patches that are `unchanged` may
         be left out, all of them: then of shape (n_changed, n_rows, n_cols).
-    phi : str
-        Fingerprint of the Phi that was inverted.
-    iterations : tuple of int
-        Number of iterations of the solver, of each patch.
-    residual : tuple of float
-        ||Phi x - y|| / sqrt(M) of each patch, in the skin's unit.
-    solve_ns : tuple of int
-        Duration of the solver, nanoseconds, of each patch.
-    done_ns : int
-        Time of the reconstruction on the graph's clock, nanoseconds.
+    phi, iterations
+        Fingerprint of the Phi that was inverted; number of iterations of the solver.
+    residual, solve_ns, done_ns
+        ||Phi x - y|| / sqrt(M), in the skin's unit; duration of the solver, and time of the
+        reconstruction on the graph's clock, nanoseconds.
     sd : ndarray of float32, shape (n_patches, n_rows, n_cols), or None
         Standard deviation of each force, in the skin's unit, where it is computed: 90 % of the
         true forces lie within 1.645 of it.
     skipped : int
         Number of frames skipped since the last reconstruction because newer ones waited.
     error : tuple of (float or None)
-        Estimated RMS error of a taxel of each patch, in the skin's unit, where the solver estimates
-        it.
-    trusted : tuple of bool
-        False of a patch whose forces are not to be acted on; True also where the error is not
-        estimated.
-    reason : tuple of str
-        Why a patch is not trusted: "error" (the estimated error is a large part of the forces),
-        "constant" (all measurements are equal: the frame was left out), "frozen" (frames repeat
-        exactly), "missing" (readings are missing next to each other, see `Sensed`), "range" (a
-        force beyond f_max), "uniform" (all taxels rose together), "rows" (measurements contradict
-        each other), "stuck" (a row, column or square of taxels may be stuck); "" of one that is,
-        and where it was not stated.
+        RMS error of a taxel, in the skin's unit, where the solver estimates it.
+    trusted, reason : tuple of bool, tuple of str
+        False where forces are not to be acted on, and why: "error" (the estimated error is a large
+        part of the forces), "constant" (all measurements are equal: the frame was left out),
+        "frozen" (frames repeat exactly), "missing" (readings are missing next to each other, see
+        `Sensed`), "range" (a force beyond f_max), "uniform" (all taxels rose together), "rows"
+        (measurements contradict each other), "stuck" (a row, column or square of taxels may be
+        stuck); else, and where it was not stated, "".
     unchanged : tuple of bool
-        True of a patch whose measurements changed by no more than their noise: the frame was not
-        solved, and its forces are those of the frame before.
+        True where measurements changed by no more than their noise: the frame was not solved, and
+        its forces are those of the frame before.
     """
 
     schema: ClassVar[str] = "reconstruction"
@@ -290,17 +273,9 @@ class Reconstruction(Sensed):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Resultant(Message):
-    """Total force and centre of pressure, estimated from the measurements alone.
-
-    Attributes
-    ----------
-    total, total_sd : float
-        Sum of all forces, in the skin's unit, 0 or more, and its standard deviation.
-    row, col, row_sd, col_sd : float or None
-        Centre of pressure, in rows and columns from the middle of taxel (0, 0), and standard
-        deviations; None where no contact is detected.
-    done_ns : int
-        Time of the estimate on the graph's clock, nanoseconds.
+    """Total force and centre of pressure, estimated from the measurements alone, at `done_ns` on
+    the graph's clock: `total` in the skin's unit, 0 or more; `row` and `col` from the middle of
+    taxel (0, 0); and standard deviations. None where no contact is detected.
     """
 
     schema: ClassVar[str] = "resultant"

@@ -11,16 +11,9 @@ MIN_BITS, MAX_BITS = 2, 24
 
 
 class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
-    """A float32 array whose values are k * step, each k a whole number of `bits` bits.
-
-    It is used like any array; results of computations are plain arrays.
-
-    Attributes
-    ----------
-    bits : int
-        2..24; k lies in -(2^(bits-1) - 1) .. 2^(bits-1) - 1.
-    step : float
-        Above 0, in the unit of the values.
+    """A float32 array whose values are k * step, step above 0 in their unit, each k a whole number
+    of `bits` bits, 2..24, in -(2^(bits-1) - 1) .. 2^(bits-1) - 1. It is used like any array;
+    results of computations are plain arrays.
     """
 
     bits: int

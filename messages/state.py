@@ -22,26 +22,13 @@ Derived: of max(0, z), z normal, sqrt(1/2 - 1/(2 pi))."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkinState(Message):
-    """The skin of a patch, and the source of its frames.
+    """The skin of a patch, as `Skin`, and the source of its frames: name of the scene, recording or
+    driver, seed of scene and noise, frame rate that the sensor is asked for (0: as fast as
+    possible), and if /PATCH/truth and /PATCH/taxels are published (not those of a skin that is
+    compressed outside the graph).
 
-    Attributes
-    ----------
-    n_rows, n_cols, f_max, unit, pitch_m, mask, points, point_rows
-        As in `Skin`.
-    source : str
-        Name of the scene, recording or driver.
-    seed : int
-        Seed of the scene and of the noise.
-    rate_hz : float
-        Frame rate that the sensor is asked for; 0: as fast as possible.
-    has_truth : bool
-        True if /PATCH/truth is published.
-    sigma_mid, sigma_end : float
-        Noise model: standard deviation at mid-range and at both ends, in `unit`.
-    has_taxels : bool
-        False if the skin is compressed outside the graph, so that /PATCH/taxels is not published.
-    f_min : float
-        Lower end of the range, 0 or less, in `unit`: below 0, noise around 0 is not clipped.
+    `sigma_mid` and `sigma_end` are the standard deviations of the noise at mid-range and at both
+    ends, `f_min` the lower end of the range, 0 or less: below 0, noise around 0 is not clipped.
     """
 
     schema: ClassVar[str] = "skin"
@@ -95,18 +82,9 @@ class Calibration(Message):
     """The calibration of a skin in use, with which raw readings became forces.
 
     A raw reading c became clip(R(g (c - b)) - w, f_min, f_max): w is the drift that is followed,
-    which is not published.
-
-    Attributes
-    ----------
-    name : str
-        Name of the skin.
-    baseline, gains : ndarray of float32, shape (n_rows, n_cols), or None
-        b in raw readings, and g; None: 0, and 1.
-    response_reading : ndarray of float32, shape (K, 1, 1) or (K, n_rows, n_cols), or None
-        Readings at the knots of R, of all taxels or of each; None: R is the identity.
-    response_force : ndarray of float32, shape (K,), or None
-        Forces at the knots, in the skin's unit.
+    which is not published. Baseline b in raw readings and gains g are float32 (n_rows, n_cols),
+    None: 0, and 1. R has K knots: readings (K, 1, 1) of all taxels or (K, n_rows, n_cols) of each,
+    forces (K,) in the skin's unit, float32; None: R is the identity.
     """
 
     schema: ClassVar[str] = "calibration"

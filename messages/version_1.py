@@ -34,11 +34,7 @@ def topic_today(topic: str) -> str:
 
 def payload_today(payload: bytes) -> bytes:
     """A payload of version 1, a map, as one of today; fields are checked when it is decoded.
-
-    Raises
-    ------
-    MessageError
-        If it is no map, or no message of version 1.
+    Raises MessageError if it is no map, or no message of version 1.
     """
     body = unpacked(payload, dict, len(payload))
     try:

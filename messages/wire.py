@@ -65,12 +65,9 @@ def encode(message: Message) -> tuple[bytes, bytes]:
 def decode(topic: bytes, payload: Payload) -> Message:
     """Turn topic and payload back into the message; its arrays are read-only views of `payload`.
 
-    Raises
-    ------
-    MessageError
-        One of its subclasses for every input that the encoders cannot have made: malformed,
-        truncated, oversized, an unknown schema or version, a wrong shape, a value out of range,
-        NaN or infinity, or another topic than the message's own.
+    Raises MessageError, one of its subclasses, for every input that the encoders cannot have made:
+    malformed, truncated, oversized, an unknown schema or version, a wrong shape, a value out of
+    range, NaN or infinity, or another topic than the message's own.
     """
     n_bytes = len(payload)
     if len(topic) > MAX_TOPIC_BYTES:

@@ -18,22 +18,9 @@ LOCAL_RUN_ID = "0" * 16
 
 
 class Bus:
-    """Runs nodes in one process, as fast as possible.
+    """Runs nodes in one process, as fast as possible. `clock` is by default a `SystemClock`; lines
+    of text are by default appended to `lines`. Raises SettingsError as `join`.
 
-    Parameters
-    ----------
-    nodes : mapping of str to (type, settings)
-        Node classes with their settings, by node name.
-    clock, log
-        A `SystemClock` by default; by default lines of text are appended to `lines`.
-
-    Raises
-    ------
-    SettingsError
-        As in `join`.
-
-    Examples
-    --------
     >>> bus = Bus({"sensor": (Sensor, Sensor.Settings(source="scene:path_40")), ...})
     >>> bus.run(n_frames=100)
     >>> bus.reports()["monitor"]["patches"]["skin"]["psnr_db"]

@@ -39,10 +39,8 @@ def wall_offset_ns() -> int:
 
 
 class SystemClock:
-    """The monotonic clock of the host, shifted to the time of day once, at start.
-
-    All nodes of a graph receive the same `offset_ns`, so that their stamps agree, and setting the
-    time of day while they run has no effect.
+    """The monotonic clock of the host, shifted to the time of day once, at start: nodes of a graph
+    share `offset_ns`, so that their stamps agree, and setting the time of day has no effect.
     """
 
     def __init__(self, offset_ns: int | None = None) -> None:

@@ -24,40 +24,25 @@ S = TypeVar("S", bound=Settings)
 
 @dataclass(frozen=True)
 class Context:
-    """Environment of a node, passed by its runner.
-
-    Attributes
-    ----------
-    name, clock
-        Name of the node in its graph; the graph's clock.
-    log : callable
-        Receives one line of text for the graph's log.
-    ask : callable or None
-        Receives a request to a node of the graph, {id, node, command, value}, that the launcher
-        passes on; the answer arrives as a command "answer". None without a launcher.
-    late : bool
-        True if the node joins a running graph.
-    clock_of : callable
-        Receives an input topic; returns the estimate of the clock of its writer's host against
-        `clock`, None while there is none.
-    page_token : str
-        Random text, the same for one run of a graph, that its live pages ask for.
-    page_file : str
-        Path in a folder that no other user can enter, where a page that opens a live page may be
-        written; the launcher removes it. "": none.
-    live : bool
-        False where frames wait until the nodes are done with those before, as in a `Bus`.
-    """
+    """Environment of a node, passed by its runner."""
 
     name: str
     clock: Clock
     log: Callable[[str], None] = field(default=lambda line: None)
+    """Receives one line of text for the graph's log."""
     ask: Callable[[dict[str, Any]], None] | None = None
+    """Receives a request to a node of the graph, {id, node, command, value}, that the launcher
+    passes on; the answer arrives as a command "answer". None without a launcher."""
     late: bool = False
+    """True if the node joins a running graph."""
     clock_of: Callable[[str], ClockEstimate | None] = field(default=lambda topic: SAME_CLOCK)
+    """Clock of the host of an input topic's writer against `clock`; None while not known."""
     page_token: str = ""
+    """Random text, the same for one run of a graph, that its live pages ask for."""
     page_file: str = ""
+    """Where a page that opens a live page may be written, which no other user reads; "": none."""
     live: bool = True
+    """False where frames wait until the nodes are done with those before, as in a `Bus`."""
 
     def rng(self, seed: int) -> np.random.Generator:
         """Random generator of a seed: the same numbers wherever the node runs."""

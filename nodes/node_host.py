@@ -82,19 +82,11 @@ class Counts:
 
 
 class NodeHost:
-    """Runs a node's logic, independent of the transport.
+    """Runs a node's logic, independent of the transport. `run_id`, 16 hex digits, is new for each
+    run of the node; its `inputs` are by default those that it states.
 
-    Parameters
-    ----------
-    node, log
-        The node; receives one line of text.
-    run_id : str
-        16 hex digits, new for each run of the node.
-    inputs : iterable of str, optional
-        The node's input topics; by default those that it states.
-    late, late_inputs
-        True if the node joins a running graph: messages before the first are then not lost; topics
-        of which that is true by themselves, such as those of another host.
+    Of a node that joins a running graph (`late`), and of `late_inputs`, such as those of another
+    host, messages before the first are not lost.
     """
 
     def __init__(

@@ -80,17 +80,11 @@ def file_name(name: str) -> str:
 
 
 def local_path(name: str) -> Path:
-    """The file of a path, or a copy of that at an address, which is read once a process.
+    """The file of a path, or a copy of that at an address, which is read once a process. Copies are
+    in a folder of this process, removed at its end.
 
-    Copies are in a folder of this process, removed at its end.
-
-    Raises
-    ------
-    SettingsError
-        As `check_address`.
-    RemoteError
-        If it cannot be read, has more than `MAX_BYTES`, or takes longer than `START_S` and
-        `BYTES_PER_S` allow.
+    Raises SettingsError as `check_address`; RemoteError if it cannot be read, has more than
+    `MAX_BYTES`, or takes longer than `START_S` and `BYTES_PER_S` allow.
     """
     return _copied(name) if is_remote(name) else Path(name)
 

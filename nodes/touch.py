@@ -35,16 +35,10 @@ def in_contact(forces: Floats, f_max: float, noise: float = 0.0) -> bool:
 
 
 class MeasuredNoise:
-    """Noise of untouched taxels where none is stated, from the differences of successive frames.
+    """Noise of untouched taxels where none is stated, from the differences of successive frames:
+    `sigma` is its standard deviation before clipping, 0 before the second frame, and where most
+    readings do not change.
 
-    Attributes
-    ----------
-    sigma : float
-        Standard deviation before clipping; 0 before the second frame, and where most readings do
-        not change.
-
-    Notes
-    -----
     A median over the taxels, a running mean, then a minimum over time, as in Martin, "Noise power
     spectral density estimation based on optimal smoothing and minimum statistics", 2001.
     """

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import select
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from contextlib import closing
 from typing import Any
 
 from sparseskin.launch.run.running import GraphError, RunningGraph
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import COUNTED, ControlClient
+
+from .text import flowing
 
 PATIENCE_S = 30.0
 """Longest time that a launcher may take to answer, seconds; after 20 s it answers in place of a
@@ -21,19 +22,11 @@ ELSEWHERE = "(another host)"
 """Shown for a publisher whose name is not known here."""
 
 
-@dataclass(frozen=True)
-class Answer:
-    """Answer to a request: True if it was done, and a line."""
-
-    done: bool
-    text: str
-
-
 def describe(graph: RunningGraph, node: str | None = None) -> dict[str, Any]:
     """The description of a graph: `sparseskin.launch.run.state.graph_description`.
     Raises GraphError if the graph does not answer.
     """
-    with _connected(graph) as client:
+    with closing(ControlClient(graph.control)) as client:
         described: dict[str, Any] = _exchange(graph, client, {"describe": node}, "description")
         return described
 
@@ -50,13 +43,8 @@ def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
 
 
 def topics_of(described: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The topics of a described graph, by name, in the order of their publishers.
-
-    Returns
-    -------
-    dict of str to dict
-        topic, schema, latched, publisher (name of the node; "" where that is on another host), sent
-        (number of messages), subscribers (dicts of node and its `COUNTED` messages).
+    """The topics of a described graph by name: topic, schema, latched, publisher ("" where that is
+    on another host), sent (number of messages), subscribers (node and its `COUNTED` messages).
     """
     topics: dict[str, dict[str, Any]] = {}
     for where in ("outputs", "inputs"):
@@ -89,33 +77,27 @@ def find_topic(graph: RunningGraph, name: str) -> str:
     raise GraphError(f"{name}: {graph.label} has no such topic{did_you_mean(name, writers)}")
 
 
-def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> Answer:
-    """Send a command to a node, and wait for its answer.
-    Raises GraphError if the graph does not answer.
+def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> str:
+    """Send a command to a node, and return its answer.
+    Raises GraphError if the node refuses, or the graph does not answer.
     """
     request = {"id": "1", "node": node, "command": command, "value": value}
-    with _connected(graph) as client:
+    with closing(ControlClient(graph.control)) as client:
         answer = _exchange(graph, client, request, "answer")
-        return Answer(answer["done"], answer["text"])
+    text = flowing(answer["text"])
+    if not answer["done"]:
+        raise GraphError(f"{node}: {text.removeprefix(f'{node}: ')}")
+    return text
 
 
 def stop(graph: RunningGraph) -> None:
     """End a graph as an interrupt does, and wait for its end.
     Raises GraphError if the graph does not answer.
     """
-    with _connected(graph) as client:
+    with closing(ControlClient(graph.control)) as client:
         _exchange(graph, client, {"stop": True}, "stopping")
         while client.receive() is not None:
             select.select([client.connection], [], [])
-
-
-@contextlib.contextmanager
-def _connected(graph: RunningGraph) -> Iterator[ControlClient]:
-    client = ControlClient(graph.control)
-    try:
-        yield client
-    finally:
-        client.close()
 
 
 def _exchange(

@@ -18,9 +18,8 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 
-from .formats import formatted
-from .stream import PATIENCE_S, Arrival, Losses
-from .text import flowing, width, wrapped
+from .stream import PATIENCE_S, Arrival, Display, Losses
+from .text import flowing, formatted, width, wrapped
 
 INDENT = "    "
 """Start of the further lines of a field."""
@@ -150,7 +149,7 @@ def _dtype(value: Any) -> str:
     return f"{value.dtype}{bits}"
 
 
-class Echo:
+class Echo(Display):
     """Prints messages, at most `max_hz` a second, 0: all; None: `MAX_HZ` for a person who asked
     for no number `n`. `full`: all elements of arrays; `unit`: that of forces. Contacts with an
     event are always printed.
@@ -198,9 +197,6 @@ class Echo:
         self._shown += 1
         self._skipped_since = 0
         return True
-
-    def tick(self) -> None:
-        """Do nothing: messages are printed as they come."""
 
     def finish(self) -> None:
         """Print how many messages were shown, where no number was asked for."""

@@ -18,24 +18,11 @@ RESET = "\x1b[0m"
 def heat_map(
     forces: Floats, top: float, width: int, height: int, coloured: bool = True
 ) -> list[str]:
-    """Lines that show a frame.
+    """Lines that show a frame of readings, float32 (n_rows, n_cols), 0 or more: at most `height` of
+    `width` characters beside codes of colours, both 1 or more; letters where not `coloured`.
 
-    Parameters
-    ----------
-    forces : ndarray of float32, shape (n_rows, n_cols)
-        Readings, 0 or more.
-    top : float
-        Reading of the brightest colour, above 0.
-    width, height : int
-        Characters of the map at most, 1 or more each; a taxel becomes a square as large as fits.
-        Where there are more taxels than places, a place shows the largest of its taxels.
-    coloured : bool
-        False for letters without colours.
-
-    Returns
-    -------
-    list of str
-        Lines, at most `height`, each with at most `width` characters beside codes of colours.
+    `top`, above 0, is the reading of the brightest colour. A taxel becomes a square as large as
+    fits; where there are more taxels than places, a place shows the largest of its taxels.
     """
     n_rows, n_cols = forces.shape
     # A character is about twice as high as wide: with colours it holds two places, with letters a

@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from sparseskin.launch.run.running import RunningGraph
 
-from .formats import formatted
-from .stream import PATIENCE_S, Arrival, Losses, quiet_reason
-from .text import size_text
+from .stream import Arrival, Display, Losses, quiet_reason
+from .text import formatted, size_text
 
 REPORT_S = 1.0
 """Time from one line to the next, seconds."""
@@ -56,16 +55,11 @@ class Samples:
 
 
 def figures_of(samples: Longs) -> dict[str, Any]:
-    """All figures of messages, as `Samples.last` returns them.
-
-    Returns
-    -------
-    dict
-        sent_hz, by the numbers and stamps; interval_ms between the stamps of messages with adjacent
-        numbers; arrives_hz, the received messages over the span of the stamps; bytes_per_s and
-        size_bytes, topic and payload; delay_ms from the stamp, the acquisition of the frame, to the
-        arrival here, of fresh messages. Of distributions mean, min, max and std, of the delay p50
-        and p99 too. None where too few came.
+    """Figures of messages, as `Samples.last` returns them: sent_hz, by the numbers and stamps;
+    interval_ms between the stamps of messages with adjacent numbers; arrives_hz, the received
+    messages over the span of the stamps; bytes_per_s and size_bytes, topic and payload; delay_ms
+    from the stamp, the acquisition of the frame, to the arrival here, of fresh messages. Of
+    distributions mean, min, max and std, of the delay p50 and p99 too. None where too few came.
     """
     at_ns, stamp_ns, seq, n_bytes, fresh = samples.T
     steps, delays_ms = np.diff(seq), (at_ns - stamp_ns)[fresh > 0] / 1e6
@@ -108,10 +102,8 @@ def _extent(values: npt.NDArray[Any]) -> dict[str, float] | None:
     return {key: float(getattr(values, key)()) for key in ("mean", "min", "max", "std")}
 
 
-class Meter:
+class Meter(Display):
     """Prints the figures of a topic, a line a second over `window` messages at most."""
-
-    patience_s = PATIENCE_S
 
     def __init__(self, graph: RunningGraph, topic: str, *, window: int, in_json: bool) -> None:
         self._graph, self._topic = graph, topic

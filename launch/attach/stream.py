@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import msgpack
 
@@ -87,29 +87,12 @@ class Losses:
 
 
 class TopicStream:
-    """The messages of some topics, as they come.
+    """The messages of some topics, as they come; `unreadable` counts those that were not of the
+    wire form, which are left out, `interrupted` is True once SIGINT or SIGTERM came.
 
-    Parameters
-    ----------
-    graph : RunningGraph
-        The graph.
-    *topics : str
-        Some of its topics.
-    patience_s : float
-        How long messages may wait to be read together, seconds. Longer than it takes to send
-        `QUEUE_FRAMES` of them, and those beyond are lost.
-
-    Raises
-    ------
-    KeyFileError
-        If the graph asks for a key that this user may not read.
-
-    Attributes
-    ----------
-    unreadable : int
-        Number of messages that were not of the wire form; they are left out.
-    interrupted : bool
-        True once SIGINT or SIGTERM came.
+    Messages may wait `patience_s` seconds to be read together; where more than `QUEUE_FRAMES` are
+    sent meanwhile, those beyond are lost. Raises KeyFileError if the graph asks for a key that this
+    user may not read.
     """
 
     def __init__(self, graph: RunningGraph, *topics: str, patience_s: float = 0.0) -> None:
@@ -119,12 +102,8 @@ class TopicStream:
         self._context = make_context()
         keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
         ahead = READ_AHEAD if patience_s else QUEUE_FRAMES
-        self._reader = Reader(
-            *(self._context, f"observer_{os.getpid()}", (), topics),
-            present=False,
-            keys=keys,
-            read_ahead=ahead,
-        )
+        options: dict[str, Any] = {"present": False, "keys": keys, "read_ahead": ahead}
+        self._reader = Reader(self._context, f"observer_{os.getpid()}", (), topics, **options)
         writers = graph.writers()
         for name in {writers[topic] for topic in topics}:
             node = graph.nodes[name]
@@ -209,19 +188,14 @@ class TopicStream:
         self.interrupted = True
 
 
-class Display(Protocol):
-    """What a command shows of the messages of a topic.
+class Display:
+    """What a command shows of the messages of a topic; `patience_s` as of `TopicStream`."""
 
-    Attributes
-    ----------
-    patience_s : float
-        As of `TopicStream`.
-    """
-
-    patience_s: float
+    patience_s = PATIENCE_S
 
     def take(self, arrival: Arrival) -> bool:
         """Take a message, or the end of the stream; True if it counts."""
+        raise NotImplementedError
 
     def tick(self) -> None:
         """Called after each batch, ten times a second at least."""

@@ -1,4 +1,4 @@
-"""Text for a terminal: tables, whose last column is wrapped, facts, and settings."""
+"""What commands print: tables, whose last column is wrapped, facts, settings, and JSON."""
 
 from __future__ import annotations
 
@@ -24,6 +24,13 @@ _TYPES = {
     "tuple[str, ...]": "a list of texts",
     "dict[str, Any]": "a table {KEY = VALUE}",
 }
+
+
+def formatted(name: str, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """A document of a format of docs/reference/json.toml: "format" is "sparseskin/NAME/VERSION", a
+    version 1 more where a field goes or changes its meaning.
+    """
+    return {"format": f"sparseskin/{name}/1", **fields}
 
 
 def width() -> int:

@@ -241,8 +241,5 @@ def _set(arguments: argparse.Namespace) -> int:
         else:
             values[key] = typed_value(text, entries.get(key))
     answer = ask_node(graph, arguments.node, "set", values)
-    line = f"{arguments.node}: {flowing(answer.text)}"
-    if not answer.done:
-        raise GraphError(line)
-    done = {"node": arguments.node, "set": values, "answer": answer.text}
-    return show(arguments, "param-set", done, [line])
+    done = {"node": arguments.node, "set": values, "answer": answer}
+    return show(arguments, "param-set", done, [f"{arguments.node}: {answer}"])

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sparseskin.launch.attach.formats import formatted
-from sparseskin.launch.attach.text import typed_value
+from sparseskin.launch.attach.text import formatted, typed_value
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.files import (

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 from typing import TYPE_CHECKING
 
 from sparseskin.launch.attach.client import ELSEWHERE, describe, find_topic, topics_of
-from sparseskin.launch.attach.give_way import give_way
 from sparseskin.launch.attach.text import facts, flowing, table
 from sparseskin.launch.run.running import choose_graph
 from sparseskin.nodes.process.control import COUNTED
@@ -142,6 +143,13 @@ def _hz(arguments: argparse.Namespace) -> int:
         give_way()
     meter = Meter(graph, topic, window=arguments.window, in_json=arguments.json)
     return observe(graph, topic, meter, arguments.n, arguments.duration)
+
+
+def give_way() -> None:
+    """Let this command run only where the graph leaves it room."""
+    with contextlib.suppress(OSError):
+        os.nice(19)
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def about(cls: type[Message]) -> str:

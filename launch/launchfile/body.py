@@ -137,16 +137,12 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
 
 
 def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
-    """Read a body file and check it whole.
+    """Read a body file and check it whole; `fault` receives each error as one line that begins with
+    the file and the place in it.
 
-    Parameters
-    ----------
-    path : path
-        A TOML file of tables [[patches]]: name, and either the keys of a skin.toml (rows and cols
-        are required, f_max is by default 2.5, pitch_mm 5) or skin = "FILE.toml"; host, and
-        compressor, a table of settings.
-    fault : callable
-        Receives each error as one line that begins with the file and the place in it.
+    It is a TOML file of tables [[patches]]: name, and either the keys of a skin.toml (rows and cols
+    are required, f_max is by default 2.5, pitch_mm 5) or skin = "FILE.toml"; host, and compressor,
+    a table of settings.
     """
     try:
         with path.open(encoding="utf-8") as file:

@@ -37,16 +37,9 @@ from sparseskin.nodes.remote import check_free, file_name, is_remote, local_path
 
 @dataclass(frozen=True)
 class Job:
-    """One recording to reprocess.
-
-    Attributes
-    ----------
-    source, out : str
-        Recording to read and to write, .mcap; each may be an address, see `nodes.remote`.
-    overrides : tuple of str
-        Settings "NODE.KEY=VALUE" of the compressor and the reconstructor.
-    start_from : str
-        "taxels", "measurements", or "auto": measurements unless the compressor is changed.
+    """A recording `source` to reprocess into `out`, .mcap or addresses of such (`nodes.remote`),
+    with settings "NODE.KEY=VALUE" of the compressor and the reconstructor. `start_from` is
+    "taxels", "measurements", or "auto": measurements unless the compressor is changed.
     """
 
     source: str

@@ -37,25 +37,15 @@ Hear = Callable[[NodeProcess, dict[str, Any]], None]
 
 
 class Fleet:
-    """The node processes of a graph; parameters as of `Launcher`, and of its terminal.
+    """The node processes of a graph and their restarts, by name; parameters as of `Launcher`, and
+    of its terminal.
+
+    `exit_code` is not 0 once a node has failed that the graph needs, `late_code` once one has that
+    it can do without, or has raised an error and gone on. `left` is what nodes that have died left
+    behind, in words, by name. While `supervised`, a node that fails is restarted as its policy
+    states. `hear` is called with (node, event) for events that concern others than the fleet.
 
     Raises KeyFileError if the graph that is joined asks for a key that this user may not read.
-
-    Attributes
-    ----------
-    nodes : dict of str to NodeProcess
-    restarts : dict of str to Restarts
-        By the name of the node.
-    exit_code : int
-        Not 0 once a node has failed that the graph needs.
-    late_code : int
-        Not 0 once a node has failed that it can do without, or has raised an error and gone on.
-    left : dict of str to list of str
-        What nodes that have died left behind, in words, by name.
-    supervised : bool
-        True while a node that fails is restarted as its policy states.
-    hear : callable
-        Called with (node, event) for events that concern others than the fleet.
     """
 
     def __init__(

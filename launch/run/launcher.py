@@ -30,20 +30,10 @@ QUIT_KEYS = ("q", "\x03")
 
 
 class Launcher:
-    """Runs one graph from start to end.
+    """Runs one graph from start to end; each source ends its stream after `max_frames` frames.
 
-    Parameters
-    ----------
-    launch : LaunchFile
-        The checked launch file.
-    terminal : Terminal
-        Output of log lines and the status line.
-    max_frames : int, optional
-        Frames after which each source ends its stream.
-    joined : RunningGraph, optional
-        A graph that already runs, whose topics the nodes of this one read.
-    keys : mapping of str to (node, command), optional
-        Keys of the terminal, and the commands they are to nodes.
+    `joined` is a graph that already runs, whose topics the nodes of this one read. `keys` maps keys
+    of the terminal to (node, command).
     """
 
     def __init__(

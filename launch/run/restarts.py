@@ -39,16 +39,8 @@ class RestartPolicy(Settings):
 
 
 class Restarts:
-    """The restarts of one node, counted within a sliding window.
-
-    Attributes
-    ----------
-    total : int
-        Restarts so far.
-    failures : deque of str
-        Why the node failed each time that it was started again, the last `MAX_FAILURES`.
-    due_s : float or None
-        Time of the next restart; None while none is due.
+    """The restarts of one node, counted within a sliding window: `total` so far, why it failed the
+    last `MAX_FAILURES` times, and the time of the next one, None while none is due.
     """
 
     def __init__(self, policy: RestartPolicy) -> None:

@@ -37,20 +37,9 @@ class _NodeFile(RotatingFileHandler):
 
 
 class RunLog:
-    """The files of one run of the graph `name`, in a new folder in `parent`, which is made where it
-    is missing; `now_s`, seconds since the epoch, names it.
-
-    Attributes
-    ----------
-    folder : Path
-        Folder of the run: NAME-DATE-TIME-PROCESS.
-    error : str
-        Reason why nothing more is written; "" before that.
-
-    Raises
-    ------
-    LaunchError
-        If the folder cannot be made, or exists already.
+    """The files of one run of the graph `name`, in a new folder NAME-DATE-TIME-PROCESS in `parent`,
+    which is made where it is missing. `error` is the reason why nothing more is written; or "".
+    Raises LaunchError if the folder cannot be made, or exists already.
     """
 
     def __init__(self, parent: Path, name: str, now_s: float) -> None:

@@ -107,14 +107,10 @@ def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
 
 
 def hosts_state(launch: LaunchFile, nodes: Iterable[NodeProcess]) -> dict[str, dict[str, Any]]:
-    """State of the other hosts of a graph, as far as the nodes of this one know.
-
-    Returns
-    -------
-    dict of str to dict
-        heard (bool, None where no node here reads from one there), silent (names of the nodes that
-        should send and do not), clock_offset_ms and clock_uncertainty_ms (None while unknown; the
-        clock there is ahead by the offset, within the uncertainty).
+    """State of the other hosts of a graph by name, as far as the nodes of this one know: heard
+    (None where no node here reads from one there), silent (names of the nodes that should send and
+    do not), clock_offset_ms and clock_uncertainty_ms (None while unknown; the clock there is ahead
+    by the offset, within the uncertainty).
     """
     found: dict[str, dict[str, Any]] = {
         name: {"heard": None, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}

@@ -45,15 +45,8 @@ ClockOf = Callable[[str], ClockEstimate | None]
 
 
 def psnr_db(error: Floats, f_max: float) -> float:
-    """Peak signal-to-noise ratio 20 log10(f_max / RMSE) in dB, capped at 100 dB.
-
-    Parameters
-    ----------
-    error : ndarray of float32, any shape
-        Differences from the reference, in the unit of `f_max`.
-    f_max : float
-        Upper end of the range.
-
+    """Peak signal-to-noise ratio 20 log10(f_max / RMSE) in dB, capped at 100 dB, of differences
+    from the reference, float32 of any shape, in the unit of `f_max`, the upper end of the range.
     Source: paper, section V-C.
     """
     rmse = math.sqrt(float(np.mean(np.square(error, dtype=np.float64))))
@@ -141,28 +134,13 @@ class FrameMetrics:
 class PatchMetrics:
     """Pairs a patch's messages by stamp and accumulates the figures of its summary.
 
-    Parameters
-    ----------
-    since_ns : int or None
-        Time at which the monitor joined a graph that already ran; None from its begin on.
-    clock_of : callable
-        Takes a topic and returns the clock estimate of its publisher, None while unknown.
-
-    Attributes
-    ----------
-    latency_ns : int or None
-        Latency of the last reconstruction on the clock of the monitor's host; None where a clock is
-        unknown, or where no time passes, as in a recording that was computed offline.
-    latency_uncertainty_ns : int
-        Largest uncertainty of a latency so far; 0 on one host.
-    contacts : Contacts or None
-        Those of the newest frame, where they are published.
-    load : float or None
-        Total force of the newest frame, 0 where it is not in contact; None before the first one.
-    doubts : Counter of str
-        Number of frames that are not to be trusted, by the reason.
-    idle : bool
-        True while the newest frame was published as unchanged; `unchanged` counts such frames.
+    `since_ns` is the time at which the monitor joined a graph that already ran, None from its begin
+    on; `clock_of` as of `Context`. `latency_ns` of the last reconstruction is by the clock of the
+    monitor's host, None where a clock is unknown, or where no time passes, as in a recording that
+    was computed offline; `latency_uncertainty_ns` is the largest so far, 0 on one host. `load` is
+    the total force of the newest frame, 0 where it is not in contact, None before the first one;
+    `doubts` the number of frames not to be trusted by the reason. While `idle`, the newest frame
+    was published as unchanged; `unchanged` counts such frames.
     """
 
     def __init__(

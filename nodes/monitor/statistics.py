@@ -77,17 +77,8 @@ class Quantiles:
 
 
 class History:
-    """Rows of the last `SPAN_S` seconds, and `MIN_CAPACITY` ones at least.
-
-    Parameters
-    ----------
-    columns : tuple of str
-        Names of the values of a row, the first of them its time in seconds.
-
-    Attributes
-    ----------
-    n : int
-        Number of rows added so far, the removed ones included.
+    """Rows of the last `SPAN_S` seconds, and `MIN_CAPACITY` ones at least; the first column is the
+    time in seconds, `n` the number of rows added so far, the removed ones included.
     """
 
     def __init__(self, columns: tuple[str, ...] = COLUMNS) -> None:
@@ -107,14 +98,8 @@ class History:
         self.n += 1
 
     def since(self, n: int) -> tuple[int, npt.NDArray[np.float64]]:
-        """Rows from number `n` on.
-
-        Returns
-        -------
-        first : int
-            Number of the first returned row: `n`, or more if that is removed.
-        rows : ndarray of float64, shape (k, n_columns)
-            A copy.
+        """The rows from number `n`, or a later one if that is removed: the number of the first, and
+        a copy of them, float64 (k, n_columns).
         """
         first = max(n, self.n - len(self._rows))
         newest = [*islice(reversed(self._rows), max(0, self.n - first))]

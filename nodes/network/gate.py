@@ -41,16 +41,9 @@ _FAILED = (zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL, zmq.EVENT_HANDSHAKE_FAILED_PROT
 
 
 class Gate:
-    """Guards the socket of a writer; call `serve` whenever one of `sockets` is ready.
-
-    Parameters
-    ----------
-    context, log
-        The context of the writer, one gate each; receives one line of text.
-    keys : KeyPair or None
-        The keys of this host; None: every peer may read.
-    allowed, known : mapping of str to str
-        Names by public key: of the peers that may read, and of any, for log lines.
+    """Guards the socket of a writer, in a context of its own; call `serve` whenever one of
+    `sockets` is ready. Without `keys`, those of this host, every peer may read. `allowed` and
+    `known` are names by public key: of the peers that may read, and of any, for log lines.
     """
 
     def __init__(

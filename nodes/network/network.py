@@ -25,30 +25,15 @@ END_RECEIVED_NS = 30_000_000_000
 
 
 class Network:
-    """Sockets of one node; without other hosts and keys it adds nothing to them.
+    """Sockets of one node, for which `poller` waits; without other hosts and keys it adds nothing
+    to them.
 
-    Parameters
-    ----------
-    context, now_ns, log
-        The node's context; the graph's clock; receives one line of text.
-    config : mapping
-        name, endpoint; public (endpoint for other hosts, "" for none), distant_readers (their
-        names), distant_inputs (host of each topic of another host), security (own keys, allowed
-        and known public ones; None for none).
+    `config` has name, endpoint; public (endpoint for other hosts, "" for none), distant_readers
+    (their names), distant_inputs (host of each topic of another host), security (own keys, allowed
+    and known public ones; None for none).
 
-    Attributes
-    ----------
-    poller : zmq.Poller
-        Waits for all sockets.
-    peers : Peers
-        Connections to other hosts.
-
-    Raises
-    ------
-    zmq.ZMQError
-        If an endpoint is in use or malformed.
-    SparseskinError
-        If other users can enter the folder of its socket.
+    Raises ZMQError if an endpoint is in use or malformed, SparseskinError if other users can enter
+    the folder of its socket.
     """
 
     def __init__(

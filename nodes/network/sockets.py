@@ -120,27 +120,11 @@ class Writer:
     """Publishing side of a node: an XPUB socket, and the latched messages it repeats.
 
     A topic is sent from its first subscription on: that of a reader which never had it can be ended
-    by any other one.
+    by any other one. `present` are the names of the connected readers.
 
-    Parameters
-    ----------
-    context, name
-        From `make_context`; the node's name, for its asks.
-    endpoint, public : str
-        Where to bind: "ipc:///PATH", "tcp://127.0.0.1:*" or a stated port; and for readers on other
-        hosts, "tcp://ADDRESS:PORT", or "" for none.
-    gate, now_ns, log
-        Guard of the socket; the graph's clock, for readers on other hosts; receives one line.
-
-    Attributes
-    ----------
-    present : set of str
-        Names of the connected readers.
-
-    Raises
-    ------
-    zmq.ZMQError
-        If an endpoint is in use or malformed.
+    It binds to `endpoint`, "ipc:///PATH", "tcp://127.0.0.1:*" or a stated port, and for readers on
+    other hosts to `public`, "tcp://ADDRESS:PORT", or "" for none; `now_ns` is the graph's clock for
+    these. Raises ZMQError if an endpoint is in use or malformed.
     """
 
     def __init__(
@@ -281,21 +265,11 @@ class Writer:
 
 
 class Reader:
-    """Subscribing side of a node: a SUB socket connected to all its writers.
+    """Subscribing side of a node: a SUB socket connected to the endpoints of all its writers.
 
-    Parameters
-    ----------
-    context, name
-        From `make_context`; the node's name, for its presence tag.
-    endpoints, topics
-        Endpoints of the writers; topics to subscribe to.
-    present : bool
-        True if writers know this one by its name, and wait for it as they start.
-    observes : bool
-        True if no writer that follows its readers waits for this one.
-    keys, read_ahead
-        Keys of this host, for writers that need them; number of messages of a writer that wait
-        here, further ones wait at the writer.
+    Writers know it by its name, and wait for it as they start, if it is `present`; none that
+    follows its readers waits for one that `observes`. `keys` are those of this host, for writers
+    that need them. Of `read_ahead` messages of a writer, further ones wait at the writer.
     """
 
     def __init__(

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 
 class Schedule:
-    """Maps stamps of a recording to times on the graph's clock.
+    """Maps stamps of a recording to times on the graph's clock, from `first_ns` on, at `rate` times
+    the recorded speed; 0: everything is due at once.
 
     While it plays, a stamp is due at t0 + (stamp - first) / rate. A pause, a seek and a change of
     rate move t0.
-
-    Parameters
-    ----------
-    first_ns : int
-        The stamp that is due at the start.
-    rate : float
-        Times the recorded speed; 0: everything is due at once.
-    paused : bool
-        True to begin with a pause.
     """
 
     def __init__(self, first_ns: int, rate: float, paused: bool = False) -> None:

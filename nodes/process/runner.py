@@ -48,15 +48,11 @@ EXIT_USAGE = 2
 class Runner:
     """One node in this process.
 
-    Parameters
-    ----------
-    control, config
-        Control channel to the launcher; dict of name, type, settings, endpoint, inputs (topics),
-        readers (names of the nodes that read this one), offset_ns (of the graph's clock); optional
-        max_frames (of a source), folder (in which modules are searched too), late (the node joins a
-        running graph), control (path of the control socket, of a node that watches its graph),
-        page_token, page_file, tally (arguments of a `Tally`), cpus and priority (`Scheduling`), and
-        the keys of `Network`.
+    `config` has name, type, settings, endpoint, inputs (topics), readers (names of the nodes that
+    read this one), offset_ns (of the graph's clock); optional max_frames (of a source), folder (in
+    which modules are searched too), late (the node joins a running graph), control (path of the
+    control socket, of a node that watches its graph), page_token, page_file, tally (arguments of a
+    `Tally`), cpus and priority (`Scheduling`), and the keys of `Network`.
     """
 
     def __init__(self, control: Control, config: dict[str, Any]) -> None:

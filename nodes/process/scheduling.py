@@ -53,11 +53,7 @@ class Scheduling(Settings):
     def applied(self) -> Iterator[None]:
         """Schedule this process so, with the threads that start within the context. Those that
         start after it have no priority: a thread that serves a page must not hold up frames.
-
-        Raises
-        ------
-        OSError
-            If it is not permitted.
+        Raises OSError if it is not permitted.
         """
         if self.cpus:
             for thread in os.listdir("/proc/self/task"):

@@ -24,22 +24,10 @@ def computed(
 ) -> Generator[tuple[K, Future[R]], None, None]:
     """Yield the key and the finished future of each task, in the order in which they finish.
 
-    If the caller stops, by an exception or Ctrl-C, the tasks that are left are cancelled and
-    worker processes of this host are ended. They end with this process, too, however it ends.
-
-    Parameters
-    ----------
-    executor_name : str
-        As in `make_executor`.
-    function : callable
-        At the top of a module, so that a worker finds it by name; takes one task.
-    tasks : mapping
-        Arguments by key.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such executor.
+    `function`, at the top of a module, so that a worker finds it by name, takes one task. If the
+    caller stops, by an exception or Ctrl-C, the tasks that are left are cancelled and worker
+    processes of this host are ended. They end with this process, too, however it ends.
+    Raises SettingsError as `make_executor`.
     """
     if not tasks:
         return

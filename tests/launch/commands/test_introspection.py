@@ -13,7 +13,7 @@ from documented import check
 from processes import LOOP, note_of_graph
 from shells import words
 
-from sparseskin.launch.attach.client import Answer, ask_node
+from sparseskin.launch.attach.client import ask_node
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.run.running import choose_graph
 from sparseskin.messages import PhiState, decode
@@ -290,7 +290,7 @@ def test_hz_reports_what_is_sent_and_what_arrives(run_json):
 
 def test_where_nothing_comes_it_reports_why(folder, capsys):
     graph = choose_graph(None)
-    assert ask_node(graph, "sensor", "pause", True) == Answer(True, "paused")
+    assert ask_node(graph, "sensor", "pause", True) == "paused"
     try:
         main(["topic", "hz", "skin/taxels", "--duration", "1.5"])
         assert re.search(r"no message for \d+ s \(sensor: paused\)", capsys.readouterr().err)
