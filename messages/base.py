@@ -1,7 +1,5 @@
 """Fields and methods that every message has."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable

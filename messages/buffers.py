@@ -8,8 +8,6 @@ bytes stand for it. Numbers have 8 bytes, truth values 1; those of the message c
 those of its patches, field by field. They are checked in each frame, arrays for being finite.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

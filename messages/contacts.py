@@ -1,7 +1,5 @@
 """Contacts of a frame: where the skin is touched, how strong, since when, and what changed."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import MutableMapping
 from dataclasses import dataclass

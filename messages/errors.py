@@ -1,7 +1,5 @@
 """Reasons for which a message is refused; counters name them by `reason`."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 

@@ -1,7 +1,5 @@
 """Kinds of message fields: each checks a value, packs it and unpacks it."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

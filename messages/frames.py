@@ -4,8 +4,6 @@ A message of frames holds those of equal patches of skin that were acquired toge
 is served alone is one of them. Arrays are of shape (n_patches, ...), numbers of a patch are tuples.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import MutableMapping
 from dataclasses import dataclass
@@ -128,7 +126,7 @@ class Sensed(Frames):
         return np.unpackbits(self.missing, count=n).reshape(shape).view(np.bool_)
 
 
-def known_forces(message: Taxels | Truth | Reconstruction) -> Floats:
+def known_forces(message: "Taxels | Truth | Reconstruction") -> Floats:
     """Forces of a message of one patch, float32 (n_rows, n_cols), NaN where the reading is missing.
     Raises ShapeError if `missing` is of another shape.
     """

@@ -1,8 +1,6 @@
 """Quantised numbers: float32 values that are whole multiples of a step, sent in few bits."""
 
-from __future__ import annotations
-
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +25,7 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
         return np.asarray(array)
 
     @classmethod
-    def of(cls, codes: npt.NDArray[np.int32], bits: int, step: float) -> Quantised:
+    def of(cls, codes: npt.NDArray[np.int32], bits: int, step: float) -> Self:
         """Values of codes: int32, of any shape, each of at most `bits` bits."""
         made = (codes * np.float32(step)).astype(np.float32).view(cls)
         made.bits, made.step = int(bits), float(np.float32(step))

@@ -1,7 +1,5 @@
 """Checks of numbers that come from outside: messages, launch files, drivers, users' own code."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, TypeGuard
 

@@ -1,7 +1,5 @@
 """All schemas of messages, and the class of one that was received."""
 
-from __future__ import annotations
-
 from .base import Message
 from .contacts import Contacts
 from .errors import UnknownSchemaError, VersionError

@@ -1,9 +1,7 @@
 """The geometry and range of a patch of taxels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -99,7 +97,7 @@ class Skin:
             return self.n_rows * self.n_cols
         return int(np.count_nonzero(self.mask))
 
-    def without(self, cells: npt.NDArray[np.bool_]) -> Skin:
+    def without(self, cells: npt.NDArray[np.bool_]) -> Self:
         """The skin without some of its cells: bool (n_rows, n_cols), True where none is left.
         Raises MessageError if the shape differs, or no taxel is left.
         """

@@ -1,7 +1,5 @@
 """State messages: descriptions of the nodes, latched so that late subscribers receive them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

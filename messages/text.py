@@ -1,7 +1,5 @@
 """Text of others on its way to a terminal or a log file."""
 
-from __future__ import annotations
-
 import re
 
 _USER = re.compile(r"(://)\S*@|(:/)[^\s/@:]+:[^\s@]+@")

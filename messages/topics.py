@@ -1,7 +1,5 @@
 """Topic names: /PATCH/SCHEMA."""
 
-from __future__ import annotations
-
 import re
 
 from .errors import FieldError, OversizedError

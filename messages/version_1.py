@@ -4,8 +4,6 @@ Frames of one patch had arrays without an axis of patches, and numbers in place 
 several patches had schemas of their own, NAME_batch, on topics of that name, and arrays of numbers.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import msgpack

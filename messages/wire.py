@@ -5,8 +5,6 @@ frames is in `buffers`; recordings hold maps, and a map of any message is read f
 Nothing on the wire is ever executed.
 """
 
-from __future__ import annotations
-
 import msgpack
 import numpy as np
 

@@ -1,7 +1,5 @@
 """A graph in one process: the same nodes, connected by a queue instead of sockets."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any

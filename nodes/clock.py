@@ -10,8 +10,6 @@ with the shortest round trip is the best, unless it is so old that the clocks ha
 Source: D. L. Mills, RFC 5905 (NTP), sections 8 and 10: on-wire protocol and clock filter.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from dataclasses import dataclass

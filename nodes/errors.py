@@ -1,7 +1,5 @@
 """Errors of nodes; the text of each is one sentence for the user."""
 
-from __future__ import annotations
-
 from sparseskin.messages.text import printable, without_users
 
 

@@ -1,7 +1,5 @@
 """Files and folders that appear under their name complete or not at all, and replace no others."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

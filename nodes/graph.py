@@ -1,7 +1,5 @@
 """Links between nodes: each topic has one writer, and each reader needs a writer."""
 
-from __future__ import annotations
-
 import fnmatch
 from collections.abc import Mapping
 from dataclasses import dataclass

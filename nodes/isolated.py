@@ -4,8 +4,6 @@ The child is `python -m MODULE ARGUMENTS`, whose time and memory are bounded; it
 `child_status` of the work.
 """
 
-from __future__ import annotations
-
 import resource
 import signal
 import subprocess

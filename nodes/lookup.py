@@ -1,7 +1,5 @@
 """Names in launch files: registered ones, or a user's own as "module:attribute"."""
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import importlib.util

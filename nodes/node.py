@@ -4,8 +4,6 @@ A node has no socket, thread or clock of its own, so that the same code runs in 
 own, within one program, in a test and in a study.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, TypeVar

@@ -4,8 +4,6 @@ Published messages are numbered; gaps, repeats and refusals of received ones are
 of a stream is passed on.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Recordings at addresses, as s3://bucket/drag.mcap: read and written through fsspec."""
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import re

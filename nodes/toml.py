@@ -1,7 +1,5 @@
 """TOML from elsewhere: bounded in size, depth and numbers, so that checking it is bounded too."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from typing import Any

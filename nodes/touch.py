@@ -1,7 +1,5 @@
 """Touch: what tells a force from noise, of a taxel and of a frame."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.messages.skin import CONTACT_FRACTION

@@ -1,7 +1,5 @@
 """Compression, reconstruction, scenes, launch files and recordings on arrays."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import warnings

@@ -1,7 +1,5 @@
 """Checks of matrices, bases and solvers of one's own: what every part of this package fulfils."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any, NoReturn

@@ -1,7 +1,5 @@
 """Compression and reconstruction of a stream of frames, one call a frame."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from inspect import signature
 from typing import Any

@@ -1,7 +1,5 @@
 """Questions to a running graph, by its control socket: its nodes, topics and settings."""
 
-from __future__ import annotations
-
 import select
 import time
 from collections.abc import Mapping

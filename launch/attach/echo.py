@@ -1,7 +1,5 @@
 """Messages of a topic as text or JSON: of an array its shape, its extent and its first elements."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

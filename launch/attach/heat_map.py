@@ -1,7 +1,5 @@
 """A map of readings as lines of a terminal: two taxels a character, one above the other."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats

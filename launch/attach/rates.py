@@ -1,7 +1,5 @@
 """Rate, size and age of the messages of a topic: a line a second, and one over all at the end."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -2,8 +2,6 @@
 in time is dropped for it alone.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import os
@@ -13,7 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import msgpack
 
@@ -113,7 +111,7 @@ class TopicStream:
         self.unreadable = 0
         self.interrupted = False
 
-    def __enter__(self) -> TopicStream:
+    def __enter__(self) -> Self:
         self._handlers = {
             number: signal.signal(number, self._on_signal)
             for number in (signal.SIGINT, signal.SIGTERM)

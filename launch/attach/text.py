@@ -1,7 +1,5 @@
 """What commands print: tables, whose last column is wrapped, facts, settings, and JSON."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import textwrap

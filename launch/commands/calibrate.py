@@ -2,8 +2,6 @@
 `tare`, which makes the reading of an untouched skin its zero.
 """
 
-from __future__ import annotations
-
 import argparse
 import shlex
 import sys

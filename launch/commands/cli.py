@@ -1,7 +1,5 @@
 """The command `sparseskin`: its commands by name, each imported when it is named."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import re
@@ -92,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return EXIT_USAGE
 
 
-def make_parser(words: Sequence[str], everything: bool = True) -> _Parser:
+def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
     """The parser of a command line; only the command that is named there has its arguments.
     Without `everything`, help leaves out what is rarely used.
     """

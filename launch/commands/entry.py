@@ -4,8 +4,6 @@ All modules but those that Python has imported already are imported in `main`, w
 Ctrl-C; one before that, while Python itself starts, is Python's to report.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -1,7 +1,5 @@
 """The commands about a running graph: `graph list`, `stop`, `node` and `param`."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import socket

@@ -1,7 +1,5 @@
 """The commands `sparseskin monitor` and `record`, nodes beside a running graph."""
 
-from __future__ import annotations
-
 import argparse
 import fnmatch
 import os

@@ -1,7 +1,5 @@
 """Arguments that several commands share, and what they do with them."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import inspect

@@ -2,8 +2,6 @@
 of a source live in the terminal, without a graph.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """A graph as text for a terminal."""
 
-from __future__ import annotations
-
 from sparseskin.launch.attach.text import table
 from sparseskin.messages.text import printable
 

@@ -1,7 +1,5 @@
 """Launch files: TOML, read and checked whole before any process starts."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -1,10 +1,8 @@
 """A launch file that has been checked: its nodes, links, hosts and keys."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.messages.text import printable
@@ -50,7 +48,7 @@ class NodeSpec:
         """Topics that it publishes."""
         return self.cls.outputs(self.settings)
 
-    def with_live(self, values: dict[str, Any]) -> NodeSpec:
+    def with_live(self, values: dict[str, Any]) -> Self:
         """The same node with what was changed while it ran."""
         before = self.settings.live_values()
         changed = {key: v for key, v in values.items() if v != before[key]}
@@ -60,7 +58,7 @@ class NodeSpec:
             settings=replace(self.settings, **changed),
         )
 
-    def again(self, n_restarts: int) -> NodeSpec:
+    def again(self, n_restarts: int) -> Self:
         """The same node as it is started again after its n-th failure."""
         values = self.cls.values_again(self.settings, n_restarts)
         settings = replace(self.settings, **values)
@@ -92,7 +90,7 @@ class LaunchFile:
     folder: str = ""
     shown: str = ""
 
-    def part(self, host: str | None) -> LaunchFile:
+    def part(self, host: str | None) -> Self:
         """The part of a graph that runs on one host, with the keys that it needs there; `host` is
         None where the graph has but one.
         Raises LaunchError if the host is missing, unknown or one too many, its keys cannot be used,

@@ -1,7 +1,5 @@
 """Tables of a launch file as settings: one reader of types, ranges and unknown keys for all."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """One recording to reprocess: the graph that does it, and the result."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Iterator

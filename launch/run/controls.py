@@ -2,8 +2,6 @@
 the state of the graph.
 """
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

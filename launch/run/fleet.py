@@ -1,7 +1,5 @@
 """The processes of one graph: started, joined, listened to, started again, ended."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import selectors

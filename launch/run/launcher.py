@@ -1,7 +1,5 @@
 """Runs a graph from start to end: starts its nodes, joins them, watches them, ends them all."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

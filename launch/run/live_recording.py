@@ -1,7 +1,5 @@
 """A recording that is started and stopped while its graph runs."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

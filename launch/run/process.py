@@ -2,8 +2,6 @@
 which the silence of a node is measured.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

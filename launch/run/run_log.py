@@ -1,7 +1,5 @@
 """Log files of a run: a folder a run, a file a node, bounded in size."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

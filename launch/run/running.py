@@ -5,8 +5,6 @@ note without a listener is of a graph that is gone: it and the sockets and pages
 removed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

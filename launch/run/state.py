@@ -1,7 +1,5 @@
 """A running graph as plain data, for observers and for its controls."""
 
-from __future__ import annotations
-
 import os
 import socket
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """The launcher's terminal: log lines of all nodes, and a status that renews itself."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

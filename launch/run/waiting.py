@@ -1,7 +1,5 @@
 """Nodes that are late as a graph starts or ends, and the nodes and hosts that they wait for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 from sparseskin.launch.launchfile.spec import LaunchFile

@@ -1,7 +1,5 @@
 """Accuracy, latency and losses of one patch, frame by frame, against the truth where known."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter, OrderedDict
 from collections.abc import Callable

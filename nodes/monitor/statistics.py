@@ -1,7 +1,5 @@
 """Statistics of unbounded streams in bounded memory: extents, quantiles, the last minute."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque

@@ -1,7 +1,5 @@
 """Text of the monitor for a terminal: a line while the graph runs, a table at its end."""
 
-from __future__ import annotations
-
 import textwrap
 import time
 from collections import Counter

@@ -4,8 +4,6 @@ With keys, a reader receives nothing before it has proved that it holds the secr
 list. Refused peers are named in the log, with their address where it is known.
 """
 
-from __future__ import annotations
-
 import contextlib
 import socket
 from collections import Counter

@@ -4,8 +4,6 @@ A key pair is two text files. NAME.pub is public; NAME.key is the secret of one 
 refused if any other user can read or write it.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Writers on other hosts: their connections to a reader, and the offsets of their clocks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import zmq

@@ -14,8 +14,6 @@ A reader on another host asks a writer for its time in the same way: it subscrib
 and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
 """
 
-from __future__ import annotations
-
 import contextlib
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """The player: publishes recorded messages at their recorded times, at any rate."""
 
-from __future__ import annotations
-
 import contextlib
 import secrets
 from collections.abc import Iterable, Iterator, Mapping

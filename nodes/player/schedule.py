@@ -1,7 +1,5 @@
 """Times at which recorded messages are due: absolute targets, so that no error accumulates."""
 
-from __future__ import annotations
-
 
 class Schedule:
     """Maps stamps of a recording to times on the graph's clock, from `first_ns` on, at `rate` times

@@ -1,7 +1,5 @@
 """Messages that wait for a node, so that a slow one can continue with the newest."""
 
-from __future__ import annotations
-
 from collections import deque
 
 from sparseskin.messages.wire import Payload, is_end

@@ -5,8 +5,6 @@ prints goes to stderr. Nodes that watch their graph, and other programs of the u
 control socket of the launcher.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import socket

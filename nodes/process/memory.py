@@ -1,7 +1,5 @@
 """Return of freed memory to the system after queues were long."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import math

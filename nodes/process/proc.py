@@ -1,7 +1,5 @@
 """Figures of a process from /proc: processor time, memory, age, open files."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -4,8 +4,6 @@ The launcher writes a configuration to its stdin, then commands: "connect" (endp
 writers), "start" (all nodes are ready), "stop".
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import select

@@ -1,7 +1,5 @@
 """A node as a process: its sockets, the handshake with the launcher, ticks and signals."""
 
-from __future__ import annotations
-
 import gc
 import json
 import secrets

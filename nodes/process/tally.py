@@ -1,7 +1,5 @@
 """Numbers of messages that a node has published, in memory that outlives it when it is killed."""
 
-from __future__ import annotations
-
 import os
 import struct
 from collections.abc import Sequence

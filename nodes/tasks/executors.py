@@ -1,7 +1,5 @@
 """Executors of independent tasks: any concurrent.futures.Executor, stated as a text."""
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context

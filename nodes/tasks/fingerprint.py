@@ -1,7 +1,5 @@
 """Fingerprint of the code of the nodes, by which results of other code are told apart."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import cache
 from pathlib import Path

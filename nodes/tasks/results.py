@@ -1,7 +1,5 @@
 """Independent tasks, computed by an executor and yielded as they finish."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

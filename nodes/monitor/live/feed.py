@@ -1,7 +1,5 @@
 """Newest state of the monitor for pages and screen: one thread writes, many read."""
 
-from __future__ import annotations
-
 import math
 import secrets
 import threading

@@ -1,7 +1,5 @@
 """Notices of faults and unusual states of a graph, and lines on its other hosts."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import deque

@@ -1,7 +1,5 @@
 """Live monitor as text, for a terminal of 80 columns."""
 
-from __future__ import annotations
-
 import textwrap
 import time
 

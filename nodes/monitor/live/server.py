@@ -2,8 +2,6 @@
 who know its token.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import json

@@ -4,8 +4,6 @@ A record is two little-endian 32-bit counts, of header bytes and of data bytes, 
 header's "arrays" lists [name, dtype, shape] of the arrays that follow one another in the data.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct
