@@ -72,8 +72,6 @@ class Node(Generic[S]):
     """Time for which messages may wait, seconds, so that those of one frame are read together."""
     commands: ClassVar[Mapping[str, str]] = {}
     """Commands of the node, and the meaning of each."""
-    verbatim: bool = False
-    """True if published messages keep the run id and sequence number they already have."""
 
     def __init__(self, settings: S, context: Context) -> None:
         self.settings = settings

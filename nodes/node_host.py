@@ -112,7 +112,6 @@ class NodeHost:
         self.refusal = ""
         self._log = log
         self._last_stamp_ns = 0
-        self._sent: dict[str, tuple[str, int]] = {}
 
     @property
     def is_source(self) -> bool:
@@ -199,8 +198,9 @@ class NodeHost:
             if is_latched(topic):
                 continue  # a state remains valid after the end of the stream
             patch, schema = split_topic(topic)
-            run_id, n = self._sent.get(topic, (self.run_id, 0))
-            yield End(stamp_ns=stamp_ns, patch=patch, run_id=run_id, seq=n, of=schema, n_messages=n)
+            n = self.counts.published[topic]
+            head = {"stamp_ns": stamp_ns, "patch": patch, "run_id": self.run_id, "seq": n}
+            yield End(**head, of=schema, n_messages=n)
 
     def idle(self) -> None:
         """Let the node do its periodic work."""
@@ -241,10 +241,7 @@ class NodeHost:
         seq = self.counts.published[topic]
         self.counts.published[topic] = seq + 1
         self.published(topic, seq + 1)  # before it is sent: none is sent that is not counted
-        if not self.node.verbatim:
-            message = message.published(self.run_id, seq)
-        self._sent[topic] = (message.run_id, message.seq + 1)
-        return message
+        return message.published(self.run_id, seq)
 
     def _count_error(self, error: Exception) -> None:
         self.counts.errors += 1

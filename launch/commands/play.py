@@ -72,7 +72,7 @@ def _play(arguments: argparse.Namespace) -> int:
         **{key: value for key, value in stated.items() if value is not None},
         "file": str(path),
         "paused": arguments.pause,
-        "verbatim": not (arguments.loop or arguments.remap),
+        "keep_stamps": not arguments.loop,
     }
     with naming_options(OPTIONS):
         if arguments.open:
@@ -86,12 +86,12 @@ def _play(arguments: argparse.Namespace) -> int:
 
 
 def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]) -> LaunchFile:
-    """A player, what has to be computed anew, and a monitor with its page.
-
+    """A player and a monitor with its page.
     Raises SettingsError if the recording has too little to be shown.
     """
     from sparseskin.launch.launchfile.load import load_tables
     from sparseskin.messages.topics import split_topic
+    from sparseskin.nodes.monitor.node import OPTIONAL, REQUIRED
     from sparseskin.nodes.recorder.bag.patches import names_of
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
@@ -105,44 +105,22 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
             if info.n_messages:
                 patch, schema = split_topic(topic)
                 by_patch.setdefault(patch, set()).add(schema)
-    schemas, made = shown(path, by_patch)
-    # Of frames that are played now: their stamps, and so their ages, are those of now.
-    values |= {"loop": True, "verbatim": False, "schemas": schemas}
-    values = {key: value for key, value in values.items() if key not in ("topics", "remap")}
-    patches = list(by_patch)
-    tables: dict[str, dict[str, Any]] = {"player": {"type": "player", **values}}
-    for patch in patches:
-        ending = f"_{patch}" if len(patches) > 1 else ""
-        for kind in made:
-            names = list(batches.get(patch, ()))
-            tables[f"{kind}{ending}"] = {"type": kind, "patch": patch, "patches": names}
-    watched = {"patches": [patch for patch in patches if patch not in batches], "batches": batches}
-    page = {"browser": True, "token": not arguments.no_token}
-    tables["monitor"] = {"type": "monitor", **watched, **page}
-    return load_tables(path.stem, tables)
-
-
-def shown(path: Path, by_patch: dict[str, set[str]]) -> tuple[list[str], list[str]]:
-    """Schemas to play of a recording, and types of the nodes that compute the rest of what a
-    monitor shows; `by_patch` are those that it has.
-
-    Raises SettingsError if the recording has too little for that.
-    """
     present = set.intersection(*by_patch.values()) if by_patch else set()
-    optional = [s for s in ("taxels", "truth", "resultant", "contacts") if s in present]
-    if present >= {"skin", "phi", "measurements"}:
-        known = ["skin", "phi", "measurements"]
-        if present >= {"solver", "reconstruction"}:
-            return [*known, "solver", "reconstruction", *optional], []
-        optional = [schema for schema in optional if schema in ("taxels", "truth")]
-        return [*known, *optional], ["reconstructor"]
-    if present >= {"skin", "taxels"}:
-        optional = [schema for schema in optional if schema == "truth"]
-        return ["skin", "taxels", *optional], ["compressor", "reconstructor"]
-    raise SettingsError(
-        f"{path}: --open: has neither taxels nor measurements with their skin and Phi; "
-        "record all topics"
-    )
+    required, optional = ([cls.schema for cls in classes] for classes in (REQUIRED, OPTIONAL))
+    if not present.issuperset(required):
+        raise SettingsError(
+            f"{path}: --open: has no reconstructions of all patches; they are computed by "
+            f"sparseskin launch replay_taxels --open --set player.file={path}, or by "
+            "replay_measurements"
+        )
+    # Of frames that are played now: their stamps, and so their ages, are those of now.
+    values |= {"loop": True, "keep_stamps": False}
+    values["schemas"] = [*required, *(schema for schema in optional if schema in present)]
+    watched = {"patches": [patch for patch in by_patch if patch not in batches], "batches": batches}
+    page = {"browser": True, "token": not arguments.no_token}
+    tables = {"player": {"type": "player", **values}, "monitor": {"type": "monitor"}}
+    tables["monitor"] |= watched | page
+    return load_tables(path.stem, tables)
 
 
 def configure_scenes(parser: argparse.ArgumentParser) -> None:

@@ -1,7 +1,6 @@
 """The player: publishes recorded messages at their recorded times, at any rate."""
 
 import contextlib
-import secrets
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
@@ -50,7 +49,6 @@ class Player(SourceNode[PlayerSettings]):
         self._names = {topic: new for topic, new in names.items() if topic in self._bag.topics}
         if self._bag.recovered:
             print(f"{settings.file}: {self._bag.recovered}")
-        self.verbatim = settings.verbatim
         self.min_readers = settings.wait or int(settings.lockstep)
         if settings.lockstep:
             self.window = 1
@@ -71,7 +69,6 @@ class Player(SourceNode[PlayerSettings]):
         self._has_changes = any(
             info.n_messages > 1 for t, info in self._bag.topics.items() if is_latched(t)
         )
-        self._renumbering: _Renumbering | None = None
         self._messages = self._read(self._start_ns)
         self._next: Message | None = None
         self._advance()
@@ -206,7 +203,6 @@ class Player(SourceNode[PlayerSettings]):
             messages, first = chain(states[1:], [first], messages), states[0]
         self._messages, self._next = messages, first
         self._stamps.clear()
-        self._renumbering = _Renumbering()
         self._schedule.seek(stamp_ns, now_ns)
 
     def status(self) -> str:
@@ -263,7 +259,7 @@ class Player(SourceNode[PlayerSettings]):
             message = decode(topic.encode(), payload)
         except MessageError as error:
             raise SparseskinError(f"{self.settings.file}: {topic}: {error}") from error
-        if isinstance(message, SkinState) and not self.settings.verbatim:
+        if isinstance(message, SkinState):
             truth = topic_of(split_topic(topic)[0], Truth.schema)
             message = replace(message, has_truth=message.has_truth and truth in self._names)
         patch = split_topic(self._names[topic])[0]
@@ -271,29 +267,13 @@ class Player(SourceNode[PlayerSettings]):
 
     def _as_played(self, message: Message, now_ns: int) -> Message:
         """The message with the time of playing as its stamp, the same for all of a frame."""
-        if self.settings.verbatim and self._renumbering is not None:
-            return self._renumbering.apply(message)
-        if self.settings.verbatim or self.settings.keep_stamps:
+        if self.settings.keep_stamps:
             return message
         if message.stamp_ns not in self._stamps:
             if len(self._stamps) >= MAX_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
             self._stamps[message.stamp_ns] = now_ns
         return message.moved(self._stamps[message.stamp_ns] - message.stamp_ns)
-
-
-class _Renumbering:
-    """New run ids and numbers from 0, after a seek: recorded ones would count as losses."""
-
-    def __init__(self) -> None:
-        self._run_ids: dict[str, str] = {}
-        self._first: dict[tuple[str, str], int] = {}
-
-    def apply(self, message: Message) -> Message:
-        # A publisher that was restarted during the recording keeps separate runs.
-        run_id = self._run_ids.setdefault(message.run_id, secrets.token_hex(8))
-        first = self._first.setdefault((message.topic, message.run_id), message.seq)
-        return message.published(run_id, max(0, message.seq - first))
 
 
 def _number(name: str, value: Any, low: float, high: float) -> float:

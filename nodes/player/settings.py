@@ -34,10 +34,7 @@ class PlayerSettings(Settings):
     )
     remap: tuple[str, ...] = setting((), "FROM:=TO each: /PATCH:=/PATCH or whole topics")
     lockstep: bool = setting(False, "send no frame before all readers have processed the last")
-    verbatim: bool = setting(False, "keep stamps, run ids and numbers as recorded")
-    keep_stamps: bool = setting(
-        False, "keep stamps as recorded, with new run ids and numbers: for offline runs"
-    )
+    keep_stamps: bool = setting(False, "keep stamps as recorded")
     wait: int = setting(0, "readers to wait for before the first frame", low=0, high=1000)
 
     def __post_init__(self) -> None:
@@ -52,8 +49,6 @@ class PlayerSettings(Settings):
             raise SettingsError("schemas: cannot be combined with topics")
         if self.keep_stamps and self.loop:
             raise SettingsError("keep_stamps: cannot be combined with loop")
-        if self.verbatim and (self.loop or self.remap):
-            raise SettingsError("verbatim: cannot be combined with loop or remap")
 
     def check(self) -> None:
         names = renamed_topics(self)

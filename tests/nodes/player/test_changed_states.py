@@ -51,9 +51,8 @@ def restored(bus, n_ticks=None):
     return [message for message in made if isinstance(message, Reconstruction)]
 
 
-@pytest.mark.parametrize("keep", ["keep_stamps", "verbatim"])
-def test_every_frame_is_inverted_by_the_phi_that_made_it(recording, keep):
-    bus = graph(recording, **{keep: True})
+def test_every_frame_is_inverted_by_the_phi_that_made_it(recording):
+    bus = graph(recording, keep_stamps=True)
     found = restored(bus)
     assert bus.hosts["reconstructor"].counts.refused == {}
     assert [m.phi for m in found] == [PHIS[k >= CHANGED_AT].fingerprint for k in range(N_FRAMES)]
@@ -74,9 +73,9 @@ def test_each_round_of_a_loop_begins_with_the_first_states(recording):
     )[:45]
 
 
-@pytest.mark.parametrize("verbatim", [False, True])
-def test_a_seek_reports_the_states_that_hold_there(recording, verbatim):
-    bus = graph(recording, verbatim=verbatim)
+@pytest.mark.parametrize("keep_stamps", [False, True])
+def test_a_seek_reports_the_states_that_hold_there(recording, keep_stamps):
+    bus = graph(recording, keep_stamps=keep_stamps)
     ticks = bus.frames()
     for _ in range(15):
         next(ticks)

@@ -61,9 +61,9 @@ def play(node, n_ticks=1000):
     return frames
 
 
-def test_verbatim_is_what_was_recorded_to_the_bit(recording):
+def test_kept_stamps_are_those_of_what_was_recorded_to_the_bit(recording):
     path, seen = recording
-    node = player(path, verbatim=True)
+    node = player(path, keep_stamps=True)
     played = [encode(m) for frame in play(node) for m in frame]
     assert played == [encode(m) for m in seen]
     assert {m.topic for m in node.start()} == {"/skin/skin", "/skin/phi", "/skin/solver"}
@@ -74,7 +74,7 @@ def test_verbatim_is_what_was_recorded_to_the_bit(recording):
     [({"start_s": 0.1, "duration_s": 0.03}, 10, 3), ({"start_s": 5.0}, 0, 0)],
 )
 def test_a_part_is_half_open(recording, settings, first, count):
-    frames = play(player(recording[0], verbatim=True, **settings))
+    frames = play(player(recording[0], keep_stamps=True, **settings))
     stamps = [frame[0].stamp_ns for frame in frames]
     assert stamps == [BEGIN_NS + 10 * MS * (first + k) for k in range(count)]
 
@@ -97,7 +97,7 @@ def test_chosen_topics_alone_are_played_under_new_names(recording):
         ({"remap": ("/skin",)}, "expected FROM:=TO"),
         ({"remap": ("/skin/taxels:=/skin/truth",)}, "a topic ends in its schema"),
         ({"remap": ("/skin:=/Left",)}, "no name"),
-        ({"verbatim": True, "loop": True}, "cannot be combined with loop"),
+        ({"keep_stamps": True, "loop": True}, "cannot be combined with loop"),
     ],
 )
 def test_a_wrong_setting_is_named(recording, settings, text):

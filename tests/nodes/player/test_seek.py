@@ -66,7 +66,7 @@ def recorded(messages):
     return number
 
 
-@pytest.mark.parametrize("values", [{"verbatim": True}, {"lockstep": True}, {"rate": 0.0}])
+@pytest.mark.parametrize("values", [{"keep_stamps": True}, {"lockstep": True}, {"rate": 0.0}])
 def test_a_seek_goes_forward_and_back(bag, values):
     deck = Deck(bag, **values)
     assert [recorded(f) for f in deck.play(3)] == [0, 1, 2]
@@ -110,22 +110,15 @@ def test_stamps_of_what_is_played_never_go_back(bag):
     assert numbers == list(range(10))
 
 
-def test_what_is_played_as_recorded_gets_a_new_run_with_every_seek(bag):
-    deck = Deck(bag, verbatim=True)
-    runs = []
-    for seek_s in (None, 0.1, 0.02):
-        if seek_s is not None:
-            deck.press("seek", seek_s)
-        played = deck.play(4)
-        for topic in {m.topic for m in played[0]}:
-            of_topic = [m for messages in played for m in messages if m.topic == topic]
-            assert [m.seq for m in of_topic] == [0, 1, 2, 3]
-        (run_id,) = {m.run_id for messages in played for m in messages}
-        runs.append(run_id)
-        first = recorded(played[0])
-        assert {m.stamp_ns for m in played[0]} == {first * PERIOD_NS}
-    assert runs[0] == RUN
-    assert len(set(runs)) == 3
+def test_a_seek_keeps_stamps_where_they_are_kept_and_counts_on(bag):
+    deck = Deck(bag, keep_stamps=True)
+    played = deck.play(4)
+    deck.press("seek", 0.02)
+    played += deck.play(4)
+    stamps = [k * PERIOD_NS for k in (0, 1, 2, 3, 2, 3, 4, 5)]
+    assert [{m.stamp_ns for m in messages} for messages in played] == [{ns} for ns in stamps]
+    numbers = [m.seq for messages in played for m in messages if isinstance(m, Taxels)]
+    assert numbers == list(range(8))
 
 
 def test_in_a_loop_the_next_round_begins_at_the_beginning(bag):
