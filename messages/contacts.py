@@ -28,68 +28,47 @@ def _column(dtype: str, ndim: int = 1, optional: bool = False) -> Any:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contacts(Frames):
-    """Contacts of a reconstructed frame: arrays with an entry or a row for each, n of them.
-
-    Attributes
-    ----------
-    id : ndarray of int32, shape (n,)
-        Number of a contact, which it keeps from frame to frame, from 1 on.
-    total, total_sd, peak : ndarray of float32, shape (n,)
-        Sum of its forces, the standard deviation of that, and its largest force, in the skin's
-        unit.
-    centre, centre_sd : ndarray of float32, shape (n, 2)
-        Row and column of the centre of pressure, from the middle of taxel (0, 0), and deviations.
-    area : ndarray of int32, shape (n,)
-        Number of taxels.
-    velocity : ndarray of float32, shape (n, 2)
-        Of the centre, rows and columns a second.
-    age_s : ndarray of float32, shape (n,)
-        Time since the contact began, seconds.
-    over, sliding : ndarray of bool, shape (n,)
-        True from the event of that name until force or speed are half of what it was reported at.
-    place_mm, place_sd_mm : ndarray of float32, shape (n, 3), or None
-        Centre, x, y, z, and deviations: of a flat skin, column and row times the pitch, and 0; of
-        one of points, in the frame of their file. None where no pitch is known.
-    velocity_mm_s : ndarray of float32, shape (n, 3), or None
-        Of the centre.
-    area_mm2 : ndarray of float32, shape (n,), or None
-        Number of taxels times the square of the pitch.
-    normal : ndarray of float32, shape (n, 3), or None
-        Outward unit normal, of a skin of points.
-    events : ndarray of int32, shape (n_events, 3), or None
-        What changed in this frame: row of the patch in `patches`, id, and number in `EVENTS`:
-        begin; end; over (the total exceeds a stated force); slide. None: nothing.
-    patch_of : ndarray of int32, shape (n,), or None
-        Row in `patches` of each contact's patch; None: all are of the first.
-    trusted : tuple of bool
-        As of the reconstruction, of each patch.
-    done_ns : int
-        Time of the estimate on the graph's clock, nanoseconds.
-    """
+    """Contacts of a reconstructed frame: arrays with an entry or a row for each, n of them."""
 
     schema: ClassVar[str] = "contacts"
     times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
 
     id: Numbers = _column("<i4")
+    """Number of a contact, which it keeps from frame to frame, from 1 on."""
     total: Floats = _column("<f4")
     total_sd: Floats = _column("<f4")
     peak: Floats = _column("<f4")
+    """Sum of its forces, standard deviation of that, and largest force, in the skin's unit."""
     centre: Floats = _column("<f4", 2)
     centre_sd: Floats = _column("<f4", 2)
+    """Row and column of the centre of pressure, from the middle of taxel (0, 0), and deviations."""
     area: Numbers = _column("<i4")
+    """Number of taxels."""
     velocity: Floats = _column("<f4", 2)
+    """Of the centre, rows and columns a second."""
     age_s: Floats = _column("<f4")
     over: Flags = _column("|b1")
     sliding: Flags = _column("|b1")
+    """True from the event of that name until force or speed are half of what it was reported at."""
     done_ns: int = wire(Integer())
+    """Time of the estimate on the graph's clock, nanoseconds."""
     trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
+    """As of the reconstruction, of each patch."""
     place_mm: Floats | None = _column("<f4", 2, optional=True)
     place_sd_mm: Floats | None = _column("<f4", 2, optional=True)
+    """Centre (n, 3), x, y, z, and deviations: of a flat skin, column and row times the pitch, and
+    0; of one of points, in the frame of their file. None where no pitch is known."""
     velocity_mm_s: Floats | None = _column("<f4", 2, optional=True)
+    """Of that, (n, 3)."""
     area_mm2: Floats | None = _column("<f4", 1, optional=True)
+    """Number of taxels times the square of the pitch."""
     normal: Floats | None = _column("<f4", 2, optional=True)
+    """Outward unit normal, (n, 3), of a skin of points."""
     patch_of: Numbers | None = _column("<i4", 1, optional=True)
+    """Row in `patches` of each contact's patch; None: all are of the first."""
     events: Numbers | None = _column("<i4", 2, optional=True)
+    """What changed in this frame, (n_events, 3): row of the patch in `patches`, id, and number in
+    `EVENTS`: begin; end; over (the total exceeds a stated force); slide. None: nothing."""
 
     def validate(self) -> None:
         super().validate()

@@ -194,56 +194,44 @@ class Measurements(Sensed):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reconstruction(Sensed):
-    """Forces reconstructed from the measurements.
-
-    Attributes
-    ----------
-    forces : ndarray of float32, shape (n_patches, n_rows, n_cols)
-        In the skin's unit, 0 or more; 0 in masked cells. Those of patches that are `unchanged` may
-        be left out, all of them: then of shape (n_changed, n_rows, n_cols).
-    phi, iterations
-        Fingerprint of the Phi that was inverted; number of iterations of the solver.
-    residual, solve_ns, done_ns
-        ||Phi x - y|| / sqrt(M), in the skin's unit; duration of the solver, and time of the
-        reconstruction on the graph's clock, nanoseconds.
-    sd : ndarray of float32, shape (n_patches, n_rows, n_cols), or None
-        Standard deviation of each force, in the skin's unit, where it is computed: 90 % of the
-        true forces lie within 1.645 of it.
-    skipped : int
-        Number of frames skipped since the last reconstruction because newer ones waited.
-    error : tuple of (float or None)
-        RMS error of a taxel, in the skin's unit, where the solver estimates it.
-    trusted, reason : tuple of bool, tuple of str
-        False where forces are not to be acted on, and why: "error" (the estimated error is a large
-        part of the forces), "constant" (all measurements are equal: the frame was left out),
-        "frozen" (frames repeat exactly), "missing" (readings are missing next to each other, see
-        `Sensed`), "range" (a force beyond f_max), "uniform" (all taxels rose together), "rows"
-        (measurements contradict each other), "stuck" (a row, column or square of taxels may be
-        stuck); else, and where it was not stated, "".
-    unchanged : tuple of bool
-        True where measurements changed by no more than their noise: the frame was not solved, and
-        its forces are those of the frame before.
-    """
+    """Forces reconstructed from the measurements; tuples hold a number for each patch."""
 
     schema: ClassVar[str] = "reconstruction"
     times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
 
     forces: Floats = wire(Array("<f4", 3, patches=True, sparse=True))
+    """In the skin's unit, 0 or more; 0 in masked cells: (n_patches, n_rows, n_cols). Those of
+    patches that are `unchanged` may be left out, all of them."""
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
+    """Fingerprint of the Phi that was inverted."""
     iterations: tuple[int, ...] = wire(Each(Integer(0, 1_000_000)))
     residual: tuple[float, ...] = wire(Each(Real(0.0)))
+    """||Phi x - y|| / sqrt(M), in the skin's unit."""
     solve_ns: tuple[int, ...] = wire(Each(Integer()))
     done_ns: int = wire(Integer())
+    """Duration of the solver, and time of the reconstruction on the graph's clock, nanoseconds."""
     sd: Floats | None = wire(
         Array("<f4", 3, optional=True, patches=True), default=None, omitted=True
     )
+    """Standard deviation of each force, in the skin's unit, where it is computed, of the shape of
+    all forces: 90 % of the true ones lie within 1.645 of it."""
     skipped: int = wire(Integer(), default=0, omitted=True)
+    """Number of frames skipped since the last reconstruction because newer ones waited."""
     error: tuple[float | None, ...] = wire(
         Each(Real(0.0, optional=True), (None,)), default=(), omitted=True
     )
+    """RMS error of a taxel, in the skin's unit, where the solver estimates it."""
     trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
+    """False where forces are not to be acted on; True also where the error is not estimated."""
     unchanged: tuple[bool, ...] = wire(Each(Flag(), (False,)), default=(), omitted=True)
+    """True where measurements changed by no more than their noise: the frame was not solved, and
+    its forces are those of the frame before."""
     reason: tuple[str, ...] = wire(Words(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
+    """Why a patch is not trusted: "error" (the estimated error is a large part of the forces),
+    "constant" (all measurements are equal: the frame was left out), "frozen" (frames repeat
+    exactly), "missing" (readings are missing next to each other, see `Sensed`), "range" (a force
+    beyond f_max), "uniform" (all taxels rose together), "rows" (measurements contradict each
+    other), "stuck" (a row, column or square of taxels may be stuck); "" else, or not stated."""
 
     def validate(self) -> None:
         super().validate()

@@ -25,41 +25,27 @@ NORM_TOLERANCE = 1e-3
 @dataclass(frozen=True, eq=False)
 class Skin:
     """The geometry and range of one patch of taxels.
-
-    Attributes
-    ----------
-    n_rows, n_cols : int
-        Size of the grid of taxels, 1..4096 each.
-    f_max : float
-        Upper end of the range, in `unit`; the peak of PSNR. Readings lie in [0, f_max].
-    unit : str
-        Unit of the readings: "N" (newtons) or what a recording states, e.g. "raw".
-    pitch_m : float or None
-        Distance between the centres of neighbouring taxels, in metres; None where not known.
-    mask : ndarray of bool, shape (n_rows, n_cols), or None
-        True where a taxel exists; None if all exist.
-    points : ndarray of float32, shape (n_taxels, 6), or None
-        Of a skin that is no flat grid: x, y, z in metres, then the outward unit normal, of each
-        cell that exists, in row-major order. Its grid is virtual: neighbours on it are neighbours
-        on the surface, `pitch_m` is their median distance. None: a flat grid.
-    point_rows : ndarray of int32, shape (n_taxels,), or None
-        Where the points are of a file: the row of each among the file's, from 0, which is the
-        place of its reading in a frame of the source.
-
-    Raises
-    ------
-    MessageError
-        If a side, the range, the mask or the points are not as stated.
+    Raises MessageError if a side, the range, the mask or the points are not as stated.
     """
 
     n_rows: int
     n_cols: int
+    """Size of the grid of taxels, 1..4096 each."""
     f_max: float
+    """Upper end of the range, in `unit`; the peak of PSNR. Readings lie in [0, f_max]."""
     unit: str = "N"
+    """Unit of the readings: "N" (newtons) or what a recording states, e.g. "raw"."""
     pitch_m: float | None = None
+    """Distance between the centres of neighbouring taxels, metres; None where not known."""
     mask: npt.NDArray[np.bool_] | None = None
+    """True where a taxel exists, (n_rows, n_cols); None if all exist."""
     points: npt.NDArray[np.float32] | None = None
+    """Of a skin that is no flat grid: x, y, z in metres, then the outward unit normal, of each cell
+    that exists, in row-major order, (n_taxels, 6). Its grid is virtual: neighbours on it are
+    neighbours on the surface, `pitch_m` is their median distance. None: a flat grid."""
     point_rows: npt.NDArray[np.int32] | None = None
+    """Row of each point in its file, from 0, which is the place of its reading in a frame of the
+    source, (n_taxels,)."""
 
     def __post_init__(self) -> None:
         for name, side in (("n_rows", self.n_rows), ("n_cols", self.n_cols)):

@@ -37,43 +37,23 @@ if TYPE_CHECKING:
 
     __version__: str
 
-#: Module and attribute of each name.
-_HOMES = {
-    "make_phi": ("sparseskin.nodes.compressor.phi.base", "make_phi"),
-    "make_basis": ("sparseskin.nodes.reconstructor.bases.base", "make_basis"),
-    "make_solver": ("sparseskin.arrays", "make_solver"),
-    "check_phi": ("sparseskin.checks", "check_phi"),
-    "check_basis": ("sparseskin.checks", "check_basis"),
-    "check_solver": ("sparseskin.checks", "check_solver"),
-    "compress": ("sparseskin.arrays", "compress"),
-    "reconstruct": ("sparseskin.arrays", "reconstruct"),
-    "find_contacts": ("sparseskin.nodes.reconstructor.contacts", "find_contacts"),
-    "Stream": ("sparseskin.stream", "Stream"),
-    "psnr_db": ("sparseskin.arrays", "psnr_db"),
-    "simulate": ("sparseskin.arrays", "simulate"),
-    "load_launch": ("sparseskin.launch.launchfile.load", "load"),
-    "run_launch": ("sparseskin.arrays", "run_launch"),
-    "read_recording": ("sparseskin.arrays", "read_recording"),
-}
-
 __all__ = [
-    "Stream",
-    "__version__",
-    "check_basis",
-    "check_phi",
-    "check_solver",
-    "compress",
-    "find_contacts",
-    "load_launch",
-    "make_basis",
-    "make_phi",
-    "make_solver",
-    "psnr_db",
-    "read_recording",
-    "reconstruct",
-    "run_launch",
-    "simulate",
-]
+    "Stream", "__version__", "check_basis", "check_phi", "check_solver", "compress",
+    "find_contacts", "load_launch", "make_basis", "make_phi", "make_solver", "psnr_db",
+    "read_recording", "reconstruct", "run_launch", "simulate",
+]  # fmt: skip
+
+#: Module of each name, where it is not `arrays`.
+_HOMES = {
+    "make_phi": "sparseskin.nodes.compressor.phi.base",
+    "make_basis": "sparseskin.nodes.reconstructor.bases.base",
+    "check_phi": "sparseskin.checks",
+    "check_basis": "sparseskin.checks",
+    "check_solver": "sparseskin.checks",
+    "find_contacts": "sparseskin.nodes.reconstructor.contacts",
+    "Stream": "sparseskin.stream",
+    "load_launch": "sparseskin.launch.launchfile.load",
+}
 
 
 if not TYPE_CHECKING:  # which know the names above, and no others
@@ -83,10 +63,10 @@ if not TYPE_CHECKING:  # which know the names above, and no others
             from importlib.metadata import version
 
             return version("sparseskin")
-        if name not in _HOMES:
+        if name not in __all__:
             raise AttributeError(f"module 'sparseskin' has no attribute {name!r}")
-        module, attribute = _HOMES[name]
-        found = getattr(import_module(module), attribute)
+        module = import_module(_HOMES.get(name, "sparseskin.arrays"))
+        found = getattr(module, "load" if name == "load_launch" else name)
         globals()[name] = found
         return found
 

@@ -152,14 +152,9 @@ def make_solver(
 
     Raises
     ------
-    SolverError
-        If the name or a setting is unknown, a setting is not allowed, phi, basis and mask do
-        not fit, or a class of your own is not a solver.
-    SettingsError
-        If fast is none of these, or "on" without numba.
-    PhiError
-        If rows is none of these, or "rotating" and those of phi cannot; or phi measures another
-        grid than that of the basis.
+    SolverError, SettingsError, PhiError
+        If the name or a setting is unknown or not allowed, phi, basis and mask do not fit, a class
+        of your own is not a solver; fast is "on" without numba; rows of phi cannot rotate.
     """
     made = make_rotating_solver(name, row_subsets(phi, rows), basis, mask, fast=fast, **settings)
     _keep_grid(phi, (basis.n_rows, basis.n_cols))
@@ -237,7 +232,8 @@ def warn_of_threads() -> None:
 
 
 def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
-    """Peak signal-to-noise ratio of each frame, 20 log10(f_max / RMSE), capped at 100 dB.
+    """Peak signal-to-noise ratio of each frame, 20 log10(f_max / RMSE), capped at 100 dB (paper,
+    section V-C).
 
     Parameters
     ----------
@@ -255,10 +251,6 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     ------
     SparseskinError
         If the shapes differ or are no frames, or the reference exceeds the range.
-
-    Notes
-    -----
-    Source: paper, section V-C.
 
     Examples
     --------
@@ -334,42 +326,27 @@ def _check_frames(function: str, n_frames: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame of one patch, as it passed through the nodes.
-
-    Attributes
-    ----------
-    patch : str
-        Name of the patch.
-    stamp_ns : int
-        Time of acquisition, nanoseconds.
-    truth : ndarray of float32, shape (n_rows, n_cols), or None
-        Forces that act, newtons, where a simulation knows them.
-    taxels : ndarray of float32, shape (n_rows, n_cols), or None
-        Readings, newtons.
-    measurements : ndarray of float32, shape (m,), or None
-        What the edge sent, newtons.
-    forces : ndarray of float32, shape (n_rows, n_cols), or None
-        Reconstructed forces, newtons.
-    error : float or None
-        RMS error of a taxel of `forces` as the solver estimates it, newtons, where it does.
-    trusted : bool
-        False if that error is a large part of the forces; True also where it is not estimated.
-    contacts : Contacts or None
-        Contacts of `forces`, arrays with an entry each, with `reconstructor.contacts=true`.
-    missing : ndarray of bool, shape (n_rows, n_cols), or None
-        Taxels whose reading is missing, and filled in; None: no reading is, or none was allowed to.
-    """
+    """One frame of one patch, as it passed through the nodes; None where no node makes a part."""
 
     patch: str
     stamp_ns: int
+    """Time of acquisition, nanoseconds."""
     truth: Floats | None = None
+    """Forces that act, newtons, float32 (n_rows, n_cols), where a simulation knows them."""
     taxels: Floats | None = None
+    """Readings, newtons, float32 (n_rows, n_cols)."""
     measurements: Floats | None = None
+    """What the edge sent, newtons, float32 (m,)."""
     forces: Floats | None = None
+    """Reconstructed forces, newtons, float32 (n_rows, n_cols)."""
     error: float | None = None
+    """RMS error of a taxel of `forces` as the solver estimates it, newtons, where it does."""
     trusted: bool = True
+    """False if that error is a large part of the forces; True also where it is not estimated."""
     contacts: Contacts | None = None
+    """Contacts of `forces`, arrays with an entry each, with `reconstructor.contacts=true`."""
     missing: Mask | None = None
+    """Taxels whose reading is missing, and filled in, (n_rows, n_cols); None: there are none."""
 
 
 def run_launch(
@@ -391,15 +368,13 @@ def run_launch(
     Yields
     ------
     Frame
-        For each patch of the graph and each of its frames; None in it where no node makes that
-        part.
+        For each patch of the graph and each of its frames.
 
     Raises
     ------
-    LaunchError
-        If the launch file is refused.
     SparseskinError
-        If a node fails, or refuses a message; or `n_frames` is not allowed.
+        If the launch file is refused (LaunchError), a node fails, or refuses a message; or
+        `n_frames` is not allowed.
 
     Examples
     --------

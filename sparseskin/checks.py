@@ -1,6 +1,5 @@
 """Checks of matrices, bases and solvers of one's own: what every part of this package fulfils."""
 
-import time
 from collections.abc import Callable
 from typing import Any, NoReturn
 
@@ -15,7 +14,7 @@ from sparseskin.nodes.reconstructor.solvers.base import Solver
 
 ROUNDING = 1e-5
 """Largest error, relative to the lengths of vectors, that float32 arithmetic explains."""
-N_FRAMES, N_TIMED = 6, 5
+N_FRAMES = 6
 
 
 def check_phi(phi: Phi) -> dict[str, float]:
@@ -25,15 +24,10 @@ def check_phi(phi: Phi) -> dict[str, float]:
     bits on two calls, alone and in a batch; <Phi x, y> = <x, Phi^T y> (the dot test); `dense`;
     `lipschitz`, which is at least the largest eigenvalue of Phi Phi^T; `fingerprint`.
 
-    Parameters
-    ----------
-    phi : Phi
-
     Returns
     -------
     dict
-        "dot": error of the dot test, relative; "largest": largest eigenvalue; "forward_s",
-        "adjoint_s": least time of a frame, seconds.
+        "dot": error of the dot test, relative; "largest": largest eigenvalue.
 
     Raises
     ------
@@ -60,12 +54,7 @@ def check_phi(phi: Phi) -> dict[str, float]:
         _fail(PhiError, f"{name}: lipschitz", phi.lipschitz, f"at least {largest:.7g}")
     if not (isinstance(phi.fingerprint, str) and len(phi.fingerprint) == 16):
         _fail(PhiError, f"{name}: fingerprint", repr(phi.fingerprint), "16 characters")
-    return {
-        "dot": dot,
-        "largest": largest,
-        "forward_s": _least_s(phi.forward, x[0]),
-        "adjoint_s": _least_s(phi.adjoint, y[0]),
-    }
+    return {"dot": dot, "largest": largest}
 
 
 def check_basis(basis: Basis) -> dict[str, float]:
@@ -74,8 +63,7 @@ def check_basis(basis: Basis) -> dict[str, float]:
     Returns
     -------
     dict
-        "dot": error of the dot test, relative; "analysis_s", "synthesis_s": least time of a frame,
-        seconds.
+        "dot": error of the dot test, relative.
 
     Raises
     ------
@@ -92,11 +80,7 @@ def check_basis(basis: Basis) -> dict[str, float]:
     back, again = basis.synthesis(found), basis.analysis(made)
     _compare(SolverError, f"{name}: synthesis of analysis", back, image, "the image")
     _compare(SolverError, f"{name}: analysis of synthesis", again, theta, "the coefficients")
-    return {
-        "dot": dot,
-        "analysis_s": _least_s(basis.analysis, image[0]),
-        "synthesis_s": _least_s(basis.synthesis, theta[0]),
-    }
+    return {"dot": dot}
 
 
 def check_solver(solver: Solver) -> dict[str, float]:
@@ -109,8 +93,7 @@ def check_solver(solver: Solver) -> dict[str, float]:
     Returns
     -------
     dict
-        "error": of the last frame, relative to its forces; "solve_s": least time of a frame,
-        seconds.
+        "error": of the last frame, relative to its forces.
 
     Raises
     ------
@@ -173,15 +156,9 @@ def check_solver(solver: Solver) -> dict[str, float]:
     solver.use(phis[0])
     if solver.solve(np.zeros(solver.phi.m, np.float32)).any():
         _fail(SolverError, name, "forces for measurements of 0", "0")
-    off = float(np.linalg.norm(first[-1] - frames[-1]))
-
-    def solve_first(y: Floats) -> Floats:
-        solver.use(phis[0])
-        return solver.solve(y)
-
-    solve_s = _least_s(solve_first, given[0])
     solver.reset()
-    return {"error": off / max(float(np.linalg.norm(frames[-1])), TINY), "solve_s": solve_s}
+    off = float(np.linalg.norm(first[-1] - frames[-1]))
+    return {"error": off / max(float(np.linalg.norm(frames[-1])), TINY)}
 
 
 def _fail(kind: type[SparseskinError], what: str, found: object, expected: str) -> NoReturn:
@@ -244,13 +221,3 @@ def _compare(
     error = float(np.abs(found - expected).max()) / max(float(np.linalg.norm(expected)), TINY)
     if not error <= ROUNDING:
         _fail(kind, what, f"a relative error of {error:.2g}", name)
-
-
-def _least_s(apply: Callable[[Floats], Floats], given: Floats) -> float:
-    """Least time of a call, seconds."""
-    times = []
-    for _ in range(N_TIMED):
-        begin_s = time.perf_counter()
-        apply(given)
-        times.append(time.perf_counter() - begin_s)
-    return min(times)
