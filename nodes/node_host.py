@@ -199,8 +199,8 @@ class NodeHost:
                 continue  # a state remains valid after the end of the stream
             patch, schema = split_topic(topic)
             n = self.counts.published[topic]
-            head = {"stamp_ns": stamp_ns, "patch": patch, "run_id": self.run_id, "seq": n}
-            yield End(**head, of=schema, n_messages=n)
+            head: dict[str, Any] = {"stamp_ns": stamp_ns, "patch": patch, "run_id": self.run_id}
+            yield End(**head, seq=n, of=schema, n_messages=n)
 
     def idle(self) -> None:
         """Let the node do its periodic work."""

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Self
@@ -31,25 +31,14 @@ class Range:
     low: float = -math.inf
     high: float = math.inf
     choices: tuple[str, ...] = ()
-    known: tuple[str, ...] = ()
+    known: Collection[str] = ()
     live: bool = False
     decides: bool = False
 
 
-def setting(
-    default: Any,
-    doc: str,
-    *,
-    low: float = -math.inf,
-    high: float = math.inf,
-    choices: tuple[str, ...] = (),
-    known: Iterable[str] = (),
-    live: bool = False,
-    decides: bool = False,
-) -> Any:
+def setting(default: Any, doc: str, **allowed: Any) -> Any:
     """Declare one setting: its default and its `Range`."""
-    allowed = Range(doc, low, high, tuple(choices), tuple(known), live, decides)
-    return dataclasses.field(default=default, metadata={"range": allowed})
+    return dataclasses.field(default=default, metadata={"range": Range(doc, **allowed)})
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,15 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
 from tqdm import tqdm
 
+from sparseskin import nodes
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import one_line
-from sparseskin.nodes.tasks.fingerprint import code_fingerprint
 from sparseskin.nodes.tasks.results import computed
 
 #: Raised when the figures of a point change their meaning: records of other versions are not used.
@@ -25,6 +26,15 @@ POINTS_FILE = "points.jsonl"
 Point: TypeAlias = Mapping[str, Any]
 Figures: TypeAlias = dict[str, Any]
 Function: TypeAlias = Callable[[dict[str, Any]], Figures]
+
+
+@cache
+def code_fingerprint() -> str:
+    """16 hexadecimal characters that change with the code of the nodes."""
+    digest, (root,) = hashlib.sha256(), nodes.__path__
+    for path in sorted(Path(root).rglob("*.py")):
+        digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 class StudyError(SparseskinError):

@@ -44,14 +44,6 @@ COMMANDS = {
 """Of each command its group, the module that adds its arguments to a parser, by `configure_COMMAND`
 or `configure`, and one line of help.
 """
-MOVED = {
-    "bag": "recording",
-    "topic bw": "topic hz, which prints rate, bytes and age",
-    "topic delay": "topic hz, which prints rate, bytes and age",
-    "scenes list": "scenes",
-    "scenes make": "launch NAME --record FILE",
-}
-"""Commands of earlier versions, and those that replaced them."""
 
 
 def plugins() -> list[str]:
@@ -80,9 +72,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     if everything:
         words.remove("--all")
     try:
-        for former in (" ".join(words[:2]), words[0]):
-            if new := MOVED.get(former):
-                raise SparseskinError(f"sparseskin {former}: is now sparseskin {new}")
         arguments = make_parser(words, everything).parse_args(words)
         return int(arguments.run(arguments))
     except SparseskinError as error:

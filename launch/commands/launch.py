@@ -11,7 +11,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sparseskin.launch.attach.text import table
 from sparseskin.launch.launchfile import bundled_names
+from sparseskin.messages.text import printable
 
 from .options import (
     add_commands,
@@ -96,11 +98,40 @@ def _launch(arguments: argparse.Namespace) -> int:
         loops = [f"{node.name}.loop=true" for node in nodes if again and _ends(node.settings)]
         launch = load(arguments.name, [*loops, *arguments.set, *changes], arguments.record)
     if arguments.dry_run:
-        from sparseskin.launch.launchfile.graph_text import graph_text
-
         print(graph_text(launch))
         return 0
     return _run(launch.part(arguments.host), arguments)
+
+
+def graph_text(launch: LaunchFile) -> str:
+    """Nodes with their settings, then hosts, then topics with those that write and read them."""
+    nodes = []
+    for node in launch.nodes.values():
+        stated = {
+            "host": node.host,
+            **{key: value for key, value in node.values.items() if key != "launch"},
+            "cpus": list(node.scheduling.cpus),
+            "priority": node.scheduling.priority,
+        }
+        shown = [  # of the keys of all nodes those that are stated
+            f"{key} = {value!r}" for key, value in stated.items() if value or key in node.values
+        ]
+        nodes.append([node.name, node.type_name, ", ".join(shown)])
+    hosts = [
+        [name, host.address, ", ".join(f"{n.name} at {n.public}" for n in here if n.public)]
+        for name, host in launch.hosts.items()
+        for here in ([n for n in launch.nodes.values() if n.host == name],)
+    ]
+    topics = [
+        [topic, links[0].writer, ", ".join(link.reader for link in links)]
+        for topic in dict.fromkeys(link.topic for link in launch.links)
+        for links in ([link for link in launch.links if link.topic == topic],)
+    ]
+    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", ""]
+    lines += table(["NODE", "TYPE", "SETTINGS"], nodes)
+    lines += ["", *table(["HOST", "ADDRESS", "NODES"], hosts)] if hosts else []
+    lines += ["", *table(["TOPIC (/PATCH/SCHEMA)", "PUBLISHER", "SUBSCRIBERS"], topics)]
+    return "\n".join(map(printable, lines))
 
 
 def _ends(settings: object) -> bool:

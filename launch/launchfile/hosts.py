@@ -73,9 +73,6 @@ class Place(Settings):
     """Keys of [nodes.NAME] in a graph of several hosts."""
 
     host: str = setting("", "host on which the node runs")
-    publish_port: int | None = setting(
-        None, "port at which it publishes", low=PORTS.start, high=PORTS.stop - 1
-    )
 
 
 def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:
@@ -135,18 +132,17 @@ def check_place(name: str, place: Place, hosts: Mapping[str, Host], fault: Fault
 def give_ports(
     places: Mapping[str, Place], hosts: Mapping[str, Host], fault: Fault
 ) -> dict[str, str]:
-    """Public endpoint of each node that publishes, by its place; the n-th node of a host without a
-    stated port, in the order of the launch file, gets its base port + n.
+    """Public endpoint of each node that publishes, by its place; the n-th node of a host, in the
+    order of the launch file, gets its base port + n.
     """
     endpoints: dict[str, str] = {}
     next_port = {name: host.base_port for name, host in hosts.items()}
     for node, place in places.items():
-        port = place.publish_port or next_port[place.host]
-        next_port[place.host] += place.publish_port is None
+        port = next_port[place.host]
+        next_port[place.host] += 1
         endpoint = f"tcp://{hosts[place.host].address}:{port}"
         if port not in PORTS:
-            text = f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}"
-            fault(("nodes", node, "publish_port"), text)
+            fault(("nodes", node), f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}")
         for other, taken in endpoints.items():
             if endpoint == taken:
                 fault(("nodes", node), f"publishes at {endpoint}, where {other} does too")

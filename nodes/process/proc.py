@@ -1,4 +1,4 @@
-"""Figures of a process from /proc: processor time, memory, age, open files."""
+"""Figures of a process from /proc: processor time, memory, age."""
 
 import os
 from pathlib import Path
@@ -44,11 +44,6 @@ def own_bytes(pid: int) -> int:
     """Resident memory of a process, each shared page divided by the number of its users (PSS)."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
-
-
-def n_files(pid: int) -> int:
-    """Number of open file descriptors of a process."""
-    return len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
 def command(pid: int) -> list[str]:

@@ -4,13 +4,13 @@ At full size 10,000 half-open connections, and 1,000 pages three times.
 """
 
 import contextlib
+import os
 import resource
 import select
 import socket
 import threading
 import time
 from collections import Counter
-from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
@@ -22,7 +22,7 @@ from sparseskin.nodes.monitor.live.server import MAX_PAGES
 from sparseskin.nodes.network.gate import MAX_PENDING
 from sparseskin.nodes.network.keys import make_key_files, read_key_pair
 from sparseskin.nodes.network.sockets import Reader, make_context
-from sparseskin.nodes.process.proc import n_files, own_bytes
+from sparseskin.nodes.process.proc import own_bytes
 
 CLOSING = 64
 """Open files of a node that is closing connections, beyond those that it may keep."""
@@ -50,8 +50,8 @@ class Look(NamedTuple):
 
     @classmethod
     def at(cls, pid):
-        n_threads = len(list(Path(f"/proc/{pid}/task").iterdir()))
-        return cls(n_files(pid), n_threads, own_bytes(pid))
+        n_files, n_threads = (len(os.listdir(f"/proc/{pid}/{of}")) for of in ("fd", "task"))
+        return cls(n_files, n_threads, own_bytes(pid))
 
 
 class Watched:

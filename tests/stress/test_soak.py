@@ -60,7 +60,7 @@ def measure(seconds, rate_hz, side):
             found["time_s"].append(round(now_s, 2))
             for name, pid in pids.items():
                 found[name]["memory_mb"].append(proc.resident_bytes(pid) / 1e6)
-                found[name]["files"].append(proc.n_files(pid))
+                found[name]["files"].append(len(os.listdir(f"/proc/{pid}/fd")))
                 found[name]["cpu_s"].append(proc.cpu_s(pid))
             time.sleep(max(1.0, seconds / MAX_SAMPLES))
         code = graph.end()

@@ -32,8 +32,6 @@ LINES = {
     "topic hz /skin/taxels -n 0": "-n: '0': expected a whole number, 1 or more",
     "tropic": "argument COMMAND: invalid choice: 'tropic' (did you mean 'topic'?)",
     "help lanch": "(did you mean 'launch'?)",
-    "scenes make box": "scenes make: is now sparseskin launch NAME --record FILE",
-    "topic bw /skin/taxels": "sparseskin topic bw: is now sparseskin topic hz, which prints",
     "scope scene:path_41": "did you mean 'path_40'?",
     "scope scene:path_40 --set n_row=3": "did you mean 'n_rows'?",
     "scope scene:path_40 --set n_rows": "--set n_rows: expected KEY=VALUE",

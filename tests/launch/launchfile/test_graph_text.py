@@ -1,7 +1,7 @@
 """A graph as text."""
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.launchfile.graph_text import graph_text
+from sparseskin.launch.commands.launch import graph_text
 from sparseskin.launch.launchfile.load import load
 
 

@@ -30,7 +30,6 @@ host = "edge"
 [nodes.compressor]
 type = "compressor"
 host = "edge"
-publish_port = 5999
 
 [nodes.reconstructor]
 type = "reconstructor"
@@ -65,7 +64,7 @@ def test_each_publishing_node_has_an_endpoint_that_a_recorder_more_on_one_host_d
     nodes = load(write(TWO)).nodes
     assert {name: node.public for name, node in nodes.items()} == {
         "sensor": "tcp://192.168.1.10:5700",
-        "compressor": "tcp://192.168.1.10:5999",
+        "compressor": "tcp://192.168.1.10:5701",
         "reconstructor": "tcp://192.168.1.20:6000",
         "monitor": "",
     }
@@ -103,7 +102,7 @@ def test_without_a_host_the_command_names_them_and_starts_nothing(capsys):
     assert main(["launch", "path_40", "--host", "edge"]) == 2
     assert "path_40 has no tables [hosts.NAME]" in capsys.readouterr().err
     assert main(["launch", "f.toml", "--dry-run"]) == 0
-    assert "compressor at tcp://192.168.1.10:5999" in " ".join(capsys.readouterr().out.split())
+    assert "compressor at tcp://192.168.1.10:5701" in " ".join(capsys.readouterr().out.split())
 
 
 def test_an_address_that_others_reach_is_refused_without_keys(capsys):
@@ -128,9 +127,13 @@ def test_an_address_that_others_reach_is_refused_without_keys(capsys):
         (
             'reconstructor"\nhost = "desk"',
             'reconstructor"\nhost = "dsk"',
-            "26: nodes.reconstructor.host: 'dsk' is no host (did you mean 'desk'?)",
+            "25: nodes.reconstructor.host: 'dsk' is no host (did you mean 'desk'?)",
         ),
-        ("5999", "5700", "19: nodes.compressor: publishes at tcp://192.168.1.10:5700, where"),
+        (
+            '20"\nbase_port = 6000',
+            '10"\nbase_port = 5701',
+            "23: nodes.reconstructor: publishes at tcp://192.168.1.10:5701, where compressor does",
+        ),
         ('"keys"', '"keys"\nallow = "edge"', "13: security.allow: expected a list of"),
         ('"keys"', '"keys"\nkey = "edge"', "13: security.key: with several hosts each"),
     ],

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import wait_until
 
-from sparseskin.launch.run.control_socket import MAX_CLIENTS, MAX_LINE_BYTES, ControlServer
+from sparseskin.launch.run.controls import MAX_CLIENTS, MAX_LINE_BYTES, ControlServer
 from sparseskin.launch.run.running import GraphError
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.process.control import MAX_QUEUED_BYTES, ControlClient

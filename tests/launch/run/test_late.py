@@ -14,7 +14,7 @@ from sparseskin.launch.run.state import hosts_state
 from sparseskin.launch.run.waiting import AFTER_S, AGAIN_S, LateLog, late_at_end, waits_for
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.node import Node
-from sparseskin.nodes.player.settings import PlayerSettings
+from sparseskin.nodes.player.node import PlayerSettings
 
 LINKS = [
     Link("/skin/taxels", "sensor", "compressor"),

@@ -7,8 +7,7 @@ from bags import MASK, PERIOD_NS, make_bag, skin_state
 from sparseskin.messages import Measurements, PhiState, Reconstruction
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.player.node import Player
-from sparseskin.nodes.player.settings import PlayerSettings
+from sparseskin.nodes.player.node import Player, PlayerSettings
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
 
 N = int(MASK.sum())

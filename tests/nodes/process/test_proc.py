@@ -16,7 +16,5 @@ def test_figures_of_this_process_agree_with_the_system_calls():
     assert used_s <= after.ru_utime + after.ru_stime + 2 * tick_s
     assert 0 < proc.resident_bytes(pid) <= 1024 * after.ru_maxrss * 1.01
     assert 0 < proc.own_bytes(pid) <= 1.5 * proc.resident_bytes(pid)
-    with open(os.devnull) as _:
-        assert proc.n_files(pid) >= 2
     assert proc.age_s(pid) > 0
     assert proc.host_busy_s() > 0
