@@ -6,36 +6,14 @@ import importlib.util
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from contextvars import ContextVar
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from .errors import SparseskinError
 
-_IMPORTED: ContextVar[set[str] | None] = ContextVar("imported", default=None)
 _SEARCHED: list[str] = []
 """Folders of launch files in which modules are searched; as `sys.path`, of the whole process."""
-
-
-@contextmanager
-def imported_modules() -> Iterator[set[str]]:
-    """Collect the user's own modules that are imported in the context: their code has run."""
-    found: set[str] = set()
-    token = _IMPORTED.set(found)
-    try:
-        yield found
-    finally:
-        _IMPORTED.reset(token)
-
-
-def note_import(module: str, ran: bool = True) -> None:
-    """Add a module to those that the context collects, if any; remove it where it has not run."""
-    if (found := _IMPORTED.get()) is not None and module.partition(".")[0] not in (
-        "",
-        "sparseskin",
-    ):
-        (found.add if ran else found.discard)(module)
 
 
 def search_in(folder: str) -> None:
@@ -125,7 +103,6 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
         raise error(f"{target[:80]!r}: expected module:callable, e.g. my_skin:frames")
     here = search_here(module_name)
     importlib.invalidate_caches()
-    note_import(module_name)
     try:
         found: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as cause:
@@ -150,14 +127,10 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
 
 
 def is_missing(module: str, cause: ModuleNotFoundError) -> bool:
-    """True if an import failed as there is no such module, nor code of it that has run; False if
-    the module was there, and imports another that is not.
+    """True if an import failed as there is no such module; False if it imports another that is not
+    there.
     """
-    if cause.name is None or not f"{module}.".startswith(f"{cause.name}."):
-        return False
-    note_import(module, ran=False)
-    note_import(cause.name.rpartition(".")[0])
-    return True
+    return cause.name is not None and f"{module}.".startswith(f"{cause.name}.")
 
 
 def find_class(

@@ -9,7 +9,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sparseskin.launch.attach.text import table
 from sparseskin.launch.launchfile import bundled_names
@@ -74,7 +74,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.launchfile.load import load
-    from sparseskin.nodes.lookup import imported_modules
     from sparseskin.nodes.monitor.node import Monitor
 
     if arguments.record is not None:
@@ -82,13 +81,7 @@ def _launch(arguments: argparse.Namespace) -> int:
 
         with naming_options({"out": "--record"}):
             RecorderSettings(out=arguments.record).check()
-    with imported_modules() as modules:
-        try:
-            launch = load(arguments.name, arguments.set, arguments.record)
-        finally:  # also where the file is refused
-            if arguments.dry_run and modules:
-                names = ", ".join(sorted(modules))
-                print(f"imported, and so run, to be checked: {names}", file=sys.stderr)
+    launch = load(arguments.name, arguments.set, arguments.record)
     wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
     if wanted:
         nodes = launch.nodes.values()
@@ -161,7 +154,7 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
     try:
         if sensed or code != EXIT_USAGE:
             if patches:
-                print(summary_table(_titled(patches, launch.name)))
+                print(summary_table(patches))
             print_ends(summary["nodes"])
             sys.stdout.flush()
     finally:  # stdout may be on a full disk
@@ -178,26 +171,16 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
     return code
 
 
-def _titled(patches: dict[str, Any], graph: str) -> dict[str, Any]:
-    """Summaries of patches whose tables have the name of the graph in their title."""
-    return {
-        name: {**patch, "scene": f"{graph}, {scene}"}
-        if (scene := patch["scene"]) not in (None, graph)
-        else patch
-        for name, patch in patches.items()
-    }
-
-
 def _run_log(launch: LaunchFile) -> RunLog | None:
     """The log files of a run; None, with a warning, if the default folder cannot be made."""
-    from sparseskin.launch.run.run_log import RunLog
+    from sparseskin.launch.run.run_log import MAX_RUNS, RunLog
     from sparseskin.nodes.errors import SparseskinError
     from sparseskin.nodes.files import user_folder
 
     if launch.log_dir:
         return RunLog(Path(launch.log_dir), launch.name, time.time())
     try:
-        return RunLog(user_folder("state") / "log", launch.name, time.time())
+        return RunLog(user_folder("state") / "log", launch.name, time.time(), MAX_RUNS)
     except SparseskinError as error:
         reason = str(error).removeprefix("log_dir: ")
         print(f"warning: no log files: {reason}; graph.log_dir states another", file=sys.stderr)

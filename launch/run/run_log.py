@@ -5,7 +5,6 @@ import logging
 import os
 import re
 import shutil
-import stat
 import time
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
@@ -15,10 +14,7 @@ from sparseskin.launch.launchfile.spec import LAUNCHER, LaunchError
 MAX_FILE_BYTES = 2_000_000
 """Size at which a file becomes NAME.log.1, in place of the one before it, bytes."""
 MAX_RUNS = 20
-"""Most folders of runs that are kept beside each other; the oldest are removed."""
-MARK = ".sparseskin"
-"""File of a run whose text is the name of its folder: without it none is removed."""
-_FILE = re.compile(r"[A-Za-z0-9_.-]+\.log(\.1)?")
+"""Folders of runs that are kept in the default folder; the oldest are removed."""
 _NAMED = re.compile(r"\[([A-Za-z0-9_.-]+)\] (.*)", re.DOTALL)
 
 
@@ -36,11 +32,12 @@ class _NodeFile(RotatingFileHandler):
 
 class RunLog:
     """The files of one run of the graph `name`, in a new folder NAME-DATE-TIME-PROCESS in `parent`,
-    which is made where it is missing. `error` is the reason why nothing more is written; or "".
+    which is made where it is missing; of the runs there the newest `n_kept` stay, 0: all. `error`
+    is the reason why nothing more is written; or "".
     Raises LaunchError if the folder cannot be made, or exists already.
     """
 
-    def __init__(self, parent: Path, name: str, now_s: float) -> None:
+    def __init__(self, parent: Path, name: str, now_s: float, n_kept: int = 0) -> None:
         date = time.strftime("%Y%m%d-%H%M%S", time.localtime(now_s))
         self.folder = parent / f"{name}-{date}-{os.getpid()}"
         self.error = ""
@@ -55,9 +52,10 @@ class RunLog:
             raise LaunchError([f"log_dir: {parent}: another user changes what is in it"])
         # Whoever may change `parent` can put a folder with links in the place of this one.
         self._opened = Path(f"/proc/self/fd/{self._fd}")
-        with contextlib.suppress(OSError):  # the disk is full: the first line reports it
-            (self._opened / MARK).write_text(self.folder.name)
-            _clear(parent)
+        with contextlib.suppress(OSError):  # another launcher removes them
+            runs = sorted(parent.iterdir(), key=lambda run: run.lstat().st_mtime) if n_kept else []
+            for run in runs[: len(runs) - n_kept]:
+                shutil.rmtree(run, ignore_errors=True)
 
     def write(self, line: str, now_s: float) -> None:
         """Write one line "[NAME] TEXT" into the file of that node, with date and time."""
@@ -84,21 +82,3 @@ class RunLog:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-
-
-def _clear(parent: Path) -> None:
-    """Remove the oldest runs; of one that a link has replaced meanwhile, nothing."""
-    runs = sorted(filter(_is_run, parent.iterdir()), key=lambda run: run.lstat().st_mtime)
-    for run in runs[:-MAX_RUNS]:
-        shutil.rmtree(run, ignore_errors=True)
-
-
-def _is_run(path: Path) -> bool:
-    """True if a folder is that of a run, of this user, and nothing else is in it."""
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        found = path.lstat()
-        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid():
-            names = set(os.listdir(path))
-            own = all(_FILE.fullmatch(name) for name in names - {MARK})
-            return own and (path / MARK).read_text(encoding="utf-8") == path.name
-    return False

@@ -14,12 +14,14 @@ A reader on another host asks a writer for its time in the same way: it subscrib
 and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
 """
 
+from __future__ import annotations
+
 import contextlib
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import zmq
 
@@ -28,6 +30,9 @@ from sparseskin.messages.wire import Payload, received, wire_bytes
 from sparseskin.nodes.files import is_served
 
 from .keys import KeyPair
+
+if TYPE_CHECKING:
+    from .gate import Gate
 
 JOINS = b"\x01"
 """Begins a subscription; the end of one begins with b"\\0"."""
@@ -65,16 +70,6 @@ OVER_NETWORK_MS = {
 """Options of sockets whose links can break silently, for all later binds and connections."""
 
 _NOBLOCK, _EVENTS, _POLLIN = int(zmq.NOBLOCK), int(zmq.EVENTS), int(zmq.POLLIN)
-
-
-class Guard(Protocol):
-    """Access control of a writer's socket, e.g. a `gate.Gate`."""
-
-    def guard(self, writer: zmq.Socket[bytes]) -> None:
-        """Admit allowed readers only; called before the socket is bound."""
-
-    def subscribed(self, fd: int) -> None:
-        """Note that a subscription came by a connection, given by its file descriptor."""
 
 
 def make_context() -> zmq.Context[zmq.Socket[bytes]]:
@@ -132,7 +127,7 @@ class Writer:
         name: str = "writer",
         *,
         public: str = "",
-        gate: Guard | None = None,
+        gate: Gate | None = None,
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:

@@ -1,10 +1,9 @@
 """Return of freed memory to the system after queues were long."""
 
+import contextlib
 import ctypes
-import functools
 import math
 import os
-from collections.abc import Callable
 
 from .proc import resident_bytes
 
@@ -12,12 +11,6 @@ GROWN_BYTES = 1_000_000
 """Growth of resident memory over its minimum that makes a trim worth its time."""
 EVERY = 20
 """Calls between two trims; memory of the start is free at the first of them."""
-
-
-@functools.cache
-def _trim() -> Callable[[int], int] | None:
-    """`malloc_trim` of glibc; None where the C library has none."""
-    return getattr(ctypes.CDLL(None), "malloc_trim", None)
 
 
 class FreeMemory:
@@ -29,20 +22,18 @@ class FreeMemory:
 
     def __init__(self) -> None:
         self._least, self._n_calls = math.inf, 0
+        self._trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc
 
     def trim(self) -> None:
-        """Trim at the 20th call, and at every 20th where resident memory is above its minimum.
-
-        Call it periodically; a trim takes a millisecond.
+        """Trim at the 20th call, and at every 20th where resident memory is above its minimum; to
+        be called periodically. A trim takes a millisecond.
         """
-        trim, self._n_calls = _trim(), self._n_calls + 1
-        if trim is None or self._n_calls % EVERY:
+        self._n_calls += 1
+        if self._trim is None or self._n_calls % EVERY:
             return
-        try:
+        with contextlib.suppress(OSError):  # no descriptor is free
             resident = resident_bytes(os.getpid())
             if self._n_calls == EVERY or resident > self._least + GROWN_BYTES:
-                trim(0)
+                self._trim(0)
                 resident = resident_bytes(os.getpid())
-        except OSError:  # no descriptor is free
-            return
-        self._least = min(self._least, resident)
+            self._least = min(self._least, resident)

@@ -11,7 +11,6 @@ from sparseskin.nodes.extensions import ADDRESSES, added, failures, load, loaded
 from sparseskin.nodes.lookup import (
     find_callable,
     is_missing,
-    note_import,
     one_line,
     search_here,
     suggestion,
@@ -95,7 +94,6 @@ def check_module(target: str) -> None:
     """
     module = target.partition(":")[0]
     package = module.rpartition(".")[0]
-    note_import(package)
     here = search_here(module)
     found = None
     try:

@@ -5,16 +5,14 @@ import json
 import os
 import pwd
 import re
-import shutil
 import sys
 from pathlib import Path
 
 import pytest
-from other_user import give
 
 from sparseskin.launch.launchfile.load import LaunchError
 from sparseskin.launch.run import run_log
-from sparseskin.launch.run.run_log import MARK, RunLog, time_text
+from sparseskin.launch.run.run_log import RunLog, time_text
 from sparseskin.launch.run.terminal import Terminal
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import user_folder
@@ -74,41 +72,18 @@ def test_a_full_file_makes_room_and_one_before_it_is_kept(tmp_path, monkeypatch)
     assert "line 499" in "".join(path.read_text() for path in log.folder.iterdir())
 
 
-def put_run(parent, k, *files, mark=""):
-    """Make a folder as of the k-th run; `mark` is the text of its mark, its own name by default."""
-    run = parent / f"drag-20240101-00000{k}-1"
-    run.mkdir()
-    for name in files:
-        (run / name).touch()
-    if mark is not None:
-        (run / MARK).write_text(mark or run.name)
-    os.utime(run, (k, k))
-    return run
-
-
-def test_only_the_newest_runs_are_kept_and_nothing_else_is_touched(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_log, "MAX_RUNS", 2)
-    *old, newest = (put_run(tmp_path, k, "sensor.log", "sensor.log.1") for k in range(3))
-    put_run(tmp_path, 3, "sensor.log", mark=None)
-    put_run(tmp_path, 4, "sensor.log", mark=newest.name)  # copied
-    put_run(tmp_path, 5, "sensor.log", "data.csv")
-    (tmp_path / "drag-20240101-000006-1").symlink_to(old[0])
-    before = {path: sorted(path.iterdir()) for path in tmp_path.iterdir() if path not in old}
-    log = RunLog(tmp_path, "drag", NOW_S)
-    assert set(tmp_path.iterdir()) == {*before, log.folder}
-    del before[tmp_path / "drag-20240101-000006-1"]
-    assert {path: sorted(path.iterdir()) for path in before} == before
-
-
-def test_runs_of_another_user_in_a_shared_folder_stay(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_log, "MAX_RUNS", 1)
-    run = put_run(tmp_path, 0, "sensor.log")
-    give(run)
-    log = RunLog(tmp_path, "drag", NOW_S)
-    log.close()
-    assert {path.name for path in run.iterdir()} == {MARK, "sensor.log"}
-    give(log.folder)  # and the same for one that has become another user's meanwhile
-    assert not run_log._is_run(log.folder)
+def test_only_the_newest_runs_are_kept_in_the_default_folder(tmp_path):
+    for k in range(3):
+        (tmp_path / f"drag-{k}").mkdir()
+        os.utime(tmp_path / f"drag-{k}", (k, k))
+    RunLog(tmp_path, "stated", NOW_S).close()
+    assert len(list(tmp_path.iterdir())) == 4
+    (tmp_path / "link").symlink_to(tmp_path / "drag-2")
+    os.utime(tmp_path / "link", (0, 0), follow_symlinks=False)
+    log = RunLog(tmp_path, "drag", NOW_S, n_kept=3)
+    names = {path.name for path in tmp_path.iterdir() if not path.is_symlink()}
+    assert names >= {"drag-2", log.folder.name}
+    assert not names & {"drag-0", "drag-1"}
 
 
 def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_path):
@@ -123,27 +98,6 @@ def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_pa
     assert log.error == ""
     assert (tmp_path / "profile").read_text() == "mine\n"
     assert (kept / "sensor.log").read_text().endswith(" hot\n")
-
-
-def test_a_link_in_the_place_of_a_run_is_not_followed_as_old_runs_are_removed(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setattr(run_log, "MAX_RUNS", 1)
-    (tmp_path / "logs").mkdir()
-    run = put_run(tmp_path / "logs", 0)
-    (tmp_path / "sensor.log").write_text("mine\n")
-    rmtree = shutil.rmtree
-
-    def replaced(path, ignore_errors):
-        """The other user waits until the folder was looked at."""
-        path.rename(tmp_path / "was")
-        path.symlink_to(tmp_path)
-        rmtree(path, ignore_errors=ignore_errors)
-
-    monkeypatch.setattr(run_log.shutil, "rmtree", replaced)
-    RunLog(tmp_path / "logs", "drag", NOW_S).close()
-    assert run.is_symlink()
-    assert (tmp_path / "sensor.log").read_text() == "mine\n"
 
 
 def test_a_folder_that_cannot_be_made_or_that_another_has_put_there_is_refused(tmp_path):

@@ -11,9 +11,9 @@ LEAST = 50_000_000
 def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown(monkeypatch):
     trims = []
     resident = LEAST
-    monkeypatch.setattr(memory, "_trim", lambda: trims.append)
     monkeypatch.setattr(memory, "resident_bytes", lambda _pid: resident)
     free = FreeMemory()
+    monkeypatch.setattr(free, "_trim", trims.append)
     found = []
     for resident in (  # noqa: B007 - read by resident_bytes
         LEAST,
