@@ -9,7 +9,7 @@ One process hands out the work, the others (4, and 2) do it. The same goes for `
 
 import numpy as np
 
-from sparseskin.nodes.tasks.executors import make_executor
+from sparseskin.nodes.tasks import make_executor
 
 
 def pool():

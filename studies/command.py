@@ -14,7 +14,7 @@ from sparseskin.nodes.extensions import STUDIES as GROUP
 from sparseskin.nodes.extensions import failures, loaded
 from sparseskin.nodes.lookup import find_callable, nearest_of
 from sparseskin.nodes.numerics.compiled import ENVIRONMENT
-from sparseskin.nodes.tasks.executors import FORMS
+from sparseskin.nodes.tasks import FORMS
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from sparseskin import nodes
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import one_line
-from sparseskin.nodes.tasks.results import computed
+from sparseskin.nodes.tasks import computed
 
 #: Raised when the figures of a point change their meaning: records of other versions are not used.
 STUDY_VERSION = 2

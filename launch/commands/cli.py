@@ -39,7 +39,6 @@ COMMANDS = {
     "reprocess": (MORE, ".reprocess", "put recordings through other settings, offline"),
     "study": (MORE, "sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (MORE, ".completion", "print the completion script of a shell"),
-    "help": (MORE, ".cli", "describe a command"),
 }
 """Of each command its group, the module that adds its arguments to a parser, by `configure_COMMAND`
 or `configure`, and one line of help.
@@ -130,22 +129,6 @@ def _configure(name: str, parser: argparse.ArgumentParser) -> None:
         raise
     except Exception as error:  # a plug-in may raise anything
         raise SparseskinError(f"{name}: plug-in {plugin.__name__}: {one_line(error)}") from error
-
-
-def configure_help(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `help`."""
-    parser.description = "Describe a command, as its --help does."
-    words = parser.add_argument(
-        "words", metavar="COMMAND", nargs="*", help="as launch, or recording info"
-    )
-    words.completer = _commands  # type: ignore[attr-defined]
-
-
-def _commands(*, prefix: str, parsed_args: argparse.Namespace, **_: Any) -> dict[str, str]:
-    """Commands that begin with what has been typed, and their lines of help."""
-    if parsed_args.words:
-        return {}
-    return {name: about(name)[1] for name in (*COMMANDS, *plugins()) if name.startswith(prefix)}
 
 
 class _Parser(argparse.ArgumentParser):

@@ -13,7 +13,7 @@ from sparseskin.launch.attach.text import size_text
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean, one_line
 from sparseskin.nodes.remote import check_address, file_name, is_remote, shown
-from sparseskin.nodes.tasks.executors import FORMS
+from sparseskin.nodes.tasks import FORMS
 
 from .options import add_set, add_summary, bag_names, check_summary, rare, write_summary
 
@@ -100,7 +100,7 @@ def _outcomes(jobs: Sequence[Job], executor: str | None) -> list[Outcome]:
     from tqdm import tqdm
 
     from sparseskin.launch.offline.job import Outcome, run_job
-    from sparseskin.nodes.tasks.results import computed
+    from sparseskin.nodes.tasks import computed
 
     lively = sys.stderr.isatty()
     if executor is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,17 +37,13 @@ class Host(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.address:  # is reported as missing
-            return
-        allowed = "(allowed: the IPv4 address of one host, as 192.168.1.10)"
-        try:
+        parsed = None
+        with suppress(ValueError):
             parsed = ipaddress.IPv4Address(self.address)
-        except ValueError as error:
-            text = f"address: {self.address!r} is no address {allowed}"
-            raise SettingsError(text) from error
-        if parsed.is_unspecified or parsed.is_multicast:
-            text = f"address: {self.address!r} is not the address of a host {allowed}"
-            raise SettingsError(text)
+        # That none is stated is reported as missing.
+        if self.address and (parsed is None or parsed.is_unspecified or parsed.is_multicast):
+            allowed = "(allowed: the IPv4 address of one host, as 192.168.1.10)"
+            raise SettingsError(f"address: {self.address!r} is no address of a host {allowed}")
 
     @property
     def is_loopback(self) -> bool:

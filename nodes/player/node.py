@@ -9,8 +9,6 @@ from functools import lru_cache
 from itertools import chain
 from typing import Any, ClassVar
 
-from tqdm import tqdm
-
 from sparseskin.messages import Message, MessageError, PhiState, SkinState, Truth, decode, topic_of
 from sparseskin.messages.ranges import is_real
 from sparseskin.messages.topics import split_topic
@@ -111,7 +109,6 @@ class Player(SourceNode[PlayerSettings]):
         self._stamps: dict[int, int] = {}
         self._n_frames = 0
         self._frame_ns: int | None = None
-        self._started_ns = 0
         self._shift_ns = 0
         # States that change within the recording are published again after a jump.
         self._has_changes = any(
@@ -159,7 +156,6 @@ class Player(SourceNode[PlayerSettings]):
 
     def begin(self, now_ns: int) -> None:
         super().begin(now_ns)
-        self._started_ns = now_ns
         self._schedule.begin(now_ns)
 
     def next_tick_ns(self) -> int | None:
@@ -254,21 +250,11 @@ class Player(SourceNode[PlayerSettings]):
         self._schedule.seek(stamp_ns, now_ns)
 
     def status(self) -> str:
-        """Progress line with the seconds played."""
-        now_ns = self.context.clock.now_ns()
+        """Frames and seconds played, and the rate."""
         state = self.state()
         note = "paused" if self.paused else f"rate {self._schedule.rate:.3g}"
-        meter = tqdm.format_meter(
-            round(state["position_s"], 2),
-            round(state["length_s"], 2),
-            max(1e-9, (now_ns - self._started_ns) / 1e9),
-            ncols=78,
-            prefix=f"{self._n_frames} frames",
-            unit="s",
-            postfix=note,
-            bar_format="{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s{postfix}",
-        )
-        return str(meter)
+        played = f"{state['position_s']:.1f} of {state['length_s']:.1f} s"
+        return f"{self._n_frames} frames: {played}, {note}"
 
     def report(self) -> dict[str, Any]:
         return {"played": {"file": self.settings.file, "frames": self._n_frames}}

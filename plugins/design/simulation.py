@@ -29,7 +29,7 @@ from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.tasks.results import computed
+from sparseskin.nodes.tasks import computed
 from sparseskin.nodes.touch import in_contact
 from sparseskin.studies.evaluate import make_method, phis_at
 from sparseskin.studies.presses import BODIES, COURSES, Timing, press_frames

@@ -7,7 +7,7 @@ from conftest import PATIENCE_S
 from processes import announced
 from shells import words
 
-from sparseskin.launch.commands.cli import COMMANDS, main, plugins
+from sparseskin.launch.commands.cli import main
 from sparseskin.launch.run.running import RunningGraph, RunningNode
 
 NODES = {"sensor": RunningNode("sensor", "ipc://none", ["/skin/skin"])}
@@ -49,8 +49,3 @@ def test_help_describes_a_command_as_its_option_does(command, capsys):
         assert ended.value.code == 0
         texts.append(capsys.readouterr().out)
     assert texts[0] == texts[1]
-
-
-def test_help_completes_commands():
-    assert sorted(words("help ")) == sorted((*COMMANDS, *plugins()))
-    assert words("help st") == ["stop", "study"]

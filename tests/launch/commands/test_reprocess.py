@@ -10,7 +10,7 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Reconstruction, Taxels, decode
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.tasks.executors import make_executor
+from sparseskin.nodes.tasks import make_executor
 
 
 @pytest.fixture(scope="module")

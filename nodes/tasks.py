@@ -1,20 +1,66 @@
-"""Independent tasks, computed by an executor and yielded as they finish."""
+"""Independent tasks of offline runs, computed by any concurrent.futures.Executor."""
 
 import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import (
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 from typing import TypeVar
 
-from .executors import make_executor
+from .errors import SettingsError
+from .lookup import did_you_mean, find_callable
 
 K = TypeVar("K", bound=Hashable)
 A = TypeVar("A")
 R = TypeVar("R")
+
+KINDS = ("process", "thread")
+FORMS = "serial, process:N, thread:N, or module:factory"
+"""The texts that state an executor."""
+MAX_WORKERS = 1024
+SINGLE_THREADED = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Read by the numeric libraries when a worker starts: one core each."""
+
+
+def make_executor(spec: str) -> Executor:
+    """Make an executor, or raise SettingsError.
+
+    `spec` is "serial", one task after the other; "process:N" or "thread:N", N workers on this host;
+    "module:factory", a user's callable that returns a `concurrent.futures.Executor`.
+    """
+    if spec == "serial":
+        return ThreadPoolExecutor(1)
+    kind, colon, rest = spec.partition(":")
+    if not (kind and colon and rest) or (rest.isdecimal() and kind not in KINDS):
+        raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
+    if kind in KINDS:
+        if not rest.isdecimal() or not 1 <= int(rest) <= MAX_WORKERS:
+            raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
+        if kind == "thread":
+            return ThreadPoolExecutor(int(rest))
+        for threads in SINGLE_THREADED:
+            os.environ.setdefault(threads, "1")
+        # Spawned: a forked worker would inherit locks held by threads of this process.
+        return ProcessPoolExecutor(int(rest), mp_context=multiprocessing.get_context("spawn"))
+    make = find_callable(spec, SettingsError)
+    try:
+        made = make()
+    except Exception as error:
+        raise SettingsError(f"--executor {spec}: {type(error).__name__}: {error}") from error
+    if not isinstance(made, Executor):
+        raise SettingsError(
+            f"--executor {spec}: made {type(made).__name__}, expected a concurrent.futures.Executor"
+        )
+    return made
 
 
 def computed(

@@ -1,1 +1,0 @@
-"""Independent tasks of offline runs, and the executors that compute them."""
