@@ -4,8 +4,6 @@ Each name is imported when it is first used: with most of them comes numpy, for 
 only prints a line must not wait.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

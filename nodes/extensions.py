@@ -3,8 +3,6 @@
 The core imports no plug-in by its name. What it needs it looks up here, when it is asked for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -36,7 +34,7 @@ STUDIES = "sparseskin_studies"
 
 
 @cache
-def offered(group: str) -> dict[str, EntryPoint]:
+def offered(group: str) -> "dict[str, EntryPoint]":
     """Entry points of a group by name, in alphabetical order."""
     from importlib.metadata import entry_points  # takes time, and the core alone needs none
 
@@ -44,7 +42,7 @@ def offered(group: str) -> dict[str, EntryPoint]:
     return {name: found[name] for name in sorted(found)}
 
 
-def added(group: str, own: Container[str]) -> dict[str, EntryPoint]:
+def added(group: str, own: Container[str]) -> "dict[str, EntryPoint]":
     """Entry points of a group by name, without those that the core has itself: none replaces it."""
     return {name: point for name, point in offered(group).items() if name not in own}
 

@@ -1,7 +1,5 @@
 """Node types by name; a type is imported when it is used, so that the edge needs no solver."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 from . import extensions
@@ -28,7 +26,7 @@ def node_types() -> dict[str, str]:
     return NODE_TYPES | {name: point.value for name, point in offers.items()}
 
 
-def node_class(type_name: str) -> type[Node[Any]]:
+def node_class(type_name: str) -> "type[Node[Any]]":
     """Return the class of a registered node type, or of "module:Class"; or raise SettingsError."""
     from .node import Node  # with it numpy, which the names above do not need
 

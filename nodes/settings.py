@@ -1,7 +1,5 @@
 """Settings of nodes: each declared once, with type, range and meaning."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import types
@@ -170,7 +168,8 @@ def check_patches(place: str, names: tuple[str, ...]) -> None:
 def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:
     """Name, type and range of every setting."""
     for field in dataclasses.fields(cls):
-        yield field.name, str(field.type), field.metadata["range"]
+        text = getattr(field.type, "__name__", "") if isinstance(field.type, type) else ""
+        yield field.name, text or str(field.type).replace("typing.", ""), field.metadata["range"]
 
 
 def _checked(name: str, value: Any, hint: Any) -> Any:

@@ -4,8 +4,6 @@ The names below work on arrays, in one program, with no process and no socket. E
 when it is first used. The node set is in `sparseskin.nodes`, the launcher in `sparseskin.launch`.
 """
 
-from __future__ import annotations
-
 import os
 from importlib import import_module
 

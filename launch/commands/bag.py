@@ -1,7 +1,5 @@
 """The commands `sparseskin recording ...`: look into recordings, repair and convert them."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Mapping
@@ -191,7 +189,7 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}" if n == 1 else f"{n} {what}s"
 
 
-def info_document(bag: BagReader, name: str = "") -> dict[str, Any]:
+def info_document(bag: "BagReader", name: str = "") -> dict[str, Any]:
     """The file or its `name`, its topics, counts of its recorder and its metadata in full."""
     return {
         "recording": name or str(bag.path),
@@ -208,7 +206,7 @@ def info_document(bag: BagReader, name: str = "") -> dict[str, Any]:
     }
 
 
-def info_lines(bag: BagReader, name: str = "") -> list[str]:
+def info_lines(bag: "BagReader", name: str = "") -> list[str]:
     """The same for a terminal, long values cut."""
     n_messages = sum(info.n_messages for info in bag.topics.values())
     counts = bag.counts or {}
@@ -247,7 +245,7 @@ def info_lines(bag: BagReader, name: str = "") -> list[str]:
     ]
 
 
-def _states(bag: BagReader) -> dict[str, dict[str, Any]]:
+def _states(bag: "BagReader") -> dict[str, dict[str, Any]]:
     """The last state of each kind of each patch, by topic; none where one cannot be read."""
     from sparseskin.nodes.recorder.bag.frames import last_states
 

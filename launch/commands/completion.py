@@ -4,8 +4,6 @@ Shells, quoting and options are those of argcomplete; here are the values: launc
 recordings, and nodes, topics and parameters of the graph that runs as the key is pressed.
 """
 
-from __future__ import annotations
-
 import argparse
 import glob
 import os
@@ -108,7 +106,7 @@ def _bare(words: Any) -> dict[str, str]:
     return dict.fromkeys(words, "")
 
 
-def _graph(typed: argparse.Namespace) -> RunningGraph:
+def _graph(typed: argparse.Namespace) -> "RunningGraph":
     from sparseskin.launch.run.running import choose_graph
 
     return choose_graph(getattr(typed, "graph", None))

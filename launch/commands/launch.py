@@ -2,8 +2,6 @@
 `keys`, the key pairs of graphs that others could reach.
 """
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import sys
@@ -96,7 +94,7 @@ def _launch(arguments: argparse.Namespace) -> int:
     return _run(launch.part(arguments.host), arguments)
 
 
-def graph_text(launch: LaunchFile) -> str:
+def graph_text(launch: "LaunchFile") -> str:
     """Nodes with their settings, then hosts, then topics with those that write and read them."""
     nodes = []
     for node in launch.nodes.values():
@@ -136,7 +134,7 @@ def _ends(settings: object) -> bool:
     return settings.source.startswith(("scene:", "file:"))
 
 
-def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
+def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE
     from sparseskin.launch.run.launcher import Launcher
     from sparseskin.launch.run.terminal import Terminal
@@ -171,7 +169,7 @@ def _run(launch: LaunchFile, arguments: argparse.Namespace) -> int:
     return code
 
 
-def _run_log(launch: LaunchFile) -> RunLog | None:
+def _run_log(launch: "LaunchFile") -> "RunLog | None":
     """The log files of a run; None, with a warning, if the default folder cannot be made."""
     from sparseskin.launch.run.run_log import MAX_RUNS, RunLog
     from sparseskin.nodes.errors import SparseskinError

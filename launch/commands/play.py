@@ -2,8 +2,6 @@
 `scenes`, which lists launch files.
 """
 
-from __future__ import annotations
-
 import argparse
 import tomllib
 from dataclasses import replace
@@ -85,7 +83,7 @@ def _play(arguments: argparse.Namespace) -> int:
     return code
 
 
-def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]) -> LaunchFile:
+def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]) -> "LaunchFile":
     """A player and a monitor with its page.
     Raises SettingsError if the recording has too little to be shown.
     """

@@ -1,7 +1,5 @@
 """The command `sparseskin reprocess`: recordings through other settings, offline."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence
@@ -66,13 +64,13 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     return 2 if any(outcome.error for outcome in outcomes) else 0
 
 
-def _rate(outcome: Outcome) -> str:
+def _rate(outcome: "Outcome") -> str:
     """Bytes and time of a recording."""
     per_minute = size_text(60 * outcome.n_bytes / outcome.seconds)
     return f"{size_text(outcome.n_bytes)} in {outcome.seconds:.1f} s: {per_minute} per minute"
 
 
-def _jobs(arguments: argparse.Namespace) -> list[Job]:
+def _jobs(arguments: argparse.Namespace) -> "list[Job]":
     """The jobs that a command line states, checked."""
     from sparseskin.launch.offline.job import Job
     from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
@@ -96,7 +94,7 @@ def _jobs(arguments: argparse.Namespace) -> list[Job]:
     return [Job(file, out, changes, start_from) for file, out in pairs]
 
 
-def _outcomes(jobs: Sequence[Job], executor: str | None) -> list[Outcome]:
+def _outcomes(jobs: "Sequence[Job]", executor: str | None) -> "list[Outcome]":
     from tqdm import tqdm
 
     from sparseskin.launch.offline.job import Outcome, run_job

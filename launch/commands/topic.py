@@ -1,7 +1,5 @@
 """The commands `sparseskin topic ...`: the topics of a running graph."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os
@@ -152,12 +150,12 @@ def give_way() -> None:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
-def about(cls: type[Message]) -> str:
+def about(cls: "type[Message]") -> str:
     """The first paragraph of the docstring of a message class."""
     return flowing((cls.__doc__ or "").partition("\n\n")[0])
 
 
-def kind_text(kind: FieldKind) -> str:
+def kind_text(kind: "FieldKind") -> str:
     """Type of a field, in a few words."""
     import numpy as np
 

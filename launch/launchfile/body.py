@@ -5,8 +5,6 @@ equal patches. Patches with the same skin, compressor settings and host form a b
 that can serve several patches, and states none, is made once for each batch.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

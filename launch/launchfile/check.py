@@ -1,7 +1,5 @@
 """Checks a launch file whole: all its faults at once, each with its place."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Sequence
@@ -21,7 +19,7 @@ from sparseskin.nodes.sensor.files.recording import spelled
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
-from .hosts import Place, check_exposure, check_place, give_ports, read_hosts, read_security
+from .hosts import check_exposure, check_place, give_ports, read_hosts, read_security
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 from .tables import read_table, read_tables
 
@@ -69,7 +67,7 @@ class Checker:
     overridden: dict[tuple[str, ...], str] = field(default_factory=dict)
     templates: dict[str, str] = field(default_factory=dict)
     supervision: list[Settings] = field(default_factory=list)
-    places: dict[str, Place] = field(default_factory=dict)
+    places: dict[str, str] = field(default_factory=dict)
 
     def check(self, overrides: Sequence[str], record: str | None) -> LaunchFile:
         for key in self.tree:
@@ -92,11 +90,8 @@ class Checker:
             self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
         for node_name, table in tables.items() if hosts else ():
             if node_name != RECORDER or record is None:
-                (place,), tables[node_name] = read_table(
-                    table, ("nodes", node_name), self.fault, Place(), more=True
-                )
-                check_place(node_name, place, hosts, self.fault)
-                self.places[node_name] = place
+                self.places[node_name] = str(table.pop("host", ""))
+                check_place(node_name, self.places[node_name], hosts, self.fault)
         nodes: dict[str, NodeSpec] = {}
         for node_name, table in tables.items():
             spec = self.node(node_name, table)
@@ -121,7 +116,7 @@ class Checker:
             endpoints = give_ports(publish, hosts, self.fault)
             for name, place in self.places.items():
                 public = endpoints.get(name, "")
-                nodes[name] = replace(nodes[name], host=place.host, public=public)
+                nodes[name] = replace(nodes[name], host=place, public=public)
         if self.errors:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(

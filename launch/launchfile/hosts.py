@@ -1,7 +1,5 @@
 """The tables [hosts.NAME] and [security] of a launch file, and the keys of one host."""
 
-from __future__ import annotations
-
 import ipaddress
 from collections.abc import Mapping
 from contextlib import suppress
@@ -65,13 +63,6 @@ class Security(Settings):
             raise SettingsError(f"allow: expected a list of names of keys, got {self.allow}")
 
 
-@dataclass(frozen=True)
-class Place(Settings):
-    """Keys of [nodes.NAME] in a graph of several hosts."""
-
-    host: str = setting("", "host on which the node runs")
-
-
 def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:
     """The hosts of a launch file; none where it has no [hosts.NAME]."""
     hosts = {}
@@ -117,27 +108,26 @@ def check_exposure(
             )
 
 
-def check_place(name: str, place: Place, hosts: Mapping[str, Host], fault: Fault) -> None:
+def check_place(name: str, host: str, hosts: Mapping[str, Host], fault: Fault) -> None:
     """Check that the host of a node is one of the graph."""
-    if not place.host:
+    if not host:
         fault(("nodes", name), f"the key 'host' is missing (hosts: {', '.join(hosts)})")
-    elif place.host not in hosts:
-        hint = did_you_mean(place.host, hosts)
-        fault(("nodes", name, "host"), f"{place.host!r} is no host{hint}")
+    elif host not in hosts:
+        fault(("nodes", name, "host"), f"{host!r} is no host{did_you_mean(host, hosts)}")
 
 
 def give_ports(
-    places: Mapping[str, Place], hosts: Mapping[str, Host], fault: Fault
+    places: Mapping[str, str], hosts: Mapping[str, Host], fault: Fault
 ) -> dict[str, str]:
-    """Public endpoint of each node that publishes, by its place; the n-th node of a host, in the
-    order of the launch file, gets its base port + n.
+    """Public endpoint of each node that publishes, by the name of its host; the n-th node of a
+    host, in the order of the launch file, gets its base port + n.
     """
     endpoints: dict[str, str] = {}
     next_port = {name: host.base_port for name, host in hosts.items()}
-    for node, place in places.items():
-        port = next_port[place.host]
-        next_port[place.host] += 1
-        endpoint = f"tcp://{hosts[place.host].address}:{port}"
+    for node, host in places.items():
+        port = next_port[host]
+        next_port[host] += 1
+        endpoint = f"tcp://{hosts[host].address}:{port}"
         if port not in PORTS:
             fault(("nodes", node), f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}")
         for other, taken in endpoints.items():

@@ -1,7 +1,5 @@
 """Restarts of a node that failed: the policy, and the count within a window."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 

@@ -14,8 +14,6 @@ A reader on another host asks a writer for its time in the same way: it subscrib
 and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
 """
 
-from __future__ import annotations
-
 import contextlib
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -127,7 +125,7 @@ class Writer:
         name: str = "writer",
         *,
         public: str = "",
-        gate: Gate | None = None,
+        gate: "Gate | None" = None,
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:

@@ -1,7 +1,5 @@
 """The player: publishes recorded messages at their recorded times, at any rate."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace

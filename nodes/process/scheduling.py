@@ -1,7 +1,5 @@
 """CPUs and real-time priority of a node's process."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

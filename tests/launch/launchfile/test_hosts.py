@@ -123,7 +123,11 @@ def test_an_address_that_others_reach_is_refused_without_keys(capsys):
     ("old", "new", "line"),
     [
         ('"192.168.1.10"', '"edge.local"', "5: hosts.edge.address: 'edge.local' is no addr"),
-        ('host = "edge"\n\n', "\n", "14: nodes.sensor: the key 'host' is missing (hosts:"),
+        (
+            'path_40"\nhost = "edge"\n',
+            'path_40"\n',
+            "14: nodes.sensor: the key 'host' is missing (hosts:",
+        ),
         (
             'reconstructor"\nhost = "desk"',
             'reconstructor"\nhost = "dsk"',

@@ -40,7 +40,7 @@ def topics(path):
 
 
 @pytest.mark.slow
-def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(start, tmp_path):
+def test_played_in_lockstep_and_recorded_again_it_is_the_same_but_for_the_run(start, tmp_path):
     launched = start(
         *("launch", "path_40", "--frames", str(N_FRAMES), "--record", "first.mcap"),
         *("--set", "sensor.rate_hz=0", "--set", "reconstructor.iterations=5"),
@@ -55,7 +55,15 @@ def test_played_in_lockstep_and_recorded_again_it_is_the_same_to_the_bit(start, 
     assert code == 0, stderr
     assert "0 dropped" in stdout
     assert player.finish()[:2] == (0, f"first.mcap: {N_FRAMES} frames played\n")
-    first, second = contents(tmp_path / "first.mcap"), contents(tmp_path / "second.mcap")
+    first, second = (
+        {
+            topic: [
+                (ns, decode(topic.encode(), p).published("", k)) for k, (ns, p) in enumerate(of)
+            ]
+            for topic, of in contents(tmp_path / name).items()
+        }
+        for name in ("first.mcap", "second.mcap")
+    )
     assert first == second
     assert len(first["/skin/reconstruction"]) == N_FRAMES
 
