@@ -13,7 +13,7 @@ Source: D. L. Mills, RFC 5905 (NTP), sections 8 and 10: on-wire protocol and clo
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 WINDOW = 64
 """Number of exchanges that are kept."""
@@ -76,8 +76,7 @@ SAME_CLOCK = ClockEstimate(0, 0)
 """Estimate of a host's own clock."""
 
 
-@dataclass(frozen=True)
-class _Exchange:
+class _Exchange(NamedTuple):
     at_ns: int
     offset_ns: int
     round_trip_ns: int

@@ -251,13 +251,6 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     ------
     SparseskinError
         If the shapes differ or are no frames, or the reference exceeds the range.
-
-    Examples
-    --------
-    >>> import numpy as np, sparseskin
-    >>> truth = np.zeros((4, 4), np.float32)
-    >>> round(sparseskin.psnr_db(truth + np.float32(0.25), truth), 3)
-    20.0
     """
     for given in (forces, truth):
         real_floats(given, "psnr_db", SparseskinError)
@@ -298,13 +291,6 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
     ------
     SparseskinError
         If there is no such scene, or `n_frames` or `seed` is not allowed.
-
-    Examples
-    --------
-    >>> import sparseskin
-    >>> truth, taxels = sparseskin.simulate("lift_box_40", 3)
-    >>> truth.shape, float(truth.max())
-    ((3, 40, 40), 0.0)
     """
     # Imported here: other functions of this module need no scene.
     from sparseskin.nodes.sensor.node import Sensor

@@ -17,6 +17,8 @@ from .text import formatted, size_text
 
 REPORT_S = 1.0
 """Time from one line to the next, seconds."""
+WINDOW = 1000
+"""Most messages that a line is over."""
 MAX_KEPT = 100_000
 """Most messages that the figures at the end are over."""
 Longs = npt.NDArray[np.int64]
@@ -101,11 +103,10 @@ def _extent(values: npt.NDArray[Any]) -> dict[str, float] | None:
 
 
 class Meter(Display):
-    """Prints the figures of a topic, a line a second over `window` messages at most."""
+    """Prints the figures of a topic, a line a second."""
 
-    def __init__(self, graph: RunningGraph, topic: str, *, window: int, in_json: bool) -> None:
-        self._graph, self._topic = graph, topic
-        self._window, self._in_json = window, in_json
+    def __init__(self, graph: RunningGraph, topic: str, in_json: bool) -> None:
+        self._graph, self._topic, self._in_json = graph, topic, in_json
         self._samples = Samples()
         self._reported_n, self._heard_s = 0, time.monotonic()
         self._report_at_s = self._heard_s + REPORT_S
@@ -124,7 +125,7 @@ class Meter(Display):
         self._report_at_s = max(self._report_at_s, now_s - REPORT_S) + REPORT_S
         if self._samples.n > self._reported_n:
             self._reported_n = self._samples.n
-            print(self._line(self._window), flush=True)
+            print(self._line(WINDOW), flush=True)
         else:
             quiet = f"no message for {now_s - self._heard_s:.0f} s"
             why = quiet_reason(self._graph, self._topic)

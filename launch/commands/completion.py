@@ -80,7 +80,7 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
             graphs = running_graphs()
             names = [one.name for one in graphs]
             return _bare(one.name if names.count(one.name) == 1 else one.label for one in graphs)
-        case "KEY" | "VALUE" | "KEY VALUE":
+        case "KEY" | "VALUE":
             return _parameters(metavar, typed)
         case "FIELD":
             from sparseskin.messages.base import wire_fields
@@ -89,10 +89,10 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
             cls = SCHEMAS.get((typed.topic or "").rpartition("/")[2])
             return _bare(wire_fields(cls) if cls is not None else ())
         case "NODE.KEY=VALUE":
-            types = node_types(typed.name or "") if "name" in typed else REPROCESSED
-            if types and "name" in typed:
-                types = {GRAPH: f"[{GRAPH}]"} | types
-            return _overrides(prefix, types)
+            if "name" not in typed:
+                return _overrides(prefix, REPROCESSED)
+            types = node_types(typed.name or "")
+            return _overrides(prefix, {GRAPH: f"[{GRAPH}]"} | types if types else types)
         case "SOURCE":
             return sources(prefix)
         case "NAME|FILE.toml":
@@ -117,12 +117,9 @@ def _parameters(metavar: str, typed: argparse.Namespace) -> Words:
     from sparseskin.launch.attach.client import describe_node
 
     entries = describe_node(_graph(typed), typed.node)["settings"]
-    sets = "value" in typed
-    more = list(getattr(typed, "more", None) or ())
-    if metavar == "KEY" or (metavar == "KEY VALUE" and len(more) % 2 == 0):
-        return {e["key"]: e["doc"] for e in entries if e["live"] or not sets}
-    key = more[-1] if metavar == "KEY VALUE" else typed.key
-    return _bare(word for e in entries if e["key"] == key for word in offered_values(e))
+    if metavar == "KEY":
+        return {e["key"]: e["doc"] for e in entries if e["live"] or "value" not in typed}
+    return _bare(word for e in entries if e["key"] == typed.key for word in offered_values(e))
 
 
 def offered_values(entry: Mapping[str, Any]) -> list[str]:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from sparseskin.messages import Message
     from sparseskin.messages.fields import FieldKind
 
-WINDOW = 1000
 FEW_MESSAGES = 100
 """So many messages are over before reading them could disturb a graph."""
 WORDS = {
@@ -50,8 +49,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     rare(echo).add_argument("--full", action="store_true", help="print all elements of arrays")
     about = "print R messages a second at most, 0: all (default: 10; all with --json or -n)"
     rare(echo).add_argument("--max-hz", metavar="R", type=real(False), help=about)
-    about = f"how many messages a line is over, at most (default: {WINDOW})"
-    rare(hz).add_argument("--window", metavar="K", type=whole(2), default=WINDOW, help=about)
     for one in (listing, info, echo, hz):
         document = "one JSON document" if one in (listing, info) else "one JSON object a line"
         add_graph(one, document)
@@ -139,7 +136,7 @@ def _hz(arguments: argparse.Namespace) -> int:
     topic = find_topic(graph, arguments.topic)
     if arguments.n is None:
         give_way()
-    meter = Meter(graph, topic, window=arguments.window, in_json=arguments.json)
+    meter = Meter(graph, topic, arguments.json)
     return observe(graph, topic, meter, arguments.n, arguments.duration)
 
 

@@ -325,7 +325,7 @@ def test_a_pipe_that_closes_is_no_matter(folder):
 
 def test_a_shell_completes_names_of_the_running_graph(folder):
     assert words("node info ") == NODES
-    assert words("topic hz --window 50 /skin/ta") == ["/skin/taxels"]
+    assert words("topic hz --duration 50 /skin/ta") == ["/skin/taxels"]
     assert words("param set sensor ") == ["rate_hz", "noise", "drift"]
     assert words("param set reconstructor preset pa") == ["paper"]
     assert words("topic hz --graph=pa") == ["path_40"]
