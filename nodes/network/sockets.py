@@ -19,7 +19,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import zmq
 
@@ -28,9 +28,6 @@ from sparseskin.messages.wire import Payload, received, wire_bytes
 from sparseskin.nodes.files import is_served
 
 from .keys import KeyPair
-
-if TYPE_CHECKING:
-    from .gate import Gate
 
 JOINS = b"\x01"
 """Begins a subscription; the end of one begins with b"\\0"."""
@@ -68,6 +65,16 @@ OVER_NETWORK_MS = {
 """Options of sockets whose links can break silently, for all later binds and connections."""
 
 _NOBLOCK, _EVENTS, _POLLIN = int(zmq.NOBLOCK), int(zmq.EVENTS), int(zmq.POLLIN)
+
+
+class Guard(Protocol):
+    """Access control of a writer's socket, e.g. a `gate.Gate`."""
+
+    def guard(self, writer: zmq.Socket[bytes]) -> None:
+        """Admit allowed readers only; called before the socket is bound."""
+
+    def subscribed(self, fd: int) -> None:
+        """Note that a subscription came by a connection, given by its file descriptor."""
 
 
 def make_context() -> zmq.Context[zmq.Socket[bytes]]:
@@ -125,7 +132,7 @@ class Writer:
         name: str = "writer",
         *,
         public: str = "",
-        gate: "Gate | None" = None,
+        gate: Guard | None = None,
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:

@@ -217,7 +217,7 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(start, tmp_path
     assert "the source ended after 10 of the 12 frames" in stderr
     assert (tmp_path / "closed").exists()
     assert "readings clipped to the range: 20 below 0 N (lowest -1)" in stderr
-    assert " skin: replay, upside:frames " in stdout
+    assert " skin: upside:frames " in stdout
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["nodes"]["sensor"]["clipped"] == 200
     line = "20 above 2.5 N (highest 3.5), 180 below 0 N (lowest -10)"
