@@ -134,12 +134,6 @@ def whole_folder(path: Path) -> Iterator[Path]:
             raise
 
 
-def make_folder(path: Path) -> None:
-    """Create a folder for several files; OutputError where that is impossible."""
-    with os_errors(path):
-        path.mkdir()
-
-
 @contextmanager
 def os_errors(path: Path) -> Iterator[None]:
     """Turn an OSError into an OutputError that names the file."""

@@ -13,11 +13,11 @@ from concurrent.futures import (
     as_completed,
 )
 from contextlib import contextmanager
-from multiprocessing.connection import wait
 from typing import TypeVar
 
 from .errors import SettingsError
 from .lookup import did_you_mean, find_callable
+from .process.control import watch_parent
 
 K = TypeVar("K", bound=Hashable)
 A = TypeVar("A")
@@ -92,25 +92,10 @@ def computed(
 
 
 def _run(function: Callable[[A], R], task: A) -> R:
-    """Compute one task, in a worker or in this process."""
-    _end_with_parent()
+    """Compute one task, in a worker, which ends with the process that started it, or here."""
+    if multiprocessing.parent_process() is not None:
+        watch_parent()
     return function(task)
-
-
-def _end_with_parent() -> None:
-    """In a worker: end this process when the process that started it is gone."""
-    parent = multiprocessing.parent_process()
-    if parent is None or any(thread.name == _WATCH for thread in threading.enumerate()):
-        return
-
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, name=_WATCH, daemon=True).start()
-
-
-_WATCH = "parent-watch"
 
 
 @contextmanager

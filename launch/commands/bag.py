@@ -36,13 +36,9 @@ if TYPE_CHECKING:
 _MAX_SHOWN = 2000
 """Characters of one value that the table shows at most."""
 _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz")
-_NOTHING = ("", "0", "None")
-_NOT_SHOWN = ("lost", "received", "published")
-"""Counts that the table of topics shows already."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `recording`."""
     add = add_commands(parser, "Work with recordings (.mcap).")
     info = add("info", _info, "print what a recording holds")
     info.add_argument("bag", metavar="F.mcap", help=f"NAME{FILE_SUFFIX}, or an address of one")
@@ -209,14 +205,13 @@ def info_document(bag: "BagReader", name: str = "") -> dict[str, Any]:
 def info_lines(bag: "BagReader", name: str = "") -> list[str]:
     """The same for a terminal, long values cut."""
     n_messages = sum(info.n_messages for info in bag.topics.values())
-    counts = bag.counts or {}
     of_file = {
         "recording": name or str(bag.path),
         "size": f"{size_text(bag.path.stat().st_size)}, {n_messages} messages",
         "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
         "state": bag.recovered or "whole",
     }
-    lost = counts.get("lost", {}) if bag.counts is not None else None
+    lost = None if bag.counts is None else bag.counts.get("lost", {})
     rows = [
         [
             info.n_messages,
@@ -227,21 +222,15 @@ def info_lines(bag: "BagReader", name: str = "") -> list[str]:
         ]
         for topic, info in bag.topics.items()
     ]
-    counted = {
-        key: text
-        for key, value in counts.items()
-        if key not in _NOT_SHOWN and (text := _flat(value)) not in _NOTHING
-    }
     unknown = ["lost messages are not known: the recorder did not get to write them"]
     return [
         *facts(of_file),
         "",
         *table(["MESSAGES", "HZ", "SECONDS", "LOST", "TOPIC"], rows),
-        *_entries(counted),
         *(unknown if bag.counts is None else []),
         "",
         *_entries({topic: _state_text(state) for topic, state in _states(bag).items()}),
-        *_entries({key: _shown(value) for key, value in bag.metadata.items() if value}),
+        *_entries({key: value for key, value in bag.metadata.items() if value}),
     ]
 
 
@@ -269,20 +258,9 @@ def _entries(entries: Mapping[str, str]) -> list[str]:
     """Entries of a file, whose names and texts may be long."""
     named = dict[str, str]()
     for key, value in entries.items():
-        if len(value) > _MAX_SHOWN:
+        if (n_lines := len(value.splitlines())) > 1:
+            value = f"{n_lines} lines (--json shows them)"
+        elif len(value) > _MAX_SHOWN:
             value = f"{value[:_MAX_SHOWN]}... ({len(value)} characters, --json shows them)"
         named[flowing(key[:32])] = value
     return facts(named)
-
-
-def _shown(value: str) -> str:
-    n_lines = len(value.splitlines())
-    return f"{n_lines} lines (--json shows them)" if n_lines > 1 else value
-
-
-def _flat(value: Any) -> str:
-    """Counts in one line, without those that are 0."""
-    if not isinstance(value, dict):
-        return str(value)
-    texts = {key: _flat(inner) for key, inner in value.items()}
-    return ", ".join(f"{key} {text}" for key, text in texts.items() if text not in _NOTHING)

@@ -44,7 +44,6 @@ CURVES = ("shared", "taxel", "linear")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `calibrate`."""
     parser.description = (
         "Calibrate a skin: baseline, noise and faulty taxels from untouched frames, gains and "
         "response curve from presses of known weight. Without --press it asks for each step."
@@ -253,7 +252,6 @@ PATIENCE_S = 60.0
 
 
 def configure_tare(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tare`."""
     parser.description = (
         "Take the next frames of the sensors of a running graph for the baseline; the skin must be "
         "untouched. Returns once it is done."

@@ -33,7 +33,6 @@ Words = Mapping[str, str]
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `completion`."""
     parser.description = (
         "Print a script with which a shell completes commands, options, launch files and the\n"
         "settings of their nodes, studies, and the nodes, topics and settings of the running graph."

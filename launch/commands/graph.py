@@ -35,7 +35,6 @@ from .options import add_commands, add_graph, show
 
 
 def configure_graph(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `graph`."""
     add = add_commands(parser, "The graphs that run on this host.")
     listing = add("list", _list_graphs, "list the graphs")
     listing.add_argument("--json", action="store_true", help="print one JSON document")
@@ -56,7 +55,6 @@ def _list_graphs(arguments: argparse.Namespace) -> int:
 
 
 def configure_stop(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `stop`."""
     parser.description = (
         "End a running graph as Ctrl-C does: its sources stop, frames under way reach the end. A "
         "second stop ends all nodes at once."
@@ -74,7 +72,6 @@ def _stop(arguments: argparse.Namespace) -> int:
 
 
 def configure_node(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `node`."""
     add = add_commands(parser, "The nodes of a graph that runs on this host.")
     listing = add("list", _list_nodes, "list the nodes")
     info = add("info", _info, "describe one node")
@@ -164,7 +161,6 @@ def _node_text(node: dict[str, Any]) -> list[str]:
 
 
 def configure_param(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `param`."""
     add = add_commands(parser, "The settings of the nodes of a graph that runs on this host.")
     listing = add("list", _list_settings, "list settings, and what each may be")
     listing.add_argument("node", metavar="NODE", nargs="?", help="name of a node; all by default")

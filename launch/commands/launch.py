@@ -43,7 +43,6 @@ Your own file:  {0} launch replay --set sensor.source=file:F"""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `launch`."""
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
     parser.epilog = f"Bundled launch files: {', '.join(bundled_names())}. {STATUS_LINE}"
     more = rare(parser)
@@ -189,7 +188,6 @@ KEY_FOLDER = "keys"
 
 
 def configure_keys(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `keys`."""
     about = "Key pairs, one a host: its secret stays there, its public key goes to the others."
     make = add_commands(parser, about)("make", _make_keys, "make a key pair")
     make.add_argument("name", metavar="NAME", help="name of the key, as a rule that of the host")

@@ -17,7 +17,6 @@ from .options import add_graph, add_page, naming_options, print_ends, rare, whol
 
 
 def configure_monitor(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `monitor`."""
     parser.description = (
         "Watch a running graph on a live page, or in this terminal, until it ends or Ctrl-C."
     )
@@ -30,7 +29,6 @@ def configure_monitor(parser: argparse.ArgumentParser) -> None:
 
 
 def configure_record(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `record`."""
     parser.description = (
         "Record topics of a running graph into an MCAP file, until it ends or Ctrl-C."
     )

@@ -18,7 +18,7 @@ from sparseskin.nodes.files import (
     NO_WRITING,
     OutputError,
     check_link,
-    make_folder,
+    os_errors,
     overwrite,
 )
 from sparseskin.nodes.lookup import did_you_mean
@@ -100,7 +100,8 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
     if not folder.is_dir():
         if folder.suffix == FILE_SUFFIX:
             raise SettingsError(f"--out {out}: several files need a folder, one recording each")
-        make_folder(folder)
+        with os_errors(folder):
+            folder.mkdir()
     return [str(folder / name) for name in names]
 
 

@@ -32,7 +32,6 @@ OPTIONS = {
 
 
 def configure_play(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `play`."""
     parser.description = (
         "Publish what was recorded, as it was recorded. Keys: space pauses, right plays one frame, "
         "up and down change the rate, q ends."
@@ -122,26 +121,12 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
 
 
 def configure_scenes(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `scenes`."""
     parser.description = "List the graphs that launch knows by name."
     parser.set_defaults(run=_scenes)
 
 
 def _scenes(arguments: argparse.Namespace) -> int:
-    described = {name: _description(name) for name in bundled_names()}
-    own = [name for name in described if name.startswith(("replay", "edge"))]
-    for title, abouts in {
-        "sparseskin launch NAME": {n: text for n, text in described.items() if n not in own},
-        "sparseskin launch NAME --set ..., of a recording or board of yours": {
-            name: described[name] for name in own
-        },
-    }.items():
-        rows = [[name, text] for name, text in abouts.items()]
-        print("\n".join([title, *table(["NAME", "ABOUT"], rows, "  "), ""]))
+    graphs = {n: tomllib.loads((BUNDLED / f"{n}.toml").read_text("utf-8")) for n in bundled_names()}
+    rows = [[name, graph["graph"]["description"]] for name, graph in graphs.items()]
+    print("\n".join(table(["NAME", "ABOUT"], rows, "  ")))
     return 0
-
-
-def _description(name: str) -> str:
-    """What a bundled launch file states of its graph."""
-    text = (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
-    return str(tomllib.loads(text)["graph"]["description"])

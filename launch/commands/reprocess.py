@@ -23,7 +23,6 @@ STATIONS = ("compressor", "reconstructor")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `reprocess`."""
     parser.description = (
         "Compress and reconstruct recorded frames with other settings, faster than they were "
         "recorded; the result is a recording with the same stamps."

@@ -44,7 +44,6 @@ PEAK_S = 5.0
 
 
 def configure_sources(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `sources`."""
     parser.description = (
         "List what a sensor of this host can read. sparseskin scope SOURCE shows the frames of a "
         "source; a graph reads it with --set sensor.source=SOURCE."
@@ -86,7 +85,6 @@ def drivers() -> list[dict[str, str]]:
 
 
 def configure_scope(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `scope`."""
     parser.description = (
         "Show the frames of a source as they come, before anything else is configured: a map, the "
         "rate, least and largest reading, and what was dropped. q or Ctrl-C ends it. Where the "

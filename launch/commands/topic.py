@@ -28,7 +28,6 @@ WORDS = {
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `topic`."""
     add = add_commands(
         parser,
         "The topics of a graph that runs on this host. To observe one slows no node down: what is "

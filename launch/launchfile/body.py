@@ -12,10 +12,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sparseskin.messages.errors import MessageError
 from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.messages.topics import MAX_NAMES, MAX_PATCHES, check_name
+from sparseskin.messages.topics import MAX_NAMES, MAX_PATCHES
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
@@ -26,7 +25,7 @@ from sparseskin.nodes.sensor.scenes.address import PITCH_MM
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 
-from .tables import Fault, read_table
+from .tables import Fault, bad_name, read_table
 
 SKIN = "skin"
 """Name of the table."""
@@ -177,10 +176,9 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
     for key in table:
         if key not in known:
             raise SparseskinError(f"{where}.{key[:40]}: unknown key{did_you_mean(key, known)}")
-    try:
-        name = check_name("name", table.get("name"))
-    except MessageError as error:
-        raise SparseskinError(f"{where}.{error}") from error
+    name = table.get("name")
+    if why := bad_name(name):
+        raise SparseskinError(f"{where}.name: {why}")
     where = f"{where} ({name})"
     own = {key: table[key] for key in _OF_SKIN if key in table}
     try:

@@ -101,17 +101,16 @@ class NodeProcess:
         self._log = LogLines()
         self._rest = self._unsent = b""
         self._said, self._said_s = "", 0.0
-        assert self._popen.stdin is not None
-        for pipe in (*self.pipes, self._popen.stdin):
+        stdin, stdout, stderr = self._popen.stdin, self._popen.stdout, self._popen.stderr
+        assert stdin is not None
+        assert stdout is not None
+        assert stderr is not None
+        self._stdin = stdin
+        self.pipes: tuple[IO[bytes], IO[bytes]] = (stdout, stderr)
+        """Events and log lines, to be waited on."""
+        for pipe in (*self.pipes, stdin):
             os.set_blocking(pipe.fileno(), False)
         self._write({**config, "tally": [spec.outputs, self._tally.fd]})
-
-    @property
-    def pipes(self) -> tuple[IO[bytes], IO[bytes]]:
-        """Events and log lines, to be waited on."""
-        assert self._popen.stdout is not None
-        assert self._popen.stderr is not None
-        return self._popen.stdout, self._popen.stderr
 
     @property
     def pid(self) -> int:
@@ -160,12 +159,11 @@ class NodeProcess:
 
     def flush(self) -> None:
         """Send what is queued; a process that hangs must not hold up the others."""
-        assert self._popen.stdin is not None
         if self.closed:
             self._unsent = b""
         try:
             while self._unsent:
-                n_sent = os.write(self._popen.stdin.fileno(), self._unsent)
+                n_sent = os.write(self._stdin.fileno(), self._unsent)
                 self._unsent = self._unsent[n_sent:]
         except BlockingIOError:
             pass
@@ -191,8 +189,7 @@ class NodeProcess:
     def close(self) -> None:
         """Collect the process and close its pipes; what has not ended by now is killed."""
         with contextlib.suppress(OSError):
-            assert self._popen.stdin is not None
-            self._popen.stdin.close()
+            self._stdin.close()
         self.send_signal(signal.SIGKILL)
         self._popen.wait()
         if not self.closed:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +31,7 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.settings import Settings, check_patch, check_patches, naming, setting
 
-from .metrics import ClockOf, PatchMetrics
+from .metrics import PatchMetrics
 from .table import FEW, status_line
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ class Monitor(Node[MonitorSettings]):
             patch: PatchMetrics(since_ns, context.clock_of) for patch in settings.patches
         }
         for batch, names in (settings.batches or {}).items():
-            clock_of = _clock_of_batch(context, batch)
+            clock_of = partial(_clock_of_batch, context, batch)
             self._patches |= {name: PatchMetrics(since_ns, clock_of) for name in names}
         self._held: dict[str, Any] = {}
         self._feed: Feed | None = None
@@ -289,10 +290,6 @@ def _topics(settings: MonitorSettings, classes: tuple[type[Message], ...]) -> tu
     return tuple(topic_of(group, cls.schema) for group in groups for cls in classes)
 
 
-def _clock_of_batch(context: Context, batch: str) -> ClockOf:
-    """Clocks of the publishers of a batch's topics, by the topics of its patches."""
-
-    def clock_of(topic: str) -> ClockEstimate | None:
-        return context.clock_of(topic_of(batch, split_topic(topic)[1]))
-
-    return clock_of
+def _clock_of_batch(context: Context, batch: str, topic: str) -> ClockEstimate | None:
+    """Clock of the publisher of a batch's topic, by that of one of its patches."""
+    return context.clock_of(topic_of(batch, split_topic(topic)[1]))

@@ -5,6 +5,7 @@ prints goes to stderr. Nodes that watch their graph, and other programs of the u
 control socket of the launcher.
 """
 
+import functools
 import json
 import os
 import socket
@@ -31,6 +32,7 @@ def is_shallow(value: Any, depth: int = MAX_DEPTH) -> bool:
     return depth > 0 and all(is_shallow(part, depth - 1) for part in parts)
 
 
+@functools.cache
 def watch_parent() -> None:
     """End this process when its parent ends, even if a driver blocks the main thread."""
     parent = os.getppid()

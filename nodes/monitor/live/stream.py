@@ -219,11 +219,6 @@ def _skin(name: str, patch: PatchFeed, pose: Sequence[float] | None) -> Part:
     values = {key: getattr(skin, key) for key in fields}
     values["sum_unit"] = sum_unit(skin.unit)
     header = {"kind": "skin", "patch": name, "pose": pose, **values}
-    arrays: dict[str, np.ndarray[Any, Any]] = {}
-    if skin.mask is not None:
-        arrays["mask"] = skin.mask.view(np.uint8)
-    if skin.points is not None:
-        arrays["points"] = skin.points
-    if skin.point_rows is not None:
-        arrays["point_rows"] = skin.point_rows
-    return header, arrays
+    mask = None if skin.mask is None else skin.mask.view(np.uint8)
+    arrays = {"mask": mask, "points": skin.points, "point_rows": skin.point_rows}
+    return header, {key: array for key, array in arrays.items() if array is not None}
