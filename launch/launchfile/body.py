@@ -176,7 +176,7 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
     for key in table:
         if key not in known:
             raise SparseskinError(f"{where}.{key[:40]}: unknown key{did_you_mean(key, known)}")
-    name = table.get("name")
+    name: Any = table.get("name")
     if why := bad_name(name):
         raise SparseskinError(f"{where}.name: {why}")
     where = f"{where} ({name})"
