@@ -40,7 +40,7 @@ from rosbags.interfaces import Nodetype
 from sparseskin.nodes.errors import SettingsError
 
 from . import cdr
-from .topics import Reader, Writer
+from .endpoints import Reader, Writer
 
 NODES = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 """Type of the messages by which participants of ROS 2 state their nodes, of Jazzy and later."""

@@ -17,7 +17,7 @@ from rclpy.subscription import SubscriptionEventCallbacks
 
 from sparseskin.nodes.errors import SettingsError
 
-from .topics import Reader, Writer
+from .endpoints import Reader, Writer
 
 
 class Member:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import Any
 
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.lookup import one_line
@@ -17,24 +16,6 @@ from .base import check_installed
 MAX_DOMAIN = 232
 RANGES = {"LOCALHOST": "lo", "SUBNET": "", "SYSTEM_DEFAULT": ""}
 """Interface of each range of discovery of ROS 2."""
-
-
-class Writer(NamedTuple):
-    """A writer: the readers of its topic, or their number; and what publishes a message in CDR and
-    returns False if it is dropped, as a reader is behind.
-    """
-
-    readers: Callable[[], object]
-    write: Callable[[bytes], bool]
-
-
-class Reader(NamedTuple):
-    """A reader: what takes at most n messages in CDR, after a wait of some seconds for the first;
-    and the number of messages that were lost on the way.
-    """
-
-    take: Callable[[float, int], list[bytes]]
-    n_lost: Callable[[], int]
 
 
 def check(what: str, error: type[SparseskinError] = SettingsError) -> None:
