@@ -9,7 +9,9 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 # uv takes an eighth of the time of pip, which installs where uv fails: it reads no pip.conf.
 # Neither compiles: modules are when they are first imported, and most of these packages' never are.
 install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(PIP) $(1)
-PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder
+# A test process that crashes ends the run with its test's name; where another was started in its
+# place, pytest-xdist 3.8 waited for ever.
+PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder --max-worker-restart=0
 ALL_TESTS = SPARSESKIN_EXAMPLES=100 $(ONE_THREAD) $(CURDIR)/$(BIN)/python -m pytest -q $(PARALLEL) --durations=20
 
 .PHONY: dist demo shots gallery charts charts-quick stress stress-quick
@@ -22,7 +24,7 @@ demo: .venv/installed
 
 # Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
 shots: .venv/installed-dev
-	PYTHONPATH=tests $(BIN)/python tests/shots.py $(SHOTS)
+	PYTHONPATH=tests $(BIN)/python docs/pictures/shots.py $(SHOTS)
 
 # What the examples print and draw, for their pages in docs/ (three minutes).
 gallery: .venv/installed-dev

@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parent.parent
 LEFT_OUT = ("plugins/", "tests/plugins/")
 FEW = (
     *("tests/test_imports.py", "tests/test_extensions.py", "tests/nodes/sensor/test_sources.py"),
-    *("tests/nodes/sensor/files/test_arrays.py", "tests/nodes/recorder/convert/test_to_bag.py"),
-    "tests/launch/commands/test_scope.py",
+    *("tests/nodes/sensor/files/test_arrays.py", "tests/nodes/recorder/convert/test_exports.py"),
+    "tests/launch/commands/test_lists.py",
 )
 """Tests of what plug-ins extend."""
 OF_ALL = "tests/docs"

@@ -1,17 +1,29 @@
-"""Damaged files, and the line that refuses them."""
+"""Damaged files and wrong launch files, and the lines that refuse them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+import pytest
+
+from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.nodes.errors import SparseskinError
 
 
-def refusal(read: Callable[[], object]) -> str:
-    """The line of a refusal; "" where there is none."""
+def refusal(read: Callable[[], object], kind: type[SparseskinError] = SparseskinError) -> str:
+    """The line of a refusal, which can be printed; "" where there is none."""
+    line = ""
     try:
         read()
-    except SparseskinError as error:
-        return str(error)
-    return ""
+    except kind as error:
+        line = str(error)
+    assert line.isprintable(), line
+    return line
+
+
+def launch_faults(name: str, changes: Sequence[str] = ()) -> list[str]:
+    """The lines that refuse a launch file."""
+    with pytest.raises(LaunchError) as refused:
+        load(name, changes)
+    return list(refused.value.lines)
 
 
 def changed(raw: bytes, place: int, piece: bytes) -> bytes:

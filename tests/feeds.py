@@ -49,8 +49,7 @@ class Graph:
 
     def take(self, message: Message) -> None:
         metrics = self.metrics[message.patch]
-        judged = metrics.add(message)
-        self.feed.frame(message.patch, message, judged, metrics.latency_ns)
+        self.feed.frame(message.patch, message, metrics.add(message), metrics.latency_ns)
 
     def skin(self, patch: str = "skin", **changes: Any) -> SkinState:
         state = skin_state(patch, **changes)

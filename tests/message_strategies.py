@@ -147,8 +147,7 @@ def contacts(draw: st.DrawFn) -> Contacts:
     for name, kind in wire_fields(Contacts).items():
         if isinstance(kind, Array) and not (kind.optional and draw(st.booleans())):
             width = 3 if "mm" in name or name == "normal" else 2
-            shape = (n, width)[: kind.ndim]
-            numbers = draw(hnp.arrays(np.int8, shape)).astype(kind.dtype)
+            numbers = draw(hnp.arrays(np.int8, (n, width)[: kind.ndim])).astype(kind.dtype)
             values[name] = abs(numbers) if name == "id" else numbers
     rows = [draw(st.integers(0, max(0, len(names) - 1))) for _ in range(n + n_events)]
     values["patch_of"] = np.array(rows[:n], np.int32) if names else None

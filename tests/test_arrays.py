@@ -7,6 +7,7 @@ import warnings
 import bags
 import numpy as np
 import pytest
+from damaged import refusal
 
 import sparseskin
 from sparseskin import arrays
@@ -38,8 +39,7 @@ def test_compress_measures_existing_taxels_alone():
     mask[0, :2] = False
     phi = sparseskin.make_phi("subsample", n=14, m=14, seed=0)
     frames = np.arange(32, dtype=np.float32).reshape(2, 4, 4)
-    y = sparseskin.compress(frames, phi, mask)
-    np.testing.assert_array_equal(y, frames[:, mask])
+    np.testing.assert_array_equal(sparseskin.compress(frames, phi, mask), frames[:, mask])
 
 
 def test_reconstruct_warns_once_of_threads_that_slow_it_down(monkeypatch):
@@ -83,18 +83,18 @@ def test_row_subsets_measure_frames_in_turn():
 @pytest.mark.parametrize("solver", ["skin", "fista"])
 def test_arrays_give_the_bits_of_the_nodes_by_default(solver):
     stated = {"skin": "iterations=8", "fista": "preset=paper"}[solver]
-    frames = list(sparseskin.run_launch("lift_box_40", 330, [f"reconstructor.{stated}"]))
+    settings = ["sensor.first=310", f"reconstructor.{stated}"]  # touched from frame 320 on
+    frames = list(sparseskin.run_launch("lift_box_40", 30, settings))
     taxels = np.stack([frame.taxels for frame in frames])
     phi = sparseskin.make_phi("sbhe", n=1600, m=534, seed=0)
     y = sparseskin.compress(taxels, phi)
     np.testing.assert_array_equal(y, np.stack([frame.measurements for frame in frames]))
-    basis = sparseskin.make_basis("haar", 40, 40)
-    made = sparseskin.make_solver(solver, phi, basis)
+    made = sparseskin.make_solver(solver, phi, sparseskin.make_basis("haar", 40, 40))
     made.noise_sd = PAPER_SIGMA_END_N * CLIP_SD  # as the scene states
     forces = sparseskin.reconstruct(y, made)
     np.testing.assert_array_equal(forces, np.stack([frame.forces for frame in frames]))
     made.reset()
-    np.testing.assert_array_equal(sparseskin.reconstruct(y[:40], made), forces[:40])
+    np.testing.assert_array_equal(sparseskin.reconstruct(y[:20], made), forces[:20])
     assert sparseskin.reconstruct(y[:0], made).shape == (0, 40, 40)
 
 
@@ -144,8 +144,7 @@ def test_a_launch_file_runs_with_the_bits_of_its_nodes():
         m.forces[0] for ms in bus.frames(3) for m in ms if isinstance(m, Reconstruction)
     ]  # fmt: skip
     np.testing.assert_array_equal([frame.forces for frame in frames], made)
-    assert [frame.patch for frame in frames] == ["skin"] * 3
-    assert frames[0].truth.shape == (40, 40)
+    assert ([frame.patch for frame in frames], frames[0].truth.shape) == (["skin"] * 3, (40, 40))
 
 
 def test_a_bag_is_read_into_arrays(tmp_path):
@@ -232,10 +231,7 @@ MISTAKES = {
 
 @pytest.mark.parametrize("line", MISTAKES)
 def test_a_natural_mistake_is_answered_in_one_line(line):
-    with pytest.raises(SparseskinError) as refused:
-        MISTAKES[line]()
-    assert line in str(refused.value)
-    assert "\n" not in str(refused.value)
+    assert line in refusal(lambda: MISTAKES[line](), SparseskinError)
 
 
 def test_objects_state_what_they_are():

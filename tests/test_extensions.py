@@ -1,5 +1,6 @@
-"""What plug-ins bring: found by entry points, and named where it cannot be imported."""
+"""What other packages bring, and modules of the user."""
 
+import subprocess
 import sys
 
 import numpy as np
@@ -71,8 +72,7 @@ def brought(monkeypatch, tmp_path, offering):
 
 @pytest.mark.usefixtures("brought")
 def test_what_another_package_brings_is_used(tmp_path, capsys):
-    assert cli.main(["greet", "--name", "you"]) == 0
-    assert capsys.readouterr().out == "hello you\n"
+    assert (cli.main(["greet", "--name", "you"]), capsys.readouterr().out) == (0, "hello you\n")
     assert sorted(cli.plugins()) == ["broken", "greet"]  # none replaces a command of the core
     assert cli.about("launch") == cli.COMMANDS["launch"][::2]
     assert node_class("own").__module__ == "brought"
@@ -113,3 +113,37 @@ def test_a_command_that_cannot_be_imported_is_named_and_stops_no_other(capsys):
     shown = " ".join(capsys.readouterr().out.split())
     assert "greet greet 100 %" in shown
     assert "broken cannot be used: broken: plug-in absent: ModuleNotFoundError" in shown
+
+
+def searched(code, folder):
+    """True if code that runs in a folder lets modules of that folder be found."""
+    end = "; import os, sys; print(os.getcwd() in sys.path)"
+    command = [sys.executable, "-P", "-c", code + end]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    return done.stdout.strip() == "True"
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [("sparseskin.nodes.compressor.node:Compressor", False), ("own_package.node:Own", True)],
+)
+def test_the_current_directory_is_searched_for_a_module_that_is_not_installed_alone(
+    name, found, tmp_path
+):
+    text = "from sparseskin.nodes.node import Node\nclass Own(Node): pass\n"
+    (tmp_path / "own_package").mkdir()
+    (tmp_path / "own_package/node.py").write_text(text)
+    code = f"from sparseskin.nodes.registry import node_class; node_class({name!r})"
+    assert searched(code, tmp_path) == found
+
+
+@pytest.mark.parametrize(
+    ("source", "found"), [("sparseskin.studies.looped:path_40", False), ("own_driver:frames", True)]
+)
+def test_a_driver_is_looked_for_in_the_current_directory_where_it_is_not_installed(
+    source, found, tmp_path
+):
+    (tmp_path / "own_driver.py").write_text("def frames(): yield\n")
+    code = "from sparseskin.nodes.sensor.sources import find_address; "
+    code += f"find_address({source!r}).check()"
+    assert searched(code, tmp_path) == found

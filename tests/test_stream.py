@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from damaged import refusal
 from doubting import DOUBTING
 
 import sparseskin
@@ -15,7 +16,7 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
 @pytest.mark.parametrize(
     ("settings", "chosen"),
     [
-        (["reconstructor.iterations=8"], {}),
+        (["sensor.first=310", "reconstructor.iterations=8"], {}),  # touched from frame 320 on
         (
             ["compressor.rows=paper", "compressor.ratio=4", "reconstructor.preset=paper"],
             {"rows": "paper", "ratio": 4, "preset": "paper"},
@@ -44,7 +45,7 @@ def test_a_stream_has_the_bits_and_defaults_of_a_graph(settings, chosen, tmp_pat
     else:
         name, shape, sigmas = "lift_box_40", (40, 40), (PAPER_SIGMA_MID_N, PAPER_SIGMA_END_N)
     stream = Stream(shape, sigmas=sigmas, **chosen)
-    for frame in sparseskin.run_launch(name, 325, settings):
+    for frame in sparseskin.run_launch(name, 30, settings):
         y = stream.compress(frame.taxels)
         np.testing.assert_array_equal(y, frame.measurements)
         np.testing.assert_array_equal(stream.reconstruct(y), frame.forces)
@@ -145,10 +146,7 @@ def test_a_number_of_a_frame_that_is_none_is_refused(k):
     ],
 )
 def test_an_argument_that_is_not_allowed_is_one_line(arguments, line):
-    with pytest.raises(SparseskinError) as refused:
-        Stream(**{"shape": (8, 8), **arguments})
-    assert line in str(refused.value)
-    assert "\n" not in str(refused.value)
+    assert line in refusal(lambda: Stream(**{"shape": (8, 8), **arguments}), SparseskinError)
 
 
 def test_an_even_force_stays_where_the_rows_that_see_it_are_not_read():

@@ -93,8 +93,7 @@ def test_a_udp_skin_that_falls_silent_is_named(opened):
 
 
 def test_packets_of_a_wrong_size_are_counted_and_left_out(opened, capsys):
-    garbage = [os.urandom(n) for n in (0, 1, 3199, 3201, 60_000)]
-    skin = UdpSkin(*garbage, udp_frame(7))
+    skin = UdpSkin(*[os.urandom(n) for n in (0, 1, 3199, 3201, 60_000)], udp_frame(7))
     frames = taken(opened("udp_skin", PORT=skin.port), 5)
     skin.stop()
     assert all(np.all(frame == np.float32(7 * 2.5 / 65535)) for frame in frames)

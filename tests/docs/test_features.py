@@ -1,4 +1,4 @@
-"""The table of what works with what, found by running the nodes."""
+"""Tables of features and documents in JSON, against what nodes do and commands print."""
 
 import itertools
 from pathlib import Path
@@ -59,8 +59,7 @@ def works(phi, solver, feature=""):
             found += host.step(message)
     except SparseskinError:
         return False
-    kinds = {"resultant": Resultant, "contacts": Contacts}
-    wanted = kinds.get(feature, Reconstruction)
+    wanted = {"resultant": Resultant, "contacts": Contacts}.get(feature, Reconstruction)
     assert sum(isinstance(one, wanted) for one in found) == 2
     reconstructed = next(one for one in found if isinstance(one, Reconstruction))
     assert feature != "uncertainty" or reconstructed.sd is not None

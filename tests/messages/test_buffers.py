@@ -51,8 +51,7 @@ def payload(description, *rest):
 
 
 def taxels(value=1.0, shape=(2, 3)):
-    forces = np.full(shape, value, dtype=np.float32)
-    return Taxels(stamp_ns=7, patch="skin", forces=forces)
+    return Taxels(stamp_ns=7, patch="skin", forces=np.full(shape, value, dtype=np.float32))
 
 
 @given(messages.filter(lambda m: is_frame(type(m))))
@@ -150,8 +149,7 @@ def reconstruction(error):
 
 def test_a_number_that_is_not_known_is_none_and_no_other_is_nan():
     for error in (None, 0.25):
-        found = decode(*sent(reconstruction(error)))
-        assert found.error == (error,)
+        assert decode(*sent(reconstruction(error))).error == (error,)
     topic, description, sound, data = pieces(reconstruction(None))
     packed = bytearray(sound)
     at = sound.index(struct.pack("<d", 0.1))

@@ -90,16 +90,14 @@ def test_gaps_are_losses_at_the_start_between_and_at_the_end(numbers, n_sent, lo
         list(host.receive(taxels(seq)))
     list(host.receive(end(n_sent)))
     count = host.counts.inputs["/skin/taxels"]
-    assert (count.received, count.lost) == (len(numbers), lost)
-    assert count.received + count.lost == n_sent
+    assert (count.received, count.lost, count.received + count.lost) == (len(numbers), lost, n_sent)
 
 
 def test_a_repeated_message_is_taken_once():
     host, _ = make(Summer)
     for message in (phi(), phi(), taxels(0), taxels(0), taxels(1)):
         list(host.receive(message))
-    assert host.node.steps == 3
-    assert host.counts.inputs["/skin/phi"].received == 1
+    assert (host.node.steps, host.counts.inputs["/skin/phi"].received) == (3, 1)
 
 
 def test_a_publisher_that_starts_again_is_no_loss():
@@ -113,8 +111,7 @@ def test_a_publisher_that_starts_again_is_no_loss():
 def test_refused_and_failed_messages_end_no_node():
     host, lines = make(Summer)
     assert list(host.receive(taxels(0, value=100.0))) == []
-    assert list(host.receive(taxels(1, value=8.0))) == []
-    assert len(list(host.receive(taxels(2)))) == 1
+    assert (list(host.receive(taxels(1, value=8.0))), len(list(host.receive(taxels(2))))) == ([], 1)
     assert host.counts.refused == {"refused": 1, "failed": 1}
     refusal, failure = lines
     assert refusal == "refused: too heavy"
@@ -175,8 +172,7 @@ def test_a_source_that_fails_ends_its_stream_and_reports_why():
     host, lines = make(Counter)
     host.node.fails_at = 1
     out = [m for k in range(2) for m in host.tick(Tick(k, k))]
-    assert [type(m) for m in out] == [Taxels, End]
-    assert host.failure == "the driver hung up"
+    assert ([type(m) for m in out], host.failure) == ([Taxels, End], "the driver hung up")
     assert lines == ["error: the driver hung up"]
 
 
@@ -192,6 +188,5 @@ def test_the_first_failure_of_a_node_is_its_reason():
     assert host.failure == ""
     for seq in range(2):
         assert list(host.receive(taxels(seq))) == []
-    assert host.failure == "frame 0 cannot be measured"
-    assert host.counts.refused == {"failed": 2}
+    assert (host.failure, host.counts.refused) == ("frame 0 cannot be measured", {"failed": 2})
     assert lines == ["failed: frame 0 cannot be measured"]

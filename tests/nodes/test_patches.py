@@ -44,8 +44,7 @@ def test_several_patches_have_the_same_bits_as_one_by_one():
     batches = [
         {m.schema: m for m in messages if isinstance(m, Frames)} for messages in bus.frames(30)
     ]
-    sensor = Sensor(Sensor.Settings(**SENSOR), context())
-    (skin,) = sensor.start()
+    (skin,) = Sensor(Sensor.Settings(**SENSOR), context()).start()
     for k, name in enumerate(NAMES):
         compressor = Compressor(Compressor.Settings(patch=name), context())
         single = Reconstructor(Reconstructor.Settings(patch=name, iterations=8), context())
@@ -164,5 +163,4 @@ def test_a_kind_of_line_of_one_patch_thins_out():
     log = PatchLog(("skin",), lines.append).of("skin")
     for k in range(1000):
         log(f"taxel {k} works again")
-    assert len(lines) == 12
-    assert lines[-1] == "taxel 999 works again (1000 such lines)"
+    assert (len(lines), lines[-1]) == (12, "taxel 999 works again (1000 such lines)")

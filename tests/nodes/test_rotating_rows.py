@@ -82,8 +82,7 @@ def test_it_can_be_switched_on_and_off_while_the_graph_runs():
     assert bus.hosts["reconstructor"].counts.refused == {}
     prints = [only(messages, Measurements).phi for messages in frames]
     assert [len(set(part)) for part in (prints[:6], prints[6:12], prints[12:15])] == [1, 3, 3]
-    assert set(prints[15:18]) == {prints[0]}
-    assert prints[18:21] == prints[6:9]
+    assert (set(prints[15:18]), prints[18:21]) == ({prints[0]}, prints[6:9])
     assert len(set(prints[21:])) == 1
     assert all(only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True))
 

@@ -28,8 +28,7 @@ def compiled(described: EdgeDescription, folder: Path, *flags: str, test: bool =
     shared = ["gcc", *STRICT, *SANITIZED, *flags, "edge.c", "edge_tables.c"]
     programs = [["edge_stream.c"], ["edge_test.c", "edge_check.c"]]
     for sources in programs if test else programs[:1]:
-        program = sources[0].removesuffix(".c")
-        command = [*shared, *sources, "-o", program]
+        command = [*shared, *sources, "-o", sources[0].removesuffix(".c")]
         done = subprocess.run(command, cwd=out, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
     return out

@@ -68,8 +68,7 @@ def _measure(
     )
     for k, (_, forces) in enumerate(frames):
         taxels = Taxels(stamp_ns=1_000_000 * (k + 1), patch="skin", forces=forces)
-        measured = timed_step(edge, encode(taxels), spent["edge"])
-        timed_step(host, measured[0], spent["host"])
+        timed_step(host, timed_step(edge, encode(taxels), spent["edge"])[0], spent["host"])
 
     def median_us(station: str, first: int, last: int | None) -> float:
         return 1e6 * float(np.median(spent[station][first:last]))

@@ -71,7 +71,10 @@ class GraphRun(Program):
                 *("launch", launch, "--summary", "summary.json", *arguments),
                 **{"cwd": folder, "limits": True, "start_new_session": True},
                 **{"stdout": out, "stderr": err},
-                environment={"PYTHONPATH": PYTHONPATH, **(environment or {})},
+                environment={
+                    **{"PYTHONPATH": PYTHONPATH, "SPARSESKIN_FAST": "auto"},
+                    **(environment or {}),
+                },
             )
         self._client: ControlClient | None = None
         self._state: dict[str, Any] = {}

@@ -19,8 +19,7 @@ def test_every_constant_has_a_candidate_halved_and_doubled():
 
 
 def test_a_changed_constant_changes_the_scores_and_has_a_row(monkeypatch, tmp_path):
-    values = {"damping": 0.5, "averaged": 3}
-    monkeypatch.setattr(constants, "VALUES", values)
+    monkeypatch.setattr(constants, "VALUES", {"damping": 0.5, "averaged": 3})
     for name, value in {"SIDES": (12,), "QUICK_BODIES": ("peg",), "PRESS_FRAMES": 30}.items():
         monkeypatch.setattr(experiments, name, value)
     i, j = np.indices((12, 12))

@@ -1,12 +1,26 @@
-"""Experiments: their points, candidates side by side on the same frames, and their scores."""
+"""Experiments: their points, estimators on the same frames, and their scores."""
 
 import numpy as np
 import pytest
 
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.monitor.metrics import psnr_db
+from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.studies.accuracy.experiments import CANDIDATES, READINGS, SIMPLE
 from sparseskin.studies.baselines.sampling import CODECS
-from sparseskin.studies.evaluate import VALUE_BYTES, Scores, Solved
+from sparseskin.studies.evaluate import (
+    VALUE_BYTES,
+    Reading,
+    Scores,
+    Solved,
+    evaluate,
+    make_method,
+    phis_at,
+)
 from sparseskin.studies.frames import PressFrames, UntouchedFrames
 from sparseskin.studies.harness import (
     SCORES,
@@ -34,8 +48,7 @@ def test_points_are_the_product_and_what_is_timed_is_run_by_itself():
     assert len(together.points()) == 2 * 2 * 3
     assert all(set(point["candidates"]) == {"a", "raw"} for point in together.points())
     alone = Experiment("some", timed=True, **parts)
-    assert len(alone.points()) == 2 * 2 * 2 * 3
-    assert TIMED_ON == "process:1"
+    assert (len(alone.points()), TIMED_ON) == (2 * 2 * 2 * 3, "process:1")
 
 
 def test_all_estimators_of_a_ratio_send_the_same_bytes_to_within_rounding(tmp_path):
@@ -58,8 +71,7 @@ def test_a_seed_changes_what_is_random_and_nothing_else(tmp_path):
     rows = Experiment("seeds", frames, [Measurement(4)], chosen, ("psnr_db",), (0, 1)).run(
         tmp_path, "serial"
     )
-    assert rows["seed"].tolist() == [0, 0, 1, 1]
-    assert len({str(db) for db in rows["psnr_db"]}) == 4
+    assert (rows["seed"].tolist(), len({str(db) for db in rows["psnr_db"]})) == ([0, 0, 1, 1], 4)
 
 
 def test_what_does_not_go_together_is_refused_by_name_and_the_others_are_run(tmp_path):
@@ -117,3 +129,57 @@ def test_first_frames_of_contacts_are_those_without_one_before():
     dbs = [20 * np.log10(2.5 / force) for force in (1.0, 2.0)]
     assert SCORES["first_db"](scores) == pytest.approx(np.mean(dbs), abs=1e-4)
     assert SCORES["mean_db"](Scores()) is None
+
+
+SHAPE = (8, 8)
+TRUTHS = [np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32)]
+TRUTHS[1][2:4, 2:4] = 1.0
+FRAMES = [(truth, truth + np.float32(0.02)) for truth in TRUTHS]
+
+
+def test_a_reading_is_scored_against_the_closed_form():
+    scores = evaluate({"raw": Reading(), "zone": Reading(0.1)}, FRAMES)
+    raw, zone = scores["raw"], scores["zone"]
+    every_db = 20 * np.log10(2.5 / 0.02)
+    assert raw.psnr_db == pytest.approx([every_db, every_db], abs=1e-4)
+    assert (raw.contact, raw.contact_db) == ([False, True], raw.psnr_db[1:])
+    assert raw.touched == [(pytest.approx(0.02**2, rel=1e-4), 4)]
+    # 4 of 64 taxels are off: 12 dB more.
+    assert zone.psnr_db == pytest.approx([100.0, every_db + 20 * np.log10(4)], abs=1e-4)
+
+
+def test_a_method_is_the_solver_on_its_own_measurements():
+    chosen = {"solver": "fista", "iterations": 5, "lambda_n": 0.01}
+    method = make_method(chosen, SHAPE, 2, seed=3, rows=FIXED)
+    phi = make_phi("sbhe", n=64, m=32, seed=3)
+    solver = make_solver("fista", phi, make_basis("haar", *SHAPE), iterations=5, lambda_n=0.01)
+    scores = evaluate({"fista": method}, FRAMES)["fista"]
+    expected = [solver.solve(phi.forward(taxels.reshape(-1))) for _, taxels in FRAMES]
+    errors = [psnr_db(forces - truth, 2.5) for forces, truth in zip(expected, TRUTHS, strict=True)]
+    assert (scores.psnr_db, scores.n_steps) == (errors, [5, 5])
+    assert all(wall_s > 0 for wall_s in scores.wall_s)
+    method.reset()
+    np.testing.assert_array_equal(method.reconstruct(FRAMES[0][1]).forces, expected[0])
+
+
+def test_rotating_row_subsets_together_hold_every_row():
+    phis = phis_at(Skin(8, 8, 2.5), 3, ROTATING, seed=0)
+    assert [phi.m for phi in phis] == [22, 22, 22]
+    method = make_method(PRESETS["skin"], SHAPE, 3, seed=0, rows=ROTATING)
+    used = []
+    for _, taxels in [*FRAMES, *FRAMES]:
+        used.append(method.phi.fingerprint)
+        np.testing.assert_array_equal(
+            method.measure(taxels), method.phi.forward(taxels.reshape(-1))
+        )
+        method.reconstruct(taxels)
+    assert (len(set(used[:3])), used[3]) == (3, used[0])
+
+
+def test_missing_taxels_are_not_measured():
+    mask = np.ones(SHAPE, np.bool_)
+    mask[0] = False
+    method = make_method(PRESETS["paper"], SHAPE, 2, seed=0, rows=FIXED, mask=mask)
+    taxels = FRAMES[1][1].copy()
+    taxels[0] = np.nan
+    assert not method.reconstruct(taxels).forces[0].any()

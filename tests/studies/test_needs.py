@@ -12,8 +12,7 @@ def compared(scene, variant, n_steps=420):
 
 
 def test_a_scene_that_is_not_changed_gives_its_own_frames():
-    scene = SCENES["lift_box_40"]()
-    ours = Variant(True, scene).frames()
+    ours = Variant(True, SCENES["lift_box_40"]()).frames()
     for (_, expected), frame in zip(open_scene("lift_box_40", 0), ours, strict=True):
         np.testing.assert_array_equal(frame, expected)
 

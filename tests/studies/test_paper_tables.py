@@ -28,16 +28,14 @@ def test_it_stops_where_a_side_gets_odd_and_is_haar_where_none_does():
 @pytest.mark.parametrize("scene", PAPER)
 def test_the_papers_tables_agree_with_each_other_and_with_the_scenes(scene):
     paper, ours = PAPER[scene], SCENES[scene]()
-    assert paper.by_ratio[3] == paper.by_iterations[30]
-    assert paper.n == ours.shape[0] * ours.shape[1]
+    assert (paper.by_ratio[3], paper.n) == (paper.by_iterations[30], ours.shape[0] * ours.shape[1])
     assert paper.steps == ours.n_steps
 
 
 def test_a_peg_of_fourteen_taxels_has_few_coefficients_and_d4_has_more():
     frames = asdict(SceneFrames("path_40", -5, 20))
     figures = tables.scene_figures({"frames": frames, "seed": 0})
-    assert len(figures["contact"]) == 25
-    assert figures["first"] == first_contact("path_40", 0) - 5
+    assert (len(figures["contact"]), figures["first"]) == (25, first_contact("path_40", 0) - 5)
     touched = np.array(figures["contact"])
     d2, d4 = np.array(figures["d2"]), np.array(figures["d4"])
     assert not d2[~touched][0]

@@ -1,10 +1,12 @@
-"""Output of studies: tables, CSV files, charts and pages."""
+"""Output of studies: tables, CSV files, charts and pages; and what the command refuses."""
 
 import csv
 
 import pandas as pd
 import pytest
 
+from sparseskin.launch.commands.cli import main
+from sparseskin.studies import command
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
 
@@ -76,3 +78,13 @@ def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
         page.csv("rows", FRAME)
     with pytest.raises(StudyError, match=r"no_such.*No such file"):
         page.write([])
+
+
+def test_without_a_package_of_the_extra_one_line_names_it_and_the_extra(monkeypatch, capsys):
+    package = command.EXTRA[-1]
+    monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else name)
+    assert main(["study", "paper-tables"]) == 2
+    error = capsys.readouterr().err
+    assert f"{package} is not installed" in error
+    assert "pip install 'sparseskin[charts]'" in error
+    assert error.count("\n") == 1

@@ -51,8 +51,7 @@ def test_failing_is_said_on_both_sides_of_the_best_value():
         {"value": v, "mean_db": h, "touched_db": 10.0, "noisy_mean_db": 40.0, "noisy_touched_db": 9}
         for v, h in heights.items()
     )
-    assert failing(rows, Sweep("")) == "≤ 1 and ≥ 5"
-    assert failing(rows[1:4], Sweep("")) == "nowhere"
+    assert (failing(rows, Sweep("")), failing(rows[1:4], Sweep(""))) == ("≤ 1 and ≥ 5", "nowhere")
     assert failing(rows, Sweep("", against_readings=True)) == "≥ 6"
 
 

@@ -42,11 +42,9 @@ def test_rates_are_those_of_the_numbers_and_of_the_arrivals():
 def test_intervals_are_between_messages_with_none_lost_between():
     stamps_ms = {0: 0, 1: 10, 2: 22, 5: 50, 6: 58}
     made = samples(*(arrival(seq, 99 * seq, stamp_ms=ms) for seq, ms in stamps_ms.items()))
-    figures = figures_of(made.last(1000))
-    between = figures["interval_ms"]
+    between = figures_of(made.last(1000))["interval_ms"]
     assert (between["min"], between["max"]) == pytest.approx((8, 12))
-    assert between["mean"] == pytest.approx(10)
-    assert between["std"] == pytest.approx(np.sqrt(8 / 3))
+    assert (between["mean"], between["std"]) == (pytest.approx(10), pytest.approx(np.sqrt(8 / 3)))
 
 
 def test_rates_are_the_same_however_late_messages_are_read():
@@ -62,8 +60,7 @@ def test_rates_are_the_same_however_late_messages_are_read():
 def test_bytes_a_second_leave_out_what_came_before_the_first_interval():
     made = samples(arrival(0, 0, n=9_992), arrival(1, 500), arrival(2, 1000, n=192))
     figures = figures_of(made.last(1000))
-    assert figures["bytes_per_s"] == pytest.approx(300)
-    assert figures["size_bytes"]["max"] == 10_000
+    assert (figures["bytes_per_s"], figures["size_bytes"]["max"]) == (pytest.approx(300), 10_000)
 
 
 def test_a_delay_is_from_stamp_to_arrival():
@@ -97,14 +94,11 @@ B = {"run": "b"}
 )
 def test_gaps_in_the_numbers_of_one_run_are_losses(arrivals, lost, kept):
     made = samples(*arrivals)
-    assert made.lost == lost
-    assert made.last(1000)[:, 2].tolist() == kept
+    assert (made.lost, made.last(1000)[:, 2].tolist()) == (lost, kept)
 
 
 def test_a_long_run_is_bounded_and_its_last_messages_are_kept():
     made = samples(*(arrival(k, k) for k in range(MAX_KEPT + 10)))
     seqs = made.last(2 * MAX_KEPT)[:, 2]
-    assert made.n == MAX_KEPT + 10
-    assert len(seqs) == MAX_KEPT
-    assert seqs[-1] == MAX_KEPT + 9
+    assert (made.n, len(seqs), seqs[-1]) == (MAX_KEPT + 10, MAX_KEPT, MAX_KEPT + 9)
     assert np.all(np.diff(seqs) == 1)

@@ -130,8 +130,7 @@ def test_invalid_messages_are_counted_and_skipped(publisher):
         for payload in (b"", b"nonsense", b"\x81\xa6schema\xa3end"):
             publisher.writer.socket.send(TOPIC.encode() + b"\0" + payload)
         publisher.send(1)
-        assert [one.seq for one in take(stream, 1)] == [0]
-        assert stream.unreadable == 3
+        assert ([one.seq for one in take(stream, 1)], stream.unreadable) == ([0], 3)
 
 
 def test_where_keys_are_asked_for_it_has_that_of_the_graph(tmp_path, monkeypatch):
@@ -169,6 +168,5 @@ def test_echo_for_a_person_shows_some_and_counts_the_others(publisher, monkeypat
         assert main(["topic", "echo", "skin/taxels", "--max-hz", "4"]) == 0
         published.result()
     printed = capsys.readouterr()
-    assert printed.out.count("---\n") == 1
-    assert printed.out.count("--- (2 not shown)\n") == 9
+    assert (printed.out.count("---\n"), printed.out.count("--- (2 not shown)\n")) == (1, 9)
     assert printed.err.endswith(f"{TOPIC}: 10 shown, 20 not shown, 0 lost\n")

@@ -40,8 +40,7 @@ def test_info_shows_topics_counts_rates_and_metadata_in_80_columns(bag, capsys):
     long_name = "a" * 24
     make_bag(Path("a.mcap"), [*frames(N_FRAMES), *frames(2, long_name)])
     assert bag("info", "a.mcap") == 0
-    out = capsys.readouterr().out
-    lines = out.splitlines()
+    lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80
     row = next(line.split() for line in lines if line.endswith("/skin/taxels"))
     assert row == ["40", "100.00", "0.39", "2", "/skin/taxels"]
@@ -59,8 +58,7 @@ def test_info_as_json_holds_the_same_whatever_the_age_of_a_state(bag, capsys):
     assert found["topics"]["/skin/truth"]["rate_hz"] == pytest.approx(100.0)
     assert found["duration_s"] == pytest.approx(0.39)  # that of the streams
     assert found["counts"] == {"lost": {"/skin/taxels": 2}}
-    assert found["metadata"] == {"scene": "test", "seed": "3"}
-    assert found["recovered"] == ""
+    assert (found["metadata"], found["recovered"]) == ({"scene": "test", "seed": "3"}, "")
 
 
 def test_recover_makes_a_whole_bag_of_what_survived(bag, capsys):
@@ -112,8 +110,7 @@ def test_an_export_overwrites_nothing(bag):
 
 
 def test_frames_of_two_shapes_are_refused_by_npz_and_leave_nothing(bag):
-    small = np.zeros((2, 2), np.float32)
-    other = Taxels(stamp_ns=5, patch="skin", forces=small)
+    other = Taxels(stamp_ns=5, patch="skin", forces=np.zeros((2, 2), np.float32))
     make_bag(Path("a.mcap"), [frame(0)[0], other])
     with pytest.raises(BagError, match="a frame of 2 x 2 after some of 5 x 7"):
         bag("export", "a.mcap", "--to", "npz")

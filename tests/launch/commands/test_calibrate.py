@@ -28,8 +28,7 @@ def counts(force, n):
 def folder(tmp_path, monkeypatch):
     """A recording at 100 Hz: 3 s untouched, 2 s at 0.5 N and 2 s at 1 N a taxel."""
     monkeypatch.chdir(tmp_path)
-    parts = [counts(0, 300), counts(0.5, 200), counts(1.0, 200)]
-    np.save("all.npy", np.concatenate(parts))
+    np.save("all.npy", np.concatenate([counts(0, 300), counts(0.5, 200), counts(1.0, 200)]))
     np.save("more.npy", counts(1.0, 50))
     return tmp_path
 
@@ -81,8 +80,7 @@ def test_without_presses_readings_keep_their_unit(folder, capsys):
     assert main(["calibrate", "file:all.npy", "--out", "raw.toml", *options]) == 0
     skin = load_skin("raw.toml")
     assert (skin.gains, skin.f_max, skin.unit) == (None, 200.0, "raw")
-    assert skin.noise == pytest.approx(1.0, rel=0.1)
-    assert skin.f_min == pytest.approx(-4, rel=0.1)
+    assert (skin.noise, skin.f_min) == (pytest.approx(1.0, rel=0.1), pytest.approx(-4, rel=0.1))
 
 
 LIVE_SKIN = """
@@ -125,8 +123,7 @@ def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(start, tmp_p
     assert document["format"] == "sparseskin/tare-result/1"
     assert document["tared"]["sensor"].startswith("forces changed by at most ")
     code, _, err = start("tare", "compressor").finish()
-    assert (code, err) == (2, "compressor: has no command 'tare' (known: set)\n")
-    assert main(["stop"]) == 0
+    assert (code, err, main(["stop"])) == (2, "compressor: has no command 'tare' (known: set)\n", 0)
     graph.finish()
     with BagReader(tmp_path / "run.mcap") as bag:
         assert bag.topics["/skin/calibration"].n_messages == 2

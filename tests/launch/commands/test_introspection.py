@@ -30,7 +30,7 @@ TOPICS = [
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory):
     """A graph of 40 x 40 taxels without an end that records all messages into run.mcap."""
-    words = ("--set", "sensor.rate_hz=25", "--set", "reconstructor.iterations=3")
+    words = ("--set", "sensor.rate_hz=10", "--set", "reconstructor.iterations=3")
     folder = tmp_path_factory.mktemp("graph")
     (folder / "loop.py").write_text(LOOP)
     with Program(
@@ -136,10 +136,9 @@ def test_param_list_reports_value_range_meaning_and_what_is_in_force(run, run_js
     nodes = run_json("param", "list")["nodes"]
     assert list(nodes) == NODES
     rate = {entry["key"]: entry for entry in nodes["sensor"]}["rate_hz"]
-    assert (rate["live"], rate["value"]) == (True, 25.0)
+    assert (rate["live"], rate["value"]) == (True, 10.0)
     told = {entry["key"]: (entry["value"], entry["in_force"]) for entry in nodes["reconstructor"]}
-    assert told["preset"] == ("skin", "skin")
-    assert told["solver"] == (None, "skin")
+    assert (told["preset"], told["solver"]) == (("skin", "skin"), (None, "skin"))
     assert told["basis"] == (None, None)  # that solver takes none
     assert told["iterations"] == (3, 3)
     text = run("param", "list", "reconstructor")
@@ -168,8 +167,8 @@ def test_settings_of_one_command_are_changed_all_or_none(run, refused):
     line = refused("param", "set", "sensor", "noise", "0.25", "rate_hz", "-1")
     assert line.startswith("sensor: rate_hz: -1.0 is outside 0")
     assert run("param", "get", "sensor", "noise") == before
-    answer = run("param", "set", "sensor", "noise", "0.25", "rate_hz", "26")
-    assert answer == "sensor: noise = 0.25, rate_hz = 26\n"
+    answer = run("param", "set", "sensor", "noise", "0.25", "rate_hz", "11")
+    assert answer == "sensor: noise = 0.25, rate_hz = 11\n"
     assert run("param", "get", "sensor", "noise") == "0.25\n"
     assert run("param", "set", "reconstructor", "iterations", "4").endswith("iterations = 4\n")
     answer = run("param", "set", "reconstructor", "iterations", "none")
@@ -310,8 +309,7 @@ def test_an_interrupt_ends_with_a_summary(folder):
     finally:
         process.kill()
         process.communicate()
-    assert process.returncode == 0
-    assert error == ""
+    assert (process.returncode, error) == (0, "")
     assert out.splitlines()[-1].startswith("all ")
 
 
@@ -319,8 +317,7 @@ def test_a_pipe_that_closes_is_no_matter(folder):
     tool = shlex.join([sys.executable, *PATIENT_COMMAND])
     command = f"{tool} topic hz /skin/taxels --json | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
-    assert done.stderr == ""
-    assert json.loads(done.stdout)["topic"] == "/skin/taxels"
+    assert (done.stderr, json.loads(done.stdout)["topic"]) == ("", "/skin/taxels")
 
 
 def test_a_shell_completes_names_of_the_running_graph(folder):

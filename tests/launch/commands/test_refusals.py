@@ -114,5 +114,4 @@ def test_a_command_is_refused_in_one_line_and_writes_nothing(
     (printed,) = error.splitlines()
     assert (code, out) == (2, "")
     assert fault in printed
-    assert sorted(files.iterdir()) == before
-    assert (files / "old.mcap").read_text() == "mine"
+    assert (sorted(files.iterdir()), (files / "old.mcap").read_text()) == (before, "mine")

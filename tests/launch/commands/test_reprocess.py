@@ -105,8 +105,7 @@ def test_a_full_disk_is_one_line_that_names_the_output(recording, mount_disk, ca
     out = mount_disk("80k") / "q.mcap"
     assert main(["reprocess", str(recording), "--out", str(out)]) == 2
     expected = f"{out}: No space left on device; nothing was written\n"
-    assert capsys.readouterr().err == expected
-    assert list(out.parent.iterdir()) == []
+    assert (capsys.readouterr().err, list(out.parent.iterdir())) == (expected, [])
 
 
 def test_executors_by_text(monkeypatch, tmp_path):

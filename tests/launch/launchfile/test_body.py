@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import pytest
+from damaged import launch_faults
 
 from sparseskin.launch.launchfile.body import Batch, read_skin
-from sparseskin.launch.launchfile.load import LaunchError, load
+from sparseskin.launch.launchfile.load import load
 from sparseskin.nodes.bus import Bus
 
 GOOD = """
@@ -45,9 +46,7 @@ def body(tmp_path, monkeypatch):
 
 
 def lines_of(*overrides):
-    with pytest.raises(LaunchError) as caught:
-        load("body", overrides)
-    return caught.value.lines
+    return launch_faults("body", overrides)
 
 
 def test_equal_patches_are_one_batch_of_four_nodes():
@@ -56,8 +55,7 @@ def test_equal_patches_are_one_batch_of_four_nodes():
     sensor = launch.nodes["sensor"].settings
     assert sensor.patches == ("p0", "p1", "p2")
     assert sensor.simulated == {"rows": 12, "cols": 64, "pitch_mm": 5.0, "f_max": 2.5}
-    assert sensor.rate_hz == 20
-    assert launch.nodes["monitor"].settings.all_patches == sensor.patches
+    assert (sensor.rate_hz, launch.nodes["monitor"].settings.all_patches) == (20, sensor.patches)
     assert {link.topic for link in launch.links if link.reader == "reconstructor"} == {
         *("/body/skin", "/body/phi", "/body/measurements")
     }
@@ -90,8 +88,7 @@ def test_frames_of_all_patches_reach_the_monitor(body):
     assert {name: patch["frames"]["reconstructed"] for name, patch in patches.items()} == (
         dict.fromkeys(("left_palm", "right_palm", "forearm", "sole"), 3)
     )
-    assert patches["sole"]["f_max"] == 5.0
-    assert patches["forearm"]["n"] == 69
+    assert (patches["sole"]["f_max"], patches["forearm"]["n"]) == (5.0, 69)
 
 
 def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds():
@@ -99,10 +96,8 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds():
         batches = read_skin(table, Path(), lambda place, what: pytest.fail(what))
         return [len(batch.patches) for batch in batches]
 
-    assert sizes(patches=10, batch=4) == [4, 4, 2]
-    assert sizes(patches=244) == [244]
-    assert sizes(patches=300) == [256, 44]
-    assert sizes(patches=5, rows=512, cols=1024) == [2, 2, 1]
+    assert (sizes(patches=10, batch=4), sizes(patches=244)) == ([4, 4, 2], [244])
+    assert (sizes(patches=300), sizes(patches=5, rows=512, cols=1024)) == ([256, 44], [2, 2, 1])
     names = [b.name for b in read_skin({"patches": 9, "batch": 5}, Path(), lambda *_: None)]
     assert names == ["body_1", "body_2"]
     assert isinstance(read_skin({"patches": 1}, Path(), lambda *_: None)[0], Batch)

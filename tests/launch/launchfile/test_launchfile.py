@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damaged import launch_faults
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,9 +42,7 @@ def check(tmp_path, monkeypatch):
 
     def lines_of(text, *overrides):
         Path("f.toml").write_text(text)
-        with pytest.raises(LaunchError) as caught:
-            load("f.toml", overrides)
-        return caught.value.lines
+        return launch_faults("f.toml", overrides)
 
     return lines_of
 
@@ -214,16 +213,12 @@ def test_a_recording_in_a_read_only_folder_is_refused_before_the_start(
     ],
 )
 def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name, hint):
-    with pytest.raises(LaunchError) as refused:
-        load(name)
-    (line,) = refused.value.lines
+    (line,) = launch_faults(name)
     assert line.endswith(f"no such file; name yours: {hint}")
     place = hint.removeprefix("--set ").partition("=")[0]
     assert f": nodes.{place}: " in line
     missing = f"{place}={'file:' if 'sensor' in place else ''}missing.mcap"
-    with pytest.raises(LaunchError) as refused:
-        load(name, [missing])
-    (line,) = refused.value.lines
+    (line,) = launch_faults(name, [missing])
     assert line.startswith(f"--set {missing}: missing.mcap: ")
     assert line.endswith("no such file")
 
@@ -291,8 +286,7 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
     frames = np.full((2, 6, 8), 0.5, np.float32)
     np.save("whole.npy", frames)
     np.savetxt("plain.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
-    text = GOOD.replace("scene:path_40", source)
-    (line,) = check(text, "compressor.m=49")
+    (line,) = check(GOOD.replace("scene:path_40", source), "compressor.m=49")
     end = "phi: m = 49 is not allowed; allowed: 1..48 (n = 48 taxels)"
     assert line == f"--set compressor.m=49: {end}"
     load("f.toml", ["compressor.m=48"])

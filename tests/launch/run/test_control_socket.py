@@ -90,8 +90,7 @@ def test_only_watchers_receive_the_state_of_the_graph(line):
     line.receive(other)
     wait_until(lambda: (line.serve(), line.server.watched)[1], "the watcher")
     line.server.publish({"graph": {"nodes": []}})
-    assert line.receive(watcher) == [{"graph": {"nodes": []}}]
-    assert other.receive() == []
+    assert (line.receive(watcher), other.receive()) == ([{"graph": {"nodes": []}}], [])
     watcher.close()
     wait_until(lambda: (line.serve(), not line.server.watched)[1], "the watcher to leave")
 
@@ -102,8 +101,7 @@ def test_a_line_that_is_no_request_is_refused_and_the_next_is_taken(line, bad):
     client.connection.sendall(bad + b'\n{"id": "2"}\n')
     refused, answered = line.receive(client, 2)
     assert refused == {"error": "expected one JSON object a line"}
-    assert answered == {"answer": {"id": "2"}}
-    assert line.taken == [{"id": "2"}]
+    assert (answered, line.taken) == ({"answer": {"id": "2"}}, [{"id": "2"}])
 
 
 def test_a_line_without_end_is_cut_off(line):

@@ -34,12 +34,8 @@ PART = LaunchFile(
 )
 
 
-def nodes(*made):
-    return list(made)
-
-
 def test_each_node_that_is_not_ready_reports_what_it_waits_for():
-    made = nodes(
+    made = (
         FakeNode("sensor", endpoint=""),
         FakeNode("compressor", lacks=["echo", "monitor", "reconstructor"]),
         FakeNode("recorder"),
@@ -58,10 +54,10 @@ def test_each_node_that_is_not_ready_reports_what_it_waits_for():
 def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_clock_is_reported():
     desk, wall = hosts_state(
         PART,
-        nodes(
+        [
             FakeNode(heard={"echo": True, "screen": False}, clocks={"desk": (3_000_000, 900_000)}),
             FakeNode(heard={"echo": True}, clocks={"desk": (2_500_000, 400_000)}),
-        ),
+        ],
     ).values()
     assert (desk["heard"], desk["silent"]) == (True, [])
     assert (wall["heard"], wall["silent"]) == (False, ["screen"])
@@ -72,13 +68,13 @@ def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_cloc
 
 def test_who_has_not_ended_waits_for_those_before_it():
     sensor, compressor, monitor = FakeNode("sensor"), FakeNode("compressor"), FakeNode("monitor")
-    assert late_at_end(nodes(sensor, compressor, monitor), LINKS) == [
+    assert late_at_end([sensor, compressor, monitor], LINKS) == [
         "sensor (has not ended its stream)",
         "compressor (waits for sensor)",
         "monitor (waits for compressor, sensor)",
     ]
     sensor.ended = True
-    assert late_at_end(nodes(sensor, compressor, monitor), LINKS) == [
+    assert late_at_end([sensor, compressor, monitor], LINKS) == [
         "compressor (has not ended its stream)",
         "monitor (waits for compressor)",
     ]
@@ -120,8 +116,7 @@ WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin r
 )
 def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(stated, fields, line):
     spec = SimpleNamespace(settings=PlayerSettings(**stated))
-    (node,) = nodes(FakeNode("player", spec, ready=True, **fields))
-    assert waits_for(node, PART) == line
+    assert waits_for(FakeNode("player", spec, ready=True, **fields), PART) == line
 
 
 @pytest.mark.slow

@@ -34,8 +34,7 @@ class Desk:
     def take(self, step, node=None):
         """A request, "on" or "off", or an event of the recorder, by default of the last one."""
         if step not in ("on", "off"):
-            names = list(self.fleet.nodes)
-            self.recording.hear(node or self.fleet.nodes[names[-1]], step)
+            self.recording.hear(node or self.fleet.nodes[list(self.fleet.nodes)[-1]], step)
             return
         try:
             self.recording.command("record", step == "on", lambda *said: self.said.append(said))

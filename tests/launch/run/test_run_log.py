@@ -95,14 +95,12 @@ def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_pa
     (log.folder / "sensor.log").symlink_to(tmp_path / "profile")
     log.write("[sensor] hot", NOW_S)
     log.close()
-    assert log.error == ""
-    assert (tmp_path / "profile").read_text() == "mine\n"
+    assert (log.error, (tmp_path / "profile").read_text()) == ("", "mine\n")
     assert (kept / "sensor.log").read_text().endswith(" hot\n")
 
 
 def test_a_folder_that_cannot_be_made_or_that_another_has_put_there_is_refused(tmp_path):
-    folder = RunLog(tmp_path, "drag", NOW_S).folder
-    assert folder.stat().st_mode & 0o077 == 0
+    assert RunLog(tmp_path, "drag", NOW_S).folder.stat().st_mode & 0o077 == 0
     with pytest.raises(LaunchError, match="File exists"):
         RunLog(tmp_path, "drag", NOW_S)
     (tmp_path / "file").touch()

@@ -56,10 +56,8 @@ def test_a_launcher_that_is_killed_as_it_writes_its_note_leaves_nothing(written)
         "write_note(graph)\n"
     )
     done = subprocess.run([sys.executable, "-c", code, str(written)], check=False)
-    assert done.returncode == 9
-    assert len(list(runtime_folder().iterdir())) == 3 + written
-    assert running_graphs() == []
-    assert list(runtime_folder().iterdir()) == []
+    assert (done.returncode, len(list(runtime_folder().iterdir()))) == (9, 3 + written)
+    assert (running_graphs(), list(runtime_folder().iterdir())) == ([], [])
 
 
 def test_which_of_several_graphs_has_to_be_said():
@@ -84,8 +82,7 @@ def test_a_graph_that_ends_as_it_is_joined_is_said_to_have_ended(tmp_path, monke
 def test_a_graph_that_is_starting_is_waited_for(monkeypatch, capsys):
     starting = replace(graph(), nodes={})
     with announced(starting):
-        assert running_graphs() == []
-        assert running_graphs(starting=True) == [starting]
+        assert (running_graphs(), running_graphs(starting=True)) == ([], [starting])
         assert main(["graph", "list"]) == 0
         listed = " ".join(capsys.readouterr().out.split())
         assert listed == "GRAPH PID NODES path_40 7 (starting)"

@@ -199,8 +199,7 @@ def test_what_others_wrote_stays(folder):
         named.bind(str(folder / "7.mine.sock"))
         (folder / "own-8.json").write_text(json.dumps(old | {"name": "own", "pid": 8}))
         before = {path.name for path in folder.iterdir()}
-        assert running_graphs() == []
-        assert {path.name for path in folder.iterdir()} == before
+        assert (running_graphs(), {path.name for path in folder.iterdir()}) == ([], before)
     assert running_graphs() == []
     assert before - {path.name for path in folder.iterdir()} == {"own-8.json", "8.1.sock"}
     assert all((folder / name).read_text() == text for name, text in texts.items())
@@ -223,8 +222,7 @@ def test_what_a_node_made_after_the_note_was_removed_is_removed_too(folder):
         assert running_graphs() == []
         others = {"(.0.sock", f"{here}.0.sock"}
         assert {path.name for path in folder.iterdir()} == {served, *others}
-    assert running_graphs() == []
-    assert {path.name for path in folder.iterdir()} == others
+    assert (running_graphs(), {path.name for path in folder.iterdir()}) == ([], others)
 
 
 def test_a_graph_counts_as_running_while_no_file_can_be_opened(folder, monkeypatch):

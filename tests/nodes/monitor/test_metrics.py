@@ -132,8 +132,7 @@ def test_without_taxels_frames_are_counted_by_their_measurements(answer_first):
     metrics.end("measurements", 4)
     metrics.end("reconstruction", 3)
     summary = metrics.summary()
-    assert summary["frames"]["sensed"] == 4
-    assert summary["frames"]["reconstructed"] == 3
+    assert (summary["frames"]["sensed"], summary["frames"]["reconstructed"]) == (4, 3)
     assert summary["frames"]["lost"] == 1
     assert summary["reference"] is None
     assert summary["psnr_db"]["reconstruction"] == {"all": None, "contact": None}
@@ -307,8 +306,7 @@ def test_frames_that_the_solver_does_not_trust_are_counted():
         "all": {"frames": 6, "untrusted": 2, "trusted_share": pytest.approx(2 / 3)},
         "contact": {"frames": 4, "untrusted": 1, "trusted_share": 0.75},
     }
-    line = status_line({"skin": metrics}, 200.0)
-    assert "dB | trusted 75.0 % | latency" in line
+    assert "dB | trusted 75.0 % | latency" in status_line({"skin": metrics}, 200.0)
     table = summary_table({"skin": summary})
     words = [row.split() for row in table.splitlines() if row.startswith("trusted by the solver")]
     assert [" ".join(row[4:]) for row in words] == [
@@ -388,8 +386,7 @@ def test_a_monitor_watches_several_patches_apart():
     monitor.step(dataclasses.replace(skin(), patch="left"))
     monitor.ended("/right/taxels", 5)
     patches = monitor.report()["patches"]
-    assert patches["left"]["scene"] == "a scene"
-    assert patches["right"]["frames"]["sensed"] == 5
+    assert (patches["left"]["scene"], patches["right"]["frames"]["sensed"]) == ("a scene", 5)
     assert monitor.status().count("\n") == 1
 
 
@@ -413,5 +410,4 @@ def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
     message = dataclasses.replace(frame(0, 1.0, 1.0, 1.0)[-1], **times)
     assert isinstance(message, Reconstruction)
     metrics.add(message)
-    assert metrics.latency_ns == 4 * MS
-    assert metrics.latency_uncertainty_ns == uncertainty_ms * MS
+    assert (metrics.latency_ns, metrics.latency_uncertainty_ns) == (4 * MS, uncertainty_ms * MS)

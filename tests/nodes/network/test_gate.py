@@ -101,11 +101,9 @@ def test_who_is_on_the_list_gets_every_message_and_without_keys_all_do(
         forces = np.ones((2, 2), np.float32)
         station.writer.send(Taxels(stamp_ns=0, patch="skin", seq=7, forces=forces))
         wait_until(lambda: bool(reader.socket.poll(0)), "a message")
-        found = reader.receive()
-        assert decode(*found).seq == 7
+        assert decode(*reader.receive()).seq == 7
         peers.serve(0)
-        assert peers.heard == {"writer": True}
-        assert station.lines == []
+        assert (peers.heard, station.lines) == ({"writer": True}, [])
 
 
 @pytest.mark.parametrize(
@@ -224,8 +222,7 @@ def test_of_too_many_connections_one_of_the_address_with_the_most_is_closed(stat
     monkeypatch.setattr(gate_module, "_shut_down", lambda fd, address: closed.append(address))
     station.gate._pending = {3: "10.0.0.1:1", 4: "10.0.0.7:1", 5: "10.0.0.7:2", 6: "10.0.0.2:1"}
     station.gate._close_one()
-    assert closed == ["10.0.0.7:1"]
-    assert list(station.gate._pending) == [3, 5, 6]
+    assert (closed, list(station.gate._pending)) == (["10.0.0.7:1"], [3, 5, 6])
 
 
 def test_no_other_connection_is_closed_under_a_descriptor_that_was_used_again():

@@ -1,16 +1,21 @@
 """The player: what it publishes, in what order, under which names and stamps."""
 
+import numpy as np
 import pytest
+from bags import MASK, PERIOD_NS, make_bag, skin_state
+from damaged import launch_faults
 
-from sparseskin.launch.launchfile.load import LaunchError, load
-from sparseskin.messages import Measurements, Reconstruction, decode, encode
+from sparseskin.launch.launchfile.load import load
+from sparseskin.messages import Measurements, PhiState, Reconstruction, decode, encode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.nodes.player.node import Player
-from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.player.node import Player, PlayerSettings
+from sparseskin.nodes.player.schedule import Schedule
+from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 from sparseskin.nodes.recorder.node import Recorder
@@ -115,9 +120,7 @@ def test_a_wrong_setting_is_named(recording, settings, text):
 def test_what_does_not_go_with_a_recording_is_found_before_it_is_played(
     recording, name, override, text
 ):
-    with pytest.raises(LaunchError) as refused:
-        load(name, [f"player.file={recording[0]}", override])
-    (line,) = refused.value.lines
+    (line,) = launch_faults(name, [f"player.file={recording[0]}", override])
     assert line.startswith(f"--set {override}: ")
     assert text in line
 
@@ -154,3 +157,94 @@ def test_a_number_of_frames_is_played_with_all_their_messages(recording, tmp_pat
     assert frames == counts | {"skipped": 0, "lost": 0, "unpaired": 0}
     assert bus.reports()["player"]["played"]["frames"] == n_frames
     assert bus.hosts["player"].counts.published["/skin/measurements"] == n_frames
+
+
+N = int(MASK.sum())
+CHANGED_AT = N_FRAMES // 2
+PHIS = [make_phi("sbhe", N, m, 0) for m in (N // 3, N // 2)]
+
+
+@pytest.fixture
+def changed(tmp_path):
+    """Frames; before the eleventh M was changed."""
+    messages = [skin_state()]
+    for k in range(N_FRAMES):
+        phi = PHIS[k >= CHANGED_AT]
+        stamp_ns = (k + 1) * PERIOD_NS
+        if k in (0, CHANGED_AT):
+            told = {**phi.describe(), "fingerprint": phi.fingerprint}
+            state = PhiState(stamp_ns=stamp_ns - 5, patch="skin", **told)
+            messages.append(state.published("0" * 16, int(k > 0)))
+        y = phi.forward(np.full(N, 0.1 * k, np.float32))
+        messages.append(
+            Measurements(stamp_ns=stamp_ns, patch="skin", y=y, phi=phi.fingerprint).published(
+                "0" * 16, k
+            )
+        )
+    path = tmp_path / "changed.mcap"
+    make_bag(path, messages)
+    return str(path)
+
+
+def graph(changed, **settings):
+    player = PlayerSettings(file=changed, rate=0.0, **settings)
+    return Bus({
+        "player": (Player, player),
+        "reconstructor": (Reconstructor, ReconstructorSettings(iterations=20)),
+    })  # fmt: skip
+
+
+def restored(bus, n_ticks=None):
+    made = [message for messages in bus.frames(n_ticks) for message in messages]
+    return [message for message in made if isinstance(message, Reconstruction)]
+
+
+def test_every_frame_is_inverted_by_the_phi_that_made_it(changed):
+    bus = graph(changed, keep_stamps=True)
+    found = restored(bus)
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    assert [m.phi for m in found] == [PHIS[k >= CHANGED_AT].fingerprint for k in range(N_FRAMES)]
+
+
+def test_a_part_begins_with_the_states_that_held_there(changed):
+    found = restored(graph(changed, start_s=0.15))
+    assert ({m.phi for m in found}, len(found)) == ({PHIS[1].fingerprint}, 5)
+
+
+def test_each_round_of_a_loop_begins_with_the_first_states(changed):
+    bus = graph(changed, loop=True)
+    found = restored(bus, n_ticks=3 * (N_FRAMES + 2))
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    assert [m.phi == PHIS[1].fingerprint for m in found[:45]] == (
+        ([False] * CHANGED_AT + [True] * (N_FRAMES - CHANGED_AT)) * 3
+    )[:45]
+
+
+@pytest.mark.parametrize("keep_stamps", [False, True])
+def test_a_seek_reports_the_states_that_hold_there(changed, keep_stamps):
+    bus = graph(changed, keep_stamps=keep_stamps)
+    ticks = bus.frames()
+    for _ in range(15):
+        next(ticks)
+    bus.hosts["player"].node.command("seek", 0.0)
+    rest = [m for messages in ticks for m in messages if isinstance(m, Reconstruction)]
+    assert (bus.hosts["reconstructor"].counts.refused, len(rest)) == ({}, N_FRAMES)
+    assert rest[0].phi == PHIS[0].fingerprint
+
+
+def test_targets_are_absolute():
+    rate = 0.1
+    schedule = Schedule(first_ns=500, rate=rate)
+    schedule.begin(1_000_000)
+    for k in range(0, 100_000, 777):
+        assert schedule.due_ns(500 + k * MS) == 1_000_000 + round(k * MS / rate)
+
+
+def test_a_change_of_rate_while_paused_keeps_the_position():
+    schedule = Schedule(first_ns=0, rate=1.0)
+    schedule.begin(0)
+    schedule.toggle_pause(now_ns=40 * MS)
+    schedule.change_rate(4.0, now_ns=50 * MS)
+    assert schedule.due_ns(40 * MS) is None
+    schedule.toggle_pause(now_ns=100 * MS)
+    assert (schedule.due_ns(40 * MS), schedule.due_ns(80 * MS)) == (100 * MS, 110 * MS)

@@ -67,9 +67,7 @@ def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(context):
     wait_until(ended, "the end of the stream")
     counts = host.counts.as_dict()
     # The end is none of the three that may wait: the last ones of a stream are all taken in.
-    assert node.given == [5, 6, 7]
-    assert node.overtaken_by_newer == [0, 1, 2, 4]
-    assert counts["received"] == {TAXELS: 7}
-    assert counts["skipped"] == {TAXELS: 4}
+    assert (node.given, node.overtaken_by_newer) == ([5, 6, 7], [0, 1, 2, 4])
+    assert (counts["received"], counts["skipped"]) == ({TAXELS: 7}, {TAXELS: 4})
     assert counts["lost"] == {TAXELS: 2}
     assert counts["refused"] == {"unknown topic": 1}  # the state was not dropped on its way

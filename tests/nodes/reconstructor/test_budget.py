@@ -1,5 +1,7 @@
-"""The time of a frame is bounded: the number of iterations is chosen when the graph begins."""
+"""The time of a frame is bounded: iterations are chosen, and all imported, as a graph begins."""
 
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -13,8 +15,6 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.budget import LEAST_STEPS
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
 from sparseskin.nodes.reconstructor.solvers.base import Solver
-
-N, M = 64, 32
 
 
 class Clockwork:
@@ -50,6 +50,16 @@ class SlowSolver(Solver):
         pass
 
 
+def set_up(side, rate_hz, live, **settings):
+    """A reconstructor that knows its skin and matrix, the matrix, and what it states."""
+    phi = make_phi("sbhe", side * side, side * side // 3, 0)
+    context = Context("reconstructor", ManualClock(0), live=live)
+    node = Reconstructor(ReconstructorSettings(**settings), context)
+    list(node.step(skin_state(n_rows=side, n_cols=side, mask=None, rate_hz=rate_hz)))
+    announced = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
+    return node, phi, next(iter(node.step(announced)), None)
+
+
 def restored(budget_ms, monkeypatch):
     clockwork = Clockwork()
     SlowSolver.clockwork = clockwork
@@ -59,14 +69,8 @@ def restored(budget_ms, monkeypatch):
         "sparseskin.nodes.reconstructor.patch.make_rotating_solver",
         lambda name, phases, basis, mask, **options: SlowSolver(phases[0], basis, mask),
     )
-    settings = ReconstructorSettings(budget_ms=budget_ms)
-    node = Reconstructor(settings, Context("reconstructor", ManualClock(0)))
-    phi = make_phi("sbhe", N, M, 0)
-    list(node.step(skin_state(n_rows=8, n_cols=8, mask=None, rate_hz=0.0)))
-    list(
-        node.step(PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe()))
-    )
-    y = Measurements(stamp_ns=1, patch="skin", y=np.ones(M, np.float32), phi=phi.fingerprint)
+    node, phi, _ = set_up(8, 0.0, False, budget_ms=budget_ms)
+    y = Measurements(stamp_ns=1, patch="skin", y=np.ones(phi.m, np.float32), phi=phi.fingerprint)
     (found,) = node.step(y)
     return found
 
@@ -78,20 +82,13 @@ def test_as_many_steps_are_done_as_fit_into_the_budget_and_three_in_any_case(
     budget_ms, steps, monkeypatch
 ):
     found = restored(budget_ms, monkeypatch)
-    assert found.iterations == (steps,)
-    assert found.forces[0, 0, 0] == steps
+    assert (found.iterations, found.forces[0, 0, 0]) == ((steps,), steps)
     assert found.solve_ns == (steps * 1_000_000,)
 
 
 def states(rate_hz, live=True, **settings):
     """What the reconstructor of 32 x 32 taxels states at a rate, in a live graph by default."""
-    phi = make_phi("sbhe", 1024, 342, 0)
-    context = Context("", ManualClock(0), live=live)
-    node = Reconstructor(ReconstructorSettings(**settings), context)
-    list(node.step(skin_state(n_rows=32, n_cols=32, mask=None, rate_hz=rate_hz)))
-    announced = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
-    (state,) = node.step(announced)
-    return state
+    return set_up(32, rate_hz, live, **settings)[2]
 
 
 def test_the_rate_that_the_skin_states_sets_the_iterations_of_the_default_alone():
@@ -100,5 +97,47 @@ def test_the_rate_that_the_skin_states_sets_the_iterations_of_the_default_alone(
     assert slow.frame_ms > 0
     assert unknown.frame_ms == 0
     assert states(1e6, live=False).iterations == 8  # offline, no frame waits
-    assert states(1e6, iterations=6).iterations == 6
-    assert states(1e6, preset="paper").iterations == 30
+    assert (states(1e6, iterations=6).iterations, states(1e6, preset="paper").iterations) == (6, 30)
+
+
+CODE = """
+import sys
+import numpy as np
+from sparseskin.messages import Measurements, PhiState, SkinState
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.sensor.node import Sensor
+
+class Observed(Reconstructor):
+    def step(self, message):
+        before = set(sys.modules)
+        made = list(super().step(message))
+        print(type(message).__name__, len(made), sorted(set(sys.modules) - before))
+        return made
+
+settings = Reconstructor.Settings(preset=sys.argv[1], fast="off")
+nodes = {
+    "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
+    "compressor": (Compressor, Compressor.Settings()),
+    "reconstructor": (Observed, settings),
+}
+bus = Bus(nodes, ManualClock(0))
+for _ in bus.frames(1):
+    pass
+assert "numba" not in sys.modules
+"""
+
+
+@pytest.mark.parametrize("preset", ["skin", "paper"])
+def test_the_first_frame_imports_nothing_and_off_no_numba(preset):
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, preset],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert done.stdout.splitlines()[-1] == "Measurements 1 []"
+    assert "PhiState 1 []" in done.stdout

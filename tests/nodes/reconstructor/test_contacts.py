@@ -47,8 +47,7 @@ class Stream:
 
     def __call__(self, forces, error=None):
         self.stamp_ns += DT_NS
-        followed = self.tracker.update(forces, error, self.stamp_ns)
-        fields = joined([followed])
+        fields = joined([self.tracker.update(forces, error, self.stamp_ns)])
         checked = Contacts(stamp_ns=self.stamp_ns, patch="skin", done_ns=0, **fields)
         sent = UNTOUCHED.at(self.stamp_ns, 0, (True,), **fields)
         assert decode(*received(wire_bytes(sent))) == checked
@@ -57,10 +56,8 @@ class Stream:
 
 def test_total_centre_area_and_deviations_of_boxes_are_those_of_their_closed_forms():
     found = find_contacts(boxes((2, 3), (20, 30)), NOISE_N)
-    assert found.total.tolist() == [12.0, 12.0]
-    assert found.area.tolist() == [24, 24]
-    assert found.peak.tolist() == [0.5, 0.5]
-    assert found.centre.tolist() == [[3.5, 5.5], [21.5, 32.5]]
+    assert (found.total.tolist(), found.area.tolist()) == ([12.0, 12.0], [24, 24])
+    assert (found.peak.tolist(), found.centre.tolist()) == ([0.5, 0.5], [[3.5, 5.5], [21.5, 32.5]])
     error = SD_SCALE * NOISE_N
     assert found.total_sd == pytest.approx(error * np.sqrt(24))
     rows, cols = np.arange(4) - 1.5, np.arange(6) - 2.5
@@ -95,8 +92,7 @@ def test_bodies_that_slide_keep_their_ids_and_have_their_velocity():
     assert seen[-1].velocity_mm_s is not None
     assert seen[-1].velocity_mm_s == pytest.approx(np.array([[200, 0, 0], [-200, 0, 0]]), abs=5)
     assert seen[-1].velocity == pytest.approx(np.array([[0, 100], [0, -100]]), abs=3)
-    slides = [k for k, one in enumerate(seen) if (1, "slide") in one.named_events]
-    assert slides == [4]
+    assert [k for k, one in enumerate(seen) if (1, "slide") in one.named_events] == [4]
     assert seen[-1].sliding.all()
     assert seen[-1].age_s == pytest.approx(0.19)
     assert seen[0].place_mm.tolist() == [[9.0, 7.0, 0.0], [65.0, 51.0, 0.0]]
@@ -106,11 +102,9 @@ def test_bodies_that_slide_keep_their_ids_and_have_their_velocity():
 
 def test_a_contact_that_moves_farther_than_its_size_is_the_nearest_one_within_a_gate():
     stream = Stream()
-    assert stream(boxes((2, 2))).id.tolist() == [1]
-    assert stream(boxes((2, 10))).id.tolist() == [1]
+    assert (stream(boxes((2, 2))).id.tolist(), stream(boxes((2, 10))).id.tolist()) == ([1], [1])
     far = stream(boxes((2, 30)))
-    assert far.id.tolist() == [2]
-    assert far.named_events == [(2, "begin"), (1, "end")]
+    assert (far.id.tolist(), far.named_events) == ([2], [(2, "begin"), (1, "end")])
 
 
 def test_two_that_meet_are_one_and_have_their_ids_again_where_they_part():
@@ -211,8 +205,7 @@ def test_a_graph_publishes_the_contacts_of_each_reconstruction():
     events = {event for one in known for _, event in one.named_events}
     assert {"begin", "over"} <= events <= set(EVENTS)
     frame, found = frames[330], known[330]
-    assert found.id.tolist() == [1]
-    assert found.total[0] == pytest.approx(frame.truth.sum(), rel=0.1)
+    assert (found.id.tolist(), found.total[0]) == ([1], pytest.approx(frame.truth.sum(), rel=0.1))
     place = np.argwhere(frame.truth > 0).T
     centre = place @ frame.truth[tuple(place)] / frame.truth.sum()
     assert found.centre[0] == pytest.approx(centre, abs=0.5)

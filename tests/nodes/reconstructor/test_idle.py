@@ -50,8 +50,7 @@ def test_false_alarms_are_about_as_many_as_stated(pressed):
 
 
 def test_a_contact_of_three_sigma_is_noticed_at_once_and_one_of_one_sigma_soon():
-    assert missed(8, 3.0, 20)[0] == 0.0
-    assert missed(8, 2.0, 20)[1] == 0.0
+    assert (missed(8, 3.0, 20)[0], missed(8, 2.0, 20)[1]) == (0.0, 0.0)
     assert missed(8, 1.0, 20)[2] <= 0.1
     faint = missed(8, 0.05, 20)
     assert faint[0] >= 0.9
@@ -123,8 +122,7 @@ def test_a_patch_that_is_served_alone_is_skipped_too():
         (y,) = edge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces))
         found += host.step(y)
     sent = [len(one.forces) for one in found if isinstance(one, Reconstruction)]
-    assert len(sent) == 40
-    assert sum(sent[:12]) == 12
+    assert (len(sent), sum(sent[:12])) == (40, 12)
     assert sum(sent) < 20
 
 

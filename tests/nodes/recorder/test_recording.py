@@ -1,16 +1,24 @@
 """Recording and playing with real processes."""
 
+import functools
 import json
 import os
 import re
 import signal
 
 import pytest
+from bags import PHI, FakeClock, frame, on_disk, skin_state
 from conftest import note_of_graph, wait_until
+from processes import SENSOR
 
-from sparseskin.messages import decode
+from sparseskin.messages import PhiState, SolverState, decode
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.recorder import node as recorder_module
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.recorder.bag.writer import BagWriter
+from sparseskin.nodes.recorder.node import Recorder
 
 SLOWLY = ("--set", "sensor.rate_hz=20", "--set", "reconstructor.iterations=3")
 N_FRAMES = 400
@@ -93,9 +101,16 @@ def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(start, tmp_p
     assert last.seq == frames["reconstructed"] - 1
 
 
-def test_the_end_names_the_file_that_a_killed_recorder_has_left(start, tmp_path):
-    graph = start("launch", "path_40", "--record", "run.mcap", *SLOWLY)
-    wait_until(lambda: "/skin/phi" in topics(tmp_path / "run.mcap.part"), "messages in the file")
+@pytest.fixture
+def sensor(tmp_path):
+    """A launch file of a sensor alone."""
+    (tmp_path / "sensor.toml").write_text(SENSOR)
+    return "sensor.toml"
+
+
+def test_the_end_names_the_file_that_a_killed_recorder_has_left(start, sensor, tmp_path):
+    graph = start("launch", sensor, "--record", "run.mcap")
+    wait_until(lambda: "/skin/taxels" in topics(tmp_path / "run.mcap.part"), "frames in the file")
     os.kill(graph.pid_of("recorder"), signal.SIGKILL)
     graph.wait_for("[launch] recorder ended too early")
     graph.process.send_signal(signal.SIGINT)
@@ -103,8 +118,10 @@ def test_the_end_names_the_file_that_a_killed_recorder_has_left(start, tmp_path)
     assert f"recorder: {left}" in graph.finish()[1]
 
 
-def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(start, tmp_path):
-    graph = start("launch", "path_40", *SLOWLY)
+def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(
+    start, sensor, tmp_path
+):
+    graph = start("launch", sensor)
     graph.wait_for("[launch] ready")
     code, _, stderr = start("record", "/skin/taxel").finish()
     assert code == 2
@@ -122,3 +139,29 @@ def test_an_interrupted_recorder_completes_its_file_and_a_wrong_topic_is_named(s
     assert len(contents(tmp_path / "cut.mcap")["/skin/taxels"]) > 1
     graph.process.terminate()
     graph.finish()
+
+
+STATES = [
+    skin_state(),
+    PhiState(stamp_ns=0, patch="skin", kind="sbhe", n=34, m=12, block=32, seed=0, fingerprint=PHI),
+    SolverState(
+        stamp_ns=0, patch="skin", solver="skin", basis="", preset="skin", iterations=3, lambda_n=0.0
+    ),
+]
+
+
+def test_messages_reach_the_disk_after_a_tenth_of_a_second(tmp_path, monkeypatch):
+    clock, path = FakeClock(), tmp_path / "a.mcap"
+    monkeypatch.setattr(recorder_module, "BagWriter", functools.partial(BagWriter, monotonic=clock))
+    settings = Recorder.Settings(out=str(path))
+    recorder = Recorder(settings, Context("recorder", ManualClock()))
+    for state in STATES:
+        recorder.step(state.published("0" * 16, 0))
+    recorder.step(frame(0)[0].published("0" * 16, 0))
+    clock.now_s = 0.099
+    recorder.idle()
+    assert on_disk(path) == []
+    clock.now_s = 0.1
+    recorder.idle()
+    assert len(on_disk(path)) == len(STATES) + 1
+    recorder.close({})

@@ -141,8 +141,7 @@ class TestSourceObject:
     def test_its_own_attributes_hold_and_masked_cells_do_not_count(self, module):
         source = opened(module(self.BODY) + ":Hand")
         assert (source.name, source.delivers) == ("hand", "truth")
-        assert (source.rate_hz, source.n_frames) == (200.0, 1)
-        assert source.skin.n_taxels == 2
+        assert (source.rate_hz, source.n_frames, source.skin.n_taxels) == (200.0, 1, 2)
         ((stamp, forces),) = source
         assert stamp == 0
         np.testing.assert_array_equal(forces, [[1, 4, 0]])
@@ -154,8 +153,7 @@ class TestSourceObject:
         sensor = Sensor(SensorSettings(source=hand), Context("sensor", ManualClock()))
         assert sensor.unused == ("/skin/truth",) * (delivers == "taxels")
         for source, known in (("scene:path_40", True), ("file:a.npy", False), (hand, True)):
-            outputs = Sensor.outputs(SensorSettings(source=source))
-            assert ("/skin/truth" in outputs) == known
+            assert ("/skin/truth" in Sensor.outputs(SensorSettings(source=source))) == known
 
     @pytest.mark.parametrize(
         ("old", "new", "message"),

@@ -66,8 +66,7 @@ def test_a_driver_s_silent_cells_are_masked_until_they_give_a_number(driver):
     source = driver(frames)
     bus = Bus({"sensor": (Sensor, Sensor.Settings(source=source, nan="mask"))})
     made = [message for messages in bus.frames(None) for message in messages]
-    masks = [one.skin.n_taxels for one in made if isinstance(one, SkinState)]
-    assert masks == [10, 11]
+    assert [one.skin.n_taxels for one in made if isinstance(one, SkinState)] == [10, 11]
     taxels = [one for one in made if isinstance(one, Taxels)]
     assert [one.missing is not None for one in taxels] == [False, False, False, True]
     assert taxels[3].forces[0, 2, 3] == 0.5  # as its neighbours
@@ -122,8 +121,7 @@ def test_missing_readings_make_no_force_of_others_wrong_that_is_trusted(
     readings = taxels.copy()
     for row, col, n_rows, n_cols, first in parts:
         readings[first:, row : row + 1 + n_rows // 4, col : col + 1 + n_cols // 4] = NAN
-    rng = np.random.default_rng(len(parts))
-    readings[rng.random(readings.shape) < flicker] = NAN
+    readings[np.random.default_rng(len(parts)).random(readings.shape) < flicker] = NAN
     frames = replayed(readings, tmp_path_factory.mktemp("missing"), way)
     for frame, true, read in zip(frames, truth, readings, strict=True):
         error = (frame.forces - true)[np.isfinite(read)]

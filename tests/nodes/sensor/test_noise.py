@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.rest import Rest
 
 
 def forces(*values):
@@ -48,9 +50,7 @@ def test_readings_stay_in_the_range_and_the_truth_is_left_alone():
     truth = np.tile(forces(0.0, 1.25, 2.5), 5000)
     kept = truth.copy()
     taxels = NoiseModel().apply(truth, np.random.default_rng(3))
-    assert taxels.dtype == np.float32
-    assert taxels.min() == 0.0
-    assert taxels.max() == 2.5
+    assert (taxels.dtype, taxels.min(), taxels.max()) == (np.float32, 0.0, 2.5)
     np.testing.assert_array_equal(truth, kept)
     assert not np.shares_memory(taxels, truth)
 
@@ -74,3 +74,19 @@ def test_noise_is_a_multiple_of_the_papers_in_parts_of_the_range_and_may_be_none
 def test_bad_parameter_is_named_with_its_value_and_the_allowed_range(name, value, allowed):
     with pytest.raises(SettingsError, match=rf"{name} is {value!r}; allowed is {allowed}"):
         NoiseModel(**{name: value})
+
+
+SKIN = Skin(10, 10, f_max=2.5)
+
+
+@pytest.mark.parametrize(
+    ("level", "n_lifted", "found"), [(0.3, 100, True), (0.3, 80, False), (0.0, 100, False)]
+)
+def test_what_nearly_all_taxels_read_at_first_is_named_with_its_remedy(level, n_lifted, found):
+    rng, rest = np.random.default_rng(0), Rest(SKIN)
+    told = []
+    for _ in range(60):
+        frame = rng.normal(0, 0.02, 100)
+        frame[:n_lifted] += level
+        told.append(rest.update(frame.clip(0).astype(np.float32).reshape(SKIN.shape)))
+    assert (sum(told), "sensor.tare=30" in rest.line) == (found, found)

@@ -1,14 +1,17 @@
-"""Boards in the commands `sources` and `scope`, in shells and in launch files."""
+"""Boards in lists and completions, and those of the page on boards."""
 
 import argparse
 import json
 import os
 import pty
+import re
 import select
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from board_lines import a_line, flexitac
 from conftest import COMMAND, PATIENCE_S, wait_until
@@ -17,7 +20,9 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.completion import candidates
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.nodes.network.keys import make_key_files
+from sparseskin.plugins.boards.framing import Frame
 from sparseskin.plugins.boards.serial_port import serial_devices
+from sparseskin.plugins.boards.source import describe_board
 
 
 def test_sources_lists_profiles_with_a_line_on_each(capsys):
@@ -126,3 +131,36 @@ def test_a_port_of_usb_is_listed_by_its_lasting_name(tmp_path):
         str(tmp_path / "ttyUSB0"): str(tmp_path / "ttyUSB0"),
         str(lasting): str(tmp_path / "ttyUSB1"),
     }
+
+
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs/howto/boards.md"
+
+
+def fenced(language):
+    """The first fenced block of a language."""
+    found = re.search(rf"^```{language}\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    assert found
+    return found[1]
+
+
+def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state(tmp_path):
+    path = tmp_path / "my_board.toml"
+    path.write_text(fenced("ini"), encoding="utf-8")
+    board = describe_board(f"serial:/dev/ttyUSB0?profile={path}")
+    assert (board.skin.shape, board.skin.f_max) == ((12, 8), 4095.0)
+    numbered = describe_board("serial:/dev/ttyUSB0?profile=numbered&rows=8&cols=8")
+    if (compiler := shutil.which("cc")) is None:
+        pytest.skip("no C compiler")
+    code = (ROOT / "examples" / "numbered_firmware.c").read_text()
+    main = (
+        "#include <stdio.h>\nint main(void) { uint16_t r[N]; uint8_t out[6 + 2 * N];"
+        " for (int k = 0; k < N; k++) r[k] = (uint16_t)(k * 1000);"
+        " return fwrite(out, 1, frame(out, 513, r), stdout) == 0; }\n"
+    )
+    (tmp_path / "board.c").write_text(code + main, encoding="utf-8")
+    subprocess.run([compiler, "-o", "board", "board.c"], cwd=tmp_path, check=True)
+    sent = subprocess.run([tmp_path / "board"], capture_output=True, check=True).stdout
+    readings = (np.arange(64) * 1000).astype("<u2").tobytes()
+    assert numbered.framing.frame(sent, 0) == Frame(readings, 513, 0)
+    assert numbered.framing.is_whole(sent)

@@ -1,6 +1,4 @@
-"""Frames of a skin from pieces, and the profiles of boards that people build, from bytes packed as
-their programs do.
-"""
+"""Frames in pieces: packets of boards, chunks of CAN."""
 
 import random
 import struct
@@ -10,8 +8,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.plugins.boards.framing import Counts, Frame, FrameParser
+from sparseskin.plugins.boards.can_port import Assembler, Chunks, chunks_of
+from sparseskin.plugins.boards.framing import Counts, Frame, FrameParser, Framing
 from sparseskin.plugins.boards.readings import Pieces
+from sparseskin.plugins.boards.settings import CanSettings
 from sparseskin.plugins.boards.source import describe_board
 
 N = 10
@@ -47,8 +47,7 @@ def test_frames_are_whole_or_counted_whatever_pieces_are_lost(n, size, numbered,
     ]
     assert found == whole
     pieces.reset()
-    assert counts.frames == len(found)
-    assert counts.dropped_bytes == len(came) * size - len(found) * N
+    assert (counts.frames, counts.dropped_bytes) == (len(found), len(came) * size - len(found) * N)
 
 
 def board(query):
@@ -63,8 +62,7 @@ def read(found, stream):
 
 def test_packets_of_a_wiresens_board_become_frames_whose_readings_rise_with_the_press():
     found = board("profile=wiresens")
-    rng = np.random.default_rng(0)
-    readings = rng.integers(0, 4096, (4, 32, 32)).astype("<u2")
+    readings = np.random.default_rng(0).integers(0, 4096, (4, 32, 32)).astype("<u2")
     values, stream = readings.ravel(), b"Initializing Toolkit\r\n"
     for k in range(len(values) // 120):
         packet = struct.pack("<bH", 1, 120 * k % 1024) + values[120 * k : 120 * (k + 1)].tobytes()
@@ -103,7 +101,76 @@ def test_frames_of_a_taxelscan_board_have_any_number_of_contacts():
     long = sent[3][:8] + b"\xff\xff" + sent[3][10:]
     stream = b"# TaxelScan ready\r\n" + sent[0] + sent[1] + wrong + other + long + sent[4] + sent[5]
     frames, counts = read(found, stream)
-    assert [frame.sequence for frame in frames] == [0, 1, 4, 5]
-    assert counts.missing_frames == 2
+    assert ([frame.sequence for frame in frames], counts.missing_frames) == ([0, 1, 4, 5], 2)
     for frame in frames:
         np.testing.assert_array_equal(found.decode(frame.payload), readings[frame.sequence or 0])
+
+
+BY_ID = Chunks((0x10, 0x11, 0x12), 3, 20, 8, 0, 0)
+COUNTED = Chunks((0x10, 0x11, 0x12, 0x13), 4, 20, 6, 0, 1)
+INDEXED = Chunks((0x10,), 4, 20, 6, 1, 1)
+
+frames = st.lists(st.binary(min_size=20, max_size=20), min_size=1, max_size=8, unique=True)
+
+
+def spread(chunks, frame, counter):
+    """CAN frames of a frame, as a board sends them."""
+    sent = []
+    for k in range(chunks.n_chunks):
+        head = bytes([k] if chunks.index_bytes else [])
+        head += bytes([counter % 256] if chunks.counter_bytes else [])
+        data = frame[k * chunks.chunk_bytes : (k + 1) * chunks.chunk_bytes]
+        sent.append((chunks.ids[k if len(chunks.ids) > 1 else 0], head + data))
+    return sent
+
+
+def assembled(chunks, sent):
+    counts = Counts()
+    assembler = Assembler(chunks, counts)
+    found = [assembler.add(*one) for one in sent]
+    return [frame for frame in found if frame is not None], counts
+
+
+@given(frames=frames, chunks=st.sampled_from([BY_ID, COUNTED, INDEXED]))
+def test_all_frames_are_found(frames, chunks):
+    sent = [one for k, frame in enumerate(frames) for one in spread(chunks, frame, k)]
+    assert assembled(chunks, sent) == (frames, Counts())
+
+
+@given(frames=frames, chunks=st.sampled_from([COUNTED, INDEXED]), data=st.data())
+def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(frames, chunks, data):
+    sent, whole = [], []
+    for k, frame in enumerate(frames):
+        parts = spread(chunks, frame, k)
+        kept = data.draw(st.lists(st.sampled_from(parts), unique=True, max_size=len(parts)))
+        sent += kept
+        whole += [frame] if len(kept) == len(parts) else []
+    found, counts = assembled(chunks, sent)
+    assert found == whole
+    n_cut = len(sent) - len(whole) * chunks.n_chunks
+    assert bool(counts.dropped_bytes) <= bool(n_cut)
+
+
+@given(frames=frames, lost=st.integers(0, 1), at=st.integers(0, 30))
+def test_without_a_counter_a_lost_chunk_costs_its_frame_alone(frames, lost, at):
+    sent = [one for k, frame in enumerate(frames) for one in spread(BY_ID, frame, k)]
+    at %= len(sent)
+    found, counts = assembled(BY_ID, sent[:at] + sent[at + lost :])
+    assert found == [f for k, f in enumerate(frames) if not (lost and k == at // 3)]
+    if lost:
+        rest = 20 - BY_ID.length_of(at % 3)
+        is_last = at // 3 == len(frames) - 1 and at % 3 == 2  # it may yet come
+        assert counts.dropped_bytes == (0 if is_last else rest)
+
+
+def test_other_ids_and_short_or_wild_data_are_no_chunk():
+    wild = [(0x7FF, bytes(8)), *((0x10, data) for data in (b"", b"\0", b"\xff" * 8, bytes(3)))]
+    assert assembled(INDEXED, wild) == ([], Counts(dropped_bytes=12))
+
+
+def test_padding_of_can_fd_is_left_out():
+    chunks = chunks_of(CanSettings(ids="0x10-0x11", fd=True), Framing(70))
+    assert (chunks.n_chunks, chunks.length_of(0), chunks.length_of(1)) == (2, 64, 6)
+    frame = bytes(range(70))
+    sent = [(0x10, frame[:64]), (0x11, frame[64:] + bytes(2))]
+    assert assembled(chunks, sent) == ([frame], Counts())

@@ -1,4 +1,4 @@
-"""The exported program in C sends what the compressor in Python measures, bit for bit."""
+"""The program of the edge: its description, the command that writes it, its bytes in C."""
 
 import re
 import shutil
@@ -7,13 +7,17 @@ import subprocess
 import numpy as np
 import pytest
 from bags import skin_state
+from damaged import refusal
 from edges import STRICT, compiled, random_counts, sent
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
+from sparseskin.nodes.compressor.phi.base import RANDOM
+from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context
 from sparseskin.plugins.boards.framing import FrameParser
 from sparseskin.plugins.edge.description import EdgeDescription, compressed, framing_of, read_frame
@@ -189,3 +193,125 @@ def test_a_cortex_m4_sends_the_expected_bytes_and_its_instructions_are_counted(t
     path = out / "cortex_m4" / "main.c"
     path.write_text(path.read_text().replace("    edge_compress(&edge, counts, frame);\n", LOOP))
     assert 20000 <= printed()["instructions mean"] < 20010  # both ends are read in whole ticks
+
+
+MASK = np.array([[True, False, True], [True, True, True]])
+
+
+@pytest.mark.parametrize("mask", [None, MASK])
+def test_its_file_is_read_back_as_it_was_written(mask, tmp_path):
+    made = EdgeDescription.chosen(2, 3, ratio=2, mask=mask, bits=11, block=4, seed=3, adc_bits=9)
+    path = tmp_path / "edge.toml"
+    path.write_text(made.to_toml())
+    read = EdgeDescription.read(path)
+    assert (read.to_toml(), read.phi.fingerprint) == (made.to_toml(), made.phi.fingerprint)
+    assert read.tags == made.tags
+
+
+@pytest.mark.parametrize(("ratio", "rows"), [(1, None), (3, "fixed"), (3.5, None), (8, "rotating")])
+def test_rows_and_m_are_those_of_the_compressor(ratio, rows):
+    made = EdgeDescription.chosen(7, 9, ratio=ratio, rows=rows)
+    assert (made.rows, made.m) == CompressorSettings(ratio=ratio, rows=rows).rows_and_m(63)
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"n_rows": 0}, "n_rows: 0 is outside 1..4096"),
+        ({"n_rows": 4096, "n_cols": 17}, "n_rows: 69632 cells; allowed: 65536 or fewer"),
+        ({"block": 48}, "block: 48 is not a power of two (1, 2, 4 ...)"),
+        ({"m": 13}, "m: 13 is not allowed; allowed: 1..12"),
+        ({"rows": "rotate"}, "rows: 'rotate' is not allowed (did you mean 'rotating'?)"),
+        ({"mask": ["0000"] * 3}, "mask: leaves no taxel"),
+    ],
+)
+def test_values_that_are_not_allowed_are_refused_by_name(values, line):
+    assert refusal(
+        lambda: EdgeDescription(**{"n_rows": 3, "n_cols": 4, "m": 4, **values}), SettingsError
+    ).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("n_rows = 6", "n_row = 6", "n_row: unknown key (did you mean 'n_rows'?)"),
+        ("version = 1", "version = 2", "version: 2 is not allowed; allowed: 1"),
+        ("seed = 0", "seed = 1", "fingerprint: "),
+        (
+            "seed = 0",
+            "seed = 0\nmask = [" + '"1x1111",' * 6 + "]",
+            "mask: expected texts of 0 and 1",
+        ),
+    ],
+)
+def test_a_file_that_was_changed_is_refused_with_its_place(old, new, line, tmp_path):
+    path = tmp_path / "edge.toml"
+    text = EdgeDescription.chosen(6, 6, ratio=3).to_toml()
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+    assert refusal(lambda: EdgeDescription.read(path), SettingsError).startswith(f"{path}: {line}")
+
+
+EDGE = """
+version = 1
+n_rows = 9
+n_cols = 11
+m = 30
+bits = 8
+rows = "rotating"
+block = 32
+seed = 7
+adc_bits = 12
+fingerprint = "443e07fb12311131"
+mask = ["00011111111", {eight}]
+"""
+
+
+def test_a_file_of_version_0_1_is_read(tmp_path):
+    path = tmp_path / "edge.toml"
+    path.write_text(EDGE.format(eight=", ".join(['"11111111111"'] * 8)), encoding="utf-8")
+    read = EdgeDescription.read(path)
+    assert (read.rule, len(read.subsets)) == (RANDOM, 4)
+    path.write_text(read.to_toml(), encoding="utf-8")
+    assert EdgeDescription.read(path).tags == read.tags
+
+
+EXPORT = ["edge", "export", "--rows", "6", "--cols", "8"]
+
+
+def test_it_writes_the_program_of_the_stated_matrix(tmp_path, capsys):
+    out = tmp_path / "edge"
+    options = ["--ratio", "4", "--bits", "10", "--rows-mode", "rotating", "--seed", "5"]
+    assert main([*EXPORT, *options, "--adc-bits", "14", "--out", str(out)]) == 0
+    made = EdgeDescription.read(out / "edge.toml")
+    stated = (made.n_rows, made.n_cols, made.m, made.bits, made.rows, made.seed, made.full_scale)
+    assert stated == (6, 8, 12, 10, "rotating", 5, 16383)
+    assert "12 of 48 taxels, rows rotating, 10 bits, 30 bytes a frame" in capsys.readouterr().out
+    assert "@" not in (out / "README.md").read_text()
+
+
+def test_rows_columns_and_mask_are_those_of_a_skin(tmp_path):
+    skin, out = tmp_path / "skin.toml", tmp_path / "edge"
+    skin.write_text('rows = 2\ncols = 3\nf_max = 2.5\nmask = ["101", "111"]\n')
+    assert main(["edge", "export", "--skin", str(skin), "--m", "2", "--out", str(out)]) == 0
+    made = EdgeDescription.read(out / "edge.toml")
+    assert (made.n_rows, made.n_cols, made.n_taxels, made.m) == (2, 3, 5, 2)
+    assert made.mask == ("101", "111")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--bits", "3"], "--bits: 3 is outside 4..16"),
+        (["--ratio", "50"], "--ratio: 50 leaves no measurement of 48 taxels; allowed: 1..48"),
+        (["--m", "4", "--ratio", "2"], "--m: states the number of measurements; leave out --ratio"),
+        (["--skin", "s.toml"], "--skin: states rows and columns; leave out --rows and --cols"),
+        (["--out", "."], ".: exists already, and is not written over"),
+        (["--out", "no/folder"], "no/folder: its folder does not exist"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(words, line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    out = [] if "--out" in words else ["--out", "edge"]
+    assert (main([*EXPORT, *words, *out]), capsys.readouterr().err) == (2, f"{line}\n")
+    assert list(tmp_path.iterdir()) == []

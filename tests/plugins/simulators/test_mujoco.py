@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damaged import refusal
 
 import sparseskin
 from sparseskin.nodes.errors import SourceError
@@ -164,8 +165,7 @@ def test_a_source_runs_at_1_khz_and_anew_each_time():
     assert source.rate_hz == pytest.approx(1000)
     assert (source.skin.shape, source.skin.pitch_m, source.n_frames) == ((32, 32), 0.005, 2000)
     one, two = ([(t, f.tobytes()) for t, f in islice(source, 150)] for _ in range(2))
-    assert one == two
-    assert [t for t, _ in one[:3]] == [0, 1_000_000, 2_000_000]
+    assert (one, [t for t, _ in one[:3]]) == (two, [0, 1_000_000, 2_000_000])
 
 
 def test_a_short_time_step_is_read_each_millisecond(tmp_path):
@@ -202,8 +202,7 @@ def test_a_control_of_your_own_drives_the_model():
 
 def test_a_simulation_that_diverges_is_reported(tmp_path):
     stiff = '<custom><numeric name="pad_stiffness" data="1e9"/></custom>'
-    light = BALL.format(z=0.006).replace("0.1", "0.001")
-    address = model_of(light, tmp_path, more=stiff)
+    address = model_of(BALL.format(z=0.006).replace("0.1", "0.001"), tmp_path, more=stiff)
     with pytest.raises(SourceError, match=r"diverges at 0\.[0-9]+ s; allowed: a smaller time step"):
         list(islice(MujocoSource(address), 3000))
 
@@ -227,10 +226,7 @@ def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
 ):
     monkeypatch.chdir(tmp_path)
     address = model_of(bodies, tmp_path, site, more)
-    with pytest.raises(SourceError) as refused:
-        find_address(f"mujoco:{address}").check()
-    assert text in str(refused.value)
-    assert str(refused.value).isprintable()
+    assert text in refusal(lambda: find_address(f"mujoco:{address}").check(), SourceError)
     assert [path.name for path in tmp_path.iterdir()] == ["model.xml"]  # no log of MuJoCo
 
 
@@ -252,10 +248,7 @@ def test_a_time_step_that_never_ends_or_skips_all_is_refused(tmp_path, step_s):
     ],
 )
 def test_a_bad_address_is_refused_in_one_line(source, stated, text):
-    with pytest.raises(SourceError) as refused:
-        find_address(f"mujoco:{source}", **stated).check()
-    assert text in str(refused.value)
-    assert str(refused.value).isprintable()
+    assert text in refusal(lambda: find_address(f"mujoco:{source}", **stated).check(), SourceError)
 
 
 @pytest.mark.isolated

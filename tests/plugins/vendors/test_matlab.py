@@ -2,19 +2,39 @@
 
 import io
 import struct
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import PATIENCE_S
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
+from sparseskin.nodes import isolated
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.plugins.vendors import matlab
 
 h5py = pytest.importorskip("h5py", reason="h5py is not installed")
 FRAMES = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
 LAST = np.moveaxis(FRAMES, 0, -1)
+
+
+@pytest.fixture(autouse=True)
+def direct(request, monkeypatch):
+    """Read in this process, without the start of another, unless a test is of that."""
+
+    def output_of(module, name, most, topic, *, n_bytes, data):
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data)))
+        key, array = matlab._chosen(name, int(most), topic or None)
+        np.save(out := io.BytesIO(), array)
+        return f"{key}\n".encode() + out.getvalue()
+
+    monkeypatch.setattr(isolated, "START_S", PATIENCE_S)
+    if "isolated" not in request.keywords:
+        monkeypatch.setattr(matlab, "output_of", output_of)
 
 
 def mat(packed=True, **arrays):
@@ -40,7 +60,9 @@ def read(folder, name, raw, **stated):
     ("name", "raw", "stated"),
     [
         ("a.mat", mat(forces=LAST, a=LAST, text="x", cell=np.array([1, "a"], object)), {}),
-        ("a.mat", mat(False, a=LAST, b=LAST), {"topic": "b"}),
+        pytest.param(
+            *("a.mat", mat(False, a=LAST, b=LAST), {"topic": "b"}), marks=pytest.mark.isolated
+        ),
         ("a.mat", mat(log={"rate": 9.0, "left": {"pad": LAST}}), {}),
         ("a.mat", mat(a=LAST + 1, log={"left": {"pad": LAST}}), {"topic": "log.left.pad"}),
         ("a.mat", mat(a=FRAMES), {"n_rows": 3, "n_cols": 4}),
@@ -85,6 +107,7 @@ def test_links_to_other_files_are_not_followed(tmp_path):
             open_file(tmp_path / "a.h5", topic=topic)
 
 
+@pytest.mark.isolated
 def test_bytes_at_which_scipy_ends_the_process_are_refused_in_one_line(tmp_path):
     raw = bytearray(mat(False, forces=LAST.astype(float)))
     at = raw.index(struct.pack("<II", 9, 8 * LAST.size))  # 9: of float64
@@ -93,8 +116,10 @@ def test_bytes_at_which_scipy_ends_the_process_are_refused_in_one_line(tmp_path)
         read(tmp_path, "any.mat", bytes(raw))
 
 
+@pytest.mark.isolated
 @settings(
-    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=10
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    max_examples=settings().max_examples // 5,  # each starts a process
 )
 @given(data=st.data(), packed=st.booleans())
 def test_mutated_files_of_matlab_are_read_or_refused_in_one_line(tmp_path, data, packed):

@@ -1,9 +1,12 @@
 """Wires by their formulas, against cases that are counted by hand."""
 
 import numpy as np
+import pytest
 
+from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.plugins.wiring import study as wiring
 from sparseskin.plugins.wiring.study import array_wiring, count_crossings, sbhe_wiring, star_wiring
 
 
@@ -41,7 +44,19 @@ def test_smaller_neighbourhoods_have_shorter_wires_that_cross_less():
         found.append(sbhe_wiring(phi, exists))
     assert [w.length for w in found] == sorted(w.length for w in found)
     assert [w.crossings for w in found] == sorted(w.crossings for w in found)
-    assert found[0].crossings == 0
-    assert {w.conversions for w in found} == {341}
+    assert (found[0].crossings, {w.conversions for w in found}) == (0, {341})
     # 8 x 4 cells about their middle: 2 columns of 4 and 1 row of 8 away in the mean.
     assert found[0].length == 32 * (8 * 4 * (2 + 1))
+
+
+def test_the_study_writes_its_page(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(wiring, "SHAPE", (16, 16))
+    monkeypatch.setattr(wiring, "QUICK_FRAMES", 3)
+    monkeypatch.setattr(wiring, "BODIES", ("gaussian",))
+    words = ["--quick", "--executor", "serial", "--out", str(tmp_path)]
+    assert main(["study", "wiring", *words]) == 0
+    page = (tmp_path / "wiring.md").read_text()
+    assert "| local:4 |" in page
+    assert "nan" not in page
+    assert (tmp_path / "wiring.csv").stat().st_size > 50

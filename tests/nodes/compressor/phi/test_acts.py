@@ -1,12 +1,17 @@
-"""Adaptive sampling: the choice of taxels, and how it travels with their readings."""
+"""Taxels that the edge chooses anew in each frame, and what both ways of choosing share."""
 
 import numpy as np
 import pytest
+from damaged import launch_faults
 from hypothesis import given
 from hypothesis import strategies as st
 from matrices import grids
 
-from sparseskin.messages import Measurements, MessageError
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.launchfile.load import load
+from sparseskin.messages import Measurements, MessageError, Reconstruction, Taxels
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.acts import ActsSearch, packed_places
 from sparseskin.nodes.compressor.phi.adaptive import follow
 from sparseskin.nodes.compressor.phi.base import make_phi
@@ -55,8 +60,7 @@ def test_an_untouched_skin_is_read_evenly():
 def test_the_taxels_of_a_contact_and_around_it_are_all_read_where_m_allows():
     image = np.zeros((40, 40), np.float32)
     image[17:24, 5:12] = 1.0
-    is_read = read_cells(image, 400)
-    assert is_read[16:25, 4:13].all()
+    assert read_cells(image, 400)[16:25, 4:13].all()
 
 
 @pytest.mark.parametrize("m", [0, 101])
@@ -67,8 +71,7 @@ def test_more_readings_than_taxels_are_refused(m):
 
 def test_what_is_read_are_the_taxels_that_were_chosen():
     phi = make_phi("acts", 100, 4, seed=0)
-    taxels = np.array([0, 7, 50, 99])
-    follow(phi, packed_places(taxels, 100), None)
+    follow(phi, packed_places(np.array([0, 7, 50, 99]), 100), None)
     x = np.arange(100, dtype=np.float32)
     np.testing.assert_array_equal(phi.forward(x), [0, 7, 50, 99])
     np.testing.assert_array_equal(phi.dense() @ x, phi.forward(x))
@@ -94,3 +97,86 @@ def test_places_that_do_not_fit_are_refused(kind, places, text):
     y = np.ones(4, np.float32)
     with pytest.raises(MessageError, match="places: 3 of them for 4 measurements"):
         Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16, places=np.uint8([7]))
+
+
+ACTS = ("compressor.phi=acts", "reconstructor.solver=interpolation")
+ADAPTIVE = ("compressor.phi=adaptive",)
+KINDS = pytest.mark.parametrize("chosen", [ACTS, ADAPTIVE])
+
+
+def graph(*overrides, name="path_40", record=None):
+    nodes = load(name, [*overrides], record).nodes.values()
+    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+
+
+def reconstructions(bus, n_frames):
+    found = [m for frame in bus.frames(n_frames) for m in frame if isinstance(m, Reconstruction)]
+    bus.close()
+    return found
+
+
+@pytest.mark.parametrize("overrides", [ACTS, ADAPTIVE])
+def test_m_changes_while_the_graph_runs(overrides):
+    bus = graph(*overrides, "compressor.bits=12")
+    messages = []
+    for k, frame in enumerate(bus.frames(6), start=1):
+        messages += frame
+        if k == 3:
+            bus._deliver(bus.hosts["compressor"].change({"ratio": 8.0}))
+    made = [m for m in messages if isinstance(m, Measurements)]
+    found = [m for m in messages if isinstance(m, Reconstruction)]
+    assert [m.y.shape[1] for m in made] == [533] * 3 + [200] * 3
+    assert [m.phi for m in found] == [m.phi for m in made]
+    # An untouched skin, before and after.
+    assert max(float(np.abs(m.forces).max()) for m in found) < 0.1
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    if overrides == ADAPTIVE:
+        assert all(m.nodes is not None and m.nodes.size < m.y.size / 4 for m in made)
+
+
+def test_interpolation_leaves_readings_unchanged():
+    for frame in graph(*ACTS, "compressor.bits=12").frames(3):
+        (taxels,) = [m for m in frame if isinstance(m, Taxels)]
+        (made,) = [m for m in frame if isinstance(m, Measurements)]
+        (found,) = [m for m in frame if isinstance(m, Reconstruction)]
+        assert made.places is not None
+        read = np.flatnonzero(np.unpackbits(made.places))
+        np.testing.assert_allclose(made.y[0], taxels.forces.reshape(-1)[read], atol=1e-3)
+        np.testing.assert_array_equal(found.forces.reshape(-1)[read], np.maximum(made.y[0], 0))
+        assert found.residual == (0,)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text"),
+    [
+        (ACTS[:1], 'solver "skin": phi "acts" reads other taxels each frame'),
+        (ACTS[1:], 'solver "interpolation": phi "sbhe" mixes taxels; allowed: acts, subsample'),
+        ((*ACTS, "compressor.rows=rotating"), '"rotating" is not allowed for phi "acts"'),
+        (
+            (*ADAPTIVE, "reconstructor.preset=paper"),
+            'solver "fista": phi "adaptive" reads other rows each frame; allowed: skin',
+        ),
+        ((*ADAPTIVE, "reconstructor.resultant=true"), "is not available with phi adaptive"),
+        (
+            ("reconstructor.uncertainty=true", "reconstructor.solver=tv"),
+            "uncertainty=true: is not available with solver tv, whose error is not known",
+        ),
+    ],
+)
+def test_settings_that_do_not_go_together_are_refused_in_one_line(overrides, text):
+    (line,) = launch_faults("path_40", overrides)
+    assert text in line
+
+
+@KINDS
+def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(chosen, tmp_path):
+    bag, out = tmp_path / "chosen.mcap", tmp_path / "again.mcap"
+    streamed = reconstructions(graph(*chosen, record=str(bag)), 6)
+    # From the taxels, the edge chooses as it chose before.
+    changes = [argument for text in chosen for argument in ("--set", text)]
+    assert (main(["reprocess", str(bag), *changes, "--out", str(out)]), len(streamed)) == (0, 6)
+    for file in (bag, out):
+        bus = graph(f"player.file={file}", *chosen[1:], name="replay_measurements")
+        for once, again in zip(streamed, reconstructions(bus, 6), strict=True):
+            np.testing.assert_array_equal(once.forces, again.forces)
+            assert once.phi == again.phi

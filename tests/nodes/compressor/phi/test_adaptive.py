@@ -1,4 +1,4 @@
-"""Rows that are chosen anew in each frame: what is chosen, how it travels, and what is refused."""
+"""Rows that the edge chooses anew in each frame, and their tree."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from matrices import grids
 from sparseskin.checks import check_phi
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, HeldRows, follow
 from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.quadtree import Quadtree
 from sparseskin.nodes.errors import PhiError
 
 
@@ -55,15 +56,13 @@ def test_a_matrix_is_dense_orthonormal_and_its_adjoint_the_transpose():
     exists = np.ones((9, 13), np.bool_)
     exists[2:5, 3] = False
     phi = phi_of(exists, 40)
-    rng = np.random.default_rng(0)
-    measured(phi, AdaptiveChoice(phi), rng.random(phi.n))
+    measured(phi, AdaptiveChoice(phi), np.random.default_rng(0).random(phi.n))
     check_phi(phi)
     np.testing.assert_allclose(phi.dense() @ phi.dense().T, np.eye(40), atol=1e-12)
 
 
 def test_a_contact_of_few_taxels_is_measured_whole_in_its_first_frame():
-    exists = np.ones((40, 40), np.bool_)
-    phi = phi_of(exists, 200)
+    phi = phi_of(np.ones((40, 40), np.bool_), 200)
     choice, held = AdaptiveChoice(phi), HeldRows(phi)
     for frame in (np.zeros((40, 40), np.float32), press(40, 40, 17, 22), press(40, 40, 18, 23)):
         y = measured(phi, choice, frame)
@@ -121,3 +120,59 @@ GRID = np.ones((16, 16), np.bool_)
 def test_nodes_that_do_not_fit_are_refused(phi, code, text):
     with pytest.raises(PhiError, match=text):
         follow(phi, None, code)
+
+
+def dense_of(tree):
+    return np.stack([tree.analysis(one) for one in np.eye(tree.n)], axis=1)
+
+
+@given(exists=grids(), data=st.data())
+def test_rows_are_orthonormal_and_synthesis_the_transpose_on_any_grid(exists, data):
+    tree = Quadtree(exists, data.draw(st.integers(1, int(exists.sum()))))
+    matrix = dense_of(tree)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(tree.n), atol=1e-12)
+    rows = np.random.default_rng(0).standard_normal(tree.n)
+    np.testing.assert_allclose(tree.synthesis(rows), matrix.T @ rows, atol=1e-10)
+    if tree.levels:
+        outside = matrix[tree.tile_of_row] == 0
+        assert np.abs(matrix[outside]).max(initial=0) < 1e-12
+
+
+@pytest.mark.parametrize("shape", [(1, 16), (5, 7), (31, 11)])
+def test_first_rows_are_the_normalised_sums_of_tiles(shape):
+    tree = Quadtree(np.ones(shape, np.bool_), shape[0] * shape[1])
+    matrix = dense_of(tree)[: tree.n_tiles]
+    counts = np.count_nonzero(matrix, axis=1)
+    assert counts.sum() == tree.n
+    np.testing.assert_allclose(matrix.max(axis=1), 1 / np.sqrt(counts))
+    assert counts.max() <= 64
+
+
+@given(exists=grids(), data=st.data())
+def test_the_code_of_nodes_is_read_back(exists, data):
+    tree = Quadtree(exists, int(exists.sum()))
+    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    chosen = rng.random(tree.n_nodes) < data.draw(st.sampled_from([0.0, 0.05, 0.5, 1.0]))
+    np.testing.assert_array_equal(tree.decoded(tree.coded(chosen)), chosen)
+
+
+@given(code=st.binary(min_size=1, max_size=40))
+def test_any_other_code_is_refused(code):
+    tree = Quadtree(np.ones((20, 20), np.bool_), 400)
+    given_code = np.frombuffer(code, dtype=np.uint8)
+    try:
+        chosen = tree.decoded(given_code)
+    except ValueError:
+        return
+    np.testing.assert_array_equal(tree.coded(chosen), given_code)
+
+
+@pytest.mark.parametrize("m", [50, 533])
+def test_a_code_has_at_most_the_stated_bytes(m):
+    tree = Quadtree(np.ones((40, 40), np.bool_), m)
+    n_chosen = (m - tree.n_tiles) // 3
+    rng = np.random.default_rng(0)
+    for start in (0, tree.levels[1].first, tree.levels[2].first):
+        chosen = np.zeros(tree.n_nodes, np.bool_)
+        chosen[rng.permutation(np.arange(start, tree.n_nodes))[:n_chosen]] = True
+        assert tree.coded(chosen).size <= tree.most_code_bytes(m - tree.n_tiles)

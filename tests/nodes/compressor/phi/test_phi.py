@@ -91,8 +91,7 @@ def test_fingerprints_are_of_the_matrix():
         ("full", 784, 784, 0, 32),
     ]
     prints = [make_phi(*one).fingerprint for one in asked]
-    assert len(set(prints)) == len(asked)
-    assert prints == [make_phi(*one).fingerprint for one in asked]
+    assert (len(set(prints)), prints) == (len(asked), [make_phi(*one).fingerprint for one in asked])
     assert all(len(p) == 16 and int(p, 16) >= 0 for p in prints)
     # Every seed gives the same matrix.
     for kind, n in (("full", 9), ("sbhe", 1)):
@@ -103,8 +102,7 @@ def test_fingerprints_are_of_the_matrix():
 def test_describe_is_enough_to_make_it_again(kind):
     phi = make_phi(kind, 100, 100 if kind == "full" else 30, seed=11, block=16)
     described = {"kind": kind, "n": 100, "m": phi.m, "seed": 11, "block": 16, "rule": 2}
-    assert phi.describe() == described
-    assert make_phi(**phi.describe()).fingerprint == phi.fingerprint
+    assert (phi.describe(), make_phi(**phi.describe()).fingerprint) == (described, phi.fingerprint)
     assert phi.ratio == 100 / phi.m
 
 
@@ -123,6 +121,9 @@ def test_describe_is_enough_to_make_it_again(kind):
         (("collections:OrderedDict", 64, 20, 0), "no measurement matrix: it lacks kind"),
         (("decimal:Decimal", 64, 20, 0), "does not take n, m, seed, block"),
         ((f"{__name__}:Unnamed", 64, 64, 0), "fingerprint = ''; expected 16 hexadecimal digits"),
+        (("local:", 64, 8, 0), 'phi "local:": expected local:SIDE'),
+        (("local:0", 64, 8, 0), "1..4096"),
+        (("local", 64, 8, 0), "is not known"),
     ],
 )
 def test_what_cannot_be_made_is_named(arguments, message):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import scipy.sparse
+from damaged import launch_faults, refusal
 
 from sparseskin import Stream, psnr_db, run_launch
 from sparseskin.checks import check_phi
-from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.nodes.compressor.phi import stored
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
@@ -82,9 +82,9 @@ def first(value):
 def test_a_file_that_is_no_such_matrix_is_refused_with_its_name(arrays, line, tmp_path):
     path = tmp_path / "phi.npz"
     np.savez(path, **arrays)
-    with pytest.raises(PhiError) as refused:
-        make_phi(f"file:{path}", 6, 4, 0)
-    assert str(refused.value).startswith(f"{path}: {line}")
+    assert refusal(lambda: make_phi(f"file:{path}", 6, 4, 0), PhiError).startswith(
+        f"{path}: {line}"
+    )
 
 
 def test_objects_bombs_and_folders_are_refused(tmp_path, monkeypatch):
@@ -152,9 +152,9 @@ def test_the_matrices_of_a_stack_measure_frames_in_turn(name, tmp_path):
 )
 def test_an_array_that_is_no_stack_is_refused_with_its_name(stack, line, tmp_path):
     path = saved(tmp_path / "phi.npz", stack)
-    with pytest.raises(PhiError) as refused:
-        make_phi(f"file:{path}", 6, 4, 0)
-    assert str(refused.value).startswith(f"{path}: {line}")
+    assert refusal(lambda: make_phi(f"file:{path}", 6, 4, 0), PhiError).startswith(
+        f"{path}: {line}"
+    )
 
 
 def test_another_size_is_refused_before_the_start(tmp_path):
@@ -162,9 +162,8 @@ def test_another_size_is_refused_before_the_start(tmp_path):
     scipy.sparse.save_npz(path, matrix_of(4, 6))
     with pytest.raises(PhiError, match="is 4 x 6; expected m x n = 4 x 7"):
         make_phi(f"file:{path}", 7, 4, 0)
-    with pytest.raises(LaunchError) as refused:
-        load("path_40", [f"compressor.phi=file:{path}", f"reconstructor.phi=file:{path}"])
-    assert any("is 4 x 6; expected m x n = 4 x 1600" in line for line in refused.value.lines)
+    phis = [f"{node}.phi=file:{path}" for node in ("compressor", "reconstructor")]
+    assert "is 4 x 6; expected m x n = 4 x 1600" in "".join(launch_faults("path_40", phis))
 
 
 def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(tmp_path):

@@ -155,8 +155,7 @@ def nothing_is_asked_of_another_host(page):
     assert f"{host}main.js" in asked
     # The browser's own first page is of another scheme.
     web = [url for url in asked if url.startswith(("http", "ws"))]
-    assert [url for url in web if not url.startswith(host)] == []
-    assert page.get_log("browser") == []
+    assert ([url for url in web if not url.startswith(host)], page.get_log("browser")) == ([], [])
 
 
 def test_the_resultant_is_a_cross_in_its_ellipse_and_hosts_are_in_the_header(page):
@@ -320,8 +319,7 @@ def test_a_colour_range_grows_at_once_and_shrinks_after_a_while(page):
 def test_the_numbers_of_the_page_are_those_of_the_summary(start, page, tmp_path):
     summary = tmp_path / "summary.json"
     settings = ("--set", "sensor.rate_hz=30", "--frames", "450", "--summary", str(summary))
-    program = open_page(start, page, "drag_wrench_40", *settings)
-    code, _, stderr = program.finish()
+    code, _, stderr = open_page(start, page, "drag_wrench_40", *settings).finish()
     assert code == 0, stderr
     wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end on the page")
     assert "The graph has ended: nothing can be set." in text(page, "#controls")

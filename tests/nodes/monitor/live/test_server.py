@@ -123,8 +123,7 @@ def test_a_name_that_is_not_this_hosts_own_is_refused(site, host):
 
 
 def test_a_request_of_the_page_is_passed_on(site, asked):
-    assert site.post() == 202
-    assert site.post(Origin=f"http://{site.host}") == 202
+    assert (site.post(), site.post(Origin=f"http://{site.host}")) == (202, 202)
     extra = json.dumps({**GOOD, "value": {"m": 4}, "more": "not passed on"}).encode()
     assert site.post(extra) == 202
     no_value = json.dumps({key: GOOD[key] for key in ("id", "node", "command")}).encode()
@@ -144,8 +143,7 @@ def test_a_request_of_the_page_is_passed_on(site, asked):
     ],
 )
 def test_a_request_of_another_site_or_size_is_refused(site, asked, status, headers):
-    assert site.post(**headers) == status
-    assert asked == []
+    assert (site.post(**headers), asked) == (status, [])
 
 
 @pytest.mark.parametrize(
@@ -157,8 +155,7 @@ def test_a_request_of_another_site_or_size_is_refused(site, asked, status, heade
     ],
 )
 def test_a_body_that_is_no_request_is_refused(site, asked, body):
-    assert site.post(body) == 400
-    assert asked == []
+    assert (site.post(body), asked) == (400, [])
 
 
 def test_who_knows_no_token_gets_nothing_and_is_obeyed_in_nothing(make):
@@ -187,8 +184,7 @@ def test_the_address_with_its_token_leaves_a_cookie_that_opens_all(make):
     assert set(flags) == {"HttpOnly", "SameSite=Strict", "Path=/"}
     for path in ("/", "/main.js", "/stream"):
         assert site.send("GET", path, Cookie=f"other=1; {value}").status == 200
-    assert site.post(Cookie=value) == 202
-    assert site.asked == [GOOD]
+    assert (site.post(Cookie=value), site.asked) == (202, [GOOD])
 
 
 def test_what_a_page_of_another_site_asks_for_is_refused(site, asked):
@@ -196,8 +192,7 @@ def test_what_a_page_of_another_site_asks_for_is_refused(site, asked):
     for path in ("/stream", "/main.js"):
         assert site.send("GET", path, Sec_Fetch_Site=origin).status == 403
         assert site.send("GET", path, Sec_Fetch_Site="same-origin").status == 200
-    assert site.post(Sec_Fetch_Site=origin) == 403
-    assert asked == []
+    assert (site.post(Sec_Fetch_Site=origin), asked) == (403, [])
     assert site.post(Sec_Fetch_Site="same-origin") == 202
     assert site.send("GET", "/", Sec_Fetch_Site=origin).status == 200  # a link to the page
 
@@ -209,15 +204,12 @@ def test_a_request_hidden_in_the_body_of_another_is_not_executed(site, asked, le
     hidden = f"{head}Content-Length: {len(body)}\r\n\r\n{body}"
     stated = length.format(len(hidden))
     outer = f"GET / HTTP/1.1\r\nHost: {site.host}\r\n{stated}\r\n\r\n{hidden}"
-    answer = site.connect(outer).makefile("rb").read()
-    assert answer.count(b"HTTP/1.1") == 1
-    assert asked == []
+    assert (site.connect(outer).makefile("rb").read().count(b"HTTP/1.1"), asked) == (1, [])
 
 
 def test_a_request_that_drips_is_given_up(make, monkeypatch):
     monkeypatch.setattr(server, "REQUEST_S", 0.05)
-    site = make()
-    drips = site.connect("GET / HTTP/1.1\r\nHost: ")
+    drips = make().connect("GET / HTTP/1.1\r\nHost: ")
 
     def is_ended():
         with contextlib.suppress(OSError):
@@ -231,9 +223,7 @@ def test_a_request_that_drips_is_given_up(make, monkeypatch):
 def test_whoever_holds_all_connections_locks_nobody_out(make):
     site = make()
     held = [site.connect("G") for _ in range(MAX_CONNECTIONS + 20)]
-    assert site.send("GET", "/").status == 200
-    assert site.post() == 202
-    assert held[0].recv(1) == b""
+    assert (site.send("GET", "/").status, site.post(), held[0].recv(1)) == (200, 202, b"")
 
 
 def test_a_browser_is_started_without_the_token_in_its_arguments(monkeypatch, tmp_path):
@@ -248,8 +238,7 @@ def test_a_browser_is_started_without_the_token_in_its_arguments(monkeypatch, tm
     monitor = Monitor(MonitorSettings(port=0, browser=True), context)
     monitor.start()
     (path,) = tmp_path.iterdir()
-    assert opened == [path.as_uri()]
-    assert path.stat().st_mode & 0o777 == 0o600
+    assert (opened, path.stat().st_mode & 0o777) == ([path.as_uri()], 0o600)
     assert f"/?token={TOKEN}" in path.read_text()
     monitor.close({})
     assert not path.exists()

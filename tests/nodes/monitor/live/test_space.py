@@ -153,8 +153,7 @@ def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(page, g
     for at, normal in ((FRONT, 1.0), (BACK, -1.0)):
         place = {"place_mm": 1e3 * np.array([at], np.float32), "area": np.array([30], np.int32)}
         press(graph, points, FRONT)
-        stamp_ns = graph.feed.patches["skin"].stamp_ns
-        one = replace(contacts(1), stamp_ns=stamp_ns, **place)
+        one = replace(contacts(1), stamp_ns=graph.feed.patches["skin"].stamp_ns, **place)
         graph.take(replace(one, normal=np.array([[normal, 0, 0]], np.float32)))
         far = "return document.querySelectorAll('ellipse.contact.far').length"
         wait_until(lambda: run(page, far) == (normal < 0) and run(page, middle), "the ring")  # noqa: B023

@@ -142,8 +142,7 @@ def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(cl
     maps = {h["patch"]: arrays for h, arrays in records if h["kind"] == "maps"}
     for patch, messages in last.items():
         assert list(maps[patch]) == ["reconstruction"]
-        forces = messages[-1].forces[0]
-        np.testing.assert_array_equal(maps[patch]["reconstruction"], forces)
+        np.testing.assert_array_equal(maps[patch]["reconstruction"], messages[-1].forces[0])
 
 
 def test_contacts_come_with_their_frame_and_each_event_once(clock, monkeypatch):
@@ -182,8 +181,7 @@ def test_answers_are_sent_once_to_every_page_that_is_open(clock):
     pages = [Page(graph, clock), Page(graph, clock)]
     graph.answer("a")
     for page in pages:
-        assert only(page.pull(), "answer")[0]["id"] == "a"
-        assert page.kinds() == ["state"]
+        assert (only(page.pull(), "answer")[0]["id"], page.kinds()) == ("a", ["state"])
 
 
 def test_the_end_is_reported_at_once_and_ends_the_stream(clock):

@@ -21,8 +21,7 @@ def resultants(truth, ratio=3, rows=FIXED):
     desk = Desk(make_phi("sbhe", N, N // ratio, seed=0), rows=rows, preset="skin", resultant=True)
     taxels = zip(noisy(truth).reshape(-1, N), itertools.cycle(desk.subsets), strict=False)
     found = desk.messages(phi.forward(frame) for frame, phi in taxels)
-    order = [type(message) for message in found]
-    assert order == [Resultant, Reconstruction] * len(truth)
+    assert [type(message) for message in found] == [Resultant, Reconstruction] * len(truth)
     stamps = [message.stamp_ns for message in found]
     assert stamps[::2] == stamps[1::2]
     return [message for message in found if isinstance(message, Resultant)]

@@ -50,8 +50,7 @@ def test_bands_hold_nine_tenths_of_the_touched_taxels_of_a_press(preset, body):
 
 
 def test_deviations_scale_with_the_range_of_the_skin_and_are_0_without_a_taxel():
-    rng = np.random.default_rng(0)
-    frames = rng.uniform(0, 1, (5, 9, 7)).astype(np.float32)
+    frames = np.random.default_rng(0).uniform(0, 1, (5, 9, 7)).astype(np.float32)
     mask = np.ones((9, 7), np.bool_)
     mask[2, 3] = False
     small, large = Uncertainty(mask, 3.0, "skin"), Uncertainty(mask, 3.0, "skin")
@@ -96,8 +95,7 @@ def reconstructed(**settings):
 @pytest.mark.parametrize("solver", CALIBRATED)
 def test_it_travels_with_the_forces_where_it_is_asked_for(solver):
     asked, _ = reconstructed(solver=solver, uncertainty=True)
-    assert asked.sd.shape == (1, *SHAPE)
-    assert decode(*encode(asked)) == asked
+    assert (asked.sd.shape, decode(*encode(asked))) == ((1, *SHAPE), asked)
     plain, _ = reconstructed(solver=solver)
     assert plain.sd is None
     assert decode(*encode(plain)) == plain

@@ -150,9 +150,9 @@ def test_the_same_bits_with_any_number_of_blas_threads():
         "from sparseskin.nodes.compressor.phi.base import make_phi;"
         "from sparseskin.nodes.reconstructor.bases.base import make_basis;"
         "from sparseskin.nodes.reconstructor.solvers.base import make_solver;"
-        "phis = [make_phi(kind, 1600, 533, seed=0) for kind in ('sbhe', 'gaussian')];"
-        "x = np.random.default_rng(0).random(1600, dtype=np.float32);"
-        "basis = make_basis('haar', 40, 40);"
+        "phis = [make_phi(kind, 576, 192, seed=0) for kind in ('sbhe', 'gaussian')];"
+        "x = np.random.default_rng(0).random(576, dtype=np.float32);"
+        "basis = make_basis('haar', 24, 24);"
         "bits = [make_solver('fista', p, basis).solve(p.forward(x)).tobytes() for p in phis];"
         "print([hashlib.sha256(b).hexdigest() for b in bits])"
     )

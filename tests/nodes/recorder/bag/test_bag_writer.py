@@ -37,8 +37,7 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path):
     assert header.library.startswith("sparseskin ")
     assert {channel.message_encoding for channel in summary.channels.values()} == {"msgpack"}
     versions = {c.topic: c.metadata["schema_version"] for c in summary.channels.values()}
-    assert versions.pop("/skin/skin") == "1"
-    assert set(versions.values()) == {"2"}
+    assert (versions.pop("/skin/skin"), set(versions.values())) == ("1", {"2"})
     assert {(schema.name, schema.encoding) for schema in summary.schemas.values()} == {
         (f"sparseskin/{name}", "jsonschema")
         for name in ("skin", "taxels", "truth", "measurements", "reconstruction")
@@ -47,8 +46,7 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path):
     counts = summary.statistics
     assert (counts.message_count, counts.schema_count, counts.channel_count) == (13, 5, 5)
     assert (counts.metadata_count, counts.attachment_count) == (3, 0)
-    assert counts.message_start_time == LAG_NS
-    assert counts.message_end_time == 2 * PERIOD_NS + LAG_NS
+    assert (counts.message_start_time, counts.message_end_time) == (LAG_NS, 2 * PERIOD_NS + LAG_NS)
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
@@ -86,8 +84,7 @@ def test_a_file_that_took_the_name_meanwhile_is_not_overwritten(tmp_path):
     path.write_bytes(b"precious")
     with pytest.raises(BagError, match=r"the recording is complete in a\.mcap\.part"):
         writer.close()
-    assert path.read_bytes() == b"precious"
-    assert on_disk(path) == [payload]
+    assert (path.read_bytes(), on_disk(path)) == (b"precious", [payload])
 
 
 @pytest.mark.parametrize(

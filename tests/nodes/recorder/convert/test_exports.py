@@ -1,19 +1,22 @@
-"""Exports of bags: nothing is lost, and other programs' readers find every number."""
+"""Recordings as NPZ and CSV, and files as recordings."""
 
 import json
 
 import numpy as np
 import pytest
-from bags import N_COLS, N_ROWS, make_bag
+from bags import N_COLS, N_ROWS, frames, make_bag
 from damaged import refusal
 from exported import N_FRAMES, points_bag, rich_frames
 
-from sparseskin.messages import Contacts, Measurements, Reconstruction, Taxels
+from sparseskin.messages import Contacts, Measurements, Reconstruction, Taxels, decode
+from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.csv import export_csv
 from sparseskin.nodes.recorder.convert.npz import export_npz
-from sparseskin.nodes.recorder.convert.to_bag import import_file
+from sparseskin.nodes.recorder.convert.to_bag import import_file, recover_bag
 from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 
 @pytest.fixture
@@ -54,8 +57,7 @@ def test_an_npz_names_what_it_holds(rich):
         for name, kind in (("forces", Taxels), ("reconstruction", Reconstruction)):
             maps = [m.forces for m in rich_frames() if isinstance(m, kind)]
             assert np.array_equal(arrays[name], np.concatenate(maps))
-        assert arrays["phi_seed"].tolist() == [7]
-        assert arrays["phi_rows"].tolist() == ["fixed"]
+        assert (arrays["phi_seed"].tolist(), arrays["phi_rows"].tolist()) == ([7], ["fixed"])
         assert arrays["reconstruction_trusted"].tolist() == [k != 3 for k in range(N_FRAMES)]
         assert np.isnan(arrays["reconstruction_sd"][0]).all()
         assert np.isfinite(arrays["reconstruction_sd"][1]).all()
@@ -74,8 +76,7 @@ def test_an_npz_names_what_it_holds(rich):
         for row, message in zip(arrays["measurements"], sent, strict=True):
             assert np.array_equal(row[: message.y.size], message.y[0])
             assert np.isnan(row[message.y.size :]).all()
-        states = json.loads(str(arrays["states"]))
-        assert states["/skin/calibration"]["name"] == "palm"
+        assert json.loads(str(arrays["states"]))["/skin/calibration"]["name"] == "palm"
         assert json.loads(str(arrays["metadata"]))["scene"] == "test"
     assert import_file(npz, rich.with_name("b.mcap")) == N_FRAMES
 
@@ -115,3 +116,67 @@ def test_an_exported_csv_is_a_table_with_a_header(rich):
     sd = pandas.read_csv(rich.with_name("a_csv") / "skin_reconstruction_sd.csv", comment="#")
     expected = np.stack([m.sd for m in sent if m.sd is not None])
     assert np.array_equal(sd.loc[:, "r0c0":].to_numpy(np.float32).reshape(expected.shape), expected)
+
+
+SIZE = {"n_rows": 2, "n_cols": 3}
+
+
+def write_frames(path, lines):
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_an_imported_bag_holds_every_frame_and_is_the_same_each_time(tmp_path):
+    source = write_frames(tmp_path / "a.csv", [f"{k},0,0,0,0,{k + 1}" for k in range(5)])
+    for name in ("one.mcap", "two.mcap"):
+        assert import_file(source, tmp_path / name, unit="N", f_max=10.0, **SIZE) == 5
+    with BagReader(tmp_path / "one.mcap") as one, BagReader(tmp_path / "two.mcap") as two:
+        assert list(one.messages()) == list(two.messages())
+        assert one.metadata["imported_from"] == "a.csv"
+        (recorded,) = one.messages(["/skin/skin"])
+        state = decode(b"/skin/skin", recorded.payload)
+        assert state.rate_hz == DEFAULT_RATE_HZ
+        # The noise of a recording is its own.
+        assert (state.has_truth, state.sigma_mid, state.sigma_end) == (False, 0.0, 0.0)
+        for k, recorded in enumerate(one.messages(["/skin/taxels"])):
+            message = decode(b"/skin/taxels", recorded.payload)
+            assert message.seq == k
+            np.testing.assert_array_equal(message.forces[0], [[k, 0, 0], [0, 0, k + 1]])
+
+
+def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path, monkeypatch):
+    source = write_frames(tmp_path / "a.csv", ["0,1,2,3,4,5"] * 5)
+    seen = []
+
+    def break_off(items, total, doing):
+        for item in items:
+            yield item
+            seen.extend(path.name for path in tmp_path.glob("*.part"))
+            raise SparseskinError("frame 1 is malformed")
+
+    monkeypatch.setattr("sparseskin.nodes.recorder.convert.to_bag.progress", break_off)
+    with pytest.raises(SparseskinError, match="frame 1 is malformed"):
+        import_file(source, tmp_path / "out.mcap", unit="N", f_max=10.0, **SIZE)
+    assert seen == ["out.mcap.part"]  # it had begun
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_an_import_to_a_full_disk_names_the_bag_and_leaves_nothing(tmp_path, mount_disk):
+    np.save(tmp_path / "a.npy", np.random.default_rng(0).random((200, 40, 40)))
+    out = mount_disk("400k") / "q.mcap"
+    assert (
+        refusal(lambda: import_file(tmp_path / "a.npy", out), BagError)
+        == f"{out}: No space left on device; nothing was written"
+    )
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_recovery_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path):
+    make_bag(tmp_path / "a.mcap", frames(60), flush_every=24)
+    with BagReader(tmp_path / "a.mcap") as bag:
+        data = bytearray((tmp_path / "a.mcap").read_bytes())
+        data[len(data) // 2] ^= 1  # damaged after it was opened
+        (tmp_path / "a.mcap").write_bytes(data)
+        with pytest.raises(BagError, match="was changed while it was read"):
+            recover_bag(bag, tmp_path / "new.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]

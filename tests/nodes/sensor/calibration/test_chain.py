@@ -31,8 +31,7 @@ pressed = arrays(np.float64, SHAPE, elements=st.floats(0, 2.5))
 @given(counts, gains, pressed)
 def test_forces_come_back_from_counts(baseline, gain, force):
     curve = Response(np.array([0.2, 1.0, 2.0]), np.array([0.5, 1.2, 2.5]))
-    inverse = Response(curve.force, curve.reading)
-    raw = baseline + inverse.forces(force) / gain
+    raw = baseline + Response(curve.force, curve.reading).forces(force) / gain
     chain = still(skin(baseline=baseline, gains=gain, response=curve))
     np.testing.assert_allclose(chain.apply(raw, 0), force, atol=1e-6)
 
@@ -80,8 +79,7 @@ def test_readings_beyond_the_range_are_clipped_and_counted_noise_below_0_is_not(
     chain = still(skin(noise=0.01))
     raw = np.zeros(SHAPE)
     raw[0, :3] = 3.0, -0.05, -0.07
-    forces = chain.apply(raw, 0)
-    assert list(forces[0]) == [2.5, 0, 0, 0]
+    assert list(chain.apply(raw, 0)[0]) == [2.5, 0, 0, 0]
     assert chain.clipped == Clipped(n_below=1, n_above=1, lowest=-0.07, highest=3.0)
 
 
@@ -135,8 +133,7 @@ def drift_under_a_light_press(percent, noise, *, drift=0.0, seconds=62.0):
 
 @pytest.mark.parametrize(("percent", "noise"), [(0.3, 0.005), (1.0, 0.0)])
 def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(percent, noise):
-    followed = drift_under_a_light_press(percent, noise)
-    assert followed[PRESSED].mean() <= 0.01 * percent / 100
+    assert drift_under_a_light_press(percent, noise)[PRESSED].mean() <= 0.01 * percent / 100
 
 
 @pytest.mark.parametrize("percent", [0.0, 1.0])

@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+from damaged import refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -118,8 +119,7 @@ class TestNpz:
             remark="left alone",
         )
         source = open_bytes(tmp_path, "skin.npz", raw)
-        assert [stamp for stamp, _ in source] == [0, 4_000]
-        assert source.rate_hz == 250.0
+        assert ([stamp for stamp, _ in source], source.rate_hz) == ([0, 4_000], 250.0)
         assert source.skin.n_taxels == 10
         assert (source.skin.f_max, source.skin.unit, source.skin.pitch_m) == (2.5, "raw", 0.005)
         frames = frames_of(source)
@@ -198,10 +198,9 @@ def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(tmp_pat
     path.write_bytes(raw)
     find_address(f"file:{path}").check()  # reads the begin alone
     settings = SensorSettings(source=f"file:{path}")
-    with pytest.raises(SourceError) as refused:
-        Sensor(settings, Context("sensor", ManualClock(0)))
+    shown = refusal(lambda: Sensor(settings, Context("sensor", ManualClock(0))), SourceError)
     place = f"{path}: frame 2, row 511, column 7: nan is not finite; add --set sensor.nan=hold"
-    assert str(refused.value).startswith(place)
+    assert shown.startswith(place)
     open_file(path, policy=Policy(nan=ZERO))
 
 

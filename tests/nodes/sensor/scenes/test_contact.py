@@ -5,7 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from sparseskin.nodes.sensor.scenes.bodies import wooden_cube
 from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2, Bed, RigidBody
+from sparseskin.nodes.sensor.scenes.scenes import SKIN, TAXEL_RADIUS_M
+from sparseskin.nodes.sensor.scenes.terrain import Terrain
 
 MASS_KG = 0.5
 N_SIDE = 10
@@ -66,8 +69,7 @@ def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest():
 def test_bouncing_and_tipping_body_never_gains_energy():
     inertia, stiffness, dt_s = 1e-4, 500.0, 1e-2
     bed = square_bed(stiffness, 0.0, with_pitch=True)
-    body = falling_body(inertia)
-    q, v = run(body, bed, [0.02, 0.3], [0.0, 0.0], dt_s, 1500)
+    q, v = run(falling_body(inertia), bed, [0.02, 0.3], [0.0, 0.0], dt_s, 1500)
     depth = np.maximum(-(q @ bed.jacobian.T), 0.0)
     energy = (
         MASS_KG * GRAVITY_M_S2 * q[:, 0]
@@ -94,3 +96,22 @@ def test_a_step_is_of_second_order_on_a_bed_that_stays_loaded():
         errors.append(abs(q[-1, 0] - exact))
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
     assert errors[1] < 1e-4 * static
+
+
+SHAPE = (40, 40)
+
+
+@pytest.mark.parametrize(("axis", "sign"), [("pitch", -1.0), ("roll", 1.0)])
+def test_a_tilt_lifts_one_side_of_the_body_and_lowers_the_other(axis, sign):
+    yaw_rad = 0.7
+    sole = wooden_cube(TAXEL_RADIUS_M).sole
+    bed, taxels = Terrain(SKIN, SHAPE, sole, yaw_rad, ("z", "pitch", "roll")).under((0.01, -0.02))
+    rows, cols = np.divmod(taxels, SHAPE[1])
+    x = (cols - 19.5) * SKIN.pitch_m - 0.01
+    y = (rows - 19.5) * SKIN.pitch_m + 0.02
+    along = x if axis == "pitch" else y
+    across = y if axis == "pitch" else -x
+    place = np.cos(yaw_rad) * along + np.sin(yaw_rad) * across
+    column = bed.jacobian[:, 1 if axis == "pitch" else 2]
+    np.testing.assert_allclose(column, sign * place, atol=1e-12)
+    np.testing.assert_array_equal(bed.jacobian[:, 0], 1.0)

@@ -19,16 +19,14 @@ def touched(scene, seconds):
 
 @pytest.mark.parametrize("name", TILED)
 def test_as_many_patches_are_pressed_as_stated_and_the_others_are_idle(name):
-    scene = TiledScene(name, SKIN, 20)
-    ever = touched(scene, TILED[name].period_s).any(axis=0)
+    ever = touched(TiledScene(name, SKIN, 20), TILED[name].period_s).any(axis=0)
     assert np.count_nonzero(ever) == np.ceil(TILED[name].active * 20)
 
 
 @pytest.mark.parametrize("name", TILED)
 @pytest.mark.parametrize("shape", [(16, 5), (1, 16)])
 def test_forces_are_within_the_range_and_each_press_ends(name, shape):
-    skin = Skin(*shape, PAPER_F_MAX_N, pitch_m=0.005)
-    scene = TiledScene(name, skin, 3, active=0.3)
+    scene = TiledScene(name, Skin(*shape, PAPER_F_MAX_N, pitch_m=0.005), 3, active=0.3)
     peaks = [scene.forces(k * STEP_S).max() for k in range(round(TILED[name].period_s / STEP_S))]
     assert 0.1 < max(peaks) < 0.9
     assert scene.forces(TILED[name].pressed_s + 1e-6)[0].max() == 0.0

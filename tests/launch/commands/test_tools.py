@@ -1,4 +1,4 @@
-"""Tools beside a graph that is secured with keys: they find its key by themselves."""
+"""Tools beside a graph: `play --open` and its page; a graph that is secured with keys."""
 
 import contextlib
 import re

@@ -18,7 +18,7 @@ from typing import Any
 from browser import browser, lack
 from conftest import Program, wait_until
 
-DOCS = Path(__file__).parent.parent / "docs" / "pictures"
+DOCS = Path(__file__).parent
 DRAGGED_FROM = 1200
 """The wrench of drag_wrench_40 lies on the skin and is dragged from about this frame on."""
 CONTACT_HZ, CONTACT_FROM, CONTACT_S = 55, 300, 15.0
@@ -47,7 +47,8 @@ CONTACT_FPS, COLOURS, MAX_BYTES = 8, 128, 2_000_000
 def launched(page: Any, folder: Path, name: str, *settings: str) -> Iterator[Program]:
     """A graph with its live page, which the browser shows."""
     words = [word for one in (*settings, "monitor.port=0") for word in ("--set", one)]
-    with Program("launch", name, *words, cwd=folder) as program:
+    compiled = {"SPARSESKIN_FAST": "auto"}
+    with Program("launch", name, *words, cwd=folder, environment=compiled) as program:
         page.get(program.wait_for("live page: "))
         yield program
 

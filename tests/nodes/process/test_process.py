@@ -1,0 +1,184 @@
+"""The process of a node: its CPUs and priority, memory, figures, loop, and what it has counted."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+from damaged import refusal
+
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.process import memory, proc, runner
+from sparseskin.nodes.process.memory import EVERY, GROWN_BYTES, FreeMemory
+from sparseskin.nodes.process.scheduling import MAX_CPU, MAX_PRIORITY, Scheduling
+from sparseskin.nodes.process.tally import Tally
+
+APPLIED = """
+import json, os, threading
+from sparseskin.nodes.process.scheduling import Scheduling
+
+def scheduled():
+    return [sorted(os.sched_getaffinity(0)), os.sched_getscheduler(0) & 7]
+
+def in_thread():
+    found = []
+    thread = threading.Thread(target=lambda: found.extend(scheduled()))
+    thread.start()
+    thread.join()
+    return found
+
+with Scheduling({cpus}, {priority}).applied():
+    within = in_thread()
+print(json.dumps([scheduled(), within, in_thread()]))
+"""
+
+
+def applied(cpus, priority):
+    """CPUs and policy of a process, of a thread started within and of one started after it."""
+    code = APPLIED.format(cpus=cpus, priority=priority)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def test_keys_are_stated_one_by_one():
+    stated = Scheduling.from_mapping({"cpus": [2, 0, 2], "priority": MAX_PRIORITY})
+    assert stated == Scheduling((0, 2), MAX_PRIORITY)
+    assert replace(stated, priority=0) == Scheduling((0, 2))
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "fault"),
+    [
+        (
+            "cpus",
+            (0, [-1], [MAX_CPU + 1], [True], [0.0]),
+            "expected a list of whole|.* outside 0..10",
+        ),
+        ("priority", (-1, MAX_PRIORITY + 1, True, 1.0), "expected a whole number|.* outside 0..98"),
+    ],
+)
+def test_what_is_no_list_of_cpus_and_no_priority_is_refused(key, values, fault):
+    for value in values:
+        with pytest.raises(SettingsError, match=rf"{key}: ({fault})"):
+            Scheduling.from_mapping({key: value})
+
+
+def test_a_cpu_that_the_process_may_not_use_is_refused(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 2})
+    Scheduling((0, 2)).check_permitted()
+    assert (
+        refusal(lambda: Scheduling((0, 1)).check_permitted(), SettingsError)
+        == "cpus: CPU 1 is not there for this process (allowed: 0, 2)"
+    )
+
+
+def test_a_priority_without_the_privilege_is_refused(monkeypatch):
+    before = os.sched_getscheduler(0)
+    calls = []
+
+    def refuse(pid, policy, parameters):
+        calls.append(policy)
+        if policy == os.SCHED_FIFO:
+            raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    Scheduling().check_permitted()
+    assert refusal(lambda: Scheduling(priority=10).check_permitted(), SettingsError) == (
+        "priority: 10 is not permitted to this user "
+        "(allowed: 0; or a limit rtprio of 11 or more, as in limits.conf(5))"
+    )
+    assert calls == [os.SCHED_FIFO, before]  # the policy of the launcher is as before
+
+
+def test_a_process_and_all_its_threads_run_on_the_stated_cpus():
+    cpu = max(os.sched_getaffinity(0))
+    assert applied((cpu,), 0) == [[[cpu], os.SCHED_OTHER]] * 3
+    assert applied((), 0) == [[sorted(os.sched_getaffinity(0)), os.SCHED_OTHER]] * 3
+
+
+def test_the_priority_is_that_of_the_process_and_of_threads_started_within():
+    try:
+        Scheduling(priority=1).check_permitted()
+    except SettingsError as error:
+        pytest.skip(str(error))
+    policies = [policy for _, policy in applied((), 1)]
+    assert policies == [os.SCHED_FIFO, os.SCHED_FIFO, os.SCHED_OTHER]
+
+
+LEAST = 50_000_000
+
+
+def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown(monkeypatch):
+    trims = []
+    resident = LEAST
+    monkeypatch.setattr(memory, "resident_bytes", lambda _pid: resident)
+    free = FreeMemory()
+    monkeypatch.setattr(free, "_trim", trims.append)
+    found = []
+    for resident in (  # noqa: B007 - read by resident_bytes
+        LEAST,
+        LEAST,
+        LEAST + 2 * GROWN_BYTES,
+        LEAST + 2 * GROWN_BYTES,
+        LEAST - 9,
+    ):
+        for _ in range(EVERY):
+            free.trim()
+        found.append(len(trims))
+    assert found == [1, 1, 2, 3, 3]
+
+
+def test_memory_is_not_looked_through_while_no_file_can_be_opened():
+    free, limits = FreeMemory(), resource.getrlimit(resource.RLIMIT_NOFILE)
+    free.trim()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
+    try:
+        for _ in range(EVERY):
+            free.trim()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+def test_figures_of_this_process_agree_with_the_system_calls():
+    pid = os.getpid()
+    before = resource.getrusage(resource.RUSAGE_SELF)
+    used_s = proc.cpu_s(pid)
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    tick_s = 1 / os.sysconf("SC_CLK_TCK")
+    assert before.ru_utime + before.ru_stime - 2 * tick_s <= used_s
+    assert used_s <= after.ru_utime + after.ru_stime + 2 * tick_s
+    assert 0 < proc.resident_bytes(pid) <= 1024 * after.ru_maxrss * 1.01
+    assert 0 < proc.own_bytes(pid) <= 1.5 * proc.resident_bytes(pid)
+    assert proc.age_s(pid) > 0
+    assert proc.host_busy_s() > 0
+
+
+@pytest.mark.parametrize(
+    ("frame_ns", "n"), [(1_000, runner.BATCH), (runner.BATCH_NS // 4, 4), (2 * runner.BATCH_NS, 1)]
+)
+def test_slow_frames_keep_a_command_waiting_for_one_frame_at_most(frame_ns, n, monkeypatch):
+    now_ns = 0
+    monkeypatch.setattr(runner.time, "monotonic_ns", lambda: now_ns)
+    n_frames = 0
+    for _ in runner._batch():
+        n_frames += 1
+        now_ns += frame_ns
+    assert n_frames == n
+
+
+def test_what_a_killed_process_has_counted_is_there_to_the_last_message():
+    tally = Tally(["/skin/taxels", "/skin/truth", "/skin/skin"])
+    child = os.fork()
+    if not child:
+        own = Tally(["/skin/taxels", "/skin/truth", "/skin/skin"], tally.fd)
+        for n in range(1, 1001):
+            own.set("/skin/truth", n)
+        own.set("/skin/skin", 1)
+        own.set("/skin/other", 5)
+        os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert tally.close() == {"/skin/truth": 1000, "/skin/skin": 1}
