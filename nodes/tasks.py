@@ -93,8 +93,9 @@ def computed(
 
 def _run(function: Callable[[A], R], task: A) -> R:
     """Compute one task, in a worker, which ends with the process that started it, or here."""
-    if multiprocessing.parent_process() is not None:
-        watch_parent()
+    if parent := multiprocessing.parent_process():
+        assert parent.pid is not None
+        watch_parent(parent.pid)  # it may have ended before this, the first task
     return function(task)
 
 

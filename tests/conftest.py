@@ -32,6 +32,15 @@ def free_port(kind=socket.SOCK_STREAM):
         return int(probe.getsockname()[1])
 
 
+@pytest.fixture(autouse=True)
+def _own_environment():
+    """Variables that a command sets in its process end with the test: other tests read them."""
+    before = {*os.environ}
+    yield
+    for name in {*os.environ} - before:
+        del os.environ[name]
+
+
 def pytest_sessionstart():
     """Compile all loops where they are not yet, one test process for all."""
     compile_loops("skin", "auto", lambda line: None)

@@ -33,9 +33,8 @@ def is_shallow(value: Any, depth: int = MAX_DEPTH) -> bool:
 
 
 @functools.cache
-def watch_parent() -> None:
-    """End this process when its parent ends, even if a driver blocks the main thread."""
-    parent = os.getppid()
+def watch_parent(parent: int) -> None:
+    """End this process when its parent, of that id, ends, even if the main thread is blocked."""
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -22,7 +22,7 @@ def main() -> int:
     from .runner import EXIT_CRASH, EXIT_USAGE, POLL_MS, Runner
 
     control = Control()
-    watch_parent()
+    watch_parent(os.getppid())
     try:
         while not (commands := control.commands()):
             if control.closed:
