@@ -130,7 +130,7 @@ def _ends(settings: object) -> bool:
 
     if not isinstance(settings, SensorSettings) or settings.patches:
         return False
-    return settings.source.startswith(("scene:", "file:"))
+    return settings.source.startswith(("scene:", "file:", "example:"))
 
 
 def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:

@@ -209,7 +209,7 @@ def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
         rows.append(
             f"{printable(name)[:12]:<12}{n:>8}{frames['skipped']:>8}{frames['lost']:>6}{idle:>7}"
             f"{shown(means[0], '.1f'):>10}{shown(means[1], '.1f'):>8}"
-            f"{shown(times[0], '.2f'):>12}{shown(times[1], '.2f'):>7}"
+            f"{shown(times[0], '.4g'):>12}{shown(times[1], '.4g'):>7}"
         )
     total = {
         key: sum(patch["frames"][key] for patch in patches.values())

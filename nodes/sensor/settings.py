@@ -178,8 +178,9 @@ class SensorSettings(PatchesSettings):
             address.check()
             if self.n_patches > 1 and address.kind != "scene":
                 raise SettingsError(f"{self.source} is not available for several patches")
-        if self.loop and address.kind not in ("scene", "file"):
-            raise SettingsError(f"loop: {self.source} has no beginning; allowed: scene:, file:")
+        if self.loop and address.kind not in ("scene", "file", "example"):
+            allowed = "allowed: scene:, file:, example:"
+            raise SettingsError(f"loop: {self.source} has no beginning; {allowed}")
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")
