@@ -126,11 +126,11 @@ def graph_text(launch: "LaunchFile") -> str:
 
 def _ends(settings: object) -> bool:
     """True of a sensor whose scene or recording has an end."""
-    from sparseskin.nodes.sensor.settings import SensorSettings
+    from sparseskin.nodes.sensor.settings import WITH_END, SensorSettings
 
     if not isinstance(settings, SensorSettings) or settings.patches:
         return False
-    return settings.source.startswith(("scene:", "file:", "example:"))
+    return settings.source.partition(":")[0] in WITH_END
 
 
 def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:

@@ -128,8 +128,7 @@ class Patch:
         budget_ms = settings.budget_ms
         follows = live and "iterations" not in options and bool(getattr(solver, "paces", ()))
         if budget_ms is None and follows and state.rate_hz:
-            at_once = settings.n_patches if settings.device else 1
-            budget_ms = 1e3 * SHARE / state.rate_hz * at_once / settings.n_patches
+            budget_ms = 1e3 * SHARE / state.rate_hz / (1 if settings.device else settings.n_patches)
         most_steps, frame_ms = sys.maxsize, 0.0
         if alike is not None:
             most_steps = alike.most_steps

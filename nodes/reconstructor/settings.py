@@ -6,7 +6,6 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from typing import Any, Self
 
 from sparseskin.messages.ranges import is_real
@@ -22,7 +21,7 @@ from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .contacts import Limits
-from .skin.backend import REMEDY
+from .skin.backend import NUMPY, check_device
 
 ANNOUNCED = "announced"
 #: Parameters of a solver that are no options: the node gives them, they have settings, or they are
@@ -225,8 +224,7 @@ class ReconstructorSettings(PatchesSettings):
             raise SettingsError(
                 f"device: is not available with solver {chosen['solver']}; allowed: skin"
             )
-        if self.device not in ("", "numpy") and find_spec("torch") is None:
-            raise SettingsError(f"device: '{self.device}' needs torch: {REMEDY}")
+        check_device(self.device or NUMPY)
         self._check_known_to(solver)
         for key, why, known in (
             ("resultant", "frames are biased", RESULTANT_SOLVERS),

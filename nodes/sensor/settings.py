@@ -15,6 +15,9 @@ from .points import point_skins
 from .source import Address
 from .sources import find_address
 
+WITH_END = ("scene", "file", "example")
+"""Kinds of sources that have an end, at which they can begin again."""
+
 
 @dataclass(frozen=True)
 class SensorSettings(PatchesSettings):
@@ -178,9 +181,9 @@ class SensorSettings(PatchesSettings):
             address.check()
             if self.n_patches > 1 and address.kind != "scene":
                 raise SettingsError(f"{self.source} is not available for several patches")
-        if self.loop and address.kind not in ("scene", "file", "example"):
-            allowed = "allowed: scene:, file:, example:"
-            raise SettingsError(f"loop: {self.source} has no beginning; {allowed}")
+        if self.loop and address.kind not in WITH_END:
+            allowed = ", ".join(f"{kind}:" for kind in WITH_END)
+            raise SettingsError(f"loop: {self.source} has no beginning; allowed: {allowed}")
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")

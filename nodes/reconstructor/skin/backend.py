@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,13 +22,26 @@ Array: TypeAlias = Any
 Number: TypeAlias = Any
 """A float or bool, or of several patches an array (p, 1) of them."""
 
+NUMPY = "numpy"
 REMEDY = "pip install 'sparseskin[gpu]'"
+
+
+def check_device(device: str) -> None:
+    """Raise SettingsError if a device needs torch, which is not installed."""
+    if device != NUMPY and find_spec("torch") is None:
+        raise SettingsError(f"device: '{device}' needs torch: {REMEDY}")
+
+
+def on_device(numbers: Any, device: str) -> Array:
+    """The same numbers as an array of a device."""
+    return numbers if device == NUMPY else import_module("torch").asarray(numbers, device=device)
 
 
 class OnePatch:
     """Vectors are float32 (n,) of numpy, numbers are floats."""
 
     xp: Any = np
+    device = NUMPY
     zero: Number = 0.0
     false: Number = False
     sqrt: Any = staticmethod(math.sqrt)
@@ -79,7 +93,7 @@ class ManyPatches:
     n_patches : int
         p.
     device : str
-        "numpy", or a device of torch: "cpu", "cuda", "cuda:1".
+        `NUMPY`, or a device of torch: "cpu", "cuda", "cuda:1".
 
     Raises
     ------
@@ -87,15 +101,14 @@ class ManyPatches:
         If torch is not installed, or there is no such device.
     """
 
-    def __init__(self, n_patches: int, device: str = "numpy") -> None:
+    def __init__(self, n_patches: int, device: str = NUMPY) -> None:
+        check_device(device)
         self.n_patches, self.device = n_patches, device
         self.xp: Any = np
-        if device != "numpy":
+        if device != NUMPY:
+            self.xp = import_module("torch")
             try:
-                self.xp = import_module("torch")
                 self.xp.zeros(1, device=device)
-            except ImportError as error:
-                raise SettingsError(f"device: '{device}' needs torch: {REMEDY}") from error
             except (RuntimeError, AssertionError) as error:  # of a build without the device, too
                 allowed = "allowed: numpy, or a device of torch, such as cpu, cuda, cuda:1"
                 raise SettingsError(f"device: '{device}': {one_line(error)}; {allowed}") from error
@@ -137,7 +150,7 @@ class ManyPatches:
 
     def array(self, numbers: Any) -> Array:
         """The same numbers as an array here."""
-        return numbers if self.xp is np else self.xp.asarray(numbers, device=self.device)
+        return on_device(numbers, self.device)
 
     def host(self, a: Array) -> Any:
         """The same numbers as an array of numpy."""

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from .backend import ONE, Array, Backend
+from .backend import ONE, Array, Backend, on_device
 from .gates import QUIET, TILE, inner, standing_out
 
 STRICT = 2.5
@@ -29,7 +29,7 @@ def shrink(windows: Array, strictness: float = 1.0, backend: Backend = ONE) -> t
     estimation: a block thresholding and oracle inequality approach", Annals of Statistics 27(3),
     1999.
     """
-    analysis, groups = _haar(backend)
+    analysis, groups = _haar(backend.device)
     count = groups.sum(axis=-1)
     part = standing_out(windows, strictness, backend)
     coefficients = inner(windows) @ analysis.T
@@ -43,7 +43,7 @@ def shrink(windows: Array, strictness: float = 1.0, backend: Backend = ONE) -> t
 
 
 @cache
-def _haar(backend: Backend = ONE) -> tuple[Array, Array]:
+def _haar(device: str) -> tuple[Array, Array]:
     """The Haar transform of a tile, float32 (64, 64), and its groups, 0 and 1, float32 (22, 64)."""
     rows, groups = [np.full((TILE, TILE), 1 / TILE)], [[0]]
     for size in (8, 4, 2):
@@ -59,4 +59,4 @@ def _haar(backend: Backend = ONE) -> tuple[Array, Array]:
     for k, places in enumerate(groups):
         member[k, places] = 1
     analysis = np.array(rows, dtype=np.float32).reshape(-1, TILE**2)
-    return backend.array(analysis), backend.array(member)
+    return on_device(analysis, device), on_device(member, device)
