@@ -176,7 +176,7 @@ class Runs:
             for body in (QUICK_BODIES if self._quick else BODIES)
         ]
         names = (DEFAULT, SKIN, FEW_STEPS, FORMULA, ADAPTIVE, PAPER, "lattice", "hold")
-        return self._rows("presses", frames, names, PSNR)
+        return self._rows("presses", frames, names, (*PSNR, *MARKS, *ESTIMATES))
 
     def sizes(self) -> pd.DataFrame:
         """Sudden contacts on small skins."""

@@ -137,7 +137,7 @@ def scenes(page: Page, runs: Runs) -> str:
         by_ratio(rows, ["scene"], "{min_db:.1f}"),
         "Root mean square error of touched taxels, mN:",
         by_ratio(rows, ["scene"], "{touched_mn:.1f}"),
-        *marks(rows[(rows["ratio"] > 1) & rows["flagged"].notna()], ["scene"]),
+        *marks(rows, ["scene"]),
     )
     some = ours[(ours["method"] == DEFAULT) & (ours["ratio"] == RATIOS[0])]
     means = some.groupby("taxels", sort=False)["gain"].mean()
@@ -185,6 +185,7 @@ def moving(page: Page, runs: Runs) -> str:
         by_ratio(rows, ["taxels", "course"], "{first_db:.1f}"),
         "By body:",
         by_ratio(rows, ["taxels", "course", "body"], "{mean_db:.1f}"),
+        *marks(rows, ["taxels", "course"]),
         touched=100 * TOUCHED,
         speed=SPEED,
     )
@@ -389,6 +390,7 @@ def smaller(rows: pd.DataFrame) -> str:
 
 def marks(rows: pd.DataFrame, keys: list[str]) -> tuple[Any, ...]:
     """Return tables and lines of the frames that are marked, and of the estimated errors."""
+    rows = rows[(rows["ratio"] > 1) & rows["flagged"].notna()]
     return (
         "Marked frames, in %:",
         by_ratio(rows, keys, "{flagged:.0f}"),
