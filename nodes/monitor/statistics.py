@@ -1,10 +1,7 @@
 """Statistics of unbounded streams in bounded memory: extents, quantiles, the last minute."""
 
 import math
-import struct
-from collections import deque
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -81,26 +78,28 @@ class History:
 
     def __init__(self, columns: tuple[str, ...] = COLUMNS) -> None:
         self.columns = columns
-        self.n = 0
-        self._row = struct.Struct(f"{len(columns)}d")
-        self._rows: deque[bytes] = deque()
+        self.n = self._first = 0
+        #: Row number k is at k modulo the capacity.
+        self._rows = np.empty((MIN_CAPACITY, len(columns)))
 
     def add(self, *row: float) -> None:
         """Add one row with the values of the columns; time must not decrease."""
-        rows = self._rows
-        while len(rows) >= MIN_CAPACITY and (
-            len(rows) >= MAX_CAPACITY or row[0] - self._row.unpack(rows[1])[0] >= SPAN_S
+        rows, capacity = self._rows, len(self._rows)
+        while self.n - self._first >= MIN_CAPACITY and (
+            self.n - self._first >= MAX_CAPACITY
+            or row[0] - rows[(self._first + 1) % capacity, 0] >= SPAN_S
         ):
-            rows.popleft()
-        rows.append(self._row.pack(*row))
+            self._first += 1
+        if self.n - self._first == capacity:
+            first, held = self.since(0)
+            self._rows = rows = np.empty((2 * capacity, len(self.columns)))
+            rows[np.arange(first, self.n) % len(rows)] = held
+        rows[self.n % len(rows)] = row
         self.n += 1
 
     def since(self, n: int) -> tuple[int, npt.NDArray[np.float64]]:
         """The rows from number `n`, or a later one if that is removed: the number of the first, and
         a copy of them, float64 (k, n_columns).
         """
-        first = max(n, self.n - len(self._rows))
-        newest = [*islice(reversed(self._rows), max(0, self.n - first))]
-        return first, np.frombuffer(bytearray().join(reversed(newest))).reshape(
-            -1, len(self.columns)
-        )
+        first = max(n, self._first)
+        return first, self._rows[np.arange(first, self.n) % len(self._rows)]
