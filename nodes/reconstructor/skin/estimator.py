@@ -192,7 +192,7 @@ class SkinEstimator:
         if n:
             self._steps = self._vectors.steps(self.n_shifts, self._floor, n_formula, n)
             self.n_shifts = (self.n_shifts + n_formula + n) % len(SHIFTS)
-        last_error2, (error2, _) = self.error**2, self._error2(noise)
+        last_error2, error2 = self.error**2, self._error2(noise)
         prior = t.blend * o.maximum(o.maximum(self._signal, last_error2), self._floor)
         part = error2 / (error2 + prior)
         settled = self._vectors.settle(
@@ -208,7 +208,8 @@ class SkinEstimator:
             stated = o.total(self.noise_of(settled.forces)) / self._rows.n
             stated = o.minimum(stated, self.noise)
             # Gates keep or drop: the noise that the residual lacks is in the estimate.
-            error2 = (1 - part) * sum(self._error2(stated))
+            few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2
+            error2 = few * (1 - part) * self._error2(stated, t.significant, t.optimism)
             error2 = o.maximum(error2, stated - settled.residual2)
         self.stated_error = o.sqrt(o.maximum(error2, o.zero))
         # Until it is known, the bias passes for forces on all taxels.
@@ -224,22 +225,21 @@ class SkinEstimator:
         self._follow_bias(settled)
         return settled.forces
 
-    def _error2(self, noise: Number) -> tuple[Number, Number]:
-        """Mean squared error of the mean of the last estimates, where measurements have a noise;
-        and how uncertain it is.
+    def _error2(self, noise: Number, doubtful: float = 1.0, optimism: float = 1.0) -> Number:
+        """Mean squared error of the mean of the last estimates, where measurements have a noise.
 
         The errors of z do not depend on the noise of the measurements: the residuals exceed the
-        noise by them. Where that is not significant, the gates' own expectation counts.
+        noise by them. Where that is not significant, within `doubtful` sampling deviations, the
+        gates' own expectation counts, times `optimism`.
         """
         o, t = self._o, self._t
         own, residual2 = (
             _mean(numbers[-t.averaged :]) for numbers in (self._steps.errors, self._steps.residuals)
         )
         seen = o.maximum(residual2 - noise, o.zero)
-        doubt = (seen + noise) * math.sqrt(2 / self._values.shape[-1])
+        doubt = doubtful * (seen + noise) * math.sqrt(2 / self._values.shape[-1])
         share = seen * seen / (seen * seen + doubt * doubt + TINY)
-        doubt = share * doubt + (1 - share) * t.optimism * own
-        return share * seen + (1 - share) * own, doubt
+        return share * seen + (1 - share) * optimism * own
 
     def _follow_bias(self, settled: Settled) -> None:
         """Update the mean reading of an untouched taxel: by residual along Phi 1, and taxels."""

@@ -64,9 +64,9 @@ class SkinTuning:
     bias_known: int = 8
     #: Growth per frame of the least noise variance so far, which bounds the bias.
     bias_forgotten: float = 1.002
-    #: What the gates expect of the mean squared error is uncertain by, as a part of it. Fitted on
-    #: presses on 8 x 8 to 48 x 64 taxels, N/2 to N/8, where errors are 1 to 2 times as large.
-    optimism: float = 1.5
+    #: Mean squared error of an estimate, in what the gates expect it to be. Fitted on presses on
+    #: 8 x 8 to 48 x 64 taxels, N/2 to N/8.
+    optimism: float = 2.0
     #: Largest noise variance, in the least one so far.
     louder: float = 4.0
     #: Part by which the mean squared residual of an untouched skin exceeds the noise variance at
