@@ -49,7 +49,7 @@ STUDIES = {
     ),
     "stability": Study(
         "where solvers fail: too few measurements, extreme settings, faults",
-        "sparseskin.studies.stability.overview:run",
+        "sparseskin.studies.stability.faults:run",
         numpy_only=True,
     ),
     "scene-needs": Study(
@@ -79,7 +79,7 @@ def studies() -> dict[str, Study]:
 
 
 #: Packages of the extra `charts`, which each study needs.
-EXTRA = ("matplotlib", "jinja2", "pandas")
+EXTRA = ("matplotlib", "pandas")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -109,33 +109,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=f"process:{len(os.sched_getaffinity(0))}",
         help=f"where points are computed: {FORMS} (default: %(default)s)",
     )
-    more.add_argument(
-        "--recordings",
-        metavar="DIR",
-        type=Path,
-        help="accuracy: folder of recordings of real skins",
-    )
+    about = "accuracy: folder of recordings of real skins"
+    more.add_argument("--recordings", metavar="DIR", type=Path, help=about)
     more.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
     about = "seed of noise and Phi (default: 0)"
     more.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help=about)
-    more.add_argument(
-        "--seeds",
-        metavar="K",
-        type=whole(1, 1000),
-        help="accuracy: number of seeds, from --seed on (default: 1)",
-    )
-    more.add_argument(
-        "--constants",
-        action="store_true",
-        default=None,
-        help="accuracy with --recordings: each constant of the default solver halved and doubled",
-    )
-    more.add_argument(
-        "--alone",
-        action="store_true",
-        default=None,
-        help="accuracy: single frames beside total variation (extra peers)",
-    )
+    about = "accuracy: number of seeds, from --seed on (default: 1)"
+    more.add_argument("--seeds", metavar="K", type=whole(1, 1000), help=about)
+    for option, about in (
+        (
+            "--constants",
+            "with --recordings: the constants of the default solver halved and doubled",
+        ),
+        ("--alone", "single frames beside total variation (extra peers)"),
+    ):
+        more.add_argument(option, action="store_true", default=None, help=f"accuracy: {about}")
     parser.set_defaults(run=_study)
 
 

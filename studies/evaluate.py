@@ -30,17 +30,14 @@ from sparseskin.nodes.reconstructor.solvers.base import (
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.touch import in_contact
 
+_CLASSES = {name: find_class("solver", name, SOLVERS, SolverError) for name in SOLVERS}
 #: Solvers of sums of taxels: all but those that need a phi which chooses its taxels in each frame.
-SUM_SOLVERS = tuple(
-    name
-    for name in SOLVERS
-    if not getattr(find_class("solver", name, SOLVERS, SolverError), "follows_choice", False)
-)
+SUM_SOLVERS = tuple(n for n, cls in _CLASSES.items() if not getattr(cls, "follows_choice", False))
 
 
 def settings_of(solver: str) -> Mapping[str, inspect.Parameter]:
     """Settings that a solver takes, by name."""
-    return inspect.signature(find_class("solver", solver, SOLVERS, SolverError)).parameters
+    return inspect.signature(_CLASSES[solver]).parameters
 
 
 VALUE_BYTES = 2
@@ -263,10 +260,9 @@ class Scores:
         if solved.flagged is not None:
             self.flags.append((solved.flagged, off / norm if contact else math.nan))
         if contact:
-            on_touched = error[truth > CONTACT_FRACTION * self.f_max_n]
+            on_touched = error[truth > CONTACT_FRACTION * self.f_max_n].astype(np.float64)
             if on_touched.size:
-                squared = float(np.mean(np.square(on_touched, dtype=np.float64)))
-                self.touched.append((squared, on_touched.size))
+                self.touched.append((float(np.mean(on_touched**2)), on_touched.size))
             self.relative.append(off / norm)
             if solved.error is not None and off:
                 n = truth.size if self.mask is None else np.count_nonzero(self.mask)

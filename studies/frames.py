@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from sparseskin.arrays import read_recording
-from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.messages import SkinState
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -90,6 +91,14 @@ class Take:
         """Number of taxels that exist."""
         return int(np.count_nonzero(self.mask))
 
+    def state(self, sigma_mid: float, sigma_end: float, rate_hz: float = 0.0) -> SkinState:
+        """The skin with a noise, newtons, and a frame rate, as a sensor states it."""
+        n_rows, n_cols = self.mask.shape
+        of_skin = vars(Skin(n_rows, n_cols, self.f_max, mask=self.mask))
+        noise = {"sigma_mid": sigma_mid, "sigma_end": sigma_end}
+        common = {"stamp_ns": 0, "patch": "skin", "source": "", "seed": 0, "has_truth": False}
+        return SkinState(**common, **of_skin, **noise, rate_hz=rate_hz)  # type: ignore[arg-type]
+
 
 class Frames(Protocol):
     """Source of frames: a frozen dataclass whose fields are as JSON holds them."""
@@ -164,10 +173,8 @@ class PressFrames:
         how["f_max"] = self.strength * PAPER_F_MAX_N
 
         def parts() -> Iterable[Pairs]:
-            frames = press_frames(
-                self.body, self.shape, self.n_frames, seed, mask=mask, noise=NOISE, **how
-            )
-            return [list(frames)[self.skip :]]
+            chosen = self.body, self.shape, self.n_frames, seed
+            return [list(press_frames(*chosen, mask=mask, noise=NOISE, **how))[self.skip :]]
 
         return Take(mask, PAPER_F_MAX_N, parts)
 
@@ -214,13 +221,12 @@ class UntouchedFrames:
         """See `Frames`."""
         truth = np.zeros((self.side, self.side), dtype=np.float32)
 
-        def noisy() -> Iterator[tuple[Floats, Floats]]:
+        def parts() -> Iterable[Pairs]:
             rng = np.random.default_rng(seed)
-            for _ in range(self.n_frames):
-                yield truth, NOISE.apply(truth, rng)
+            return [((truth, NOISE.apply(truth, rng)) for _ in range(self.n_frames))]
 
         mask = np.ones(truth.shape, dtype=np.bool_)
-        return Take(mask, PAPER_F_MAX_N, lambda: [noisy()], unscored=self.unscored)
+        return Take(mask, PAPER_F_MAX_N, parts, unscored=self.unscored)
 
 
 @dataclass(frozen=True)
@@ -282,6 +288,11 @@ KINDS = {
 """Sources by the names with which points state them."""
 
 
+def stated(frames: Frames) -> dict[str, Any]:
+    """Frames as a point states them: kind, and its fields."""
+    return {"kind": type(frames).__name__, **vars(frames)}
+
+
 def opened(point: Mapping[str, Any]) -> Take:
     """Open the frames of a point: frames (kind, and its fields) and seed."""
     fields = dict(point["frames"])
@@ -318,9 +329,8 @@ def part_of(path: str, n_most: int) -> Part:
     frames = read["forces"]
     truth = read.get("truth", frames)
     if truth.shape != frames.shape:
-        raise SparseskinError(
-            f"{path}: {len(truth)} frames of true forces, but {len(frames)} of readings"
-        )
+        counts = f"{len(truth)} frames of true forces, but {len(frames)} of readings"
+        raise SparseskinError(f"{path}: {counts}")
     mask = read.get("mask", np.ones(frames.shape[1:], dtype=np.bool_))
     flat = truth[:, mask].astype(np.float64)
     norms, totals = np.linalg.norm(flat, axis=1), flat.sum(axis=1)
@@ -331,11 +341,9 @@ def part_of(path: str, n_most: int) -> Part:
     first = _busiest(norms > LOADED * norm, n_most)
     part = slice(first, first + n_most)
     spacing_ms = 1e3 / float(read["rate_hz"]) if "rate_hz" in read else None
-    return Part(
-        *(frames[part], truth[part], mask, float(read["f_max"]), read["unit"], spacing_ms),
-        1e3 * float(read["pitch_m"]) if "pitch_m" in read else None,
-        *(first, len(frames), norm, total),
-    )
+    pitch_mm = 1e3 * float(read["pitch_m"]) if "pitch_m" in read else None
+    known = mask, float(read["f_max"]), read["unit"], spacing_ms, pitch_mm
+    return Part(frames[part], truth[part], *known, first, len(frames), norm, total)
 
 
 def _busiest(loaded: np.ndarray[tuple[int], np.dtype[np.bool_]], n_most: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from .evaluate import (
     make_method,
     phis_at,
 )
-from .frames import Frames, Take, opened
+from .frames import Frames, Take, opened, stated
 from .points import StudyError, compute
 
 PAPER_ROWS = PAPER
@@ -46,7 +46,7 @@ TIMED_ON = "process:1"
 @dataclass(frozen=True)
 class Measurement:
     """Measurement matrix: ratio N / M; rows "fixed", "rotating" or "paper"; kind; size of the
-    Hadamard blocks (None: that of the kind); and bits of a measurement (None: float32).
+    Hadamard blocks (None: that of the kind); bits of a measurement (None: float32).
     """
 
     ratio: float = 3
@@ -135,19 +135,11 @@ class Experiment:
         """Points as `scored` takes them."""
         named = {name: asdict(one) for name, one in self.candidates.items()}
         groups = [{name: one} for name, one in named.items()] if self.timed else [named]
-        return [
-            {
-                "frames": {"kind": type(frames).__name__, **asdict(frames)},  # type: ignore[call-overload]
-                "measurement": asdict(measurement),
-                "candidates": group,
-                "scores": list(self.scores),
-                "seed": seed,
-            }
-            for frames in self.frames
-            for measurement in self.measurements
-            for group in groups
-            for seed in self.seeds
-        ]
+        every = product(
+            map(stated, self.frames), map(asdict, self.measurements), groups, self.seeds
+        )
+        names, scores = ("frames", "measurement", "candidates", "seed"), list(self.scores)
+        return [{**dict(zip(names, one, strict=True)), "scores": scores} for one in every]
 
     def run(self, out: Path, executor: str) -> pd.DataFrame:
         """Compute what is not known yet in the folder of the study; see `points.compute`. A row a
@@ -179,15 +171,11 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
             if isinstance(estimator, Method):
                 estimator.reset()
         evaluate(estimators, part, scores, take.unscored)
-    return {
-        "methods": {
-            name: {
-                "refused": one.refused,
-                **{score: None if one.refused else SCORES[score](one) for score in point["scores"]},
-            }
-            for name, one in scores.items()
-        }
-    }
+    found = {}
+    for name, one in scores.items():
+        figures = {of: None if one.refused else SCORES[of](one) for of in point["scores"]}
+        found[name] = {"refused": one.refused, **figures}
+    return {"methods": found}
 
 
 def method_rows(

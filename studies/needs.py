@@ -174,8 +174,7 @@ def conclusion(rows: pd.DataFrame) -> list[str]:
     n_added, n_missing = len(rows) - n_carried, n.get("missing", 0)
     return [
         f"Of {n_carried} terms that the scenes carry, {n.get('needed', 0)} change the frames by "
-        f"more than the noise and are needed; {n.get('kept', 0)} are kept for another reason, "
-        "which is stated.",
+        f"more than the noise and are needed; {n.get('kept', 0)} are kept for a stated reason.",
         f"Of {n_added} that they do not carry, {n_added - n_missing} would change less than the "
         f"noise, or are left out for a stated reason; {n_missing} are missing.",
         f"Needed in some scene: {', '.join(sorted(set(needed))) or 'none'}.",
@@ -192,12 +191,11 @@ def summary(rows: pd.DataFrame) -> str:
 
 def _table(rows: pd.DataFrame) -> pd.DataFrame:
     """Figures of one scene."""
-    reasons = [
-        {"kept": KEPT.get(variant), "left out": LEFT_OUT.get((scene, variant))}.get(found)
-        for scene, variant, found in zip(
-            rows["scene"], rows["variant"], rows["verdict"], strict=True
-        )
-    ]
+    verdicts = []
+    for row in rows.to_dict("records"):
+        left_out = LEFT_OUT.get((row["scene"], row["variant"]))
+        reason = {"kept": KEPT.get(row["variant"]), "left out": left_out}.get(row["verdict"])
+        verdicts.append(f"{row['verdict']}: {reason}" if reason else row["verdict"])
     return pd.DataFrame(
         {
             "variant": np.where(rows["carried"], "without ", "with ") + rows["variant"],
@@ -205,10 +203,7 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
             "noise, dB": cells(rows, "{noise_db:.1f}"),
             "worst, dB": cells(rows, "{worst_db:.1f}"),
             "above": cells(rows, "{above_noise:.1%}"),
-            "verdict": [
-                f"{found}: {reason}" if reason else found
-                for found, reason in zip(rows["verdict"], reasons, strict=True)
-            ],
+            "verdict": verdicts,
         }
     )
 
@@ -217,20 +212,16 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
     scenes = list(rows["scene"].unique())
     names = list(rows["variant"].unique())[::-1]
     caption = "Change of each scene's frames, in dB as PSNR: the further left, the larger."
-    size_in = (9.5, 3.2 * -(-len(scenes) // 3) + 1.1)
-    with Chart(
-        out, "scene-needs", caption, len(scenes), 3, size_in=size_in, legend_columns=5
-    ) as chart:
+    how: dict[str, Any] = {"size_in": (9.5, 3.2 * -(-len(scenes) // 3) + 1.1), "legend_columns": 5}
+    with Chart(out, "scene-needs", caption, len(scenes), 3, **how) as chart:
         for k, (axes, scene) in enumerate(zip(chart.panels, scenes, strict=True)):
             mine = rows[rows["scene"] == scene]
             noise_db = mine["noise_db"].iloc[0]
             axes.axvspan(10.0, noise_db, color="#dddddd", zorder=0, label="above the noise")
-            for place, text in (
-                ((10.0 + noise_db) / 2, "above the noise:\nneeded"),
-                ((noise_db + 105.0) / 2, "below the noise:\ncan be left out"),
-            ):
-                style: dict[str, Any] = {"ha": "center", "va": "top", "color": "0.3"}
-                axes.text(place, len(names) + 0.75, text, fontsize=8, **style)
+            style: dict[str, Any] = {"ha": "center", "va": "top", "color": "0.3", "fontsize": 8}
+            texts = "above the noise:\nneeded", "below the noise:\ncan be left out"
+            for edge, text in zip((10.0, 105.0), texts, strict=True):
+                axes.text((edge + noise_db) / 2, len(names) + 0.75, text, **style)
             for carried, colour, marker, label in (
                 (True, PALETTE[0], "o", "removed"),
                 (False, PALETTE[1], "s", "added"),

@@ -60,9 +60,8 @@ def compute(
     with _opened(out) as file:
         records = _read(file)
         known = {key: record["figures"] for key, record in records.items()}
-        missing = {
-            key: dict(point) for key, point in zip(keys, points, strict=True) if key not in known
-        }
+        every = dict(zip(keys, map(dict, points), strict=True))
+        missing = {key: point for key, point in every.items() if key not in known}
         _log_known(label, set(keys), [records[k]["code"] != code for k in set(keys) & set(known)])
         names = {"label": label, "function": f"{function.__module__}:{function.__qualname__}"}
         bare = not missing or not sys.stderr.isatty()

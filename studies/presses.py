@@ -120,8 +120,7 @@ class _Press:
         timing: Timing,
     ) -> None:
         rng = np.random.default_rng([seed, 0])
-        self._mask, self._course, self._f_max = mask, course, f_max
-        self._timing = timing
+        self._mask, self._course, self._f_max, self._timing = mask, course, f_max, timing
         self._sides = np.array(mask.shape, dtype=np.float64)
         cells: Doubles = np.indices(mask.shape).astype(np.float64)
         self._i, self._j = cells[:1], cells[1:]
@@ -139,8 +138,7 @@ class _Press:
         along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
         self._velocity = speed * along
         self._turned = rng.uniform(0, np.pi)
-        is_line = min(mask.shape) == 1
-        if is_line:
+        if is_line := min(mask.shape) == 1:
             # What lies beside a line of taxels is not felt.
             self._turned = 0.0 if mask.shape[0] == 1 else np.pi / 2
             self._beside[:, 1] = 0
@@ -247,8 +245,7 @@ def _make(body: str, rng: np.random.Generator) -> tuple[list[Field], Doubles]:
     if body == "peg":
         return [_disc(1.0)], np.zeros((1, 2))
     if body == "wrench":
-        parts = [_box(1.0, 0.12, 0.2), _box(0.1, 0.3, 0.0), _box(0.15, 0.09, 0.0)]
-        parts.append(_box(0.15, 0.09, 0.0))
+        parts = [_box(1.0, 0.12, 0.2), _box(0.1, 0.3, 0.0), *[_box(0.15, 0.09, 0.0)] * 2]
         return parts, np.array([[0.0, 0.0], [1.0, 0.0], [1.2, 0.22], [1.2, -0.22]])
     if body == "fingertips":
         n = int(rng.integers(3, 6))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self, TypeAlias
 
-import jinja2
 import matplotlib
 import pandas as pd
 from matplotlib.axes import Axes
@@ -24,6 +22,7 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LINES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 PNG_DPI = 150
+QUICK = "**A quick run: few frames and points. It shows that the study runs, and little else.**"
 _STYLE: Any = {
     "figure.facecolor": "white",
     "font.size": 10,
@@ -87,12 +86,7 @@ class Chart:
         self._style.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: Any, error: Any, traceback: Any) -> None:
         try:
             if error is None:
                 self._save()
@@ -114,12 +108,8 @@ class Chart:
             for axes in self.figure.axes:
                 for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                     entries.setdefault(label, handle)
-            self.figure.legend(
-                list(entries.values()),
-                list(entries),
-                loc="outside lower center",
-                ncols=self._legend_columns,
-            )
+            place: dict[str, Any] = {"loc": "outside lower center", "ncols": self._legend_columns}
+            self.figure.legend(list(entries.values()), list(entries), **place)
         # The layout takes longer than the drawing, and each file would have four of its own; the
         # second one is nearer to the margins than the first.
         engine = self.figure.get_layout_engine()
@@ -176,7 +166,7 @@ def cells(frame: pd.DataFrame, text: str) -> list[str]:
 
 
 class Page:
-    """The page of a study: sections of text, tables and charts, in the one template `page.md`.
+    """The page of a study: sections of text, tables and charts.
 
     `notes`: Markdown with the text of each section under its title, those of the page first, in
     which {name} stands for a value that the section is given; `quick`: True for a page that states
@@ -189,15 +179,16 @@ class Page:
         first, *parts = notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
         self._title, _, opening = first.partition("\n")
         self._notes = dict(part.split("\n", 1) for part in parts) | {"": opening}
-        self._sections: list[dict[str, Any]] = []
+        self._sections: list[tuple[str, list[str]]] = []
         self._files: list[str] = []
 
     def section(self, title: str, *parts: str | pd.DataFrame, **values: Any) -> None:
         """Add a section: its text with these values, then parts that are not empty: Markdown or
         tables.
         """
-        text = self._notes[title].strip().format(**values)
-        self._sections.append({"title": title, "parts": [p for p in (text, *parts) if len(p)]})
+        some = [self._notes[title].strip().format(**values), *(p for p in parts if len(p))]
+        texts = [markdown(p) if isinstance(p, pd.DataFrame) else p for p in some]
+        self._sections.append((title, list(filter(None, texts))))
 
     def csv(self, name: str, rows: Rows) -> None:
         """Write rows with the same keys to `name.csv`, which the page links; StudyError if it
@@ -215,25 +206,15 @@ class Page:
 
     def write(self, conclusion: Sequence[str]) -> None:
         """Write the page `NAME.md`, the conclusion below its title; StudyError if it cannot be."""
-        environment = jinja2.Environment(
-            undefined=jinja2.StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-            keep_trailing_newline=True,
-            autoescape=False,
-            finalize=lambda value: markdown(value) if isinstance(value, pd.DataFrame) else value,
-        )
-        template = Path(__file__).with_name("page.md").read_text(encoding="utf-8")
-        text = environment.from_string(template).render(
-            title=self._title,
-            conclusion=conclusion,
-            quick=self._quick,
-            sections=self._sections,
-            files=self._files,
-            command=self._command,
-        )
+        lines = [f"# {self._title}", "", *(f"- {line}" for line in conclusion), ""]
+        lines += [QUICK, ""] if self._quick else []
+        for title, parts in self._sections:
+            lines += [f"## {title}", ""] if title else []
+            lines += [line for part in parts for line in (part, "")]
+        files = ", ".join(self._files)
+        lines += [f"All figures: {files}. Computed by `sparseskin {self._command}`.", ""]
         path = self.out / f"{self._name}.md"
         try:
-            path.write_text(text, encoding="utf-8")
+            path.write_text("\n".join(lines), encoding="utf-8")
         except OSError as error:
             raise StudyError(f"{path}: {error.strerror}") from error

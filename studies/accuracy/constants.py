@@ -68,13 +68,8 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
     base = pd.concat([errors, db, marked], axis=1).loc[UNCHANGED]
     changes = [100 * (errors / errors.loc[UNCHANGED] - 1), db - db.loc[UNCHANGED], marked]
     found = pd.concat(changes, axis=1)
-    lines = [
-        {
-            "constant": UNCHANGED,
-            "halved / doubled": "",
-            **{key: f"{base[key]:.3g}" for key in FORMATS},
-        }
-    ]
+    lines = [{"constant": UNCHANGED, "halved / doubled": ""}]
+    lines[0] |= {key: f"{base[key]:.3g}" for key in FORMATS}
     for name, value in VALUES.items():
         values = " / ".join(f"{changed(name, times):g}" for times in TIMES)
         lines.append({"constant": f"{name} = {value:g}", "halved / doubled": values})

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage
 
-from sparseskin.messages import SkinState
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.contact_tracks import EARLY, ContactTracker, joined
@@ -27,6 +27,7 @@ from sparseskin.studies.frames import (
     Take,
     UntouchedFrames,
     opened,
+    stated,
 )
 from sparseskin.studies.harness import Candidate, Measurement, method_rows
 from sparseskin.studies.points import compute
@@ -65,11 +66,9 @@ def sources(quick: bool) -> list[Frames]:
 
 def rows(out: Path, executor: str, frames: Sequence[Frames], seeds: Sequence[int]) -> pd.DataFrame:
     """A row a source, ratio and seed: figures of `ContactScores`."""
-    points: list[dict[str, Any]] = [
-        {"frames": {"kind": type(one).__name__, **asdict(one)}, "ratio": ratio, "seed": seed}  # type: ignore[call-overload]
-        for one in frames
-        for ratio in (1, *CONTACT_RATIOS)
-        for seed in seeds
+    points = [
+        {"frames": of, "ratio": ratio, "seed": seed}
+        for of, ratio, seed in product(map(stated, frames), (1, *CONTACT_RATIOS), seeds)
     ]
     found = compute(followed, points, out, executor, "contacts")
     keys = [{**p["frames"], "ratio": p["ratio"], "seed": p["seed"]} for p in points]
@@ -103,14 +102,6 @@ class ContactScores:
         self.in_sd: tuple[list[float], list[float]] = [], []
         self.n_bytes = 0.0
 
-    def _state(self, shape: tuple[int, int], sigma_end: float) -> SkinState:
-        take = self._take
-        stated: dict[str, Any] = {"stamp_ns": 0, "patch": "skin", "unit": "N", "pitch_m": None}
-        stated |= {"n_rows": shape[0], "n_cols": shape[1], "f_max": take.f_max, "source": ""}
-        stated |= {"sigma_mid": sigma_end, "sigma_end": sigma_end}
-        stated |= {"seed": 0, "rate_hz": 0.0, "has_truth": False, "mask": take.mask}
-        return SkinState(**stated)
-
     def follow(self, estimator: Estimator, frames: Sequence[tuple[Floats, Floats]]) -> None:
         """Follow the contacts of one part, in the estimate and in the truth.
 
@@ -118,8 +109,9 @@ class ContactScores:
         begins are not scored.
         """
         shape = self._take.mask.shape
-        state = self._state(shape, self._take.sigma_end)
-        tracker, true = ContactTracker(state), ContactTracker(self._state(shape, 0.0))
+        sigma = self._take.sigma_end
+        state = self._take.state(sigma, sigma)
+        tracker, true = ContactTracker(state), ContactTracker(self._take.state(0.0, 0.0))
         true.limits = TRUE
         if isinstance(estimator, Method):
             estimator.reset()
@@ -215,8 +207,8 @@ class ContactScores:
         taxels, mm and %, and in stated deviations (1: as stated); ids lost and swapped in 1000
         frames of a contact; bytes a frame.
         """
-        off = float(np.median(self.off)) if self.off else None
-        pitch_mm = self._take.pitch_mm
+        off, pitch_mm = _median(self.off), self._take.pitch_mm
+        force, in_sd = _median(self.relative), [_median(np.abs(z)) for z in self.in_sd]
         n_begins, n_true = len(self.delays) + self.n_never, int(self.n_true.sum())
         part = 1000 / max(1, self.n_followed)
         return {
@@ -224,28 +216,30 @@ class ContactScores:
             "n_true": self.n_true.tolist(),
             "n_missed": self.n_missed.tolist(),
             "found": 100 * (1 - self.n_missed.sum() / n_true) if n_true else None,
-            "delay": float(np.median(self.delays)) if self.delays else None,
+            "delay": _median(self.delays),
             "delay_95": float(np.percentile(self.delays, 95)) if self.delays else None,
             "begun": 100 * len(self.delays) / n_begins if n_begins else None,
             "ghosts": 1000 * self.n_ghosts / max(1, self.n_frames),
             "off": off,
             "off_mm": off * pitch_mm if off is not None and pitch_mm else None,
-            "force": 100 * float(np.median(self.relative)) if self.relative else None,
-            **{
-                name: float(np.median(np.abs(z))) / 0.6745 if z else None
-                for name, z in zip(("total_sds", "centre_sds"), self.in_sd, strict=True)
-            },
+            "force": None if force is None else 100 * force,
+            "total_sds": None if in_sd[0] is None else in_sd[0] / 0.6745,
+            "centre_sds": None if in_sd[1] is None else in_sd[1] / 0.6745,
             "lost": part * self.n_lost if n_true else None,
             "swapped": part * self.n_swapped if n_true else None,
             "n_bytes": self.n_bytes,
         }
 
 
+def _median(values: Any) -> float | None:
+    return float(np.median(values)) if len(values) else None
+
+
+@dataclass
 class _Part:
     """True contacts of a part by id: all; begin and largest total of those not found yet; ids."""
 
-    def __init__(self) -> None:
-        self.seen: set[int] = set()
-        self.begins: dict[int, int] = {}
-        self.largest: dict[int, float] = {}
-        self.last: dict[int, int] = {}
+    seen: set[int] = field(default_factory=set)
+    begins: dict[int, int] = field(default_factory=dict)
+    largest: dict[int, float] = field(default_factory=dict)
+    last: dict[int, int] = field(default_factory=dict)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from sparseskin.nodes.compressor.phi.rotation import ROTATING, ROWS
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.sensor.scenes import scenes
 from sparseskin.studies.baselines.sampling import CODECS
 from sparseskin.studies.frames import (
     Frames,
@@ -75,10 +78,7 @@ SINGLE = {
 """Methods that reconstruct each frame by itself; total variation is that of SigPy."""
 ALONE_FRAMES = 4
 
-SCENES = (
-    *("lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40"),
-    *("lift_box_64", "drag_wrench_64"),
-)
+SCENES = tuple(scenes.SCENES)
 SCENE_FRAMES, QUICK_SCENE_FRAMES = 4000, 150
 RATED_SCENES, RATES_HZ = ("drag_wrench_40", "path_40", "drag_wrench_64"), (1000, 300, 100, 30)
 SPAN_S, QUICK_SPAN_S, BEFORE_S = 3.0, 0.7, 0.02
@@ -95,30 +95,10 @@ LONGEST_RECORDED, QUICK_RECORDED = 300, 60
 PSNR = ("mean_db", "min_db", "first_db", "touched_mn", "n_contact")
 ERRORS = ("median", "mean", "vanished", "n_bytes", "n_contact")
 MARKS = (
-    "flagged",
-    "flagged_wrong",
-    "n_wrong",
-    "flagged_right",
-    "n_right",
-    "flagged_poor",
-    "n_flagged",
+    *("flagged", "flagged_wrong", "n_wrong", "flagged_right", "n_right"),
+    *("flagged_poor", "n_flagged"),
 )
 ESTIMATES = ("estimate_low", "estimate_median", "estimate_high", "estimate_close")
-
-
-def experiment(
-    label: str,
-    frames: Sequence[Frames],
-    names: Sequence[str],
-    scores: Sequence[str],
-    seeds: Sequence[int],
-    ratios: Sequence[int],
-) -> Experiment:
-    """An experiment of some `CANDIDATES`, or at ratio 1 of `READINGS` and codecs, by name."""
-    known = CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
-    measurements = [Measurement(ratio=ratio) for ratio in ratios]
-    chosen = {name: known[name] for name in names}
-    return Experiment(label, frames, measurements, chosen, scores, seeds)
 
 
 class Runs:
@@ -142,12 +122,20 @@ class Runs:
         readings: Sequence[str] = (RAW,),
         ratios: Sequence[int] = RATIOS,
     ) -> pd.DataFrame:
-        """Rows of candidates at some ratios, and of the readings of all taxels at ratio 1."""
-        parts = (
-            experiment(label, frames, names, scores, self._seeds, ratios),
-            experiment(f"{label}, all taxels", frames, readings, scores, self._seeds, (1,)),
+        """Rows of `CANDIDATES` at some ratios, and of the readings of all taxels at ratio 1."""
+        known = CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
+        parts = (label, names, ratios), (f"{label}, all taxels", readings, (1,))
+        return pd.concat(
+            self._run(
+                title, frames, [Measurement(n) for n in at], {k: known[k] for k in of}, scores
+            )
+            for title, of, at in parts
         )
-        return pd.concat(part.run(self._out, self._executor) for part in parts)
+
+    def _run(self, *parts: Any) -> pd.DataFrame:
+        """Rows of an experiment of these parts."""
+        made: Callable[..., Experiment] = partial(Experiment, seeds=self._seeds)
+        return made(*parts).run(self._out, self._executor)
 
     def scenes(self) -> pd.DataFrame:
         """The six scenes of the paper, at their own frame rates."""
@@ -161,11 +149,8 @@ class Runs:
         names = (DEFAULT, SKIN, PAPER, ALONE, "lattice", "hold")
         frames = list(rated_frames(self._quick))
         rows = self._rows("rates", frames, names, PSNR, (ALL, FILTERED, RAW), ratios=(3,))
-        spacing_ms = [
-            1e-6 * every * scene_of(scene).dt_ns
-            for scene, every in zip(rows["scene"], rows["every"], strict=True)
-        ]
-        return rows.assign(spacing_ms=spacing_ms)
+        step_ms = rows["scene"].map(lambda scene: 1e-6 * scene_of(scene).dt_ns)
+        return rows.assign(spacing_ms=rows["every"] * step_ms)
 
     def moving(self) -> pd.DataFrame:
         """Bodies that move a quarter of a taxel a frame, ramps, and sudden contacts."""
@@ -194,7 +179,7 @@ class Runs:
         those of `recordings`; on bodies that move, and on a sudden contact.
         """
         ratio, side = max(RATIOS), SIDES[0]
-        frames: list[Frames] = [*self._recorded(self._n_recorded // 2)]
+        frames: list[Frames] = [*self.recorded_frames(self._n_recorded // 2)]
         frames += [
             PressFrames(body, (side, side), PRESS_FRAMES, course, SPEED, TOUCHED)
             for course, bodies in (("moving", QUICK_BODIES), ("sudden", QUICK_BODIES[:1]))
@@ -202,35 +187,28 @@ class Runs:
         ]
         measurements = [Measurement(ratio, rows) for rows in ROWS]
         scores = ("median", "flagged_wrong", "n_wrong", "mean_db")
-        study = Experiment("constants", frames, measurements, candidates, scores, self._seeds)
-        return study.run(self._out, self._executor)
+        return self._run("constants", frames, measurements, candidates, scores)
 
     def frames_alone(self) -> pd.DataFrame:
         """Single frames without a past, beside total variation and Haar, each weight by itself."""
-        frames: list[Frames] = [*self._recorded(ALONE_FRAMES)]
-        frames += [
-            SceneFrames(scene, first=0, stop=ALONE_FRAMES * 100, every=100) for scene in SCENES[:4]
-        ]
-        measurements = [Measurement(ratio) for ratio in RATIOS]
-        scores = ("median", "mean_ms")
-        study = Experiment("frames alone", frames, measurements, SINGLE, scores, self._seeds)
-        return study.run(self._out, self._executor)
+        stop, measurements = ALONE_FRAMES * 100, [*map(Measurement, RATIOS)]
+        scenes = [SceneFrames(scene, first=0, stop=stop, every=100) for scene in SCENES[:4]]
+        frames: list[Frames] = [*self.recorded_frames(ALONE_FRAMES), *scenes]
+        return self._run("frames alone", frames, measurements, SINGLE, ("median", "mean_ms"))
 
-    def _recorded(self, n_most: int) -> list[RecordedFrames]:
+    def recorded_frames(self, n_most: int | None = None) -> list[RecordedFrames]:
+        """The recordings as sources of frames, of at most `n_most` each."""
         # The first frames are not scored: until "hold" has read all taxels once.
-        return [RecordedFrames(str(p), digest_of(p), n_most, max(RATIOS)) for p in self._files]
-
-    def recorded_frames(self) -> list[RecordedFrames]:
-        """The recordings as sources of frames."""
-        return self._recorded(self._n_recorded)
+        n, unscored = n_most or self._n_recorded, max(RATIOS)
+        return [RecordedFrames(str(path), digest_of(path), n, unscored) for path in self._files]
 
     def recordings(self) -> pd.DataFrame:
         """Recordings of real skins; the recording itself is the truth."""
-        files, frames = self._files, self._recorded(self._n_recorded)
         scores = (*ERRORS, *MARKS, *ESTIMATES, "ghosts", "n_untouched")
+        frames = self.recorded_frames()
         rows = self._rows("recordings", frames, tuple(CANDIDATES), scores, CODECS)
-        stems = [path.stem for path in files]
-        labels = {str(p): p.stem if stems.count(p.stem) == 1 else p.name for p in files}
+        stems = [path.stem for path in self._files]
+        labels = {str(p): p.stem if stems.count(p.stem) == 1 else p.name for p in self._files}
         return rows.assign(recording=rows["path"].map(labels))
 
 
@@ -253,10 +231,9 @@ def readable(files: Sequence[Path], n_most: int) -> list[Path]:
     for path in files:
         try:
             part_of(str(path), n_most)
+            found.append(path)
         except SparseskinError as error:
             print(f"accuracy: skipped: {error}", file=sys.stderr)
-            continue
-        found.append(path)
     if not found:
         raise StudyError(f"--recordings {files[0].parent}: none of {len(files)} files can be used")
     return found

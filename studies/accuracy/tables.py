@@ -72,25 +72,18 @@ def run(
         raise StudyError("--constants: needs recordings, by --recordings DIR")
     runs = Runs(out, executor, quick, range(seed, seed + seeds), recordings)
     page = Page(out, "accuracy", Path(__file__).with_name("notes.md"), quick)
-    page.section(
-        "",
-        value_bytes=VALUE_BYTES,
-        ratios=" / ".join(f"N/{ratio}" for ratio in RATIOS),
-        seeds=seeds,
-        newest=NEWEST,
-        jump_sigmas=JUMP_SIGMAS,
-        dead_zone_n=DEAD_ZONE_N,
-    )
+    of_filter = {"newest": NEWEST, "jump_sigmas": JUMP_SIGMAS, "dead_zone_n": DEAD_ZONE_N}
+    ratios = " / ".join(f"N/{ratio}" for ratio in RATIOS)
+    page.section("", value_bytes=VALUE_BYTES, ratios=ratios, seeds=seeds, **of_filter)
     lines = recorded(page, runs, quick) if recordings else []
     lines += [scenes(page, runs), rates(page, runs), moving(page, runs)]
     sizes(page, runs)
     of_contacts = [*contacts.sources(quick), *runs.recorded_frames()]
-    seeds_of = range(seed, seed + seeds)
-    lines.append(touched(page, contacts.rows(out, executor, of_contacts, seeds_of)))
+    rows = contacts.rows(out, executor, of_contacts, range(seed, seed + seeds))
+    lines.append(touched(page, rows))
     if constants:
         varied(page, runs)
-    if alone:
-        lines.append(single(page, runs))
+    lines += [single(page, runs)] if alone else []
     page.write(lines)
     return lines
 
@@ -161,13 +154,11 @@ def rates(page: Page, runs: Runs) -> str:
         by_ratio(rows, keys, "{mean_db:.1f} / {min_db:.1f}"),
     )
     means = rows.groupby(["method", "spacing_ms"])["mean_db"].mean()
-    found = [
-        ", ".join(
-            f"{means[DEFAULT, ms] - means[other, ms]:+.1f} dB at {1000 / ms:.0f} Hz"
-            for ms in (rows["spacing_ms"].min(), rows["spacing_ms"].max())
-        )
-        for other in (PAPER, FILTERED)
-    ]
+    found = []
+    for other in (PAPER, FILTERED):
+        gain = means[DEFAULT] - means[other]
+        ends = (rows["spacing_ms"].min(), rows["spacing_ms"].max())
+        found.append(", ".join(f"{gain[ms]:+.1f} dB at {1000 / ms:.0f} Hz" for ms in ends))
     return f"{DEFAULT} at N/3 against preset paper: {found[0]}; against a filter: {found[1]}."
 
 
@@ -238,17 +229,8 @@ def single(page: Page, runs: Runs) -> str:
 
 def touched(page: Page, rows: pd.DataFrame) -> str:
     """Contacts that are found, beside the true ones."""
-    frames = rows.reindex(columns=["path", "scene", "kind", "body", "course", "strength"])
-    rows["frames"] = [
-        Path(one.path).stem
-        if isinstance(one.path, str)
-        else one.scene
-        if isinstance(one.scene, str)
-        else f"{one.body} {one.course}{f' x {one.strength:g}' if one.strength < 1 else ''}"
-        if isinstance(one.body, str)
-        else one.kind.removesuffix("Frames").lower()
-        for one in frames.itertuples()
-    ]
+    of_frames = rows.reindex(columns=["path", "scene", "kind", "body", "course", "strength"])
+    rows["frames"] = [*map(_source, of_frames.itertuples())]
     page.csv("contacts", rows.drop(columns=["path"], errors="ignore"))
     classes = rows.explode(["n_true", "n_missed"])
     classes["force"] = list(contacts.CLASSES) * len(rows)
@@ -281,12 +263,18 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         least=contacts.LEAST,
         ratios=" / ".join(f"N/{ratio}" for ratio in contacts.CONTACT_RATIOS),
     )
-    means = (
-        rows[rows["method"] == DEFAULT].astype({"found": float}).groupby("ratio")["found"].mean()
-    )
-    found = ", ".join(f"{mean:.1f} % at N/{ratio:g}" for ratio, mean in means.items())
-    reading = rows[rows["method"] == RAW]["found"].astype(float).mean()
-    return f"Contacts found, mean over the sources: {found}, {reading:.1f} % in the full reading."
+    means = rows.astype({"found": float}).groupby(["method", "ratio"])["found"].mean()
+    ours = ", ".join(f"{mean:.1f} % at N/{ratio:g}" for ratio, mean in means[DEFAULT].items())
+    reading = means[RAW].iloc[0]
+    return f"Contacts found, mean over the sources: {ours}, {reading:.1f} % in the full reading."
+
+
+def _source(one: Any) -> str:
+    """Name of frames: that of the file or scene, body and course, or kind."""
+    if isinstance(one.body, str):
+        return f"{one.body} {one.course}{f' x {one.strength:g}' if one.strength < 1 else ''}"
+    named = (Path(name).stem for name in (one.path, one.scene) if isinstance(name, str))
+    return next(named, one.kind.removesuffix("Frames").lower())
 
 
 def varied(page: Page, runs: Runs) -> None:
@@ -337,20 +325,25 @@ def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:
 
 def geometric(rows: pd.DataFrame) -> list[str]:
     """Return a line a kind of rows of the default solver: geometric mean over the recordings."""
+    known = rows[rows["median"].notna() & (rows["ratio"] > 1)]
+    logs = np.log(known["median"].astype(float))
+    means = np.exp(logs.groupby([known["method"], known["ratio"]]).mean())
     lines = []
-    known = rows[rows["median"].notna() & (rows["ratio"] > 1)].astype({"median": float})
-    ours = known[known["method"].isin([DEFAULT, SKIN])]
-    for name, some in ours.groupby("method", sort=False):
-        means = np.exp(np.log(some["median"]).groupby(some["ratio"], sort=True).mean())
-        text = ", ".join(f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means.items())
+    for name in [one for one in (DEFAULT, SKIN) if one in means]:
+        text = ", ".join(f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means[name].items())
         lines.append(f"{name}: geometric mean of the median errors {text}.")
     return lines
 
 
 def beaten(rows: pd.DataFrame) -> list[str]:
     """Return a line a ratio: where the best simple method beats the default."""
-    lines = []
-    for ratio, some in quotients(rows).groupby("ratio", sort=True):
+    known = rows[(rows["ratio"] > 1) & rows["median"].notna()].astype({"median": float})
+    keys, lines = ["recording", "ratio"], []
+    means = known.groupby([*keys, "method"], sort=False)["median"].mean().unstack("method")
+    best = means[[name for name in SIMPLE if name in means]].min(axis=1)
+    quotient = means[DEFAULT].clip(LEAST_ERROR) / best.clip(LEAST_ERROR)
+    quotients = quotient.dropna().rename("quotient").reset_index()
+    for ratio, some in quotients.groupby("ratio", sort=True):
         worse = list(some[some["quotient"] > 1]["recording"])
         named = f" ({', '.join(worse)})" if worse else ""
         lines.append(
@@ -358,16 +351,6 @@ def beaten(rows: pd.DataFrame) -> list[str]:
             f"recordings{named}; median quotient of the errors {some['quotient'].median():.2f}."
         )
     return lines
-
-
-def quotients(rows: pd.DataFrame) -> pd.DataFrame:
-    """Error of the default over that of the best simple method, by medians."""
-    known = rows[(rows["ratio"] > 1) & rows["median"].notna()].astype({"median": float})
-    keys = ["recording", "ratio"]
-    means = known.groupby([*keys, "method"], sort=False)["median"].mean().unstack("method")
-    best = means[[name for name in SIMPLE if name in means]].min(axis=1)
-    found = means[DEFAULT].clip(LEAST_ERROR) / best.clip(LEAST_ERROR)
-    return found.dropna().rename("quotient").reset_index()
 
 
 def smaller(rows: pd.DataFrame) -> str:
@@ -382,10 +365,9 @@ def smaller(rows: pd.DataFrame) -> str:
         f"at N/{ratio:g} on {int(some.sum())} of {len(some)}"
         for ratio, some in is_smaller.groupby(ours["ratio"], sort=True)
     )
-    return (
-        f"All taxels in 8 bits, packed by zstd, are fewer bytes than {DEFAULT}: {counts} "
-        f"recordings; error {codec['median'].median():.2g} % in the median."
-    )
+    error = f"error {codec['median'].median():.2g} % in the median"
+    packed = f"All taxels in 8 bits, packed by zstd, are fewer bytes than {DEFAULT}"
+    return f"{packed}: {counts} recordings; {error}."
 
 
 def marks(rows: pd.DataFrame, keys: list[str]) -> tuple[Any, ...]:
@@ -407,10 +389,8 @@ def marked(rows: pd.DataFrame) -> list[str]:
     lines = []
     for name, some in rows.groupby("method", sort=False):
         parts = []
-        for which, bound in (
-            ("wrong", f"above {100 * WRONG:g} %"),
-            ("right", f"below {100 * RIGHT:g} %"),
-        ):
+        bounds = {"wrong": f"above {100 * WRONG:g} %", "right": f"below {100 * RIGHT:g} %"}
+        for which, bound in bounds.items():
             share, n = _share(some[f"flagged_{which}"], some[f"n_{which}"])
             parts.append(f"{share:.1f} % of {n:.0f} frames with an error {bound}")
         share, n = _share(some["flagged_poor"], some["n_flagged"])
@@ -458,15 +438,14 @@ def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
     means = known.groupby(["recorded", "frames", "bytes", "ratio"])["found"].mean().reset_index()
     panels = [(of, some) for of, some in means.groupby("recorded")]
     ratios = sorted(means["ratio"].unique())
-    labels = [
-        f"{f'N/{ratio}' if ratio > 1 else 'all'}\n{VALUE_BYTES / ratio:.3g}" for ratio in ratios
-    ]
-    n = len(panels)
+    names = [f"N/{ratio}" if ratio > 1 else "all" for ratio in ratios]
+    ticks, n = [VALUE_BYTES / ratio for ratio in ratios], len(panels)
+    labels = [f"{name}\n{tick:.3g}" for name, tick in zip(names, ticks, strict=True)]
     with Chart(out, "contacts", caption, n, n, size_in=(9.5, 5.0), sharey=True) as chart:
         for axes, (recorded, some) in zip(chart.panels, panels, strict=True):
             draw_lines(axes, some, "bytes", "found", "frames", list(means["frames"].unique()))
             axes.set_xscale("log")
-            axes.set_xticks([VALUE_BYTES / ratio for ratio in ratios], labels)
+            axes.set_xticks(ticks, labels)
             axes.set_xticks([], minor=True)
             axes.set_ylim(0, 103)
             axes.set_title("recordings" if recorded else "simulated")

@@ -10,7 +10,6 @@ import io
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
-from importlib.util import find_spec
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -156,12 +155,8 @@ class TotalVariation:
         self._phi, self._mask = phi, mask
         self._flat = np.flatnonzero(mask)
         differences = sigpy.linop.FiniteDifference(list(mask.shape))
-        self._settings = {
-            "G": differences,
-            "proxg": sigpy.prox.L1Reg(differences.oshape, weight),
-            "max_iter": iterations,
-            "show_pbar": False,
-        }
+        proximal = sigpy.prox.L1Reg(differences.oshape, weight)
+        self._settings = {"G": differences, "proxg": proximal, "max_iter": iterations}
         self._operator = _sigpy_operator(
             lambda x: phi.forward(x.reshape(-1)[self._flat]), self._image, mask.shape, (phi.m,)
         )
@@ -178,7 +173,8 @@ class TotalVariation:
         y = self._phi.forward(taxels[self._mask])
         begin = time.perf_counter()
         with np.errstate(invalid="ignore"):  # its soft threshold divides 0 by 0
-            x = sigpy.app.LinearLeastSquares(self._operator, y, **self._settings).run()
+            solver = sigpy.app.LinearLeastSquares
+            x = solver(self._operator, y, show_pbar=False, **self._settings).run()
         forces = np.where(self._mask, np.maximum(x, 0), 0).astype(np.float32)
         return Solved(forces, wall_s=time.perf_counter() - begin)
 
@@ -203,15 +199,10 @@ def _sigpy_operator(forward: Any, adjoint: Any, shape: Sequence[int], out: Seque
     return Operator(forward, adjoint, shape, out)
 
 
-OURS, PYLOPS = "sparseskin FISTA", "PyLops FISTA"
+OURS = "sparseskin FISTA"
 PEERS = {
     OURS: Peer("sparseskin", _ours),
-    PYLOPS: Peer("pylops", _pylops),
+    "PyLops FISTA": Peer("pylops", _pylops),
     "SigPy FISTA": Peer("sigpy", _sigpy),
     "SPGL1": Peer("spgl1", _spgl1),
 }
-
-
-def missing_peers() -> list[str]:
-    """Names of peers whose library is not installed."""
-    return [name for name, peer in PEERS.items() if find_spec(peer.module) is None]

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from sparseskin.studies.frames import scene_of
 from sparseskin.studies.report import LINES, MARKERS, PALETTE, Chart
 
-from .numbers import ITERATIONS, PAPER, RATIOS
-from .results import Results
+from .numbers import ITERATIONS, PAPER, RATIOS, Results
 
 Style = dict[str, Any]
 SHOWN_FRAMES = 300
@@ -44,19 +43,16 @@ def draw_maps(out: Path, scene: str, maps: Mapping[str, Any]) -> str:
 
 def draw_sequences(out: Path, results: Results, by: str) -> str:
     """PSNR over time, by "M" in DRAG WRENCH or by "iterations" in LIFT BOX, 64 x 64."""
-    name, scene = f"psnr_by_{by.lower()}", "drag_wrench_64" if by == "M" else "lift_box_64"
-    if by == "M":
-        series = {f"M = N/{ratio}": results.ours(scene, ratio) for ratio in RATIOS}
-    else:
+    scene = "drag_wrench_64" if by == "M" else "lift_box_64"
+    series = {f"M = N/{ratio}": results.ours(scene, ratio) for ratio in RATIOS}
+    if by != "M":
         series = {f"{k} iterations": results.ours(scene, 3, str(k)) for k in ITERATIONS}
     series["noisy"] = results.ours(scene, 1)
     contact, first = results.contact(scene), results.scenes[scene]["first"]
-    begins = {
-        "representative": _longest_contact(contact),
-        "first contact": max(0, int(np.argmax(contact)) - 50),
-    }
+    begin = max(0, int(np.argmax(contact)) - 50)
+    begins = {"representative": _longest_contact(contact), "first contact": begin}
     caption = f"PSNR over time, {PAPER[scene].title} 64 x 64, preset paper"
-    with Chart(out, name, caption, len(begins), len(begins), size_in=(9.0, 4.2)) as chart:
+    with Chart(out, f"psnr_by_{by.lower()}", caption, 2, 2, size_in=(9.0, 4.2)) as chart:
         for axes, (title, begin) in zip(chart.panels, begins.items(), strict=True):
             part = slice(begin, min(begin + SHOWN_FRAMES, len(contact)))
             times_ms = (np.arange(part.start, part.stop) + first) * scene_of(scene).dt_ns * 1e-6

@@ -1,11 +1,16 @@
-"""The figures that the paper reports: its tables I to IV as numbers.
+"""The figures that the paper reports, its tables I to IV as numbers, and ours.
 
 Source: Hollis, Patterson, Trinkle, "Compressed Sensing for Tactile Skins", 2016.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
 
 RATIOS = (4, 3, 2)
 ITERATIONS = (10, 20, 30)
@@ -93,3 +98,79 @@ PAPER = {
         *((23.1, 29.3, 29.8), (8.0, 17.0, 31.7)),
     ),
 }
+
+FITTED = "few levels, fitted lambda"
+"""The method with 30 iterations, a Haar basis of few levels, and the lambda that fits the paper's
+figures best. Others are named by their iterations."""
+#: Highest PSNR of an untouched skin in dB, by (side, few levels, N / M), for each lambda.
+Highest: TypeAlias = Mapping[tuple[int, bool, int], Sequence[float]]
+Decibels: TypeAlias = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Results:
+    """Figures of the study; `quick`: of frames around the first contact alone. By scene figures of
+    `tables.scene_figures`; by (scene, N / M, method) PSNR of each frame, dB; by (scene, method)
+    mean solve time of a frame at N/3.
+    """
+
+    quick: bool
+    scenes: Mapping[str, Mapping[str, Any]]
+    psnr: Mapping[tuple[str, float, str], Decibels]
+    times_ms: Mapping[tuple[str, str], float]
+
+    @staticmethod
+    def name(scene: str) -> str:
+        """Name of a scene in the tables."""
+        return f"{PAPER[scene].title} ({PAPER[scene].n})"
+
+    def contact(self, scene: str) -> npt.NDArray[np.bool_]:
+        """True for each frame of a scene that is in contact."""
+        return np.array(self.scenes[scene]["contact"], dtype=np.bool_)
+
+    def ours(self, scene: str, ratio: int, method: str = "30") -> Decibels:
+        """PSNR of each frame in dB; ratio 1: of the noisy signal."""
+        if ratio == 1:
+            return np.array(self.scenes[scene]["noisy_db"])
+        return self.psnr[scene, ratio, method]
+
+    def counts(self, scene: str, key: str) -> npt.NDArray[np.int_]:
+        """Number of coefficients in each frame: d2, d4, d2_exact, d4_exact."""
+        return np.array(self.scenes[scene][key])
+
+    def chosen_frames(self, scene: str) -> dict[str, int]:
+        """Numbers of the contact frames of median and of least PSNR, from N/3 by 20 iterations."""
+        psnr, contact = self.ours(scene, 3, "20"), np.flatnonzero(self.contact(scene))
+        by_psnr = contact[np.argsort(psnr[contact])] + self.scenes[scene]["first"]
+        return {"representative": int(by_psnr[len(by_psnr) // 2]), "worst": int(by_psnr[0])}
+
+    def steps(self, scene: str) -> dict[str, Any]:
+        """A line of table I."""
+        steps, contact = PAPER[scene].steps, self.contact(scene)
+        row = {"scenario": self.name(scene), "steps paper": steps, "ours": len(contact)}
+        return {**row, "difference": len(contact) - steps, "ours, in contact": int(contact.sum())}
+
+    @property
+    def speedups(self) -> tuple[float, float]:
+        """Least and largest quotient of the paper's time of a frame and ours."""
+        found = [
+            PAPER[scene].time_ms[int(method)] / ms for (scene, method), ms in self.times_ms.items()
+        ]
+        return min(found), max(found)
+
+
+def upper_ends(side: int, ratio: int) -> list[float]:
+    """Upper ends of the ranges in table III, dB, of the scenarios of one size."""
+    return [paper.by_ratio[ratio].high for paper in PAPER.values() if paper.n == side * side]
+
+
+def deviations_db(highest: Highest) -> list[float]:
+    """Root mean square deviation, for each lambda, of an untouched skin's PSNR with few levels from
+    the upper ends of table III over both sizes and three M, dB.
+    """
+    off_db = [
+        np.array(highest[side, True, ratio]) - np.mean(upper_ends(side, ratio))
+        for side in (40, 64)
+        for ratio in RATIOS
+    ]
+    return [float(one) for one in np.sqrt(np.mean(np.square(off_db), axis=0))]

@@ -46,9 +46,7 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     host = made_node("reconstructor", {**common, **solver})
     list(host.step(skin))
     list(host.step(phi))
-    edge_s: list[float] = []
-    host_s: list[float] = []
-    solve_s: list[float] = []
+    edge_s, host_s, solve_s = list[float](), list[float](), list[float]()
     n_unchanged = n_bytes = 0
     for k in range(WARM_UP + n_frames):
         (taxels, _) = sensor.acquire(Tick(1_000_000 * (k + 1), k + 1))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -41,15 +42,11 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     reconstructs the newest frames alone too, and the paper's.
     """
     n_frames = 3000 if quick else 12_000
+    common = {"rate_hz": RATE_HZ, "n_frames": n_frames, "warm_up": WARM_UP, "seed": seed}
+    names = ("preset", "depth", "contacts")
     return [
-        {
-            **{"scene": scene, "preset": preset, "depth": depth, "contacts": contacts},
-            **{"monitor": monitor, "rate_hz": RATE_HZ, "n_frames": n_frames},
-            **{"warm_up": WARM_UP, "seed": seed},
-        }
-        for monitor in (False, True)
-        for preset, depth, contacts in GRAPHS
-        for scene in SCENES.values()
+        {**common, "monitor": monitor, **dict(zip(names, graph, strict=True)), "scene": scene}
+        for monitor, graph, scene in product((False, True), GRAPHS, SCENES.values())
     ]
 
 
@@ -83,10 +80,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
             raise StudyError(f"the graph ended with {done.returncode}: {done.stderr[-500:]}")
         nodes = json.loads(Path(folder, "summary.json").read_text())["nodes"]
     others_s = host_busy_s() - busy_s - (_children_s() - own_s)
-    sensor, edge, host = (
-        np.array(nodes[name][WATCH], dtype=np.int64)
-        for name in ("sensor", "compressor", "reconstructor")
-    )
+    timed = (nodes[name][WATCH] for name in ("sensor", "compressor", "reconstructor"))
+    sensor, edge, host = (np.array(times, dtype=np.int64) for times in timed)
     stages = stages_ns(sensor[point["warm_up"] :], edge, host)
     if not len(stages):
         raise StudyError(f"no frame after the first {point['warm_up']} was reconstructed")

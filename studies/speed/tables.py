@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sparseskin.nodes.compressor.phi.rotation import FIXED
-from sparseskin.nodes.compressor.phi.rotation import RATIO as DEFAULT_RATIO
+from sparseskin.nodes.compressor.phi.rotation import FIXED, RATIO
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.frames import PressFrames
 from sparseskin.studies.harness import (
@@ -45,11 +44,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """
     page = Page(out, "speed", Path(__file__).with_name("notes.md"), quick)
     page.section("", cores=len(os.sched_getaffinity(0)))
-    lines = [
-        *solvers(page, quick, seed),
-        bodies(page, quick, seed),
-        *stages(page, quick, seed),
-    ]
+    lines = [*solvers(page, quick, seed), bodies(page, quick, seed), *stages(page, quick, seed)]
     page.write(lines)
     return lines
 
@@ -57,9 +52,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 def solvers(page: Page, quick: bool, seed: int) -> list[str]:
     """Whole frames of both presets, in numpy and in compiled loops."""
     sides = QUICK_SIDES if quick else SIDES
-    frames = [
-        PressFrames("plate", (side, side), 100 if quick else 400, speed=0.02) for side in sides
-    ]
+    n_frames = 100 if quick else 400
+    frames = [PressFrames("plate", (side, side), n_frames, speed=0.02) for side in sides]
     forms = {"numpy": "off"} | ({"compiled": "on"} if find_spec("numba") else {})
     candidates = {
         f"{preset}, {form}": Candidate({**PRESETS[preset], "fast": fast}, changes={"rows": rows})
@@ -88,8 +82,7 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
         for idle in (0.0, IDLE)
         for n in (QUICK_PATCHES if quick else PATCHES)
     ]
-    gpu = gpu_name()
-    if gpu:
+    if gpu := gpu_name():
         of_gpu: dict[str, float | str] = {"idle": 0.0, "n_frames": 60, "device": "cuda"}
         points += [{**common, **of_gpu, "patches": n} for n in PATCHES]
     rows = pd.DataFrame(compute_rows(time_body, points, page.out, TIMED_ON, "bodies"))
@@ -114,12 +107,12 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
     spent = np.log((solved["edge_us"] + solved["host_us"]) * solved["patches"])
     slope = float(np.polyfit(np.log(solved["patches"]), spent, 1)[0])
     last = solved.iloc[-1]
-    cores = [1e-6 * patch_hz * last[name] for name in ("edge_us", "host_us")]
+    edges, hosts = (1e-6 * patch_hz * last[name] for name in ("edge_us", "host_us"))
     links = last["bytes"] / last["patches"] * patch_hz / LINK_BYTES_HZ
     line = (
         f"Time grows with taxels to the power {slope:.2f}. A million taxels at 1 kHz take "
-        f"{cores[0]:.0f} cores of edges and {cores[1]:.0f} of hosts as fast as this one, and "
-        f"{links:.0f} gigabit links in place of {DEFAULT_RATIO * links:.0f}."
+        f"{edges:.0f} cores of edges and {hosts:.0f} of hosts as fast as this one, and "
+        f"{links:.0f} gigabit links in place of {RATIO * links:.0f}."
     )
     if gpu:
         n, ms = PATCHES[-1] * PATCH_SIDE**2, 1e-3 * (rows["solve_us"] * rows["patches"]).iloc[-1]
@@ -146,11 +139,11 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
     for name in ("monitor", "contacts"):
         rows[name] = np.where(rows[name], "yes", "no")
     page.csv("latency", rows)
-    headings = {"frames": "frames", "skipped": "skipped", "lost": "lost"}
-    headings |= {f"{name}_ms": f"{name} ms" for name in latency.QUANTILES}
+    names = ["skin", "preset", "reconstructed", "contacts", "monitor", "frames", "skipped", "lost"]
+    headings = {f"{name}_ms": f"{name} ms" for name in latency.QUANTILES}
     headings |= {f"p50 {stage}": stage for stage in latency.STAGES}
-    names = ["skin", "preset", "reconstructed", "contacts", "monitor"]
     formats = {f"{name} ms": ".2f" for name in latency.QUANTILES}
+    formats |= dict.fromkeys(latency.STAGES, ".3f")
     busiest = rows["others"].max()
     busy = (
         f"**The host was busy: other work used up to {busiest:.1f} cores meanwhile. Times are too "
@@ -159,15 +152,10 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
     page.section(
         "From acquisition to reconstruction",
         busy if busiest > QUIET else "",
-        markdown(
-            rows[[*names, *headings]].rename(columns=headings),
-            formats | dict.fromkeys(latency.STAGES, ".3f"),
-        ),
+        markdown(rows[[*names, *headings]].rename(columns=headings), formats),
         warm_up=latency.WARM_UP,
     )
     alone = rows[(rows["preset"] == "skin") & (rows["depth"] == 0) & (rows["monitor"] == "no")]
     alone = alone.assign(with_=np.where(alone["contacts"] == "yes", ", with contacts", ""))
-    text = (
-        "All frames of {skin} taxels at 1 kHz{with_}: half of them are reconstructed {p50_ms:.2f} "
-    )
-    return cells(alone, text + "ms after their acquisition, 99 % within {p99_ms:.2f} ms.")
+    text = "All frames of {skin} taxels at 1 kHz{with_}: half of them are reconstructed "
+    return cells(alone, text + "{p50_ms:.2f} ms after acquisition, 99 % within {p99_ms:.2f} ms.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.studies.baselines.libraries import OURS, PEERS, missing_peers
+from sparseskin.nodes.sensor.scenes.scenes import SCENES
+from sparseskin.studies.baselines.libraries import OURS, PEERS
 from sparseskin.studies.harness import TIMED_ON, unrefused
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import (
@@ -20,6 +22,7 @@ from sparseskin.studies.report import (
     PALETTE,
     Chart,
     Page,
+    cells,
     markdown,
     series_style,
 )
@@ -30,7 +33,6 @@ from .experiments import (
     PRESET_SKIN,
     QUICK_SCENES,
     ROTATED,
-    SCENES,
     gathered,
     n_bytes,
     parts,
@@ -71,22 +73,18 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 
     `executor` is for what is not timed; solve times are measured on this host, one at a time.
     """
-    scenes, absent = QUICK_SCENES if quick else SCENES, missing_peers()
+    scenes = QUICK_SCENES if quick else tuple(SCENES)
+    absent = [name for name, peer in PEERS.items() if find_spec(peer.module) is None]
     for peer in absent:
-        print(
-            f"{peer} is left out: it is not installed (pip install 'sparseskin[peers]')",
-            file=sys.stderr,
-        )
+        text = f"{peer} is left out: it is not installed (pip install 'sparseskin[peers]')"
+        print(text, file=sys.stderr)
     read = zones(readings(quick, seed).run(out, executor))
     every = gathered(solvers(quick, seed), out, executor)
     of_parts = gathered(parts(quick, seed), out, executor)
     common = {"seed": seed, "short": quick, "lambda_n": PRESETS["paper"]["lambda_n"]}
-    points = [
-        {"peer": peer, "scene": scene, "n_frames": 4 if quick else 10, **common}
-        for scene in scenes
-        for peer in PEERS
-        if peer not in absent
-    ]
+    common |= {"n_frames": 4 if quick else 10}
+    known = [peer for peer in PEERS if peer not in absent]
+    points = [{"peer": peer, "scene": scene, **common} for scene, peer in product(scenes, known)]
     raced = pd.DataFrame(compute_rows(race, points, out, TIMED_ON, "libraries"))
     return write(out, every, of_parts, read, raced, quick)
 
@@ -151,14 +149,11 @@ def write(
         "median by what shared caches cost.**"
     )
     pages.section("", settings, busy if n_busy else "")
-    fronts = [
-        f"- {panel}: "
-        + "; ".join(
-            f"{r.label}, {r.iterations:.3g} iterations ({r.median_ms:.2f} ms, {r.mean_db:.1f} dB)"
-            for r in front(swept(of, "median_ms"), "median_ms", "mean_db").itertuples()
-        )
-        for panel, of in by_panel.items()
-    ]
+    of_front = "{label}, {iterations:.3g} iterations ({median_ms:.2f} ms, {mean_db:.1f} dB)"
+    fronts = []
+    for panel, of in by_panel.items():
+        best = front(swept(of, "median_ms"), "median_ms", "mean_db")
+        fronts.append(f"- {panel}: {'; '.join(cells(best, of_front))}")
     pages.section(
         "Solve time",
         _draw(out, by_panel, read, "median_ms"),
@@ -177,11 +172,10 @@ def write(
     pages.section("Other libraries", _race(raced))
     of_bases = pooled(of_parts, ["label", "phi", "ratio", "n_bytes"])
     pages.section("Every basis and every Phi", _table(of_bases))
-    refused = pd.concat([every, of_parts])
-    refused = refused[refused["refused"] != ""]
-    if len(refused):
-        text = "- " + refused["method"] + ", " + refused["phi"] + ": " + refused["refused"]
-        pages.section("Combinations that are refused", "\n".join(dict.fromkeys(text)))
+    both = pd.concat([every, of_parts])
+    refused = cells(both[both["refused"] != ""], "- {method}, {phi}: {refused}")
+    if refused:
+        pages.section("Combinations that are refused", "\n".join(dict.fromkeys(refused)))
     for name, frame in (("solvers", every), ("bases_and_phis", of_parts), ("libraries", raced)):
         pages.csv(name, frame)
     lines = conclusion(by_panel, read)
@@ -208,9 +202,9 @@ def conclusion(by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> list[st
 
 
 def _table(rows: pd.DataFrame) -> str:
-    headings = {column: heading for column, heading, _ in _SHOWN}
-    formats = {heading: spec for _, heading, spec in _SHOWN}
-    return markdown(rows[list(headings)].rename(columns=headings), formats)
+    columns, headings, specs = zip(*_SHOWN, strict=True)
+    shown = rows[list(columns)].set_axis(list(headings), axis="columns")
+    return markdown(shown, dict(zip(headings, specs, strict=True)))
 
 
 def _readings(read: pd.DataFrame) -> str:
@@ -223,22 +217,21 @@ def _readings(read: pd.DataFrame) -> str:
 
 def _draw(out: Path, by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame, x: str) -> str:
     """Chart of panels, a row a measure and a column a size."""
-    name = "bytes_pooled" if x == "n_bytes" else "speed_pooled"
-    x_label = (
-        "bytes sent a frame" if x == "n_bytes" else "solve time a frame in ms (median, one core)"
-    )
-    cells, n = list(product(MEASURES, by_panel)), len(by_panel)
+    names = {
+        "n_bytes": ("bytes_pooled", "bytes sent a frame"),
+        "median_ms": ("speed_pooled", "solve time a frame in ms (median, one core)"),
+    }
+    (name, x_label), n = names[x], len(by_panel)
     size_in = (3.6 * n + 1.5, 3.1 * len(MEASURES) + 1.2)
     with Chart(
-        out, name, CAPTIONS[x], len(cells), n, size_in=size_in, legend_columns=3, sharex=False
+        out, name, CAPTIONS[x], len(MEASURES) * n, n, size_in=size_in, legend_columns=3
     ) as chart:
-        for k, (axes, (y, panel)) in enumerate(zip(chart.panels, cells, strict=True)):
+        for k, (y, panel) in enumerate(product(MEASURES, by_panel)):
+            axes = chart.panels[k]
             _draw_panel(axes, by_panel[panel], raw_and_zoned(read, panel), x, y)
             axes.set_title(panel)
-            if k % n == 0:
-                axes.set_ylabel(f"{MEASURES[y]}, contact")
-            if k + n >= len(cells):
-                axes.set_xlabel(x_label)
+            axes.set_ylabel("" if k % n else f"{MEASURES[y]}, contact")
+            axes.set_xlabel(x_label if k >= (len(MEASURES) - 1) * n else "")
     return chart.markdown
 
 
@@ -265,13 +258,16 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, reading: Any, x: str, y: str) ->
         best = front(lines, x, y)
         grey: dict[str, Any] = {"color": "0.6", "linewidth": 5, "alpha": 0.5, "zorder": 0}
         axes.step(best[x], best[y], where="post", label="Pareto front", **grey)
-    texts = ("all taxels sent, noisy", "all taxels sent, best dead zone")
-    for one, text, line in zip(reading, texts, ("--", ":"), strict=True):
-        axes.axhline(one[y], color=_BLACK, linestyle=line, linewidth=1.2, label=text)
+    for one, text, line in zip(reading, ("noisy", "best dead zone"), ("--", ":"), strict=True):
+        label = f"all taxels sent, {text}"
+        axes.axhline(one[y], color=_BLACK, linestyle=line, linewidth=1.2, label=label)
         if is_bytes:
             axes.plot(one[x], one[y], color=_BLACK, marker=MARKERS[-1])
     axes.set_xscale("log")
-    _plain_ticks(axes)
+    # 1, 2, 5 and their tenfolds in plain numbers: half a decade has to show two.
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _focused(label: str) -> dict[str, Any]:
@@ -280,13 +276,6 @@ def _focused(label: str) -> dict[str, Any]:
         return {"color": "0.75", "linewidth": 0.9, "zorder": 1, "label": "other solvers"}
     style = series_style(FOCUS[label])
     return style | {"linewidth": 2.0, "markersize": 6, "zorder": 3, "label": label}
-
-
-def _plain_ticks(axes: Axes) -> None:
-    """1, 2, 5 and their tenfolds in plain numbers: half a decade has to show two."""
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _race(raced: pd.DataFrame) -> str:

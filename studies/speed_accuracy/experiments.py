@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from functools import cache
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -28,27 +28,21 @@ from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import BASES
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.sensor.scenes.scenes import SCENES
 from sparseskin.nodes.touch import in_contact
 from sparseskin.studies.baselines.libraries import PEERS, Bpdn, Solve
 from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.frames import SceneFrames, scene_of
 from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
 
-SCENES = (
-    *("lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40"),
-    *("lift_box_64", "drag_wrench_64"),
-)
 QUICK_SCENES = ("drag_wrench_40", "lift_box_64")
 ITERATIONS, QUICK_ITERATIONS = (3, 5, 10, 20, 30), (5, 20)
 RATIOS, QUICK_RATIOS = (2, 3, 4, 8, 16), (3, 8)
 PARTS_RATIOS, CENTRE_RATIO = (3, 4, 8), 3
 #: Every Phi but those that no solver of sums inverts.
 SUM_KINDS = tuple(kind for kind in KINDS if kind not in ("acts", "adaptive", "row_local"))
-PAPER_LABEL, PRESET_SKIN, ROTATED = (
-    "fista, preset paper",
-    "skin, preset skin",
-    "skin, rotating rows",
-)
+PAPER_LABEL = "fista, preset paper"
+PRESET_SKIN, ROTATED = "skin, preset skin", "skin, rotating rows"
 #: Best lambda of the paper's solver: a second reference.
 TUNED_LAMBDA_N = 0.0125
 #: Dead zones of the full reading, newtons.
@@ -63,6 +57,9 @@ FIGURES = {
 #: Ratio to the minimum at which an objective counts as reached, and iterations that are tried.
 WITHIN = 1.01
 STEPS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33, 40, 50, 60, 75, 90, 120, 160, 220, 300)
+
+
+_timed: Callable[..., Experiment] = partial(Experiment, timed=True)
 
 
 def variants() -> dict[str, Candidate]:
@@ -106,44 +103,36 @@ def solvers(quick: bool, seed: int) -> Iterator[Experiment]:
         for k in (QUICK_ITERATIONS if quick else ITERATIONS)
     }
     fixed = {label: of for label, of in known.items() if of.changes.get("rows") != ROTATING}
-    frames = frames_of(QUICK_SCENES if quick else SCENES, quick)
+    frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
     for candidates, measurements in (
         (swept, [Measurement(CENTRE_RATIO)]),
-        (known, [Measurement(ratio) for ratio in ratios]),
+        (known, [*map(Measurement, ratios)]),
         (fixed, [Measurement(1, phi="full")]),
     ):
-        yield Experiment(
-            "solvers", frames, measurements, candidates, tuple(FIGURES), (seed,), timed=True
-        )
+        yield _timed("solvers", frames, measurements, candidates, tuple(FIGURES), (seed,))
 
 
 def parts(quick: bool, seed: int) -> Iterator[Experiment]:
     """Every basis, and every Phi, with the paper's solver; the candidate is named by the basis."""
-    frames = frames_of(QUICK_SCENES if quick else SCENES, True)
+    frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), True)
     ratios = QUICK_RATIOS if quick else PARTS_RATIOS
     changes = {"rows": PAPER_ROWS}
     bases = {
         basis: Candidate({**PRESETS["paper"], "basis": basis}, changes=changes) for basis in BASES
     }
+    others = [kind for kind in SUM_KINDS if kind not in ("sbhe", "full")]
+    kinds = [Measurement(ratio, phi=kind) for kind in others for ratio in ratios]
     haar = {"haar": bases["haar"]}
-    kinds = [
-        Measurement(r, phi=kind)
-        for kind in SUM_KINDS
-        if kind not in ("sbhe", "full")
-        for r in ratios
-    ]
     for candidates, measurements in (
-        (bases, [Measurement(ratio) for ratio in ratios]),
+        (bases, [*map(Measurement, ratios)]),
         (haar, [*kinds, Measurement(1, phi="full")]),
     ):
-        yield Experiment(
-            "bases and Phi", frames, measurements, candidates, tuple(FIGURES), (seed,), timed=True
-        )
+        yield _timed("bases and Phi", frames, measurements, candidates, tuple(FIGURES), (seed,))
 
 
 def readings(quick: bool, seed: int) -> Experiment:
     """The noisy taxels themselves, with dead zones of several widths, which name the candidates."""
-    frames = frames_of(QUICK_SCENES if quick else SCENES, quick)
+    frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
     zones = {
         f"{width:g}": Candidate({"dead_zone_n": width}, of="reading") for width in DEAD_ZONES_N
     }

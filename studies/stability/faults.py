@@ -1,4 +1,4 @@
-"""Faults of taxels and measurements: what of them is noticed, and what they do to the forces."""
+"""Study `stability`, and its faults of taxels and measurements: what is noticed, and the errors."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from sparseskin.messages import Measurements, Reconstruction, SkinState, Taxels
+from sparseskin.messages import Measurements, Reconstruction, Taxels
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics.arrays import TINY, Floats
 from sparseskin.nodes.reconstructor.node import Reconstructor
@@ -24,16 +25,14 @@ from sparseskin.studies.frames import NOISE, SceneFrames
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import Chart, Page, series_style
 
+from . import phase, sweeps
+
 SCENE, FIRST, EVERY = "drag_wrench_40", 400, 5
 """Frames: a wrench that is dragged, at 200 Hz."""
 BEFORE, DURING = 100, 100
 """Frames without a fault, and with it."""
 RATIO = 3
-ROWS = {
-    "fixed": ("sbhe", "fixed"),
-    "rotating": ("sbhe", "rotating"),
-    "adaptive": ("adaptive", None),
-}
+ROWS = {"fixed": ("sbhe", FIXED), "rotating": ("sbhe", ROTATING), "adaptive": ("adaptive", None)}
 """Rows by name: phi, and rows of the compressor."""
 SIGMA, HUM = NOISE.sigma_end, 2 * np.pi * 0.485
 """Noise of an untouched taxel, N; phase that hum of 50 Hz gains per frame at 103 Hz."""
@@ -74,9 +73,7 @@ def _top(past: list[Floats]) -> float:
 FAULTS = (
     Fault("none", lambda k, y, past, rng: y),
     Fault("one measurement is garbage", lambda k, y, past, rng: _some(y, rng, 50)),
-    Fault(
-        "one measurement is stuck", lambda k, y, past, rng: np.where(np.arange(y.size) == 17, 50, y)
-    ),
+    Fault("one measurement is stuck", lambda k, y, *_: np.where(np.arange(y.size) == 17, 50, y)),
     Fault("all zero", lambda k, y, past, rng: 0 * y),
     Fault("constant", lambda k, y, past, rng: 0 * y + _top(past) / 3),
     Fault("frozen", lambda k, x, past, rng: past[BEFORE - 1], True),
@@ -84,25 +81,28 @@ FAULTS = (
     Fault("noise x 10", lambda k, y, past, rng: y + rng.normal(0, 10 * SIGMA, y.size)),
     Fault("noise x 100", lambda k, y, past, rng: y + rng.normal(0, 100 * SIGMA, y.size)),
     Fault("random", lambda k, y, past, rng: rng.normal(0, np.std(past[-1]), y.size)),
-    Fault(
-        "pairs out of order",
-        lambda k, y, past, rng: y[np.minimum(np.arange(y.size) ^ 1, y.size - 1)],
-    ),
+    Fault("pairs out of order", lambda k, y, *_: y[np.minimum(np.arange(y.size) ^ 1, y.size - 1)]),
     Fault("those of the frame before", lambda k, y, past, rng: past[-1]),
     Fault("scaled by 10", lambda k, y, past, rng: 10 * y),
     Fault("clipped to a third", lambda k, y, past, rng: y.clip(-_top(past) / 3, _top(past) / 3)),
     Fault("offset", lambda k, y, past, rng: y + _top(past)),
     Fault("hum of the converter", lambda k, y, past, rng: y + _top(past) / 3 * np.sin(HUM * k)),
-    Fault(
-        "hum of the taxels",
-        lambda k, x, past, rng: (x + 20 * SIGMA * np.sin(HUM * k)).clip(0),
-        True,
-    ),
+    Fault("hum of the taxels", lambda k, x, *_: (x + 20 * SIGMA * np.sin(HUM * k)).clip(0), True),
     Fault("drift of the taxels", lambda k, x, past, rng: x + 0.2 * k * SIGMA, True),
     Fault("stuck row", lambda k, x, past, rng: _set(x, slice(12, 13)), True),
     Fault("stuck column", lambda k, x, past, rng: _set(x, slice(None), slice(25, 26)), True),
     Fault("stuck square", lambda k, x, past, rng: _set(x, slice(8, 16), slice(8, 16)), True),
 )
+
+
+def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
+    """Compute the study, write its page and return its conclusion; see `command.Study`."""
+    page = Page(out, "stability", Path(__file__).with_name("notes.md"), quick)
+    for part in (phase, sweeps):
+        part.section(page, quick, seed, executor)
+    lines = [section(page, quick, seed, executor)]
+    page.write(lines)
+    return lines
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
@@ -141,17 +141,10 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> str:
     table = table.loc[[one.name for one in FAULTS], rows["rows"].unique()].reset_index()
     silent = rows[rows["silent"] > MOST_SILENT]
     names = ", ".join(dict.fromkeys(silent["fault"])) or "none"
-    title = (
-        f"Faults with wrong forces that are trusted in more than {MOST_SILENT:.0%} of the frames"
-    )
-    page.section(
-        "Faults of taxels and measurements",
-        _draw(page.out, rows, names),
-        table,
-        before=BEFORE,
-        during=DURING,
-    )
-    return f"{title}: {names}."
+    chart, counts = _draw(page.out, rows, names), {"before": BEFORE, "during": DURING}
+    page.section("Faults of taxels and measurements", chart, table, **counts)
+    share = f"more than {MOST_SILENT:.0%} of the frames"
+    return f"Faults with wrong forces that are trusted in {share}: {names}."
 
 
 def _cell(row: pd.Series) -> str:
@@ -166,8 +159,7 @@ def _draw(out: Path, rows: pd.DataFrame, names: str) -> str:
     """Chart: error of each fault, and share of frames that are wrong and trusted."""
     caption = f"Faults whose wrong forces pass for right ones: {names}."
     faults = [one.name for one in FAULTS]
-    size_in = (8.5, 6.5)
-    with Chart(out, "faults", caption, 2, 2, size_in=size_in, sharey=True) as chart:
+    with Chart(out, "faults", caption, 2, 2, size_in=(8.5, 6.5), sharey=True) as chart:
         error, silent = chart.panels
         for k, (kind, some) in enumerate(rows.groupby("rows", sort=False)):
             at = some["fault"].map(faults.index) + 0.22 * (k - 1)
@@ -190,13 +182,7 @@ def _frames(fault: Fault, rows: str, seed: int) -> Iterator[tuple[float, float, 
     host = Reconstructor(Reconstructor.Settings(), context)
     stop = (BEFORE + DURING) * EVERY
     take = SceneFrames(SCENE, first=FIRST, stop=FIRST + stop, every=EVERY).open(seed)
-    shape, f_max = take.mask.shape, take.f_max
-    of_skin: dict[str, Any] = {"patch": "skin", "stamp_ns": 0}
-    skin = SkinState(
-        **of_skin, n_rows=shape[0], n_cols=shape[1], f_max=f_max, unit="N", pitch_m=None, mask=None,
-        source="", seed=seed, rate_hz=1000 / EVERY, has_truth=True,
-        sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end,
-    )  # fmt: skip
+    skin = take.state(NOISE.sigma_mid, NOISE.sigma_end, 1000 / EVERY)
     for message in (skin, *edge.step(skin)):
         list(host.step(message))
     past: list[Floats] = []
@@ -209,8 +195,7 @@ def _frames(fault: Fault, rows: str, seed: int) -> Iterator[tuple[float, float, 
             return np.asarray(fault.apply(k - BEFORE, values, past[:-1], rng), dtype=np.float32)
 
         x = faulty(taxels, past) if fault.of_taxels else taxels
-        of_frame = of_skin | {"stamp_ns": k * 10_000_000}
-        (message,) = edge.step(Taxels(**of_frame, forces=x[np.newaxis]))
+        (message,) = edge.step(Taxels(stamp_ns=k * 10_000_000, patch="skin", forces=x))
         assert isinstance(message, Measurements)
         if not fault.of_taxels:
             message = replace(message, y=faulty(np.asarray(message.y)[0], past)[np.newaxis])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sparseskin.nodes.compressor.limits import MIN_BITS, MIN_BLOCK
+from sparseskin.nodes.compressor.node import MIN_BITS, MIN_BLOCK
 from sparseskin.nodes.reconstructor.limits import LAMBDAS_N, MIN_ITERATIONS
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
@@ -28,10 +28,7 @@ EXCERPTS = (
 READINGS = {"readings": Candidate(of="reading")}
 FAILS_DB = 3.0
 """Loss from the best of a sweep that counts as failing, in PSNR or over the touched taxels."""
-SHOWN = {
-    "mean_db": ("PSNR, dB", 10.0, 70.0),
-    "touched_db": ("1 N / error where touched, dB", 0, 60),
-}
+SHOWN = {"mean_db": ("PSNR, dB", 10, 70), "touched_db": ("1 N / error where touched, dB", 0, 60)}
 """Label of each score, and where its curves are cut off."""
 
 
@@ -111,16 +108,12 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     for ratio, some in rows.groupby("ratio", sort=False):
         charts += [_draw(page.out, int(ratio), some), markdown(sweep_table(some))]
     page.csv("settings", rows)
-    page.section(
-        "Solvers: settings and surroundings",
-        *charts,
-        lambdas=", ".join(
-            f"{low:g} to {high:g} ({name})" for name, (low, high) in LAMBDAS_N.items()
-        ),
-        iterations=", ".join(f"{least} ({name})" for name, least in MIN_ITERATIONS.items()),
-        min_block=MIN_BLOCK,
-        min_bits=MIN_BITS,
-    )
+    known = {
+        "lambdas": ", ".join(f"{a:g} to {b:g} ({name})" for name, (a, b) in LAMBDAS_N.items()),
+        "iterations": ", ".join(f"{least} ({name})" for name, least in MIN_ITERATIONS.items()),
+    }
+    limits = {"min_block": MIN_BLOCK, "min_bits": MIN_BITS}
+    page.section("Solvers: settings and surroundings", *charts, **known, **limits)
 
 
 def _draw(out: Path, ratio: int, frame: pd.DataFrame) -> str:
@@ -152,15 +145,9 @@ def sweep_table(frame: pd.DataFrame) -> pd.DataFrame:
     lines = []
     for (key, solver), some in frame.reset_index().groupby(["sweep", "solver"], sort=False):
         best, worst = some["mean_db"].idxmax(), some["mean_db"].idxmin()
-        lines.append(
-            {
-                "swept": key,
-                "solver": solver,
-                "best, dB (where touched)": both(some.loc[best]),
-                "worst": both(some.loc[worst]),
-                "fails": failing(some, SETTINGS[str(key)]),
-            }
-        )
+        ends = {"best, dB (where touched)": both(some.loc[best]), "worst": both(some.loc[worst])}
+        fails = failing(some, SETTINGS[str(key)])
+        lines.append({"swept": key, "solver": solver, **ends, "fails": fails})
     return pd.DataFrame(lines)
 
 

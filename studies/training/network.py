@@ -1,4 +1,4 @@
-"""The gates of solver `skin` in PyTorch: the same as `Gates`, on batches of whole frames.
+"""The gates of solver `skin` in PyTorch, as `Gates`, on batches of frames, and their training.
 
 Cells without a taxel are 0.
 """
@@ -9,8 +9,10 @@ import math
 from typing import Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 import torch
 from torch.nn import functional
+from tqdm import trange
 
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
@@ -24,9 +26,21 @@ from sparseskin.nodes.reconstructor.skin.gates import (
     Gates,
 )
 
-from .presses import SIDE
+from .presses import N_FRAMES, SIDE, masks, presses
 
 MARGIN = (WINDOW - TILE) // 2
+NOISE = (3e-4, 1.0)
+"""Deviation of the noise, in the largest force of a press; drawn by its logarithm."""
+RATE = 2e-3
+"""First rate of Adam, which falls to 0 as a half cosine."""
+BATCH = 96
+"""Presses of a batch, each with all its tiles."""
+FLOOR = 1e-3
+"""Part of the noise variance below which a squared error counts as none."""
+HELD_OUT, SCORED = 256, (0.001, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Presses that are not trained on, and the noise at which they are scored."""
+EVERY = 100
+"""Batches from one row of the table to the next."""
 
 Tensor: TypeAlias = Any
 """A tensor of PyTorch, which is not installed where types are checked."""
@@ -96,3 +110,81 @@ def denoise(
     x = x[:, row : row + SIDE, col : col + SIDE] * mask * s[:, None, None]
     share = functional.avg_pool2d(functional.pad(mask, sides)[:, None], TILE).reshape(k, -1)
     return x, (error.reshape(k, -1) * share).sum(1) / share.sum(1)
+
+
+class Drawn:
+    """Batches of presses with noise and masks; losses of a network on them."""
+
+    def __init__(self, seed: int, pool: Floats) -> None:
+        self._pool = torch.tensor(pool)
+        self._rng = np.random.default_rng(seed)
+        self._generator = torch.Generator().manual_seed(seed)
+
+    def _batch(self, size: int) -> tuple[Any, Any]:
+        """Presses (size, N_FRAMES, SIDE, SIDE), mirrored or transposed, and their masks."""
+        chosen = self._pool[torch.randint(len(self._pool), (size,), generator=self._generator)]
+        turn = int(self._rng.integers(8))
+        chosen = chosen.flip([axis for bit, axis in ((1, -1), (2, -2)) if turn & bit])
+        if turn & 4:
+            chosen = chosen.transpose(-1, -2)
+        mask = torch.tensor(masks(self._rng, size))
+        return chosen * mask[:, None], mask
+
+    def _noise(self, size: int, low: float, high: float) -> Any:
+        exponent = torch.rand(size, generator=self._generator)
+        return low * (high / low) ** exponent
+
+    def loss(self, network: Any) -> tuple[Any, float]:
+        """Loss on frames with normal noise of a known deviation, and the mean error in dB."""
+        presses, mask = self._batch(BATCH)
+        x = presses[:, int(self._rng.integers(N_FRAMES))]
+        s = self._noise(len(x), *NOISE)
+        e, error = self._errors(network, x, s, mask)
+        loss = (e + FLOOR).log().mean() + 0.3 * (error.log() + e.detach() / error).mean()
+        return loss, 10 * float((e.detach() + FLOOR).log10().mean())
+
+    def score(self, network: Any) -> pd.DataFrame:
+        """Squared and expected error of all presses by noise, in noise variances."""
+        rows = []
+        mask = torch.ones(len(self._pool), SIDE, SIDE)
+        for sd in SCORED:
+            with torch.no_grad():
+                x = self._pool[:, 0]
+                e, error = self._errors(network, x, torch.full((len(x),), sd), mask)
+            row = {"noise / peak": f"{sd:g}", "error": f"{float(e.mean()):.3f}"}
+            rows.append(row | {"expected": f"{float(error.mean()):.3f}"})
+        return pd.DataFrame(rows)
+
+    def _errors(self, network: Any, x: Any, s: Any, mask: Any) -> tuple[Any, Any]:
+        """Squared error of a taxel of each frame, and the expected one, in s^2."""
+        u = x + s[:, None, None] * torch.randn(x.shape, generator=self._generator)
+        estimate, error = denoise(network, u, s, mask, int(self._rng.integers(64)))
+        return (estimate - x).square().sum((1, 2)) / mask.sum((1, 2)) / s**2, error
+
+
+def trained(
+    n_presses: int, n_batches: int, seed: int
+) -> tuple[dict[str, Floats], list[dict[str, Any]], pd.DataFrame]:
+    """Weights, as of `weights`, the running mean of errors every `EVERY` batches, and scores by
+    noise, of a training.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        drawn, network = Drawn(seed, presses(n_presses, seed)), first_network(seed)
+        optimiser = torch.optim.Adam(network.values(), lr=RATE)
+        rows, mean = list[dict[str, Any]](), 0.0
+        for k in trange(n_batches, desc="tiles", leave=False):
+            for group in optimiser.param_groups:
+                group["lr"] = RATE * 0.5 * (1 + math.cos(math.pi * k / n_batches)) + 1e-6
+            loss, error_db = drawn.loss(network)
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(list(network.values()), 1.0)
+            optimiser.step()
+            mean += (error_db - mean) / min(k + 1, 2 * EVERY)
+            if (k + 1) % EVERY == 0 or k + 1 == n_batches:
+                rows.append({"batch": k + 1, "error_db": mean})
+        return weights(network), rows, Drawn(seed + 1, presses(HELD_OUT, seed + 1)).score(network)
+    finally:
+        torch.set_num_threads(before)
