@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from sparseskin.nodes.sensor.scenes.bodies import Body, build_sole, slab
-from sparseskin.nodes.sensor.scenes.motion import Drag
 from sparseskin.nodes.sensor.scenes.scenes import SKIN, TAXEL_RADIUS_M
-from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
+from sparseskin.nodes.sensor.scenes.simulation import Drag, Scene, SceneSource
 from sparseskin.plugins.simulators.source import MujocoSource
 
 MODEL = Path(__file__).parent / "models" / "pad.xml"

@@ -28,4 +28,4 @@ class Stretched(Phi):
         np.multiply(self._of.forward(x), self.lengths, out)
 
     def _adjoint(self, y: Floats, out: Floats) -> None:
-        self._of.adjoint(y * self.lengths, out)
+        np.copyto(out, self._of.adjoint(y * self.lengths))

@@ -16,7 +16,16 @@ from sparseskin.launch.run.running import GraphError, RunningGraph, choose_graph
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import TAKEN, OutputError
 from sparseskin.nodes.sensor.calibration.description import SkinFileError
-from sparseskin.nodes.sensor.calibration.fit import Fit, fit
+from sparseskin.nodes.sensor.calibration.fit import (
+    AREAS,
+    LOADS,
+    CalibrationError,
+    Fit,
+    Press,
+    fit,
+    read_area,
+    read_load,
+)
 from sparseskin.nodes.sensor.calibration.frames import (
     PARTS,
     Live,
@@ -24,14 +33,6 @@ from sparseskin.nodes.sensor.calibration.frames import (
     file_frames,
     open_frames,
     read_part,
-)
-from sparseskin.nodes.sensor.calibration.press import (
-    AREAS,
-    LOADS,
-    CalibrationError,
-    Press,
-    read_area,
-    read_load,
 )
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 

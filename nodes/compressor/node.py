@@ -12,13 +12,7 @@ from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxe
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.compressor.phi.acts import SIGMAS, ActsPhi, ActsSearch, packed_places
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, phis_for
-from sparseskin.nodes.compressor.phi.base import (
-    KINDS,
-    Phi,
-    block_of,
-    check_parameters,
-    phi_class,
-)
+from sparseskin.nodes.compressor.phi.base import KINDS, Phi, block_of, check_parameters, phi_class
 from sparseskin.nodes.compressor.phi.rotation import (
     FIXED,
     PAPER,
@@ -36,9 +30,15 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 from sparseskin.nodes.touch import touch_level
 
-from .limits import compression_warnings
 from .quantiser import quantised
 
+# Measured on the six scenes by the study `stability`.
+MAX_RATIO = 16.0
+"""Largest ratio N / M: beyond it no solver reconstructs a frame with more than one small pad."""
+MIN_BLOCK = 8
+"""Least block size: smaller ones lose more than 3 dB on the touched taxels against blocks of 32."""
+MIN_BITS = 5
+"""Least bits of a measurement: with fewer, the quantiser's step exceeds the small measurements."""
 CHOSEN_ANEW = ("acts", "adaptive")
 """Kinds of Phi that choose other taxels or rows for each patch."""
 
@@ -91,10 +91,8 @@ class CompressorSettings(PatchesSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.n_patches > 1 and self.phi in CHOSEN_ANEW:
-            raise SettingsError(
-                f"phi: {self.phi} chooses other rows for each patch; allowed for several patches: "
-                "a Phi that all patches share, as sbhe"
-            )
+            allowed = "allowed for several patches: a Phi that all patches share, as sbhe"
+            raise SettingsError(f"phi: {self.phi} chooses other rows for each patch; {allowed}")
         if self.n_patches > 1 and self.bits is not None:
             raise SettingsError("bits: are not available for several patches; leave them out")
 
@@ -113,14 +111,9 @@ class CompressorSettings(PatchesSettings):
     def rows_and_m(self, n: int) -> tuple[str, int]:
         """Return rows ("fixed" or "rotating") and M for a skin of `n` taxels."""
         if self.phi != "full" and self.m is None and self.ratio > n:
-            raise PhiError(
-                f"ratio: {self.ratio:g} leaves no measurement of {n} taxels; allowed: 1..{n}"
-            )
+            fault = f"{self.ratio:g} leaves no measurement of {n} taxels"
+            raise PhiError(f"ratio: {fault}; allowed: 1..{n}")
         return rows_and_m(self.phi, n, rows=self.rows, m=self.m, ratio=self.ratio)
-
-    def n_measurements(self, n: int) -> int:
-        """Return M for a skin of `n` taxels."""
-        return self.rows_and_m(n)[1]
 
     def phis(self, skin: Skin, sigma_end: float = 0.0, clips_noise: bool = True) -> list[Phi]:
         """Return the matrices that measure frames of a skin in turn: one where rows are fixed.
@@ -135,6 +128,35 @@ class CompressorSettings(PatchesSettings):
         )
 
 
+def compression_warnings(
+    kind: str, n: int, m: int, block: int, bits: int | None = None
+) -> list[str]:
+    """Warnings about a valid measurement matrix, with arguments of `make_phi`, that is known to
+    reconstruct badly: a line each with the setting, its effect, the advised value.
+    """
+    warnings = []
+    if n > MAX_RATIO * m:
+        warnings.append(
+            f"m = {m} of n = {n} taxels: more than one small contact is not reconstructed; "
+            f"advised: m of {-(-n // int(MAX_RATIO))} or more (N/{MAX_RATIO:g})"
+        )
+    if kind == "subsample" and m < n:
+        warnings.append(
+            f"phi = subsample: a contact of fewer than {n / m:.3g} taxels may touch none that is "
+            "read; advised: sbhe"
+        )
+    if kind == "sbhe" and block < MIN_BLOCK <= n:
+        warnings.append(
+            f"block = {block}: most measurements see no pressed taxel, which loses 3 to 10 dB on "
+            f"those that are; advised: {MIN_BLOCK} or more"
+        )
+    if bits is not None and bits < MIN_BITS:
+        warnings.append(
+            f"bits = {bits}: the steps of the quantiser lose 2 to 5 dB; advised: {MIN_BITS} or more"
+        )
+    return warnings
+
+
 class Compressor(Node[CompressorSettings]):
     """Publishes /PATCH/phi once the skin is known, then /PATCH/measurements."""
 
@@ -144,8 +166,7 @@ class Compressor(Node[CompressorSettings]):
         super().__init__(settings, context)
         settings.check()
         self._state: SkinState | None = None
-        self._subsets: list[Phi] = []  # one matrix a row subset
-        self._subset = 0
+        self._subset, self._subsets = 0, list[Phi]()  # one matrix a row subset
         self._rows = settings.rows  # in use: resolved once the skin is known
         self._search: ActsSearch | None = None
         self._choice: AdaptiveChoice | None = None
@@ -247,10 +268,9 @@ class Compressor(Node[CompressorSettings]):
         if taxels.names != self.settings.patches:
             raise RefusedError(f"{taxels.topic}: of other patches than this node serves")
         shape, forces = (self._state.n_rows, self._state.n_cols), taxels.forces
-        if forces.shape[1:] != shape:
-            raise RefusedError(
-                f"{taxels.topic}: forces of shape {forces.shape[1:]}, but the skin has {shape}"
-            )
+        if (own := forces.shape[1:]) != shape:
+            fault = f"forces of shape {own}, but the skin has {shape}"
+            raise RefusedError(f"{taxels.topic}: {fault}")
         x = forces.reshape(len(forces), -1)
         return x if self._cells is None else x[:, self._cells]
 

@@ -19,7 +19,7 @@ MAX_GROWN_BYTES = 1 << 30
 """Size of the arrays of an .npz up to which their growth does not matter, bytes."""
 MAX_HEAD_BYTES = 1 << 17
 """Longest header of an .npy, bytes; that of NumPy is a hundred."""
-_NPY, _ZIP = b"\x93NUMPY", b"PK"
+_ZIP = b"PK"
 
 
 class ArrayFileError(ValueError):
@@ -82,9 +82,8 @@ def read_npz(
         size = sum(members[name].file_size for name in names)
         most = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
         if size > most:
-            raise ArrayFileError(
-                f"its arrays would have {size} bytes, of a file of {n_bytes}; at most {most}"
-            )
+            fault = f"its arrays would have {size} bytes, of a file of {n_bytes}"
+            raise ArrayFileError(f"{fault}; at most {most}")
         return {name: _member(archive, members[name], name) for name in names}
 
 
@@ -105,11 +104,10 @@ def _header(head: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            version = np.lib.format.read_magic(head)
-            if version == (1, 0):
-                found = np.lib.format.read_array_header_1_0(head)
-            else:
-                found = np.lib.format.read_array_header_2_0(head)
+            form = np.lib.format
+            is_first = form.read_magic(head) == (1, 0)
+            read = form.read_array_header_1_0 if is_first else form.read_array_header_2_0
+            found = read(head)
         if any(isinstance(side, bool) for side in found[0]):
             raise ValueError("True is no length")
         return found

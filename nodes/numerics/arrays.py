@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +37,6 @@ def real_floats(given: npt.ArrayLike, name: str, error: type[Exception]) -> Floa
 def each_frame(
     apply: Callable[[Floats, Floats], None],
     given: Floats,
-    out: Floats | None,
     shapes: tuple[tuple[int, ...], tuple[int, ...]],
     name: str,
     error: type[Exception],
@@ -45,27 +44,28 @@ def each_frame(
     """What an operator makes of a frame, or of each of several: `apply` writes its result of the
     first array to the second, both contiguous float32, one frame.
 
-    `given` is float32 of the first of `shapes`, or (k, *shape); the result, in `out` where one is
-    given, of the second. `error` is raised, with the name of `given` as in "sbhe: x", if a shape or
-    type is another.
+    `given` is float32 of the first of `shapes`, or (k, *shape); the result, a fresh array, of the
+    second. `error` is raised, with the name of `given` as in "sbhe: x", if the shape is another.
     """
     given = real_floats(given, name, error)
     expected, made = shapes
     several = given.ndim - len(expected)
     if several not in (0, 1) or given.shape[several:] != expected:
         raise error(f"{name} has shape {given.shape}; expected {expected}, or several of them")
-    shape = (*given.shape[:several], *made)
-    if out is None:
-        out = np.empty(shape, dtype=np.float32)
-    elif out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
-        whose = name.partition(":")[0]
-        raise error(
-            f"{whose}: out is {out.dtype} of shape {out.shape}; "
-            f"expected contiguous float32 of shape {shape}"
-        )
+    out = np.empty((*given.shape[:several], *made), dtype=np.float32)
     if several:
         for one, result in zip(given, out, strict=True):
             apply(one, result)
     else:
         apply(given, out)
     return out
+
+
+def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
+    """Each cell and its eight neighbours, combined: an array as `field`, (n_rows, n_cols); beyond
+    the edge is 0.
+    """
+    padded = np.pad(field, 1)
+    rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
+    found: npt.NDArray[Any] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    return found

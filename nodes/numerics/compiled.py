@@ -23,8 +23,7 @@ ENVIRONMENT = "SPARSESKIN_FAST"
 
 SOLVERS = ("skin", "fista")
 """Solvers that have compiled loops."""
-MAX_PLACES = 2**16
-"""Cells up to which tables hold places in 16 bits, half the room in the cache."""
+
 
 REMEDY = "pip install 'sparseskin[fast]'"
 NOT_INSTALLED = f"compiled loops: none without numba, several times slower; {REMEDY}"
@@ -43,9 +42,8 @@ def check_fast(fast: str) -> str:
     if fast == "auto" and ENVIRONMENT in os.environ:
         name, fast = ENVIRONMENT, os.environ[ENVIRONMENT]
     if fast not in FAST:
-        raise SettingsError(
-            f"{name}: {fast!r} is not known{did_you_mean(fast, FAST)}; allowed: {', '.join(FAST)}"
-        )
+        fault = f"{fast!r} is not known{did_you_mean(fast, FAST)}"
+        raise SettingsError(f"{name}: {fault}; allowed: {', '.join(FAST)}")
     installed = fast == "off" or find_spec("numba") is not None
     if fast == "on" and not installed:
         raise SettingsError(f"{name}: 'on' needs numba: {REMEDY}")

@@ -25,9 +25,9 @@ MOST_ROWS = 16
 """Rows up to which loops are faster than BLAS. Measured: at 4 rows 2.7 times, at 40 0.8 times."""
 _ROOT_2 = np.float32(np.sqrt(2.0))
 
-# Types of signatures: vector, matrix, places in 32 and in 16 bits and tables of them, groups, grid,
-# numbers and tables of them.
-V, M, P, S = "float32[::1]", "float32[:,::1]", "uint32[::1]", "uint16[::1]"
+# Types of signatures: vector, matrix, places and tables of them, groups, grid, numbers and tables
+# of them.
+V, M, P = "float32[::1]", "float32[:,::1]", "uint32[::1]"
 P2, P3 = "uint32[:,::1]", "uint32[:,:,::1]"
 G, L, D, DM = "int64[:,::1]", "int64[::1]", "float64[::1]", "float64[:,::1]"
 
@@ -110,7 +110,8 @@ def haar_transposed(v: A, n_rows: int, n_cols: int, half: A) -> None:
                 a[j] = _ROOT_2 * s[j]
 
 
-def _fista(
+@compiled(f"void({V}, {V}, {V}, {V}, {V}, {V}, {V}, {P}, {V}, {V}, {G}, {L}, {V})")
+def fista(
     theta: A, before: A, betas: A, weights2: A, threshold: A, z: A, v: A, deal: A, keep: A,
     measured: A, groups: A, grid: A, half: A,
 ) -> None:  # fmt: skip
@@ -132,12 +133,6 @@ def _fista(
             u = weights2[k] * z[k]
             before[k] = u - min(max(u, -threshold[k]), threshold[k])
         theta, before = before, theta
-
-
-fista, fista_large = (
-    compiled(f"void({V}, {V}, {V}, {V}, {V}, {V}, {V}, {T}, {V}, {V}, {G}, {L}, {V})")(_fista)
-    for T in (S, P)
-)
 
 
 @compiled(f"void({V}, {L}, {V})")
@@ -643,11 +638,8 @@ def components(
     return index[:n_kept], labels[:n_kept], sums, overlap
 
 
-LOOPS: dict[str, tuple[Callable[..., Any], ...]] = {
-    "skin": (orthonormal, skin_predict, skin_filter, skin_steps, skin_settle),
-    "fista": (fista, haar_image),
-}
-"""Loops of each solver, by its name.
-
-Beyond `MAX_PLACES` cells solvers have others, with larger tables.
-"""
+LOOPS: tuple[Callable[..., Any], ...] = (
+    *(orthonormal, skin_predict, skin_filter, skin_steps, skin_settle),
+    *(fista, haar_image, components),
+)
+"""All loops that Python calls."""

@@ -26,11 +26,10 @@ def compile_loops(
     if compiled.use_compiled(fast):
         from . import kernels  # needs numba
 
-        loops = [loop for of_solver in kernels.LOOPS.values() for loop in of_solver]
         with Path(kernels.__file__).open() as file:
             with suppress(OSError):  # a file system without locks
                 fcntl.flock(file, fcntl.LOCK_EX)
-            compiled.ready(*loops, kernels.components, log=log)
+            compiled.ready(*kernels.LOOPS, log=log)
     elif "off" not in (fast, os.environ.get(compiled.ENVIRONMENT)):
         is_missing = compiled.check_fast(fast) == "off"
         log(compiled.NOT_INSTALLED if is_missing else compiled.NOT_IMPORTED)

@@ -105,13 +105,11 @@ class Player(SourceNode[PlayerSettings]):
             self._stop_ns = min(self._stop_ns, self._start_ns + round(settings.duration_s * 1e9))
         self._schedule = Schedule(self._start_ns, settings.rate, settings.paused)
         self._stamps: dict[int, int] = {}
-        self._n_frames = 0
+        self._n_frames = self._shift_ns = 0
         self._frame_ns: int | None = None
-        self._shift_ns = 0
         # States that change within the recording are published again after a jump.
-        self._has_changes = any(
-            info.n_messages > 1 for t, info in self._bag.topics.items() if is_latched(t)
-        )
+        states = [info for topic, info in self._bag.topics.items() if is_latched(topic)]
+        self._has_changes = any(info.n_messages > 1 for info in states)
         self._messages = self._read(self._start_ns)
         self._next: Message | None = None
         self._advance()
@@ -194,18 +192,15 @@ class Player(SourceNode[PlayerSettings]):
                 self._schedule.step(now_ns)
                 return "one frame"
             case "faster" | "slower":
-                factor = 1.1 if name == "faster" else 1 / 1.1
-                rate = min(max(self._schedule.rate * factor, LOWEST_RATE), HIGHEST_RATE)
-                return self._change_rate(rate, now_ns)
+                rate = self._schedule.rate * (1.1 if name == "faster" else 1 / 1.1)
+                return self._change_rate(min(max(rate, LOWEST_RATE), HIGHEST_RATE), now_ns)
             case "rate":
                 return self._change_rate(_number("rate", value, LOWEST_RATE, HIGHEST_RATE), now_ns)
             case "seek":
-                length_s = (self._stop_ns - self._start_ns) / 1e9
-                at_s = _number("seek", value, 0.0, length_s)
+                at_s = _number("seek", value, 0.0, (self._stop_ns - self._start_ns) / 1e9)
                 self._seek(self._start_ns + round(at_s * 1e9), now_ns)
                 return f"at {at_s:.2f} s"
-            case _:
-                return super().command(name, value)
+        return super().command(name, value)
 
     @property
     def paused(self) -> bool:
@@ -217,12 +212,9 @@ class Player(SourceNode[PlayerSettings]):
     def state(self) -> dict[str, Any]:
         """Pause, rate, and position in recorded seconds."""
         at_ns = self._next.stamp_ns - self._shift_ns if self._next is not None else self._stop_ns
-        return {
-            "paused": self.paused,
-            "rate": self._schedule.rate,
-            "position_s": max(0.0, (min(at_ns, self._stop_ns) - self._start_ns) / 1e9),
-            "length_s": max(0.0, (self._stop_ns - self._start_ns) / 1e9),
-        }
+        ends_ns = {"position_s": min(at_ns, self._stop_ns), "length_s": self._stop_ns}
+        times = {name: max(0.0, (ns - self._start_ns) / 1e9) for name, ns in ends_ns.items()}
+        return {"paused": self.paused, "rate": self._schedule.rate, **times}
 
     def _change_rate(self, rate: float, now_ns: int) -> str:
         if not self._schedule.rate:
@@ -234,10 +226,8 @@ class Player(SourceNode[PlayerSettings]):
         """Continue from another position of the recording."""
         if self.exhausted:
             raise RefusedError("seek: the recording has been played to its end")
-        shift_ns = self._shift_ns
-        messages = self._read(stamp_ns)
-        first = next(messages, None)
-        if first is None:
+        shift_ns, messages = self._shift_ns, self._read(stamp_ns)
+        if (first := next(messages, None)) is None:
             self._shift_ns = shift_ns
             raise RefusedError("seek: no frame follows there")
         if self._has_changes:
@@ -357,10 +347,8 @@ def _of_schemas(present: Iterable[str], settings: PlayerSettings) -> list[str]:
     chosen = [topic_of(patch, schema) for patch in patches for schema in settings.schemas]
     for topic in chosen:
         if topic not in present and split_topic(topic)[1] != Truth.schema:
-            raise SettingsError(
-                f"schemas: {topic}: not in {settings.file}, which has {', '.join(sorted(present))}"
-                "; record it with them"
-            )
+            held = f"{settings.file}, which has {', '.join(sorted(present))}"
+            raise SettingsError(f"schemas: {topic}: not in {held}; record it with them")
     return chosen
 
 

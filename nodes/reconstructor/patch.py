@@ -14,8 +14,7 @@ import numpy as np
 from sparseskin.messages import PhiState, SkinState
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
-from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.numerics.neighbours import of_nine
+from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty

@@ -14,11 +14,11 @@ synchronization algorithms for network measurements", INFOCOM 2002.
 
 from __future__ import annotations
 
-import statistics
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from statistics import fmean, pstdev
 from typing import Any
 
 Point = tuple[float, float]
@@ -84,11 +84,7 @@ class DeviceClock:
     """
 
     def __init__(
-        self,
-        name: str,
-        log: Callable[[str], object],
-        tick_ns: float = 1.0,
-        wrap: int | None = None,
+        self, name: str, log: Callable[[str], object], tick_ns: float = 1.0, wrap: int | None = None
     ) -> None:
         self._name, self._log, self._tick_ns, self._wrap = name, log, tick_ns, wrap
         self._n_restarts, self._is_doubted = 0, False
@@ -128,21 +124,15 @@ class DeviceClock:
             return {"clock": "arrival", **restarts}
         heights = [height - self._line(x) for x, height in self._points]
         length = len(heights) * (self._points[-1][0] - self._points[0][0])
-
-        def jitter_ms(k: int) -> float:
-            late = [one[k] - one[0] - self._line(one[0]) for one in self._sampled]
-            return round(statistics.pstdev(late) / 1e6, 4) if late else 0.0
-
-        return {
+        found = {
             "clock": "source",
             "clock_drift_ppm": round((1 / (1 + self._slope) - 1) * 1e6, 2),
-            "clock_drift_sd_ppm": round(
-                TUNING.spread * statistics.fmean(heights) / length * 1e6, 2
-            ),
-            "clock_jitter_before_ms": jitter_ms(1),
-            "clock_jitter_after_ms": jitter_ms(2),
-            **restarts,
+            "clock_drift_sd_ppm": round(TUNING.spread * fmean(heights) / length * 1e6, 2),
         }
+        for k, when in ((1, "before"), (2, "after")):
+            late = [one[k] - one[0] - self._line(one[0]) for one in self._sampled]
+            found[f"clock_jitter_{when}_ms"] = round(pstdev(late) / 1e6, 4) if late else 0.0
+        return found | restarts
 
     def _begin(self, stamp: int, arrived_ns: int, n: int = 1) -> None:
         """Forget all before a frame; it is the first of the line."""
@@ -215,7 +205,5 @@ class DeviceClock:
         self._is_settled = is_good and is_long
         if not is_good and self._y >= TUNING.doubt_ns and not self._is_doubted:
             self._is_doubted = True
-            self._log(
-                f"{self._name}: its stamps do not run as time does, within "
-                f"{TUNING.most_drift:.0%}; frames have the time of their arrival"
-            )
+            fault = f"its stamps do not run as time does, within {TUNING.most_drift:.0%}"
+            self._log(f"{self._name}: {fault}; frames have the time of their arrival")

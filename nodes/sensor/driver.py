@@ -14,17 +14,8 @@ from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.files.recording import (
-    ADD,
-    COUNTS,
-    NAN_HINT,
-    REFUSE,
-    check_grid,
-    check_number,
-    check_stated_shape,
-    check_unit,
-    shown,
-)
+from sparseskin.nodes.sensor.files import recording
+from sparseskin.nodes.sensor.files.recording import check_grid, check_number, shown
 
 from .device_clock import DeviceClock
 from .source import Address, LiveSource
@@ -46,26 +37,22 @@ class DriverSource(LiveSource):
     def __init__(self, address: Address, driver: Iterable[object]) -> None:
         super().__init__()
         target, f_max, unit, raw = address.source, address.f_max, address.unit, address.raw
-        self._target, self._raw, self._nan = target, raw, address.policy.nan
-        self._driver = driver
+        self._target, self._raw, self._nan, self._driver = target, raw, address.policy.nan, driver
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._is_in_newtons = unit is None and f_max is None and not raw
         self._skin: Skin | None = None
         self._first: tuple[int, Floats] | None = None  # pulled to learn the shape
         self._checked: Generator[tuple[int, Floats]] | None = None
         self._is_one_shot = False
+        keys = ("skin", "name", "delivers", "rate_hz", "n_frames")
         with _running(target):
-            own_skin, own_name, delivers, own_rate, own_length = (
-                getattr(driver, key, None)
-                for key in ("skin", "name", "delivers", "rate_hz", "n_frames")
-            )
+            own = (getattr(driver, key, None) for key in keys)
+            own_skin, own_name, delivers, own_rate, own_length = own
         if delivers not in (None, "truth", "taxels"):
             raise SourceError(f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels")
         if own_length is not None and not is_whole(own_length, 0):
-            raise SourceError(
-                f"{target}: n_frames = {shown(own_length)}; expected a whole number, or None if "
-                "endless"
-            )
+            expected = "expected a whole number, or None if endless"
+            raise SourceError(f"{target}: n_frames = {shown(own_length)}; {expected}")
         check_number(target, "rate_hz", own_rate)
         self.name: str = own_name if isinstance(own_name, str) and own_name else target
         self.delivers: Literal["truth", "taxels"] = "truth" if delivers == "truth" else "taxels"
@@ -83,7 +70,7 @@ class DriverSource(LiveSource):
         self._skin = self.skin
         self.clock = DeviceClock(self.name, self._lines.append)
         try:
-            check_stated_shape(*self.skin.shape, address.n_rows, address.n_cols, target)
+            recording.check_stated_shape(*self.skin.shape, address.n_rows, address.n_cols, target)
         except SourceError:
             self.close()
             raise
@@ -128,19 +115,15 @@ class DriverSource(LiveSource):
                     return
                 where = f"{target}, frame {n}"
                 if not isinstance(item, tuple | list) or len(item) != 2:
-                    raise SourceError(
-                        f"{where}: delivered {type(item).__name__}; expected a pair "
-                        "(stamp_ns, forces)"
-                    )
+                    fault = f"delivered {type(item).__name__}; expected a pair (stamp_ns, forces)"
+                    raise SourceError(f"{where}: {fault}")
                 stamp, forces = item
                 if not is_whole(stamp):
-                    raise SourceError(
-                        f"{where}: stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
-                    )
+                    fault = f"stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
+                    raise SourceError(f"{where}: {fault}")
                 if last_ns is not None and last_ns - RESTART_NS < stamp <= last_ns:
-                    raise SourceError(
-                        f"{where}: stamp_ns {stamp} is not after the one before it, {last_ns}"
-                    )
+                    fault = f"stamp_ns {stamp} is not after the one before it, {last_ns}"
+                    raise SourceError(f"{where}: {fault}")
                 passed_ns += 0 if last_ns is None else max(1, int(stamp) - last_ns)
                 self.stamp = last_ns = int(stamp)
                 if passed_ns > INT64_MAX:
@@ -154,39 +137,32 @@ class DriverSource(LiveSource):
         try:
             array = np.asarray(forces)
         except Exception as error:
-            raise SourceError(
-                f"{where}: forces are no array of numbers ({shown(error, 120)})"
-            ) from error
+            fault = f"forces are no array of numbers ({shown(error, 120)})"
+            raise SourceError(f"{where}: {fault}") from error
         if array.dtype.kind not in "iuf":
-            raise SourceError(
-                f"{where}: forces have dtype {shown(array.dtype)}; allowed are integers and "
-                "floating point"
-            )
+            fault = f"forces have dtype {shown(array.dtype)}"
+            raise SourceError(f"{where}: {fault}; allowed are integers and floating point")
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
             what = "whole numbers, of which the driver states neither unit nor range"
-            raise SourceError(f"{where}: {what}{ADD}unit={COUNTS} f_max=4095")
+            raise SourceError(f"{where}: {what}{recording.ADD}unit={recording.COUNTS} f_max=4095")
+        where_shape = f"{where}: forces have shape {array.shape}"
         if array.ndim != 2:
-            raise SourceError(
-                f"{where}: forces have shape {array.shape}; expected two dimensions: (rows, cols)"
-            )
+            raise SourceError(f"{where_shape}; expected two dimensions: (rows, cols)")
         check_grid(array.shape[0], array.shape[1], where)
         skin = self._skin
         if skin is not None and array.shape != skin.shape:
-            raise SourceError(
-                f"{where}: forces have shape {array.shape}, but the skin has {skin.shape}"
-            )
+            raise SourceError(f"{where_shape}, but the skin has {skin.shape}")
         with np.errstate(all="ignore"):
             values = array.astype(np.float64)
         if skin is not None and skin.mask is not None:
             values[~skin.mask] = 0
         missing = ~np.isfinite(values)
         if missing.any():
-            if self._nan == REFUSE:
+            if self._nan == recording.REFUSE:
                 row, col = np.argwhere(missing)[0]
-                raise SourceError(
-                    f"{where}, row {row}, column {col}: {values[row, col]} is no force; "
-                    f"a fault of the sensor or its driver{NAN_HINT}"
-                )
+                fault = f"row {row}, column {col}: {values[row, col]} is no force"
+                hint = f"a fault of the sensor or its driver{recording.NAN_HINT}"
+                raise SourceError(f"{where}, {fault}; {hint}")
             values[missing] = np.nan
         if self._raw:
             return values.astype(np.float32)
@@ -194,17 +170,15 @@ class DriverSource(LiveSource):
         return np.clip(values, 0, self._f_max).astype(np.float32)
 
     def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:
+        target = self._target
         if not isinstance(skin, Skin):
-            raise SourceError(
-                f"{self._target}: its skin is {type(skin).__name__}; expected "
-                "sparseskin.nodes.sensor.source.Skin"
-            )
-        check_grid(skin.n_rows, skin.n_cols, self._target)
+            expected = "expected sparseskin.nodes.sensor.source.Skin"
+            raise SourceError(f"{target}: its skin is {type(skin).__name__}; {expected}")
+        check_grid(skin.n_rows, skin.n_cols, target)
         for what, stated, own in (("f_max", f_max, skin.f_max), ("unit", unit, skin.unit)):
             if stated is not None and stated != own:
-                raise SourceError(
-                    f"{self._target}: {what} = {stated} is stated, but the driver's skin has {own}"
-                )
+                both = f"{what} = {stated} is stated, but the driver's skin has {own}"
+                raise SourceError(f"{target}: {both}")
         self._f_max = float(skin.f_max)
         return skin
 
@@ -220,15 +194,13 @@ def open_callable(address: Address) -> DriverSource:
     """
     target = address.source
     check_number(target, "f_max", address.f_max)
-    check_unit(target, address.unit)
+    recording.check_unit(target, address.unit)
     make = find_callable(target, SourceError)
     with _running(target):
         driver = make()
     if not hasattr(type(driver), "__iter__"):
-        raise SourceError(
-            f"{target}: returned {type(driver).__name__}; expected a generator or an iterable of "
-            "(stamp_ns, forces)"
-        )
+        expected = "expected a generator or an iterable of (stamp_ns, forces)"
+        raise SourceError(f"{target}: returned {type(driver).__name__}; {expected}")
     return DriverSource(address, driver)
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.numerics.neighbours import of_nine
+from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 
 from .files.recording import FILLED, HOLD, MASK
 
@@ -32,11 +31,9 @@ class MissingReadings:
     """
 
     def __init__(self, way: str, skin: Skin, learns: bool) -> None:
-        self.skin = skin
-        self.is_news = False
+        self.skin, self.is_news, self.learns = skin, False, learns
         #: Missing readings so far, in the newest frame, and frames without any reading.
         self.n_cells = self.n_now = self.n_empty = 0
-        self.learns = learns
         self._way, self._whole = way, skin
         self._silent: Mask = skin.exists
         self._renewed_ns: int | None = None
@@ -82,8 +79,8 @@ class MissingReadings:
 
     def state(self) -> dict[str, int]:
         """Counts for the state of the sensor."""
-        counts = {"missing": self.n_cells, "missing_now": self.n_now}
-        return {**counts, "silent_taxels": self._n_masked}
+        n_masked = self._whole.n_taxels - self.skin.n_taxels
+        return {"missing": self.n_cells, "missing_now": self.n_now, "silent_taxels": n_masked}
 
     def report(self) -> dict[str, int]:
         """Counts for a summary; empty where no reading was missing."""
@@ -95,18 +92,15 @@ class MissingReadings:
         """False while the first frame is still to show which cells hold a number."""
         return not self.learns or self._renewed_ns is not None
 
-    @property
-    def _n_masked(self) -> int:
-        return self._whole.n_taxels - self.skin.n_taxels
-
     def _learn(self, known: Mask, stamp_ns: int) -> None:
         """Renew the skin by the first frame, and where cells hold a number that have held none."""
         self._silent = self._silent & ~known
-        n_left, n_masked = int(np.count_nonzero(self._silent)), self._n_masked
+        n_left = int(np.count_nonzero(self._silent))
+        n_masked = self._whole.n_taxels - self.skin.n_taxels
         if self._renewed_ns is None:
             if n_left:
-                line = f"{n_left} of {self._whole.n_taxels} taxels give no number: masked"
-                self._lines.append(f"{line} until they do")
+                part = f"{n_left} of {self._whole.n_taxels} taxels"
+                self._lines.append(f"{part} give no number: masked until they do")
         elif n_left < n_masked and stamp_ns - self._renewed_ns >= RENEWAL_NS:
             self._lines.append(f"{n_masked - n_left} masked taxels give numbers now: used")
         else:

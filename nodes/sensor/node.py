@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -25,7 +26,7 @@ from .points import point_skins
 from .rest import Rest
 from .saturation import clipped_text
 from .settings import SensorSettings
-from .source import DEFAULT_RATE_HZ, Skin, Source
+from .source import DEFAULT_RATE_HZ, Skin
 
 WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
@@ -56,23 +57,22 @@ class Sensor(SourceNode[SensorSettings]):
         self._placement = self._described.placement if self._described else None
         if settings.points:
             self._placement = point_skins().place(settings.points)
-        source: Source | None = None
         try:
-            source = self._source = settings.address().open()
-            source.loops = settings.loop
-            if settings.first or settings.every > 1:
-                source.read_part(settings.first, settings.every)
-            self._source_skin = self._placed_skin()
-            self._stage = self._made_stage()
-        except Exception as error:
-            if source is not None:
-                source.close()
-            if not isinstance(error, SourceError):
-                raise
+            with ExitStack() as opened:
+                source = self._source = settings.address().open()
+                opened.callback(source.close)
+                source.loops = settings.loop
+                if settings.first or settings.every > 1:
+                    source.read_part(settings.first, settings.every)
+                self._source_skin = self._placed_skin()
+                self._stage = self._made_stage()
+                opened.pop_all()
+        except SourceError as error:
             text = spelled(str(error), lambda key: f"--set {context.name}.{key}=")
             raise SourceError(text) from error
         skin = self._stage.skin if self._stage else self._source_skin
         learns = settings.nan == MASK and self._source.is_live
+        self._f_min = self._stage.description.f_min if self._stage else 0.0  # end of the range
         self._readings = MissingReadings(settings.nan, skin, learns)
         has_level = self._source.delivers == "taxels" and not settings.tare
         self._rest = Rest(skin) if has_level else None
@@ -152,8 +152,8 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _describe(self) -> SkinState:
         self._readings.is_news = False
-        has_truth = self._source.delivers == "truth"
-        sigmas = (self._noise.sigma_mid, self._noise.sigma_end) if has_truth else None
+        has_truth, noise = self._source.delivers == "truth", self._noise
+        sigmas = (noise.sigma_mid, noise.sigma_end) if has_truth else None
         if self._stage is not None:
             sigmas = self._stage.description.sigmas
         sigma_mid, sigma_end = sigmas or (0.0, 0.0)
@@ -180,10 +180,8 @@ class Sensor(SourceNode[SensorSettings]):
         if name != "tare":
             return super().command(name, value)
         if self._stage is None:
-            raise RefusedError(
-                "tare: this sensor has no baseline; state sensor.skin, or sensor.tare, in the "
-                "launch file"
-            )
+            remedy = "state sensor.skin, or sensor.tare, in the launch file"
+            raise RefusedError(f"tare: this sensor has no baseline; {remedy}")
         return self._stage.start_tare(value)
 
     def tick(self, tick: Tick) -> Iterable[Message]:
@@ -236,11 +234,6 @@ class Sensor(SourceNode[SensorSettings]):
             found["lines"] = [*found.get("lines", ()), self._rest.line]
         return found
 
-    @property
-    def _f_min(self) -> float:
-        """Lower end of the range."""
-        return self._stage.description.f_min if self._stage is not None else 0.0
-
     def _clipped(self) -> dict[str, Any]:
         """Counts of the readings that were clipped to the range."""
         clipped = (self._stage or self._source).clipped
@@ -248,12 +241,11 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _watch_range(self) -> None:
         """Log clipped readings at first, then when doubled, `LOG_S` apart: wrong sign or unit."""
-        clipped = self._clipped()
-        if clipped["clipped"] <= 2 * self._n_logged:
-            return
+        n = (clipped := self._clipped())["clipped"]
         now_ns = self.context.clock.now_ns()
-        if not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000:
-            self._n_logged, self._logged_ns = clipped["clipped"], now_ns
+        is_time = not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000
+        if n > 2 * self._n_logged and is_time:
+            self._n_logged, self._logged_ns = n, now_ns
             self.context.log(clipped_text(clipped))
 
     def _chosen_noise(self) -> NoiseModel:
@@ -300,14 +292,12 @@ class Sensor(SourceNode[SensorSettings]):
         if self._placement is not None and not source.on_points:
             forces = self._placement.on_grid(forces)
         if self._stage is not None:
-            converted = self._stage.process(forces, stamp_ns)
-            if converted is None:
+            if (converted := self._stage.process(forces, stamp_ns)) is None:
                 return None
             forces = converted
         missing = None
         if self.settings.nan != REFUSE and forces.ndim == 2:
-            filled = self._readings.fill(forces, stamp_ns)
-            if filled is None:
+            if (filled := self._readings.fill(forces, stamp_ns)) is None:
                 return None
             forces, missing = filled
         if source.delivers == "taxels":

@@ -46,17 +46,13 @@ class NoiseModel:
     sigma_end: float = PAPER_SIGMA_END_N  # the same at both ends
 
     def __post_init__(self) -> None:
+        most = f"0 to f_max = {self.f_max!r}, both included"
         if not (is_real(self.f_max, 0.0) and self.f_max > 0.0):
-            raise SettingsError(
-                f"noise model: f_max is {self.f_max!r}; allowed is a finite number above 0"
-            )
+            allowed = "a finite number above 0"
+            raise SettingsError(f"noise model: f_max is {self.f_max!r}; allowed is {allowed}")
         for name in ("sigma_mid", "sigma_end"):
-            value = getattr(self, name)
-            if not is_real(value, 0.0, self.f_max):
-                raise SettingsError(
-                    f"noise model: {name} is {value!r}; "
-                    f"allowed is 0 to f_max = {self.f_max!r}, both included"
-                )
+            if not is_real(value := getattr(self, name), 0.0, self.f_max):
+                raise SettingsError(f"noise model: {name} is {value!r}; allowed is {most}")
 
     @classmethod
     def for_range(cls, f_max: float, times: float = 1.0) -> NoiseModel:

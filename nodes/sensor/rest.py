@@ -23,9 +23,7 @@ class Rest:
     """
 
     def __init__(self, skin: Skin) -> None:
-        self.line = ""
-        self._skin = skin
-        self._noise = MeasuredNoise()
+        self.line, self._skin, self._noise = "", skin, MeasuredNoise()
         self._sum: Doubles = np.zeros(skin.shape)
         self._n_left = TARE_FRAMES
 
@@ -42,9 +40,7 @@ class Rest:
         n_lifted = np.count_nonzero(means > touch_level(noise, skin.f_max, sigmas=1.0))
         if n_lifted < SHARE * means.size:
             return False
-        self.line = (
-            f"{n_lifted} of {means.size} taxels read {means.min():.2g} to {means.max():.2g} "
-            f"{printable(skin.unit)} at first; if nothing touched them, sensor.tare={TARE_FRAMES} "
-            "subtracts it"
-        )
+        levels = f"{means.min():.2g} to {means.max():.2g} {printable(skin.unit)}"
+        remedy = f"if nothing touched them, sensor.tare={TARE_FRAMES} subtracts it"
+        self.line = f"{n_lifted} of {means.size} taxels read {levels} at first; {remedy}"
         return True

@@ -40,16 +40,9 @@ class Clipped:
         """Counts and range for a summary, as `clipped_text` reads them."""
         if not self.n:
             return {"clipped": 0}
-        return {
-            "clipped": self.n,
-            "clipped_below": self.n_below,
-            "clipped_above": self.n_above,
-            "lowest": self.lowest,
-            "highest": self.highest,
-            "f_min": f_min,
-            "f_max": f_max,
-            "unit": unit,
-        }
+        counts = {"clipped_below": self.n_below, "clipped_above": self.n_above}
+        found = {"lowest": self.lowest, "highest": self.highest}
+        return {"clipped": self.n, **counts, **found, "f_min": f_min, "f_max": f_max, "unit": unit}
 
 
 def clipped_text(report: Mapping[str, Any]) -> str:

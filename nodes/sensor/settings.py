@@ -69,12 +69,7 @@ class SensorSettings(PatchesSettings):
         low=1,
         high=4096,
     )
-    n_cols: int | None = setting(
-        None,
-        "columns of a frame, as n_rows",
-        low=1,
-        high=4096,
-    )
+    n_cols: int | None = setting(None, "columns of a frame, as n_rows", low=1, high=4096)
     unit: str | None = setting(
         None, "unit of a file's or driver's readings: N, kPa, counts or another text"
     )
@@ -108,9 +103,8 @@ class SensorSettings(PatchesSettings):
         "skin.toml, of each patch that a scene of a body presses",
     )
     active: float | None = setting(
-        None, "part of the patches that a scene of a body presses in a period, not its own",
-        low=0.0, high=1.0,
-    )  # fmt: skip
+        None, "part of the patches that a scene of a body presses, not its own", low=0.0, high=1.0
+    )
     skin: str = setting(
         "",
         "file skin.toml with shape, pitch, unit, range, mask, calibration and noise of the skin, "

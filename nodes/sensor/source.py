@@ -64,9 +64,8 @@ class Source:
     @property
     def pace_hz(self) -> float:
         """Frames a second that a sensor reads where its settings state no rate; 0: as they come."""
-        if self.rate_hz is not None:
-            return self.rate_hz
-        return 0.0 if self.is_live else DEFAULT_RATE_HZ
+        default = 0.0 if self.is_live else DEFAULT_RATE_HZ
+        return default if self.rate_hz is None else self.rate_hz
 
     @property
     def is_there(self) -> bool:
@@ -78,8 +77,7 @@ class Source:
         waited for at most `wait_s` seconds; with `newest`, those that arrived before it are not
         used.
         """
-        if self._frames is None:
-            self._frames = iter(self)
+        self._frames = self._frames or iter(self)
         frame = next(self._frames, None)
         if frame is None and self.loops:
             self._began_ns = self._last_ns + round(1e9 * self.period_s)

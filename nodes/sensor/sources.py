@@ -8,13 +8,7 @@ from typing import Any
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, added, failures, load, loaded
-from sparseskin.nodes.lookup import (
-    find_callable,
-    is_missing,
-    one_line,
-    search_here,
-    suggestion,
-)
+from sparseskin.nodes.lookup import find_callable, is_missing, one_line, search_here, suggestion
 
 from .driver import open_callable
 from .source import Address, Source
@@ -38,12 +32,9 @@ def find_kind(kind: str, where: str = "") -> type[Address]:
     """Class of the addresses of one of `kinds`. Raises SourceError, after `where`, if its plug-in
     cannot be imported.
     """
-    made: Any = (
-        find_callable(KINDS[kind], SourceError)
-        if kind in KINDS
-        else load(ADDRESSES, kind, SourceError, where)
-    )
-    found: type[Address] = made
+    is_own = kind in KINDS
+    made: Any = find_callable(KINDS[kind], SourceError) if is_own else None
+    found: type[Address] = made or load(ADDRESSES, kind, SourceError, where)
     return found
 
 
@@ -70,10 +61,8 @@ def find_address(source: str, **stated: Any) -> Address:
     if kind in KINDS or kind in kinds():
         return find_kind(kind, source)(source, **stated)
     if not all(part.isidentifier() for part in rest.split(".")):
-        hint = suggestion(kind, kinds())
-        raise SourceError(
-            f"{source}: no plug-in for sources {kind}: is installed{hint}; expected {forms()}"
-        )
+        fault = f"no plug-in for sources {kind}: is installed{suggestion(kind, kinds())}"
+        raise SourceError(f"{source}: {fault}; expected {forms()}")
     return DriverAddress(source, **stated)
 
 

@@ -21,10 +21,10 @@ from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.recorder.bag.records import (
     MAGIC,
     Break,
+    Record,
     chunk_records,
     message_of,
     open_chunk,
-    parsed,
     records,
 )
 from sparseskin.nodes.sensor.files.format import Format
@@ -143,20 +143,20 @@ def _mcap(file: File) -> Iterator[Recorded]:
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
 
-    def one(opcode: int, content: Any, offset: int) -> Iterator[Recorded]:
-        if opcode == Opcode.SCHEMA:
-            schema = parsed(mcap.records.Schema.read, bytes(content), offset)
+    def one(record: Record) -> Iterator[Recorded]:
+        if record.opcode == Opcode.SCHEMA:
+            schema = record.parsed(mcap.records.Schema.read)
             schemas[schema.id] = schema.name
-        elif opcode == Opcode.CHANNEL:
-            channel = parsed(mcap.records.Channel.read, bytes(content), offset)
+        elif record.opcode == Opcode.CHANNEL:
+            channel = record.parsed(mcap.records.Channel.read)
             is_cdr = channel.message_encoding == "cdr"
             kind = schemas.get(channel.schema_id, "") if is_cdr else channel.message_encoding
             channels[channel.id] = channel.topic, kind
-        elif opcode == Opcode.MESSAGE:
-            message = message_of(memoryview(content), offset)
-            if message.channel not in channels:
-                raise Break(offset, "a message there has no channel")
-            yield Recorded(*channels[message.channel], message.log_time_ns, bytes(message.payload))
+        elif record.opcode == Opcode.MESSAGE:
+            id, log_ns, _, payload = message_of(memoryview(record.data), record.offset)
+            if id not in channels:
+                raise Break(record.offset, "a message there has no channel")
+            yield Recorded(*channels[id], log_ns, bytes(payload))
 
     size = file.file.seek(0, 2)
     for record in records(file.file, len(MAGIC), size):
@@ -164,9 +164,9 @@ def _mcap(file: File) -> Iterator[Recorded]:
             return
         if record.opcode == Opcode.CHUNK:
             for opcode, content in chunk_records(open_chunk(record), record.offset):
-                yield from one(opcode, content, record.offset)
+                yield from one(Record(opcode, record.offset, bytes(content)))
         else:
-            yield from one(record.opcode, record.data, record.offset)
+            yield from one(record)
 
 
 def _db3(file: File) -> Iterator[Recorded]:

@@ -13,9 +13,8 @@ import pandas as pd
 
 from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.local import WIRED_BLOCK
 from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, m_of
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.compressor.phi.sbhe import WIRED_BLOCK, SbhePhi
 from sparseskin.nodes.numerics.arrays import Indices, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.frames import Frames, PressFrames, SceneFrames

@@ -120,10 +120,10 @@ def test_a_change_that_is_not_allowed_is_named(changes, text):
 
 def test_a_ratio_that_is_stated_last_counts():
     settings = load("path_40", ["compressor.m=400"]).nodes["compressor"].settings
-    assert settings.changed({"ratio": 4}).n_measurements(1600) == 400
-    assert settings.changed({"ratio": 8}).n_measurements(1600) == 200
-    assert settings.changed({"ratio": 8, "m": 300}).n_measurements(1600) == 300
-    assert settings.changed({"ratio": 8}).changed({"m": 100}).n_measurements(1600) == 100
+    assert settings.changed({"ratio": 4}).rows_and_m(1600)[1] == 400
+    assert settings.changed({"ratio": 8}).rows_and_m(1600)[1] == 200
+    assert settings.changed({"ratio": 8, "m": 300}).rows_and_m(1600)[1] == 300
+    assert settings.changed({"ratio": 8}).changed({"m": 100}).rows_and_m(1600)[1] == 100
 
 
 def test_a_preset_that_is_stated_last_replaces_solver_and_numbers():
@@ -201,5 +201,5 @@ def test_what_was_changed_stays_when_the_node_is_started_again():
     spec = load("path_40", ["compressor.m=400"]).nodes["compressor"]
     again = spec.with_live(spec.settings.changed({"ratio": 8}).live_values())
     assert again.settings == type(again.settings).from_mapping(again.values)
-    assert again.settings.n_measurements(1600) == 200
+    assert again.settings.rows_and_m(1600)[1] == 200
     assert spec.with_live(spec.settings.live_values()) == spec

@@ -81,11 +81,9 @@ class AdaptivePhi(Phi):
     @classmethod
     def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
         super().check_size(n, m, seed, block)
-        least = min(n, 1 + N_DETAILS)
-        if m < least:
-            raise PhiError(
-                f'phi "adaptive": m = {m} is not allowed; allowed: {least}..{n} (n = {n} taxels)'
-            )
+        if m < (least := min(n, 1 + N_DETAILS)):
+            allowed = f"{least}..{n} (n = {n} taxels)"
+            raise PhiError(f'phi "adaptive": m = {m} is not allowed; allowed: {allowed}')
 
     def _lay_out(self, exists: Mask) -> None:
         if self.exists is None or not np.array_equal(self.exists, exists):
@@ -94,10 +92,8 @@ class AdaptivePhi(Phi):
 
     def _arrange(self, exists: Mask) -> None:
         self.tree = Quadtree(exists, self.m)
-        shape = np.array(exists.shape, dtype=np.intp)
-        self.fingerprint = fingerprint_of(
-            self.kind, self.n, self.m, 1, shape, np.flatnonzero(exists)
-        )
+        arrays = np.array(exists.shape, dtype=np.intp), np.flatnonzero(exists)
+        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, *arrays)
         self.rows: Indices = np.arange(self.m)
         self.chosen: Mask = np.zeros(self.tree.n_nodes, dtype=np.bool_)
 
@@ -107,10 +103,8 @@ class AdaptivePhi(Phi):
         """
         self.bias = CLIP_MEAN * sigma_end if clipped else 0.0
         sd = CLIP_SD * sigma_end if clipped else sigma_end
-        self.variance = sd**2
-        self._f_max = f_max
-        noise = UNTOUCHED_SIGMAS * sd
-        self.untouched = max(noise, UNTOUCHED_FRACTION * f_max)
+        self.variance, self._f_max = sd**2, f_max
+        self.untouched = max(UNTOUCHED_SIGMAS * sd, UNTOUCHED_FRACTION * f_max)
 
     def choose(self, chosen: Mask) -> None:
         """Set the nodes of a frame, bool (n_nodes,). Measured are the sums of all tiles, the

@@ -32,7 +32,7 @@ adds as good as nothing."""
 LOCAL, STORED = "local:", "file:"
 """Prefixes of kinds with a parameter: the side of a neighbourhood, and a path."""
 _WITH_PARAMETER = {
-    LOCAL: "sparseskin.nodes.compressor.phi.local:local_class",
+    LOCAL: "sparseskin.nodes.compressor.phi.sbhe:local_class",
     STORED: "sparseskin.nodes.compressor.phi.stored:stored_class",
 }
 BLOCK = 256
@@ -90,10 +90,7 @@ class Phi(ABC):
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         self.check_size(n, m, seed, block)
-        self.n = int(n)
-        self.m = int(m)
-        self.seed = int(seed)
-        self.block = int(block)
+        self.n, self.m, self.seed, self.block = int(n), int(m), int(seed), int(block)
         self.fingerprint = ""
 
     def __repr__(self) -> str:
@@ -115,29 +112,25 @@ class Phi(ABC):
         """Largest eigenvalue of Phi Phi^T: 1, the rows being orthonormal."""
         return 1.0
 
-    def forward(self, x: Floats, out: Floats | None = None) -> Floats:
+    def forward(self, x: Floats) -> Floats:
         """Return y = Phi x: newtons, float32 (m,), of forces of the existing taxels in row-major
         order, float32 (n,); or (k, m) of k such frames. A frame gives the same bits alone and in a
-        batch.
-
-        `out` is an array for the result. Raises PhiError if x or out has another shape or type.
+        batch. Raises PhiError if x has another shape or type.
         """
         shapes = (self.n,), (self.m,)
-        return each_frame(self._forward, x, out, shapes, f"{self.kind}: x", PhiError)
+        return each_frame(self._forward, x, shapes, f"{self.kind}: x", PhiError)
 
-    def adjoint(self, y: Floats, out: Floats | None = None) -> Floats:
+    def adjoint(self, y: Floats) -> Floats:
         """Return x = Phi^T y, as `forward`, with y and x of m and n numbers a frame."""
         shapes = (self.m,), (self.n,)
-        return each_frame(self._adjoint, y, out, shapes, f"{self.kind}: y", PhiError)
+        return each_frame(self._adjoint, y, shapes, f"{self.kind}: y", PhiError)
 
     def lay_out(self, exists: Mask) -> None:
         """State the grid of the taxels, bool (n_rows, n_cols), True where one exists, by which some
         kinds arrange their rows. Raises PhiError if they are not n, or the kind does not allow it.
         """
-        if np.count_nonzero(exists) != self.n:
-            raise PhiError(
-                f"{self.kind}: n = {self.n}, but {np.count_nonzero(exists)} taxels exist"
-            )
+        if (n := np.count_nonzero(exists)) != self.n:
+            raise PhiError(f"{self.kind}: n = {self.n}, but {n} taxels exist")
         self._lay_out(exists)
 
     def _lay_out(self, exists: Mask) -> None:  # noqa: B027
@@ -179,14 +172,14 @@ def check_parameters(n: int, m: int, seed: int, block: int) -> None:
     for name, value in (("n", n), ("m", m), ("seed", seed), ("block", block)):
         if not is_whole(value):
             raise PhiError(f"phi: {name} = {value!r} is not allowed; allowed: an integer")
-    if n < 1:
-        raise PhiError(f"phi: n = {n} is not allowed; allowed: at least 1 taxel")
-    if not 1 <= m <= n:
-        raise PhiError(f"phi: m = {m} is not allowed; allowed: 1..{n} (n = {n} taxels)")
-    if seed < 0:
-        raise PhiError(f"phi: seed = {seed} is not allowed; allowed: 0 or more")
-    if block < 1 or block & (block - 1):
-        raise PhiError(f"phi: block = {block} is not allowed; allowed: a power of two (1, 2, 4 ..)")
+    for name, value, is_allowed, allowed in (
+        ("n", n, n >= 1, "at least 1 taxel"),
+        ("m", m, 1 <= m <= n, f"1..{n} (n = {n} taxels)"),
+        ("seed", seed, seed >= 0, "0 or more"),
+        ("block", block, block >= 1 and not block & (block - 1), "a power of two (1, 2, 4 ..)"),
+    ):
+        if not is_allowed:
+            raise PhiError(f"phi: {name} = {value} is not allowed; allowed: {allowed}")
 
 
 def fingerprint_of(kind: str, n: int, m: int, block: int, *arrays: npt.NDArray[np.generic]) -> str:

@@ -35,9 +35,8 @@ class GaussianPhi(Phi):
     def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
         super().check_size(n, m, seed, block)
         if n > N_MAX:
-            raise PhiError(
-                f'phi "gaussian": n = {n} is not allowed; allowed: 1..{N_MAX} (dense matrix)'
-            )
+            allowed = f"1..{N_MAX} (dense matrix)"
+            raise PhiError(f'phi "gaussian": n = {n} is not allowed; allowed: {allowed}')
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
@@ -58,8 +57,7 @@ class GaussianPhi(Phi):
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n)."""
-        dense: npt.NDArray[np.float64] = self.matrix.astype(np.float64)
-        return dense
+        return self.matrix.astype(np.float64)
 
     def _forward(self, x: Floats, out: Floats) -> None:
         # einsum adds in numpy, always in one order; the order of a matmul depends on the BLAS.

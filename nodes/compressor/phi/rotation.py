@@ -82,8 +82,7 @@ def split_rows(order: Indices, m: int) -> list[Indices]:
     subsets start evenly spaced along it, taken as a circle: together they hold every row, and
     where m does not divide n some rows twice.
     """
-    n = order.size
-    n_subsets = -(-n // m)
+    n, n_subsets = order.size, -(-order.size // m)
     starts = [subset * n // n_subsets for subset in range(n_subsets)]
     return [np.sort(np.roll(order, -start)[:m]) for start in starts]
 
@@ -95,8 +94,7 @@ def split_evenly(order: Indices, m: int) -> list[Indices]:
     k m / n, to less than one; together they hold every row, and where m does not divide n some rows
     twice.
     """
-    n = order.size
-    n_subsets = -(-n // m)
+    n, n_subsets = order.size, -(-order.size // m)
     steps = np.arange(n + 1, dtype=np.int64) * m * n_subsets
     passed = [(steps + subset * n) // (n * n_subsets) for subset in range(n_subsets)]
     return [np.sort(order[np.diff(one) > 0]) for one in passed]
@@ -153,10 +151,9 @@ def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
 def check_subsets(n: int, m: int) -> None:
     """Raise PhiError if rotating rows of m of n would have too many subsets."""
     if n > MAX_SUBSETS * m:
-        raise PhiError(
-            f'rows: "rotating" is not allowed for m = {m} of n = {n}; allowed: m of '
-            f"{-(-n // MAX_SUBSETS)} or more (N/{MAX_SUBSETS})"
-        )
+        allowed = f"m of {-(-n // MAX_SUBSETS)} or more (N/{MAX_SUBSETS})"
+        fault = f'rows: "rotating" is not allowed for m = {m} of n = {n}'
+        raise PhiError(f"{fault}; allowed: {allowed}")
 
 
 def can_rotate(phi: object) -> bool:
@@ -170,6 +167,5 @@ def can_rotate(phi: object) -> bool:
 def check_rotates(phi: object, kind: str) -> None:
     """Raise PhiError for a matrix, or a class of them, whose rows cannot rotate."""
     if not can_rotate(phi):
-        raise PhiError(
-            f'rows: "rotating" is not allowed for phi "{kind}"; allowed: sbhe, subsample'
-        )
+        fault = f'"rotating" is not allowed for phi "{kind}"'
+        raise PhiError(f"rows: {fault}; allowed: sbhe, subsample")

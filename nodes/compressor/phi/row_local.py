@@ -53,10 +53,8 @@ class RowLocalPhi(RotatingPhi):
         if n_cols > MAX_COLS:
             raise PhiError(f"row_local: {n_cols} columns; allowed: {MAX_COLS} or fewer")
         if self.m < n_rows:
-            raise PhiError(
-                f"row_local: m = {self.m} is not allowed; allowed: {n_rows} or more, a pattern of "
-                f"{n_rows} rows"
-            )
+            allowed = f"{n_rows} or more, a pattern of {n_rows} rows"
+            raise PhiError(f"row_local: m = {self.m} is not allowed; allowed: {allowed}")
         self._arrange(n_rows, n_cols)
 
     def _arrange(self, n_rows: int, n_cols: int) -> None:

@@ -114,29 +114,26 @@ def load_matrices(path: str) -> tuple[csr_array, ...]:
     """Read and check the matrices of a file, float32 (m, n); PhiError as of `StoredPhi`."""
     try:
         found = Path(path).stat()
+        if not Path(path).is_file():
+            raise PhiError("is no file")
+        if found.st_size > MAX_FILE_BYTES:
+            raise PhiError(f"{found.st_size} bytes; at most {MAX_FILE_BYTES}")
+        return _load(path, (found.st_mtime_ns, found.st_size, found.st_ino))
+    except (ArrayFileError, PhiError) as error:
+        raise PhiError(f"{path}: {error}") from error
     except (OSError, ValueError) as error:
         raise PhiError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from error
-    if not Path(path).is_file():
-        raise PhiError(f"{path}: is no file")
-    if found.st_size > MAX_FILE_BYTES:
-        raise PhiError(f"{path}: {found.st_size} bytes; at most {MAX_FILE_BYTES}")
-    return _load(path, (found.st_mtime_ns, found.st_size, found.st_ino))
 
 
 @functools.lru_cache(maxsize=4)
 def _load(path: str, _of: tuple[int, int, int]) -> tuple[csr_array, ...]:
     """As above, of one form of the file."""
-    try:
-        raw = Path(path).read_bytes()
-        arrays = read_npz(raw, _wanted, MAX_ARRAY_BYTES) if is_npz(raw) else {"": read_npy(raw)}
-        if len(arrays) == 1 and not arrays.keys() & set(_NAMES):
-            (stack,) = arrays.values()
-            return _checked_stack(stack)
-        return (_checked(arrays),)
-    except OSError as error:
-        raise PhiError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ArrayFileError, PhiError) as error:
-        raise PhiError(f"{path}: {error}") from error
+    raw = Path(path).read_bytes()
+    arrays = read_npz(raw, _wanted, MAX_ARRAY_BYTES) if is_npz(raw) else {"": read_npy(raw)}
+    if len(arrays) == 1 and not arrays.keys() & set(_NAMES):
+        (stack,) = arrays.values()
+        return _checked_stack(stack)
+    return (_checked(arrays),)
 
 
 def _wanted(names: list[str]) -> list[str]:
@@ -146,10 +143,9 @@ def _wanted(names: list[str]) -> list[str]:
 
 def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
     if stack.ndim != 3 or stack.dtype.kind not in "iufb":
-        raise PhiError(
-            f"one array, {stack.dtype} of {stack.ndim} dimensions; expected numbers of 3, "
-            "(k, m, n), or a file of scipy.sparse.save_npz"
-        )
+        expected = "numbers of 3, (k, m, n), or a file of scipy.sparse.save_npz"
+        fault = f"one array, {stack.dtype} of {stack.ndim} dimensions"
+        raise PhiError(f"{fault}; expected {expected}")
     k, m, n = stack.shape
     if not (1 <= k <= MAX_SUBSETS and 1 <= m <= n <= MAX_ELEMENTS):
         allowed = f"allowed: 1..{MAX_SUBSETS} of 1 <= m <= n <= {MAX_ELEMENTS}"

@@ -53,15 +53,14 @@ class Basis(ABC):
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.label}: {self.n_rows} x {self.n_cols}>"
 
-    def analysis(self, image: Floats, out: Floats | None = None) -> Floats:
+    def analysis(self, image: Floats) -> Floats:
         """Return the coefficients theta = Psi^T image.
 
         Parameters
         ----------
         image : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
             Forces, newtons; or k such frames.
-        out : ndarray of float32, of the same shape, contiguous, optional
-            Receives the result; not the image itself.
+
 
         Returns
         -------
@@ -71,16 +70,16 @@ class Basis(ABC):
         Raises
         ------
         SolverError
-            If image or out has another shape, or out is not contiguous float32.
+            If image has another shape.
         """
-        return self._each(self._analysis, "image", image, out)
+        return self._each(self._analysis, "image", image)
 
-    def synthesis(self, coefficients: Floats, out: Floats | None = None) -> Floats:
+    def synthesis(self, coefficients: Floats) -> Floats:
         """Return the image Psi theta, forces in newtons.
 
-        Shapes, `out` and Raises as in `analysis`; coefficients are laid out as it returns them.
+        Shapes and Raises as in `analysis`; coefficients are laid out as it returns them.
         """
-        return self._each(self._synthesis, "coefficients", coefficients, out)
+        return self._each(self._synthesis, "coefficients", coefficients)
 
     @abstractmethod
     def _analysis(self, image: Floats, out: Floats) -> None:
@@ -90,15 +89,13 @@ class Basis(ABC):
     def _synthesis(self, coefficients: Floats, out: Floats) -> None:
         """Write Psi theta to out; both flat, contiguous, float32."""
 
-    def _each(
-        self, apply: Callable[[Floats, Floats], None], name: str, given: Floats, out: Floats | None
-    ) -> Floats:
+    def _each(self, apply: Callable[[Floats, Floats], None], name: str, given: Floats) -> Floats:
         shape = (self.n_rows, self.n_cols)
 
         def flat(one: Floats, result: Floats) -> None:
             apply(one.reshape(-1), result.reshape(-1))
 
-        return each_frame(flat, given, out, (shape, shape), f"basis: {name}", SolverError)
+        return each_frame(flat, given, (shape, shape), f"basis: {name}", SolverError)
 
 
 class IdentityBasis(Basis):

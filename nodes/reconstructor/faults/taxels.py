@@ -10,8 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
-from sparseskin.nodes.numerics.neighbours import of_nine
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, of_nine
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 #: Frames between two searches for dead or saturated taxels, and for taxels that stand alone: with

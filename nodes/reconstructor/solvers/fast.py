@@ -7,8 +7,8 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.hadamard import side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.numerics.compiled import MAX_PLACES, ready
-from sparseskin.nodes.numerics.kernels import fista, fista_large, haar_image
+from sparseskin.nodes.numerics.compiled import ready
+from sparseskin.nodes.numerics.kernels import fista, haar_image
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis, level_sizes
 
 
@@ -20,9 +20,7 @@ class CompiledFista:
     """
 
     def __init__(self, phi: SbhePhi, basis: HaarBasis, mask: Mask, lambda_n: float) -> None:
-        small = mask.size <= MAX_PLACES
-        self._loop = fista if small else fista_large
-        ready(self._loop, haar_image)
+        ready(fista, haar_image)
         self._phi, self._basis = phi, basis
         self._theta, self._before, self._z, self._half = np.zeros((4, mask.size), np.float32)
         #: A level of sums and differences without the factor 1 / sqrt(2) along each axis.
@@ -41,7 +39,7 @@ class CompiledFista:
         self._tables = (
             *(self._weights * self._weights, np.float32(lambda_n) * self._weights),
             *(self._z, np.zeros(phi.n, np.float32)),
-            places.astype(np.uint16 if small else np.uint32),
+            places.astype(np.uint32),
             *(keep, self._measured, groups, self._grid, self._half),
         )
 
@@ -58,7 +56,7 @@ class CompiledFista:
 
     def advance(self, betas: Floats) -> None:
         """As in `Fista`."""
-        self._loop(self._theta, self._before, betas, *self._tables)
+        fista(self._theta, self._before, betas, *self._tables)
         if betas.size % 2:  # each iteration swaps the two
             self._theta, self._before = self._before, self._theta
 

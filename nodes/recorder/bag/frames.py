@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -59,18 +59,6 @@ def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
     return {"f_max": skin.f_max, "unit": skin.unit, **known}
 
 
-class Frame(NamedTuple):
-    """A message of taxels, truth, measurements or reconstruction, with its time of recording.
-
-    It is of one patch; `array` are its values in the skin's unit, float32 of shape
-    (n_rows, n_cols), or (M,).
-    """
-
-    message: Message
-    log_time_ns: int
-    array: npt.NDArray[np.float32]
-
-
 def frame_topics(
     bag: BagReader, topics: Iterable[str] | None, schemas: tuple[str, ...] = FRAME_SCHEMAS
 ) -> list[str]:
@@ -83,9 +71,8 @@ def frame_topics(
     found = [topic for topic in wanted if bag.topics[topic].schema in schemas]
     if topics is not None and found != wanted:
         other = next(topic for topic in wanted if topic not in found)
-        raise BagError(
-            f"{bag.path}: topic {other} holds no frames; allowed are topics of {', '.join(schemas)}"
-        )
+        allowed = f"allowed are topics of {', '.join(schemas)}"
+        raise BagError(f"{bag.path}: topic {other} holds no frames; {allowed}")
     found = [topic for topic in found if bag.topics[topic].n_messages]
     if not found:
         raise BagError(f"{bag.path}: holds no frames to export")
@@ -141,13 +128,6 @@ def streams(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[tuple
             yield message, recorded.log_time_ns
 
 
-def frames(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[Frame]:
-    """The frames on some topics in recorded order, with a progress bar; raises as `decoded`."""
-    for message, log_time_ns in streams(bag, topics, doing):
-        if (values := values_of(message)) is not None:
-            yield Frame(message, log_time_ns, values)
-
-
 def values_of(message: Message) -> npt.NDArray[np.float32] | None:
     """The forces of a frame of one patch, NaN where a reading is missing, or its measurements; None
     of another message.
@@ -165,9 +145,8 @@ def decoded(bag: BagReader, recorded: BagMessage) -> Message:
     try:
         return decode(recorded.topic.encode(), recorded.payload)
     except MessageError as error:
-        raise BagError(
-            f"{bag.path}: {recorded.topic}, stamp {recorded.stamp_ns}: {error}"
-        ) from error
+        place = f"{bag.path}: {recorded.topic}, stamp {recorded.stamp_ns}"
+        raise BagError(f"{place}: {error}") from error
 
 
 def skin_of(bag: BagReader, patch: str) -> SkinState | None:

@@ -18,32 +18,10 @@ from sparseskin.messages import MessageError, version_1
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.wire import SCHEMAS
 
-from .format import (
-    ENCODING,
-    GRAPH_RECORD,
-    JSON_KEY,
-    LIBRARY_PREFIX,
-    ROS2_HINT,
-    SCHEMA_PREFIX,
-    TOPICS_RECORD,
-    VERSION_KEY,
-    BagError,
-    TopicInfo,
-)
-from .records import (
-    HEAD_BYTES,
-    MAGIC,
-    Break,
-    Record,
-    chunk_records,
-    crc_of,
-    message_of,
-    open_chunk,
-    parsed,
-    record_at,
-    records,
-    size_of,
-)
+from . import format as form
+from . import records as of_file
+from .format import BagError, TopicInfo
+from .records import HEAD_BYTES, MAGIC, Break, Record, record_at, records
 
 _MAX_CHANNELS = 4096
 """Most channels of a file: a damaged or hostile one could list any number."""
@@ -91,7 +69,7 @@ class BagIndex:
     @property
     def is_bag(self) -> bool:
         """True if a channel or the metadata show that this program wrote the file."""
-        return bool(self.channels) or GRAPH_RECORD in self.metadata
+        return bool(self.channels) or form.GRAPH_RECORD in self.metadata
 
     @property
     def of_another_program(self) -> str:
@@ -99,57 +77,52 @@ class BagIndex:
         library = " ".join(self.library[:80].split())
         return f"an MCAP file of another program (library {library!r})"
 
-    def describe(self, opcode: int, data: bytes, offset: int) -> None:
-        """Add a schema, a channel or metadata, from the content of a record.
+    def describe(self, record: Record) -> None:
+        """Add a schema, a channel or metadata.
 
         Raises Break if it is malformed, BagError for a channel of another program or version.
         """
-        if opcode == Opcode.SCHEMA:
-            schema = parsed(mcap.Schema.read, data, offset)
+        if record.opcode == Opcode.SCHEMA:
+            schema = record.parsed(mcap.Schema.read)
             self._schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = parsed(mcap.Channel.read, data, offset)
+        elif record.opcode == Opcode.CHANNEL:
+            channel = record.parsed(mcap.Channel.read)
             if len(self.channels) >= _MAX_CHANNELS and channel.id not in self.channels:
                 raise BagError(f"{self.name}: more than {_MAX_CHANNELS} channels")
             self.channels[channel.id] = self._checked(channel)
-        elif opcode == Opcode.METADATA:
-            found = parsed(mcap.Metadata.read, data, offset)
+        elif record.opcode == Opcode.METADATA:
+            found = record.parsed(mcap.Metadata.read)
             self.metadata.setdefault(found.name, found.metadata)
 
     def _checked(self, channel: mcap.Channel) -> BagChannel:
         schema, topic = self._schemas.get(channel.schema_id), channel.topic[:80]
         encoding, schema_name = channel.message_encoding, "" if schema is None else schema.name
-        kind = schema_name.removeprefix(SCHEMA_PREFIX)
-        if encoding != ENCODING or kind == schema_name:
-            is_ours = GRAPH_RECORD in self.metadata or self.library.startswith(LIBRARY_PREFIX)
-            hint = ""
+        kind = schema_name.removeprefix(form.SCHEMA_PREFIX)
+        if encoding != form.ENCODING or kind == schema_name:
+            prefix, hint = form.LIBRARY_PREFIX, ""
+            is_ours = form.GRAPH_RECORD in self.metadata or self.library.startswith(prefix)
             if encoding == "cdr":
-                hint = ROS2_HINT
+                hint = form.ROS2_HINT
             elif self.library.startswith("foxglove") or schema_name.startswith("foxglove."):
                 hint = "; it is for viewers: Foxglove and Lichtblick open it"
-            raise BagError(
-                f"{self.name}: {'' if is_ours else f'{self.of_another_program}: '}"
-                f"topic {topic!r} holds {encoding[:40]!r} messages of schema {schema_name[:80]!r}; "
-                f"expected {ENCODING!r} and {SCHEMA_PREFIX}...{hint}"
-            )
+            whose = self.name if is_ours else f"{self.name}: {self.of_another_program}"
+            held = f"{encoding[:40]!r} messages of schema {schema_name[:80]!r}"
+            expected = f"expected {form.ENCODING!r} and {form.SCHEMA_PREFIX}...{hint}"
+            raise BagError(f"{whose}: topic {topic!r} holds {held}; {expected}")
         try:
             today = version_1.topic_today(channel.topic)
         except MessageError as error:
             raise BagError(f"{self.name}: {error}") from error
-        version = channel.metadata.get(VERSION_KEY, "")
+        version, place = channel.metadata.get(form.VERSION_KEY, ""), f"{self.name}: topic {topic}"
         if kind in version_1.SCHEMAS and version == str(version_1.VERSION):
             cls = version_1.SCHEMAS[kind]
             return BagChannel(today, cls.schema, cls.version, True)
         if kind not in SCHEMAS:
-            raise BagError(
-                f"{self.name}: topic {topic} holds messages of schema {kind[:40]!r}; this program "
-                f"reads {', '.join(SCHEMAS)}"
-            )
+            known = f"this program reads {', '.join(SCHEMAS)}"
+            raise BagError(f"{place} holds messages of schema {kind[:40]!r}; {known}")
         if version != str(SCHEMAS[kind].version):
-            raise BagError(
-                f"{self.name}: topic {topic}: recorded with {kind} version "
-                f"{version[:20] or 'unknown'}; this program reads {SCHEMAS[kind].version}"
-            )
+            found = f"recorded with {kind} version {version[:20] or 'unknown'}"
+            raise BagError(f"{place}: {found}; this program reads {SCHEMAS[kind].version}")
         return BagChannel(today, kind, SCHEMAS[kind].version, today != channel.topic)
 
     def add_chunk(self, record: Record) -> None:
@@ -158,11 +131,11 @@ class BagIndex:
         Raises as `describe`, and Break if a message has no channel; then it counts none.
         """
         found: list[tuple[BagChannel, int, int]] = []
-        for opcode, content in chunk_records(open_chunk(record), record.offset):
+        for opcode, content in of_file.chunk_records(of_file.open_chunk(record), record.offset):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.describe(opcode, bytes(content), record.offset)
+                self.describe(Record(opcode, record.offset, bytes(content)))
             elif opcode == Opcode.MESSAGE:
-                id, log_ns, stamp_ns, _ = message_of(content, record.offset)
+                id, log_ns, stamp_ns, _ = of_file.message_of(content, record.offset)
                 channel = self.channels.get(id)
                 if channel is None or max(log_ns, stamp_ns) > INT64_MAX:
                     raise Break(record.offset, "a message there has no channel or a wrong time")
@@ -182,16 +155,13 @@ class BagIndex:
     ) -> list[ChunkSpan]:
         """The chunks that may hold a stamp in [start_ns, stop_ns) on one of the topics."""
 
-        def may_hold(chunk: ChunkSpan, info: TopicInfo) -> bool:
+        def may_hold(chunk: ChunkSpan, topic: str) -> bool:
+            info = self.topics[topic]
             late_enough = start_ns is None or chunk.last_log_ns - info.min_lag_ns >= start_ns
             early_enough = stop_ns is None or chunk.first_log_ns - info.max_lag_ns < stop_ns
             return late_enough and early_enough
 
-        return [
-            chunk
-            for chunk in self.chunks
-            if any(may_hold(chunk, self.topics[topic]) for topic in chunk.topics & topics)
-        ]
+        return [c for c in self.chunks if any(may_hold(c, topic) for topic in c.topics & topics)]
 
 
 def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex, str]:
@@ -204,10 +174,10 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
     first = file.read(len(MAGIC))
     if not first:
         raise BagError(f"{name}: is empty")
-    if first != MAGIC:
-        if MAGIC.startswith(first):
-            raise BagError(f"{name}: ends after {len(first)} bytes, before anything was recorded")
+    if not MAGIC.startswith(first):
         raise BagError(f"{name}: not an MCAP file (it begins with {first!r}){SOURCE_HINT}")
+    if first != MAGIC:
+        raise BagError(f"{name}: ends after {len(first)} bytes, before anything was recorded")
     try:
         index, damage = _read_summary(file, name, whole)
     except Break:
@@ -217,7 +187,7 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
 
 def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | None, str]:
     """The index at the end, None if it must be scanned; its damage. Raises Break without one."""
-    size = size_of(file)
+    size = of_file.size_of(file)
     footer_at = max(size - _FOOTER_BYTES - len(MAGIC), 0)
     footer = record_at(file, footer_at, size, Opcode.FOOTER).parsed(mcap.Footer.read)
     if file.read() != MAGIC:
@@ -228,10 +198,10 @@ def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | No
     data_end = record_at(file, data_end_at, footer_at, Opcode.DATA_END)
     stated = data_end.parsed(mcap.DataEnd.read).data_section_crc
     # The checksum covers the footer as well, up to the checksum itself.
-    summary_crc = crc_of(file, footer.summary_start, size - len(MAGIC) - _SUMMARY_CRC_BYTES)
+    summary_crc = of_file.crc_of(file, footer.summary_start, size - len(MAGIC) - _SUMMARY_CRC_BYTES)
     if footer.summary_crc and summary_crc != footer.summary_crc:
         return None, _NO_INDEX
-    if stated and whole and crc_of(file, 0, data_end_at) != stated:
+    if stated and whole and of_file.crc_of(file, 0, data_end_at) != stated:
         return None, "a record outside the messages is damaged"
     if not (stated and footer.summary_crc):
         return None, ""
@@ -249,11 +219,11 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
     index = BagIndex(name)
     header = record_at(file, len(MAGIC), stop, Opcode.HEADER)
     index.library = header.parsed(mcap.Header.read).library
-    if not index.library.startswith(LIBRARY_PREFIX):
+    if not index.library.startswith(form.LIBRARY_PREFIX):
         return None
     for record in records(file, start, stop):
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            index.describe(*_content(record))
+            index.describe(record)
         elif record.opcode == Opcode.CHUNK_INDEX:
             chunk = record.parsed(mcap.ChunkIndex.read)
             offset = chunk.chunk_start_offset
@@ -264,18 +234,14 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
             index.chunks.append(ChunkSpan(offset, offset + chunk.chunk_length, topics, *times))
         elif record.opcode == Opcode.METADATA_INDEX:
             offset = int.from_bytes(record.data[:8], "little")
-            index.describe(*_content(record_at(file, offset, start, Opcode.METADATA)))
-    topics = json.loads(index.metadata[TOPICS_RECORD][JSON_KEY])
+            index.describe(record_at(file, offset, start, Opcode.METADATA))
+    topics = json.loads(index.metadata[form.TOPICS_RECORD][form.JSON_KEY])
     index.topics = {topic: _topic_info(values) for topic, values in topics.items()}
     recorded = set(index.channels.values())
     stated = {BagChannel(topic, i.schema, i.version, False) for topic, i in index.topics.items()}
     if index.topics.keys() != {one.topic for one in recorded} or not stated <= recorded:
         return None
     return index
-
-
-def _content(record: Record) -> tuple[int, bytes, int]:
-    return record.opcode, record.data, record.offset
 
 
 def _topic_info(values: dict[str, Any]) -> TopicInfo:
@@ -291,22 +257,20 @@ def _topic_info(values: dict[str, Any]) -> TopicInfo:
 
 def _scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
     """Find every complete message before the first break, each proven by a checksum."""
-    index, size = BagIndex(name), size_of(file)
+    index, size = BagIndex(name), of_file.size_of(file)
     try:
         damage = _scan_records(file, index, size) or damage
-    except Break as broken:
-        if not index.is_bag:
-            raise BagError(
-                f"{name}: cannot be read from byte {broken.offset} of {size} on ({broken.why}), "
-                "before anything was recorded"
-            ) from broken
-        where = f"byte {broken.offset} of {size}: {broken.why}"
-    else:
         if not index.is_bag:
             raise BagError(f"{name}: {index.of_another_program}")
         if not damage:
             return index, ""
         where = f"the end: {damage}"
+    except Break as broken:
+        place = f"byte {broken.offset} of {size}"
+        if not index.is_bag:
+            fault = f"cannot be read from {place} on ({broken.why}), before anything was recorded"
+            raise BagError(f"{name}: {fault}") from broken
+        where = f"{place}: {broken.why}"
     some = "1 message" if index.n_scanned == 1 else f"{index.n_scanned} messages"
     return index, f"{some} recovered, up to {where}"
 
@@ -322,7 +286,7 @@ def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
                 case Opcode.CHUNK:
                     index.add_chunk(record)
                 case Opcode.SCHEMA | Opcode.CHANNEL | Opcode.METADATA:
-                    index.describe(*_content(record))
+                    index.describe(record)
                 case Opcode.HEADER if record.offset == len(MAGIC):
                     index.library = record.parsed(mcap.Header.read).library
                 case Opcode.MESSAGE:

@@ -123,10 +123,9 @@ class BagReader(AbstractContextManager["BagReader"]):
         try:
             return open_chunk(record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK))
         except Break as broken:
-            raise BagError(
-                f"{self.path}: is damaged, or was changed while it was read, at byte "
-                f"{chunk.offset}: {broken.why}"
-            ) from broken
+            fault = "is damaged, or was changed while it was read"
+            where = f"at byte {chunk.offset}: {broken.why}"
+            raise BagError(f"{self.path}: {fault}, {where}") from broken
         except OSError as error:
             raise BagError(f"{self.path}: {error.strerror}") from error
 

@@ -43,7 +43,9 @@ class Break(Exception):  # noqa: N818 - a place in a file, not an error of this 
 
 
 class Record(NamedTuple):
-    """A record of a file, which begins at byte `offset`, and its content."""
+    """A record of a file, which begins at byte `offset`, or the chunk that holds it, and its
+    content.
+    """
 
     opcode: int
     offset: int
@@ -56,16 +58,14 @@ class Record(NamedTuple):
 
     def parsed(self, read: Callable[[ReadDataStream], T]) -> T:
         """The content, parsed by the reader of its class."""
-        return parsed(read, self.data, self.offset)
-
-
-class ChunkMessage(NamedTuple):
-    """A message of a chunk: number of its channel, log time, stamp and payload."""
-
-    channel: int
-    log_time_ns: int
-    stamp_ns: int
-    payload: memoryview
+        stream = ReadDataStream(io.BytesIO(self.data))
+        try:
+            found = read(stream)
+        except Exception as error:  # EndOfFile, struct.error, UnicodeDecodeError, ValueError, ...
+            raise Break(self.offset, "a record there is malformed") from error
+        if stream.count != len(self.data):
+            raise Break(self.offset, "a record there is malformed")
+        return found
 
 
 def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
@@ -93,18 +93,6 @@ def record_at(file: BinaryIO, offset: int, stop: int, opcode: int) -> Record:
     if record is None or record.opcode != opcode:
         raise Break(offset, "another record stands there")
     return record
-
-
-def parsed(read: Callable[[ReadDataStream], T], data: bytes, offset: int) -> T:
-    """Parse the content of the record at `offset` with the reader of its class."""
-    stream = ReadDataStream(io.BytesIO(data))
-    try:
-        found = read(stream)
-    except Exception as error:  # EndOfFile, struct.error, UnicodeDecodeError, ValueError, ...
-        raise Break(offset, "a record there is malformed") from error
-    if stream.count != len(data):
-        raise Break(offset, "a record there is malformed")
-    return found
 
 
 def open_chunk(record: Record) -> bytes:
@@ -136,12 +124,14 @@ def chunk_records(plain: bytes, offset: int) -> Iterator[tuple[int, memoryview]]
         yield opcode, view[start:at]
 
 
-def message_of(content: memoryview, offset: int) -> ChunkMessage:
-    """The message whose record in the chunk at `offset` has that content."""
+def message_of(content: memoryview, offset: int) -> tuple[int, int, int, memoryview]:
+    """Number of the channel, log time, stamp and payload of the message whose record in the chunk
+    at `offset` has that content.
+    """
     if len(content) < _MESSAGE.size:
         raise Break(offset, "a message there is malformed")
     channel, _, log_time_ns, stamp_ns = _MESSAGE.unpack_from(content)
-    return ChunkMessage(channel, log_time_ns, stamp_ns, content[_MESSAGE.size :])
+    return channel, log_time_ns, stamp_ns, content[_MESSAGE.size :]
 
 
 def crc_of(file: BinaryIO, start: int, stop: int) -> int:

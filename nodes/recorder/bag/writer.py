@@ -17,6 +17,8 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 from sparseskin.messages import Message, MessageError, encode
+from sparseskin.messages.base import omitted_fields, wire_fields
+from sparseskin.messages.fields import Each, FieldKind, Flag, Integer, Names, Real, Text, Words
 from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
@@ -39,12 +41,22 @@ from .format import (
     TopicInfo,
     check_new_bag,
 )
-from .json_schema import json_schema
 
 CHUNK_BYTES = 1 << 20
 """A chunk is ended and compressed when its records exceed this many bytes."""
 KEPT = "recording ended, what it holds can be read"
 NOT_KEPT = "nothing was written"
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_TYPES: dict[type[FieldKind], str] = {
+    Integer: "integer",
+    Real: "number",
+    Flag: "boolean",
+    Text: "string",
+    Names: "string",
+    Each: "array",
+    Words: "string",
+}
+"""JSON types of fields; an array is a map of dtype, shape, order, data and step, an object."""
 
 
 @contextlib.contextmanager
@@ -121,8 +133,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._monotonic = monotonic
         self._oldest_s: float | None = None
         self._topics: dict[str, TopicInfo] = {}
-        self._failure = ""
-        self._closed = False
+        self._failure, self._closed = "", False
         self._channels: dict[tuple[str, str, int], int] = {}
         self._schemas: dict[tuple[str, int], int] = {}
         try:
@@ -157,11 +168,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._check_open()
         topic, schema, version, log_time_ns, stamp_ns, payload = message
         channel = self._channel(topic, schema, version)
-        if len(payload) > MAX_MESSAGE_BYTES:
-            raise BagError(
-                f"{self.path}: a message of {len(payload)} bytes on {topic}, "
-                f"at most {MAX_MESSAGE_BYTES}"
-            )
+        if (n := len(payload)) > MAX_MESSAGE_BYTES:
+            fault = f"a message of {n} bytes on {topic}, at most {MAX_MESSAGE_BYTES}"
+            raise BagError(f"{self.path}: {fault}")
         for what, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
             if not 0 <= time_ns <= INT64_MAX:
                 raise BagError(f"{self.path}: {topic}: {what} {time_ns} is outside 0..2**63 - 1")
@@ -240,14 +249,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if schema not in SCHEMAS:
             hint = did_you_mean(schema, SCHEMAS)
             raise BagError(f"{self.path}: {topic}: schema {schema!r} is not known{hint}")
-        if (schema, version) not in self._schemas:
-            text = json.dumps(json_schema(SCHEMAS[schema], version))
-            self._schemas[schema, version] = self._mcap.register_schema(
-                SCHEMA_PREFIX + schema, "jsonschema", text.encode()
-            )
-        channel = self._mcap.register_channel(
-            topic, ENCODING, self._schemas[schema, version], {VERSION_KEY: str(version)}
-        )
+        made, form = self._mcap, (schema, version)
+        if form not in self._schemas:
+            text = json.dumps(json_schema(SCHEMAS[schema], version)).encode()
+            name = SCHEMA_PREFIX + schema
+            self._schemas[form] = made.register_schema(name, "jsonschema", text)
+        known = {VERSION_KEY: str(version)}
+        channel = made.register_channel(topic, ENCODING, self._schemas[form], known)
         self._channels[topic, schema, version] = channel
         return channel
 
@@ -280,12 +288,31 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         try:
             place(self.part, self.path)
         except OSError as error:
-            raise BagError(
-                f"{self.path}: {error.strerror}; the recording is complete in {self.part.name}"
-            ) from error
+            kept = f"the recording is complete in {self.part.name}"
+            raise BagError(f"{self.path}: {error.strerror}; {kept}") from error
         with contextlib.suppress(OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)
             try:
                 os.fsync(folder)
             finally:
                 os.close(folder)
+
+
+def json_schema(cls: type[Message], version: int) -> dict[str, Any]:
+    """Describe the msgpack map of a version of a message class as a JSON Schema: its fields and
+    their types.
+    """
+    properties: dict[str, Any] = {"schema": {"const": cls.schema}, "version": {"const": version}}
+    for name, kind in wire_fields(cls).items():
+        json_type = _TYPES.get(type(kind), "object")
+        is_optional = getattr(kind, "optional", False)
+        properties[name] = {"type": [json_type, "null"] if is_optional else json_type}
+    return {
+        "$schema": _DIALECT,
+        "title": f"sparseskin/{cls.schema}",
+        "description": " ".join((cls.__doc__ or "").partition("\n\n")[0].split()),
+        "type": "object",
+        "properties": properties,
+        "required": [name for name in properties if name not in omitted_fields(cls)],
+        "additionalProperties": False,
+    }

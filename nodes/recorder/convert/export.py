@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.extensions import EXPORTS, added, load
 from sparseskin.nodes.recorder.bag.format import BagError
 
@@ -40,9 +39,9 @@ def export_names() -> list[str]:
     return [*OWN, *added(EXPORTS, OWN)]
 
 
-def find_export(name: str, error: type[SparseskinError] = BagError) -> Export:
-    """The export of a name in `export_names`; raises `error` if its plug-in cannot be imported."""
+def find_export(name: str) -> Export:
+    """The export of a name in `export_names`; raises BagError if its plug-in cannot be imported."""
     if name in OWN:
         return OWN[name]
-    found: Export = load(EXPORTS, name, error, f"--to {name}")
+    found: Export = load(EXPORTS, name, BagError, f"--to {name}")
     return found

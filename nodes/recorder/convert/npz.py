@@ -125,10 +125,8 @@ class _Columns:
             return
         before = self._shapes[-1] if self._shapes else frame.shape
         if frame.shape != before and not isinstance(message, Measurements):
-            raise BagError(
-                f"{self._place}, stamp {message.stamp_ns}: a frame of "
-                f"{frame.shape[0]} x {frame.shape[1]} after some of {before[0]} x {before[1]}"
-            )
+            sizes = "a frame of {} x {} after some of {} x {}".format(*frame.shape, *before)
+            raise BagError(f"{self._place}, stamp {message.stamp_ns}: {sizes}")
         self._shapes.append(frame.shape)
         for name in self._files.keys() & values.keys():
             value = values[name]
@@ -153,10 +151,9 @@ class _Columns:
         if held.size == math.prod(shape):
             return held.reshape(shape)
         if math.prod(shape) > max(MAX_PADDED, MAX_PADDING * held.size):
-            raise BagError(
-                f"{self._place}: {held.size} numbers would be padded to {math.prod(shape)}; "
-                f"at most {MAX_PADDING} times as many are allowed; export to csv"
-            )
+            fault = f"{held.size} numbers would be padded to {math.prod(shape)}"
+            allowed = f"at most {MAX_PADDING} times as many are allowed"
+            raise BagError(f"{self._place}: {fault}; {allowed}; export to csv")
         padded, at = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape), 0
         for row, (m,) in zip(padded, self._shapes, strict=True):
             row[:m], row[m:] = held[at : at + m], np.nan

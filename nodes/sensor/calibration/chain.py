@@ -69,9 +69,8 @@ class Chain:
         #: True while the tare at the start waits for frames; once a tare has changed the baseline,
         #: until whoever publishes it sets it to False.
         self.is_starting, self.is_news = tare > 0, False
-        self._tared = ""
+        self._tared, self._tare_left = "", 0
         self._taring: list[npt.NDArray[Any]] = []
-        self._tare_left = 0
         if tare:
             self.start_tare(tare)
 
@@ -115,9 +114,8 @@ class Chain:
         """
         n_frames = TARE_FRAMES if value is None else value
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
-            raise RefusedError(
-                f"tare: {str(value)[:40]!r} is no number of frames (allowed: 1..{MAX_TARE_FRAMES})"
-            )
+            fault = f"{str(value)[:40]!r} is no number of frames"
+            raise RefusedError(f"tare: {fault} (allowed: 1..{MAX_TARE_FRAMES})")
         most = MAX_TARE_READINGS // (self.description.rows * self.description.cols)
         if n_frames > most:
             raise RefusedError(f"tare: {n_frames} frames of this skin; at most {most}")

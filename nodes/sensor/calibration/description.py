@@ -30,6 +30,7 @@ MAX_NUMBER = 1e30
 """Largest baseline, knot or range: as that of a reading, float32 holds it."""
 MIN_SLOPE, MAX_SLOPE = 1e-12, 1e12
 """Allowed gains, and slopes of a response curve, by magnitude."""
+SLOPES = f"{MIN_SLOPE:g}..{MAX_SLOPE:g}"
 
 
 class SkinFileError(SparseskinError):
@@ -89,26 +90,20 @@ class Response:
     force: Doubles
 
     def __post_init__(self) -> None:
-        k = len(self.force)
+        k, n = len(self.force), len(self.reading)
         if not (self.force.ndim == 1 and 1 <= k <= MAX_KNOTS):
             raise SkinFileError(f"response.force: {k} knots; allowed are 1..{MAX_KNOTS}")
-        if self.reading.ndim not in (1, 3) or len(self.reading) != k:
-            raise SkinFileError(
-                f"response.reading: {len(self.reading)} knots, but response.force has {k}"
-            )
+        if self.reading.ndim not in (1, 3) or n != k:
+            raise SkinFileError(f"response.reading: {n} knots, but response.force has {k}")
         for name, values in vars(self).items():
             steps = np.diff(values, axis=0, prepend=0)
             if not ((steps > 0).all() and values.max() <= MAX_NUMBER):
-                raise SkinFileError(
-                    f"response.{name}: must be above 0, at most {MAX_NUMBER:g}, and rise from knot "
-                    "to knot"
-                )
+                allowed = f"must be above 0, at most {MAX_NUMBER:g}, and rise from knot to knot"
+                raise SkinFileError(f"response.{name}: {allowed}")
         with np.errstate(all="ignore"):
-            slopes = self.slopes
-        if not ((slopes >= MIN_SLOPE) & (slopes <= MAX_SLOPE)).all():
-            raise SkinFileError(
-                f"response: a slope is outside {MIN_SLOPE:g}..{MAX_SLOPE:g} (force a reading)"
-            )
+            is_allowed = _within_slopes(self.slopes)
+        if not is_allowed:
+            raise SkinFileError(f"response: a slope is outside {SLOPES} (force a reading)")
 
     @property
     def slopes(self) -> Doubles:
@@ -163,10 +158,8 @@ class SkinDescription:
             text = getattr(self, key)
             printable = isinstance(text, str) and text.strip() and text.isprintable()
             if not (printable and len(text) <= longest):
-                shown = ascii(text)[:40]
-                raise SkinFileError(
-                    f"{key}: expected 1..{longest} printable characters, got {shown}"
-                )
+                expected = f"expected 1..{longest} printable characters"
+                raise SkinFileError(f"{key}: {expected}, got {ascii(text)[:40]}")
         try:
             for key in ("rows", "cols"):
                 Integer(1, MAX_SIDE).check(key, getattr(self, key))
@@ -189,27 +182,18 @@ class SkinDescription:
         ):
             array, shape = getattr(self, key), (*self.shape, *beyond)
             if array is not None and (array.shape != shape or array.dtype != dtype):
-                raise SkinFileError(
-                    f"{key}: {array.dtype} of shape {array.shape}; expected {np.dtype(dtype)} of "
-                    f"shape {shape}"
-                )
+                expected = f"expected {np.dtype(dtype)} of shape {shape}"
+                raise SkinFileError(f"{key}: {array.dtype} of shape {array.shape}; {expected}")
         if self.mask is not None and not self.mask.any():
             raise SkinFileError("mask: leaves no taxel")
         if self.baseline is not None and not (np.abs(self.baseline) <= MAX_NUMBER).all():
             raise SkinFileError(f"baseline: expected numbers of at most {MAX_NUMBER:g}")
-        if self.gains is not None:
-            size = np.abs(self.gains)
-            if not ((size >= MIN_SLOPE) & (size <= MAX_SLOPE)).all():
-                raise SkinFileError(
-                    f"gains: expected numbers of {MIN_SLOPE:g}..{MAX_SLOPE:g}, or below 0 the same"
-                )
-        if self.response is not None:
-            reading = self.response.reading
-            if reading.shape[1:] not in ((), self.shape) or reading.size > MAX_CURVES:
-                raise SkinFileError(
-                    f"response.reading: shape {reading.shape}; expected K numbers, or K grids of "
-                    f"{self.shape}, {MAX_CURVES} numbers at most"
-                )
+        if self.gains is not None and not _within_slopes(np.abs(self.gains)):
+            raise SkinFileError(f"gains: expected numbers of {SLOPES}, or below 0 the same")
+        reading = np.zeros(0) if self.response is None else self.response.reading
+        if reading.shape[1:] not in ((), self.shape) or reading.size > MAX_CURVES:
+            expected = f"K numbers, or K grids of {self.shape}, {MAX_CURVES} numbers at most"
+            raise SkinFileError(f"response.reading: shape {reading.shape}; expected {expected}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -258,10 +242,8 @@ class SkinDescription:
         Raises SourceError, after `where`, if the source has another shape.
         """
         if self.shape != skin.shape:
-            raise SourceError(
-                f"{where}: describes {self.rows} x {self.cols} taxels, but the source has "
-                f"{skin.n_rows} x {skin.n_cols}"
-            )
+            sizes = "{} x {} taxels, but the source has {} x {}".format(*self.shape, *skin.shape)
+            raise SourceError(f"{where}: describes {sizes}")
         points = points_on_grid(skin) if self.points is None else self.points
         mask = self.mask if skin.mask is None else skin.exists & self.skin.exists
         return replace(self, points=points, mask=mask)
@@ -277,6 +259,10 @@ class SkinDescription:
             for key, array in zip(ARRAYS, (self.baseline, self.gains, reading, force), strict=True)
         }
         return Calibration(stamp_ns=stamp_ns, patch=patch, name=self.name, **single)
+
+
+def _within_slopes(sizes: Doubles) -> bool:
+    return bool(((sizes >= MIN_SLOPE) & (sizes <= MAX_SLOPE)).all())
 
 
 def of_skin(name: str, skin: Skin) -> SkinDescription:

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.numerics.neighbours import of_nine
+from sparseskin.nodes.numerics.arrays import Doubles, Mask, of_nine
 from sparseskin.nodes.touch import touch_level
 
 DRIFT_RATE = 1e-4

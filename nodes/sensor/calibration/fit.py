@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -10,13 +11,21 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 
 from .description import MAX_KNOTS, MAX_NUMBER, Response, SkinDescription
-from .press import CalibrationError, Press
 
+GRAVITY = 9.80665
+"""Standard acceleration of free fall, m/s^2. Source: ISO 80000-3."""
+NEWTONS = {"kg": GRAVITY, "g": GRAVITY / 1000, "N": 1.0, "mN": 0.001}
+"""Newtons of each unit of a load."""
+_LOAD = re.compile(r"(\d{1,9}(?:\.\d{1,9})?) ?(kg|g|N|mN)")
+_AREA = re.compile(r"(\d{1,4})-(\d{1,4})x(\d{1,4})-(\d{1,4})")
+LOADS = "500g, 0.5kg, 4.9N or 800mN"
+AREAS = "all, or ROWSxCOLUMNS as 4-11x8-15"
 Curve = Literal["shared", "taxel", "linear"]
-CURVES: tuple[Curve, ...] = ("shared", "taxel", "linear")
+
 MAD_TO_SD = 1.4826
 """Standard deviation of normal noise, in its median absolute deviation; derived."""
 OUTLIER = 5.0
@@ -37,6 +46,49 @@ KEPT_SIGMAS = 4.0
 """Standard deviations of noise that a lower end of the range keeps; chosen: all but 3e-5."""
 HEADROOM = 1.25
 """Range of a taxel in the largest force of a press, where the range is not stated; chosen."""
+
+
+class CalibrationError(SparseskinError):
+    """Frames from which no calibration follows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Press:
+    """Frames of a skin under a known load."""
+
+    label: str  # for reports, e.g. "500g"
+    force: float  # total, newtons, above 0
+    frames: npt.NDArray[Any]  # (n, rows, cols), raw readings under the steady load
+    #: (rows, cols), True for the cells that carry the load evenly; None: only the total is known.
+    area: Mask | None = None
+
+
+def read_load(text: str) -> float:
+    """Newtons of a load such as "500g" or "4.9N".
+    Raises CalibrationError if it is none, or 0.
+    """
+    found = _LOAD.fullmatch(text.strip())
+    force = float(found[1]) * NEWTONS[found[2]] if found else 0.0
+    if not force:
+        raise CalibrationError(f"{text[:40]!r} is no load; allowed are {LOADS}")
+    return force
+
+
+def read_area(text: str, shape: tuple[int, int]) -> Mask:
+    """Cells of an area such as "all" or "4-11x8-15", ends included, from 0, as of `Press`.
+    Raises CalibrationError if it is none, or not on a skin of that shape.
+    """
+    if text.strip() == "all":
+        return np.ones(shape, dtype=np.bool_)
+    found = _AREA.fullmatch(text.strip())
+    if found is None:
+        raise CalibrationError(f"{text[:40]!r} is no area; allowed are {AREAS}")
+    top, bottom, left, right = map(int, found.groups())
+    if not (top <= bottom < shape[0] and left <= right < shape[1]):
+        raise CalibrationError(f"{text} is not on a skin of {shape[0]} x {shape[1]}")
+    area = np.zeros(shape, dtype=np.bool_)
+    area[top : bottom + 1, left : right + 1] = True
+    return area
 
 
 @dataclass(frozen=True)
@@ -107,11 +159,10 @@ def fit(
         raise CalibrationError(f"untouched: {len(untouched)} frames; at least 2 are needed")
     shape = (untouched.shape[1], untouched.shape[2])
     for press in presses:
-        if press.frames.ndim != 3 or press.frames.shape[1:] != shape or not len(press.frames):
-            raise CalibrationError(
-                f"{press.label}: frames of shape {press.frames.shape[1:]}; the untouched ones have "
-                f"{shape}, and at least one is needed"
-            )
+        n, *own = press.frames.shape
+        if tuple(own) != shape or not n:
+            needed = f"the untouched ones have {shape}, and at least one is needed"
+            raise CalibrationError(f"{press.label}: frames of shape {tuple(own)}; {needed}")
     exists = np.ones(shape, np.bool_) if mask is None else mask
     baseline, noise, unsteady = steady(untouched)
     stuck = exists & _stuck(untouched, presses)
@@ -124,33 +175,26 @@ def fit(
         n = int(noisy.sum())
         remarks.append(f"{n} taxels are noisy: was the skin touched where it should not be?")
     elif (share := float(unsteady[exists].mean())) > OUTLIERS:
-        remarks.append(
-            f"{100 * share:.0f} % of the untouched readings come and go: was the skin touched?"
-        )
+        part = f"{100 * share:.0f} % of the untouched readings"
+        remarks.append(f"{part} come and go: was the skin touched?")
     rises = [steady(press.frames)[0] - baseline for press in presses]
     for press, rise in zip(presses, rises, strict=True):
         _check_still(press, rise, baseline, noise, works)
     dead = np.zeros(shape, np.bool_)
     gains: Doubles | None = None
     response: Response | None = None
-    pairs = zip(presses, rises, strict=True)
-    even = [(p, p.area, rise) for p, rise in pairs if p.area is not None]
+    even = [(p, p.area, r) for p, r in zip(presses, rises, strict=True) if p.area is not None]
     if even:
         dead = works & _dead(even, works)
         works &= ~dead
         gains, response = _even_fit(even, works, curve, remarks)
     elif presses:
-        floor = TOUCHED * noise
-        gains = np.full(shape, _common_gain(presses, rises, works, floor, remarks))
+        gains = np.full(shape, _common_gain(presses, rises, works, TOUCHED * noise, remarks))
     if not works.any():
         raise CalibrationError("no taxel works: none changes, or all are far noisier than half")
-    skin = SkinDescription(
-        *(name, *shape, MAX_NUMBER, "N" if presses else unit, pitch_mm),
-        mask=None if works.all() else works,
-        baseline=baseline,
-        gains=gains,
-        response=response,
-    )
+    arrays: Any = (None if works.all() else works, baseline, gains, response)
+    unit = "N" if presses else unit
+    skin = SkinDescription(name, *shape, MAX_NUMBER, unit, pitch_mm, *arrays)
     forces = [skin.forces(baseline + rise) for rise in rises]
     if f_max is None:
         if not presses:
@@ -193,10 +237,8 @@ def _check_still(
     read, kept = float(np.median(above.sum(axis=1))), float(rise[works].sum())
     chance = TOUCHED * math.sqrt(float(np.square(noise[works]).sum()))
     if abs(read - kept) > MOVED * abs(read) + chance:
-        raise CalibrationError(
-            f"{press.label}: the load moves: its frames add up to {read:.4g}, the readings that "
-            f"stay to {kept:.4g}; let it stand still"
-        )
+        sums = f"its frames add up to {read:.4g}, the readings that stay to {kept:.4g}"
+        raise CalibrationError(f"{press.label}: the load moves: {sums}; let it stand still")
 
 
 def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
@@ -281,11 +323,9 @@ def _common_gain(
     gain = float(total @ force / (total @ total))
     apart = np.abs(gain * total / force - 1)
     if apart.max() > 0.1:
-        label = presses[int(apart.argmax())].label
-        remarks.append(
-            f"{label}: {100 * apart.max():.0f} % off one gain for all: taxels or loads differ; "
-            "even loads over a stated area give each taxel its own"
-        )
+        off = f"{presses[int(apart.argmax())].label}: {100 * apart.max():.0f} % off"
+        remedy = "even loads over a stated area give each taxel its own"
+        remarks.append(f"{off} one gain for all: taxels or loads differ; {remedy}")
     return gain
 
 
@@ -293,11 +333,6 @@ def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressR
     if press.area is None:
         return PressResult(press.label, press.force, float(forces[works].sum()))
     cells = press.area & works
-    mean = float(forces[cells].mean())
-    return PressResult(
-        press.label,
-        press.force,
-        mean * int(press.area.sum()),
-        float(forces[cells].std()) / mean,
-        float(rise[cells].std() / np.abs(rise[cells].mean())),
-    )
+    mean, before = float(forces[cells].mean()), np.abs(rise[cells].mean())
+    spreads = float(forces[cells].std()) / mean, float(rise[cells].std() / before)
+    return PressResult(press.label, press.force, mean * int(press.area.sum()), *spreads)

@@ -16,7 +16,7 @@ from sparseskin.nodes.sensor.files.recording import Policy
 from sparseskin.nodes.sensor.source import Skin, Source
 from sparseskin.nodes.sensor.sources import open_source
 
-from .press import CalibrationError
+from .fit import CalibrationError
 
 MAX_READINGS = 1 << 27
 """Most readings that are kept of one step, chosen: 512 MiB."""
@@ -34,11 +34,10 @@ def read_part(text: str) -> tuple[float, float] | None:
     Raises CalibrationError if it is empty, or numbers without their unit.
     """
     found = _PART.fullmatch(text)
+    if found is None and _PART.fullmatch(f"{text}s"):
+        expected = f"expected seconds, as {text}s, or a file"
+        raise CalibrationError(f"{text}: {expected}; frames are not counted")
     if found is None:
-        if _PART.fullmatch(f"{text}s"):
-            raise CalibrationError(
-                f"{text}: expected seconds, as {text}s, or a file; frames are not counted"
-            )
         return None
     start, stop = float(found[1] or 0), float(found[2])
     if not start < stop:
@@ -69,10 +68,8 @@ class Recorded:
         """
         found = self._frames[(self._stamps_s >= start_s) & (self._stamps_s < stop_s)]
         if not len(found):
-            last = self._stamps_s[-1]
-            raise CalibrationError(
-                f"{start_s:g}-{stop_s:g}s: no frame of the recording, which lasts {last:g} s"
-            )
+            fault = f"no frame of the recording, which lasts {self._stamps_s[-1]:g} s"
+            raise CalibrationError(f"{start_s:g}-{stop_s:g}s: {fault}")
         return found
 
     def close(self) -> None:
@@ -86,10 +83,8 @@ class Live:
 
     def __init__(self, source: Source) -> None:
         self.skin: Skin = source.skin
-        self._source = source
+        self._source, self._error, self._closing = source, "", False
         self._keep: list[Frames] | None = None
-        self._error = ""
-        self._closing = False
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
@@ -105,10 +100,9 @@ class Live:
                 break
             time.sleep(POLL_S)
         self._keep = None
-        if not kept:
-            silent = f"{self._source.name}: no frame in {SILENT_S:g} s"
-            raise CalibrationError(self._error or silent)
-        return np.stack(kept)
+        if kept:
+            return np.stack(kept)
+        raise CalibrationError(self._error or f"{self._source.name}: no frame in {SILENT_S:g} s")
 
     def close(self) -> None:
         """Close the source, where it can be."""

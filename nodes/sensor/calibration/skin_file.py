@@ -106,12 +106,11 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
         if key in stated:
             raise SkinFileError(f"{key}: is stated in the file and in its {ARRAYS}")
     arrays = held | {key: _array(key, value, skin) for key, value in stated.items()}
-    knots = [arrays.pop(key, None) for key in CURVE.values()]
-    if any(each is not None for each in knots):
-        for key, each in zip(CURVE.values(), knots, strict=True):
-            if each is None:
+    if knots := {key: arrays.pop(key) for key in CURVE.values() if key in arrays}:
+        for key in CURVE.values():
+            if key not in knots:
                 raise SkinFileError(f"{key}: is missing")
-        arrays["response"] = Response(*knots)
+        arrays["response"] = Response(**{name: knots[key] for name, key in CURVE.items()})
     if skin.placement is not None:
         placed = skin.placement.skin(skin.f_max, skin.unit)
         arrays |= {"mask": placed.mask, "points": points_on_grid(placed)}
@@ -207,8 +206,7 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
     if path.suffix != ".toml":
         raise SkinFileError(f"{path}: expected a name that ends in .toml")
     plain = ("name", "rows", "cols", "pitch_mm", "unit", "f_max", "noise", "noise_mid", "f_min")
-    values: dict[str, Any] = {key: getattr(skin, key) for key in plain}
-    values |= {key: getattr(skin, key) for key in (*GRIDS, "points")}
+    values: dict[str, Any] = {key: getattr(skin, key) for key in (*plain, *GRIDS, "points")}
     curve = {} if skin.response is None else dict(vars(skin.response))
     values["response_reading"] = curve.get("reading")
     for key in ("baseline", "gains"):

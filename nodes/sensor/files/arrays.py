@@ -84,19 +84,15 @@ class ArrayRecording(Recording):
         if unit is not None and (unit.shape != () or unit.dtype.kind != "U"):
             raise SourceError(f"{name}, array 'unit': expected one text, e.g. np.array('N')")
         stamps = arrays.get("stamp_ns")
-        numbers = {
-            key: _scalar(arrays[key], f"{name}, array '{key}'") for key in NUMBERS if key in arrays
-        }
+        held = [key for key in NUMBERS if key in arrays]
+        more: dict[str, Any] = {key: arrays.get(key) for key in ("points", "point_rows")}
+        more |= {key: _scalar(arrays[key], f"{name}, array '{key}'") for key in held}
         return Parsed(
             forces=forces,
             unit=None if unit is None else str(unit),
             stamp_ns=None if stamps is None else _stamps(stamps, len(forces), name),
             mask=mask,
-            points=arrays.get("points"),
-            point_rows=arrays.get("point_rows"),
-            rate_hz=numbers.get("rate_hz"),
-            f_max=numbers.get("f_max"),
-            pitch_m=numbers.get("pitch_m"),
+            **more,
         )
 
     def _shapes(self, file: IO[bytes]) -> tuple[dict[str, tuple[int, ...]], str]:
@@ -127,9 +123,8 @@ def frames_name(dimensions: Mapping[str, int], stated: str | None, name: str) ->
 def as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
     """The array itself; SourceError unless it holds frames of real numbers."""
     if array.dtype.kind not in "iuf":
-        raise SourceError(
-            f"{where}: dtype {shown(array.dtype)}; allowed are integers and floating point"
-        )
+        fault = f"dtype {shown(array.dtype)}; allowed are integers and floating point"
+        raise SourceError(f"{where}: {fault}")
     check_dimensions(array.shape, where)
     return array
 
@@ -137,10 +132,8 @@ def as_frames(array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
 def check_dimensions(shape: tuple[int, ...], where: str) -> tuple[int, ...]:
     """The shape of frames; SourceError unless it has two or three dimensions."""
     if len(shape) not in (2, 3):
-        raise SourceError(
-            f"{where}: has {len(shape)} dimensions, shape {shape}; expected three: (frames, rows, "
-            "columns), or two: (frames, readings)"
-        )
+        expected = "expected three: (frames, rows, columns), or two: (frames, readings)"
+        raise SourceError(f"{where}: has {len(shape)} dimensions, shape {shape}; {expected}")
     return shape
 
 
@@ -173,9 +166,8 @@ def _stamps(array: npt.NDArray[Any], n_frames: int, name: str) -> tuple[int, ...
     stamps = [int(stamp) for stamp in array]
     for k, (before, stamp) in enumerate(pairwise(stamps), start=1):
         if stamp <= before:
-            raise SourceError(
-                f"{where}: stamp {k} is {stamp}, not after the one before it, {before}"
-            )
+            fault = f"stamp {k} is {stamp}, not after the one before it, {before}"
+            raise SourceError(f"{where}: {fault}")
     return tuple(stamp - stamps[0] for stamp in stamps)
 
 

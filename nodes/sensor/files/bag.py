@@ -43,11 +43,8 @@ class BagRecording(Recording):
                 if wants_raw and topic_of(patch, Calibration.schema) in bag.topics:
                     what = "its taxels are forces, of a calibrated skin; expected raw readings"
                     raise SourceError(f"{name}: {what}")
-                found = [
-                    one
-                    for one in (decoded(bag, m) for m in bag.messages([topic]))
-                    if isinstance(one, Taxels)
-                ]
+                messages = (decoded(bag, each) for each in bag.messages([topic]))
+                found = [one for one in messages if isinstance(one, Taxels)]
                 skin = skin_of(bag, patch)
         except BagError as error:
             raise SourceError(str(error)) from error

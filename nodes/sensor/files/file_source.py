@@ -27,13 +27,16 @@ from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Source
 
 from .format import recording_of
-from .invalid import Treated, treat
 from .recording import (
     ADD,
     COUNTS,
     DEFAULT_POLICY,
+    FILLED,
+    MASK,
     MAX_READING,
+    OFFSET,
     REFUSE,
+    ZERO,
     File,
     Head,
     Parsed,
@@ -58,6 +61,33 @@ EXAMPLES = {"fingers": "fingers press on the edge of a hole, Tekscan I-Scan 6900
 _MAX_RATE_HZ = 1e9
 _HEADS: dict[tuple[object, ...], Head] = {}
 """The begin of the file that was read last: a launch asks for it several times."""
+
+
+@dataclass(frozen=True)
+class Treated:
+    """Counts of invalid readings of a file."""
+
+    not_finite: int = 0
+    negative: int = 0
+    masked_taxels: int = 0  # for them
+    offset: float = 0.0  # subtracted from all readings, in their unit; 0 or less
+
+    def lines(self, policy: Policy, unit: str) -> list[str]:
+        """One line for a log on each kind of invalid reading; none where there was none."""
+        done = {ZERO: "set to 0", MASK: "masked"}
+        way = done.get(policy.negative, f"{self.offset:g} {unit} subtracted from all readings")
+        found = []
+        if n := self.not_finite:
+            found.append(f"{n} readings of the file are not finite: {FILLED[policy.nan]}")
+        if n := self.negative:
+            found.append(f"{n} readings of the file are below 0: {way}")
+        if self.masked_taxels:
+            found[-1] += f" ({self.masked_taxels} taxels masked)"
+        return found
+
+    def counts(self) -> dict[str, Any]:
+        """Counts for a summary; none where all readings were valid."""
+        return vars(self).copy() if self.not_finite or self.negative else {}
 
 
 @dataclass(eq=False)
@@ -154,9 +184,8 @@ def open_file(
     name = str(path)
     for what in ("n_rows", "n_cols"):
         if (side := stated.get(what)) is not None and not is_whole(side, 1, MAX_SIDE):
-            raise SourceError(
-                f"{name}: {what} = {shown(side)}; expected a whole number in 1..{MAX_SIDE}"
-            )
+            expected = f"expected a whole number in 1..{MAX_SIDE}"
+            raise SourceError(f"{name}: {what} = {shown(side)}; {expected}")
     check_number(name, "f_max", f_max)
     check_number(name, "rate_hz", rate_hz, high=_MAX_RATE_HZ)
     check_unit(name, unit)
@@ -199,6 +228,41 @@ def open_file(
     return RecordedSource(
         Path(name).stem, skin, frames, stamps, rate_hz, policy, treated, tuple(notes)
     )
+
+
+def treat(parsed: Parsed, policy: Policy) -> tuple[Parsed, Treated]:
+    """Return a recording whose invalid readings are treated, and their counts.
+
+    Those of a kind that is refused remain, for `check_readings` to name. Those that are not finite
+    become NaN, for `MissingReadings`; a taxel of which all are is masked with `nan` "mask". Cells
+    without a taxel are not looked at.
+    """
+    allowed = policy.nan == policy.negative == REFUSE
+    if allowed or not len(parsed.forces):
+        return parsed, Treated()
+    forces = np.array(parsed.forces, dtype=np.result_type(parsed.forces.dtype, np.float32))
+    finite = np.isfinite(forces)
+    is_nan = ~finite & (policy.nan != REFUSE)
+    is_negative = finite & (forces < 0) & (policy.negative != REFUSE)
+    exists = np.ones(forces.shape[1:], np.bool_) if parsed.mask is None else parsed.mask
+    gone = np.zeros_like(exists)
+    if policy.nan == MASK:
+        gone |= is_nan.all(axis=0)
+    if policy.negative == MASK:
+        gone |= is_negative.any(axis=0)
+    forces[is_nan] = np.nan
+    forces[:, gone] = 0
+    offset = 0.0
+    if policy.negative == ZERO:
+        forces[is_negative] = 0
+    elif policy.negative == OFFSET:
+        offset = float(forces.min(initial=0.0, where=np.isfinite(forces)))
+        forces[:, exists & ~gone] -= forces.dtype.type(offset)
+    mask = exists & ~gone if gone.any() else parsed.mask
+    n_bad = (int(np.count_nonzero(is_nan)), int(np.count_nonzero(is_negative)))
+    f_max = None if parsed.f_max is None else parsed.f_max - offset
+    treated = Treated(*n_bad, int((gone & exists).sum()), offset)
+    return replace(parsed, forces=forces, mask=mask, f_max=f_max), treated
 
 
 def n_taxels(
@@ -300,9 +364,8 @@ def _unit(stated: str | None, parsed: Parsed, default: str, name: str) -> str:
     found = parsed.unit
     check_unit(name, found)
     if stated is not None and found is not None and stated != found:
-        raise SourceError(
-            f"{name}: unit = {shown(stated)} is stated, but the file states {shown(found)}"
-        )
+        both = f"unit = {shown(stated)} is stated, but the file states {shown(found)}"
+        raise SourceError(f"{name}: {both}")
     return stated or found or default
 
 

@@ -32,15 +32,10 @@ class Format:
     recognises: Callable[[bytes], bool] | None = None
 
 
+_NPZ = "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted"
 OWN = (
     Format({".csv": "table with one frame a line"}, TableRecording),
-    Format(
-        {
-            ".npy": "array (frames, rows, columns)",
-            ".npz": "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted",
-        },
-        ArrayRecording,
-    ),
+    Format({".npy": "array (frames, rows, columns)", ".npz": _NPZ}, ArrayRecording),
     Format({".mcap": "recording of sparseskin"}, BagRecording, is_bag),
 )
 """Formats of the core."""
@@ -62,9 +57,8 @@ def recording_of(file: File) -> Recording:
     """
     suffix = Path(file.name).suffix.lower()
     fitting = [one for one in OWN if suffix in one.suffixes]
-    if (
-        suffix in (".csv", ".mcap") or not fitting
-    ):  # plug-ins, which may have it too, are imported for these
+    # Plug-ins, which may have it too, are imported for these.
+    if suffix in (".csv", ".mcap") or not fitting:
         begin = file.file.read(HEAD_BYTES)
         file.file.seek(0)
         fitting = [one for one in (*fitting, *loaded(FILES).values()) if suffix in one.suffixes]
@@ -72,7 +66,6 @@ def recording_of(file: File) -> Recording:
         fitting = sure or [one for one in fitting if one.recognises is None] or fitting
     if not fitting:
         allowed = f"allowed are {', '.join(suffixes())}{failures(FILES)}"
-        raise SourceError(
-            f"{file.name}: suffix {shown(Path(file.name).suffix)} is not known; {allowed}"
-        )
+        unknown = f"suffix {shown(Path(file.name).suffix)} is not known"
+        raise SourceError(f"{file.name}: {unknown}; {allowed}")
     return fitting[0].open(file)

@@ -312,9 +312,8 @@ def check_number(
 ) -> None:
     """Raise SourceError unless a stated value is None or a number in [low, high]."""
     if value is not None and not is_real(value, low, high):
-        raise SourceError(
-            f"{where}: {what} = {shown(value)}; expected a number in {low:g}..{high:g}"
-        )
+        expected = f"expected a number in {low:g}..{high:g}"
+        raise SourceError(f"{where}: {what} = {shown(value)}; {expected}")
 
 
 def check_unit(where: str, unit: object) -> None:
@@ -327,14 +326,12 @@ def check_unit(where: str, unit: object) -> None:
 
 def check_grid(n_rows: int, n_cols: int, where: str) -> None:
     """Raise SourceError unless both sides are in 1..4096 and the cells at most 2**20."""
+    n = n_rows * n_cols
     if not (1 <= n_rows <= MAX_SIDE and 1 <= n_cols <= MAX_SIDE):
-        raise SourceError(
-            f"{where}: {n_rows} rows x {n_cols} columns; allowed are 1..{MAX_SIDE} of each"
-        )
-    if n_rows * n_cols > MAX_ELEMENTS:
-        raise SourceError(
-            f"{where}: {n_rows} x {n_cols} = {n_rows * n_cols} cells; at most {MAX_ELEMENTS}"
-        )
+        sides = f"{n_rows} rows x {n_cols} columns"
+        raise SourceError(f"{where}: {sides}; allowed are 1..{MAX_SIDE} of each")
+    if n > MAX_ELEMENTS:
+        raise SourceError(f"{where}: {n_rows} x {n_cols} = {n} cells; at most {MAX_ELEMENTS}")
 
 
 def check_stated_shape(

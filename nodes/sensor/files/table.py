@@ -133,11 +133,9 @@ class TableRecording(Recording):
         """The column of times, and its unit where that is stated."""
         for part in self._stated()[0]:
             key, _, name = part.partition("=")
-            unit = key.removeprefix("time").removeprefix("_")
+            unit, place = key.removeprefix("time").removeprefix("_"), self._lines.name
             if unit and unit not in _NS:
-                raise SourceError(
-                    f"{self._lines.name}: columns: {shown(part)}; allowed: {_COLUMNS}"
-                )
+                raise SourceError(f"{place}: columns: {shown(part)}; allowed: {_COLUMNS}")
             (found, *_) = self._matching(name)
             return found, unit or self._named_unit(found)
         for k, name in enumerate(self._names):
@@ -222,11 +220,11 @@ def _is_value(cell: str) -> bool:
 
 def _iso(cell: str) -> int | None:
     """Microseconds since 1970 of a stamp of ISO 8601, of UTC where it states no zone."""
-    try:
-        found = datetime.fromisoformat(cell) if "-" in cell[1:] else None
-    except ValueError:
+    if "-" not in cell[1:]:
         return None
-    if found is None:
+    try:
+        found = datetime.fromisoformat(cell)
+    except ValueError:
         return None
     zoned = found if found.tzinfo else found.replace(tzinfo=UTC)
     return (zoned - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1)
@@ -234,7 +232,5 @@ def _iso(cell: str) -> int | None:
 
 def _unit_of(times: Sequence[float]) -> str:
     """Unit of numbers that state none, by their size since 1970 or their distance."""
-    for least, unit in _EPOCHS:
-        if abs(times[0]) > least:
-            return unit
-    return "s" if len(times) < 2 or float(np.median(np.diff(times))) < 1 else "ms"
+    by_distance = "s" if len(times) < 2 or float(np.median(np.diff(times))) < 1 else "ms"
+    return next((unit for least, unit in _EPOCHS if abs(times[0]) > least), by_distance)

@@ -48,9 +48,8 @@ class SceneAddress(Address):
             raise SourceError(f"no scene on points is called {name!r}{hint}")
         elif not self.points and not on_grid:
             if name in point_scenes():
-                raise SourceError(
-                    f"scene {name} presses a skin of points; state points, a file of them"
-                )
+                remedy = "state points, a file of them"
+                raise SourceError(f"scene {name} presses a skin of points; {remedy}")
             check_scene(name, TILED)
 
     def _described(self) -> SkinDescription:
@@ -75,11 +74,9 @@ class SceneAddress(Address):
             chosen = (described.skin, self.n_patches, self.active, self.seed, described.sigmas)
             return TiledScene(self.rest, *chosen)
         for name in ("n_rows", "n_cols", "unit", "f_max"):
-            value = getattr(self, name)
-            if value is not None:
-                raise SourceError(
-                    f"{self.source}: {name} = {value} is stated, but a scene has its own"
-                )
+            if (value := getattr(self, name)) is not None:
+                fault = f"{name} = {value} is stated, but a scene has its own"
+                raise SourceError(f"{self.source}: {fault}")
         if not self.points:
             return open_scene(self.rest, seed=self.seed)
         return point_skins().open_scene(self.rest, self.points, self.seed)

@@ -1,10 +1,7 @@
 """The six simulated scenes of the paper, by name: docs/explanation/scenes.md has their table.
 
-Each body is dropped on the skin; then its motion along the skin, or its lift, is prescribed
-(`motion`). It moves freely along the degrees of freedom `dof` (`contact`); all others are held.
-
-All scenes have the same skin: a pitch of 5 mm, taxels that are spheres of 2.5 mm radius and whose
-tops stand 10 mm above the ground, and
+Each body is dropped on the skin; then its motion along the skin, or its lift, is prescribed. All
+scenes have the same skin, and
 
 - k = 122.24 N/m a taxel, the default of SkinSim's plugin. With it the box stays in contact for
   8 ms, nearly the 10 ms of the moving average: on a stiffer skin that average would leave little
@@ -12,11 +9,8 @@ tops stand 10 mm above the ground, and
 - c = 0.4 N s/m a taxel, chosen: the box bounces twice and lies still before its 0.7 s are over.
   SkinSim's default, 1.83 N s/m, would answer the box's 3.1 m/s with 5.7 N a taxel, beyond the
   range.
-- the drop: 0.5 m (3.1 m/s) unless stated otherwise. The peak of the box is then 1.2 N a taxel, at
-  mid-range, where the noise is largest; published is the mean of 10 steps.
-- the ground: hard (10 kN/m a cell) and damped (100 N s/m), so that a wrench that sticks out over
-  the edge of the skin does not drum on it; 10 mm down, twice the height of a sphere. The springs
-  have no stop: wheel and peg go deeper for some milliseconds, to 12.2 mm at most.
+- a ground that is hard and damped, so that a wrench that sticks out over the edge of the skin does
+  not drum on it.
 
 Source: paper, section II-B and table I for bodies, motions, numbers and lengths of steps.
 """
@@ -31,8 +25,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 
 from .bodies import metal_peg, monkey_wrench, wooden_cube
-from .motion import Drag, Lift, RandomPath
-from .simulation import Scene, SceneSource
+from .simulation import Drag, Lift, RandomPath, Scene, SceneSource
 from .terrain import Surface
 
 TAXEL_RADIUS_M = 0.0025
@@ -45,18 +38,11 @@ DRAG_M_S = 0.05
 def lift_box_40() -> Scene:
     """LIFT BOX on 40 x 40 taxels.
 
-    - in the middle and face parallel: 20 x 20 taxels, 12.7 mN each at rest
-    - free: z. A cube that lands flat has nothing to tilt it
-    - lifted at 0.685 s, 0.12 s after it touched down for the last time; contact ends 1 ms later,
-      the smoothed forces 10 ms after that, and the scene soon after
+    In the middle and face parallel, on 20 x 20 taxels: it lands flat, and nothing tilts it. Lifted
+    0.12 s after it touched down for the last time; contact ends 1 ms later.
     """
-    return Scene(
-        name="lift_box_40",
-        n_steps=700,
-        body=wooden_cube(TAXEL_RADIUS_M),
-        surface=SKIN,
-        motion=Lift(at_s=0.685),
-    )
+    body, motion = wooden_cube(TAXEL_RADIUS_M), Lift(at_s=0.685)
+    return Scene(name="lift_box_40", n_steps=700, body=body, surface=SKIN, motion=motion)
 
 
 def lift_box_64() -> Scene:
@@ -74,14 +60,10 @@ def lift_box_64() -> Scene:
 def lift_wrench_40() -> Scene:
     """LIFT WRENCH on 40 x 40 taxels.
 
-    - along the skin's diagonal, centre of mass in the middle: the most of its 391 mm that 200 mm
-      square can hold, so that it lies on the skin and not on the ground around it
-    - free: z and pitch. Its supports, the wheel and the handle's end, lie on either side of the
-      centre of mass, and it rocks over them. Roll changes the forces by less than the noise
-      (51 dB against 47 dB) and is left out
-    - with 1 kg m2 on a skin this soft it rocks about once a second, and the skin damps that only
-      slowly: it no longer bounces, but has not come to a full rest, when it is lifted
-    - lifted at 2.95 s; it lies deeper than the box and leaves within the remaining 50 ms
+    Along the skin's diagonal, centre of mass in the middle: the most of its 391 mm that 200 mm
+    square can hold. Its supports, the wheel and the handle's end, lie on either side of the centre
+    of mass, and it rocks over them about once a second, which the skin damps only slowly. Roll
+    changes the forces by less than the noise (51 dB against 47 dB) and is left out.
     """
     return Scene(
         name="lift_wrench_40",
@@ -97,10 +79,8 @@ def lift_wrench_40() -> Scene:
 def drag_wrench_40() -> Scene:
     """DRAG WRENCH on 40 x 40 taxels.
 
-    - dropped as in LIFT WRENCH, and dragged across its length, jaws ahead, over a corner: the
-      way off the skin that 5 s at 0.05 m/s are enough for
-    - the drag begins at 1.94 s, when the worst of the bouncing is over, and ends off the skin
-    - as it leaves, jaws and handle's end drop to the ground, 10 mm lower, which bears its share
+    Dropped as in LIFT WRENCH, and dragged across its length, jaws ahead, over a corner, once the
+    worst of the bouncing is over. As it leaves, jaws and handle's end drop to the ground.
     """
     across = DRAG_M_S * math.sqrt(0.5)
     return replace(
@@ -114,10 +94,8 @@ def drag_wrench_40() -> Scene:
 def drag_wrench_64() -> Scene:
     """DRAG WRENCH on 64 x 64 taxels.
 
-    - 1.26 s at 0.05 m/s are 5 cm: it is dropped along an edge of the skin, centre of mass 3 cm
-      inside, jaws outwards, and dragged over that edge
-    - from 0.2 m (2 m/s), for the fall to leave time for the drag; the jaws are already out
-    - the drag begins at 0.25 s, while it still bounces
+    1.26 s at 0.05 m/s are 5 cm: it is dropped along an edge of the skin, centre of mass 3 cm
+    inside, jaws outwards, from 0.2 m, and dragged over that edge while it still bounces.
     """
     return replace(
         lift_wrench_40(),
@@ -135,10 +113,8 @@ def drag_wrench_64() -> Scene:
 def path_40() -> Scene:
     """PATH on 40 x 40 taxels.
 
-    - an aluminium peg of 20 mm diameter: 14 to 17 taxels, 36 to 29 mN each, a light touch
-    - free: z, as it is kept vertical
-    - dropped at a random place, and from 1 s on moved between random places at the 0.05 m/s of
-      DRAG WRENCH, always with its whole sole on the skin
+    An aluminium peg of 20 mm diameter, kept vertical: 14 to 17 taxels, 36 to 29 mN each. Dropped at
+    a random place, and moved between random places, always with its whole sole on the skin.
     """
     return replace(
         lift_box_40(),
@@ -149,14 +125,8 @@ def path_40() -> Scene:
     )
 
 
-SCENES: dict[str, Callable[[], Scene]] = {
-    "lift_box_40": lift_box_40,
-    "lift_wrench_40": lift_wrench_40,
-    "drag_wrench_40": drag_wrench_40,
-    "path_40": path_40,
-    "lift_box_64": lift_box_64,
-    "drag_wrench_64": drag_wrench_64,
-}
+_MADE = (lift_box_40, lift_wrench_40, drag_wrench_40, path_40, lift_box_64, drag_wrench_64)
+SCENES: dict[str, Callable[[], Scene]] = {made.__name__: made for made in _MADE}
 
 
 def check_scene(name: str, others: Iterable[str] = ()) -> None:

@@ -13,8 +13,8 @@ from sparseskin.nodes.numerics.arrays import Doubles, Indices
 
 from .bodies import FAR_M, Sole
 from .contact import Bed
-from .motion import Place
 
+Place = tuple[float, float]
 _Value = TypeVar("_Value", float, Doubles)
 
 
@@ -51,11 +51,8 @@ class Terrain:
         yaw_rad: float,
         dof: tuple[str, ...],
     ) -> None:
-        self._surface = surface
-        self._shape = shape
-        self._sole = sole
+        self._surface, self._shape, self._sole, self._dof = surface, shape, sole, dof
         self._yaw = (math.cos(yaw_rad), math.sin(yaw_rad))
-        self._dof = dof
         self._searched_at: Place | None = None
         # 1 within one pitch of the body, and a little more for the rotated grid.
         margin = math.ceil(1.1 * surface.pitch_m / sole.grid_m)
@@ -74,9 +71,8 @@ class Terrain:
         """The cells under the body with its centre of mass over `place`, taxels first, some beside
         it, out of its reach; and the indices of these taxels in the flattened frame.
         """
-        if self._searched_at is None or (
-            math.dist(place, self._searched_at) > self._surface.pitch_m
-        ):
+        at = self._searched_at
+        if at is None or math.dist(place, at) > self._surface.pitch_m:
             self._search(place)
         x, y = self._to_body(*place)
         body_x = self._body_x - x
@@ -100,12 +96,8 @@ class Terrain:
         n_rows, n_cols = self._shape
         x_min, x_max, y_min, y_max = self._sole.bounds
         reach = math.hypot(max(-x_min, x_max), max(-y_min, y_max)) + 2 * surface.pitch_m
-        col, row = (
-            index.ravel()
-            for index in np.meshgrid(
-                self._indices(place[0], reach, n_cols), self._indices(place[1], reach, n_rows)
-            )
-        )
+        sides = self._indices(place[0], reach, n_cols), self._indices(place[1], reach, n_rows)
+        col, row = (index.ravel() for index in np.meshgrid(*sides))
         skin_x = np.asarray((col - (n_cols - 1) / 2) * surface.pitch_m, dtype=np.float64)
         skin_y = np.asarray((row - (n_rows - 1) / 2) * surface.pitch_m, dtype=np.float64)
         body_x, body_y = self._to_body(skin_x, skin_y)

@@ -24,9 +24,8 @@ from sparseskin.nodes.sensor.source import Source
 
 from .bodies import Body, build_sole, capsule, slab
 from .contact import GRAVITY_M_S2
-from .motion import Lift
 from .scenes import SKIN
-from .simulation import Scene, SceneSource
+from .simulation import Lift, Scene, SceneSource
 
 SETTLE_S, LIFT_S = 1.2, 0.2
 """Time from the fall to rest, and from the begin of the lift to the last contact; chosen: the
@@ -85,10 +84,9 @@ class TiledScene(Source):
         self._tiling = TILED[name]
         part = self._tiling.active if active is None else active
         self._n_active = min(n_patches, math.ceil(part * n_patches))
-        order = np.arange(n_patches)
-        self._order = (
-            order if self._tiling.alternate else np.random.default_rng(seed).permutation(n_patches)
-        )
+        self._order = np.random.default_rng(seed).permutation(n_patches)
+        if self._tiling.alternate:
+            self._order = np.arange(n_patches)
         self._press = _press(name, skin.shape, skin.pitch_m, skin.f_max)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:

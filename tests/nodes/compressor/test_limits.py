@@ -3,8 +3,7 @@
 import pytest
 
 from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.compressor.limits import compression_warnings
-from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.compressor.node import Compressor, compression_warnings
 from sparseskin.nodes.sensor.node import Sensor
 
 

@@ -53,15 +53,11 @@ def test_sbhe_rows_are_signs_on_one_block_of_32_taxels():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_batch_gives_the_bits_of_its_frames_in_out_and_leaves_the_input_alone(kind):
+def test_a_batch_gives_the_bits_of_its_frames_and_leaves_the_input_alone(kind):
     phi = make_phi(kind, 100, 100 if kind == "full" else 33, seed=2)
-    for apply, given_to, size in (
-        (phi.forward, normal((5, phi.n)), phi.m),
-        (phi.adjoint, normal((5, phi.m)), phi.n),
-    ):
-        before, out = given_to.copy(), np.full((5, size), 9, np.float32)
-        assert apply(given_to, out) is out
-        np.testing.assert_array_equal(out, [apply(one) for one in given_to])
+    for apply, given_to in ((phi.forward, normal((5, phi.n))), (phi.adjoint, normal((5, phi.m)))):
+        before = given_to.copy()
+        np.testing.assert_array_equal(apply(given_to), [apply(one) for one in given_to])
         np.testing.assert_array_equal(given_to, before)
 
 
@@ -71,10 +67,7 @@ def test_wrong_shapes_and_types_are_named():
         phi.forward(normal(63))
     with pytest.raises(PhiError, match=r"y has shape \(64,\); expected \(20,\)"):
         phi.adjoint(normal(64))
-    with pytest.raises(PhiError, match=r"out is float64 .*expected contiguous float32"):
-        phi.forward(normal(64), np.empty(20))
-    with pytest.raises(PhiError, match="expected contiguous float32"):
-        phi.forward(normal(64), np.empty(40, dtype=np.float32)[::2])
+
     with pytest.raises(PhiError, match=r"x has shape \(2, 3, 64\)"):
         phi.forward(normal((2, 3, 64)))
 

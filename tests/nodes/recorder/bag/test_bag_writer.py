@@ -8,9 +8,8 @@ from sparseskin.messages import End, encode
 from sparseskin.messages.base import omitted_fields
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.recorder.bag.format import BagError, BagMessage
-from sparseskin.nodes.recorder.bag.json_schema import json_schema
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.recorder.bag.writer import BagWriter
+from sparseskin.nodes.recorder.bag.writer import BagWriter, json_schema
 
 
 def test_what_was_written_is_read_back_byte_for_byte_and_in_order(tmp_path):

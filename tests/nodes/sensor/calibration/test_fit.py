@@ -7,11 +7,11 @@ import pytest
 from damaged import refusal
 
 from sparseskin.nodes.sensor.calibration.chain import Chain
-from sparseskin.nodes.sensor.calibration.fit import fit
-from sparseskin.nodes.sensor.calibration.press import (
+from sparseskin.nodes.sensor.calibration.fit import (
     GRAVITY,
     CalibrationError,
     Press,
+    fit,
     read_area,
     read_load,
 )

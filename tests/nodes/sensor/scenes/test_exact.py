@@ -16,9 +16,8 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes import bodies
 from sparseskin.nodes.sensor.scenes.bodies import FAR_M, Body, Sole, build_sole, metal_peg
 from sparseskin.nodes.sensor.scenes.contact import Bed, RigidBody
-from sparseskin.nodes.sensor.scenes.motion import Drag
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, SKIN, TAXEL_RADIUS_M, open_scene
-from sparseskin.nodes.sensor.scenes.simulation import Scene, SceneSource
+from sparseskin.nodes.sensor.scenes.simulation import Drag, Scene, SceneSource
 
 G_M_S2 = 9.81
 #: Frames so near to a limit that the rounding of another processor decides how they are counted.
