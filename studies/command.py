@@ -90,13 +90,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     more = rare(parser)
-    known = studies()
-    parser.epilog = "\n".join(f"{name:<15} {study.summary}" for name, study in known.items())
+    known = {name: study.summary for name, study in studies().items()}
+    parser.epilog = "\n".join(f"{name:<15} {summary}" for name, summary in known.items())
     name = parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(known)}")
     # Read by argcomplete: candidates for the word, and what each means.
-    name.completer = lambda **_: {  # type: ignore[attr-defined]
-        name: study.summary for name, study in known.items()
-    }
+    name.completer = lambda **_: known  # type: ignore[attr-defined]
     parser.add_argument(
         "--quick", action="store_true", help="fewer frames and points: to see that it runs"
     )
@@ -131,9 +129,8 @@ def _study(arguments: argparse.Namespace) -> int:
     name: str = arguments.name
     known = studies()
     if name not in known:
-        raise SettingsError(
-            f"study {name!r} is not known{nearest_of(name, known)}{failures(GROUP)}"
-        )
+        hint = f"{nearest_of(name, known)}{failures(GROUP)}"
+        raise SettingsError(f"study {name!r} is not known{hint}")
     study = known[name]
     absent = [package for package in EXTRA if find_spec(package) is None]
     if absent:

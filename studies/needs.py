@@ -111,11 +111,10 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng(point["seed"])
     changes, noises = [], []
     for ours, theirs in zip(Variant(True, scene).frames(), variant.frames(), strict=True):
-        if not any(in_contact(frame, scene.f_max_n) for frame in (ours, theirs)):
-            continue
-        changes.append(float(np.mean(np.square(theirs - ours), dtype=np.float64)))
-        noise = noise_model.apply(ours, rng) - ours
-        noises.append(float(np.mean(np.square(noise), dtype=np.float64)))
+        if any(in_contact(frame, scene.f_max_n) for frame in (ours, theirs)):
+            noise = noise_model.apply(ours, rng) - ours
+            changes.append(float(np.mean(np.square(theirs - ours), dtype=np.float64)))
+            noises.append(float(np.mean(np.square(noise), dtype=np.float64)))
     above = [change > noise for change, noise in zip(changes, noises, strict=True)]
     return {
         "carried": variant.carried,

@@ -157,12 +157,8 @@ def _computed(
             try:
                 figures = future.result()
                 json.dumps(figures, allow_nan=False)
-            except SparseskinError as error:
-                raise StudyError(f"{_named(missing[key])}: {error}") from error
             except Exception as error:
-                raise StudyError(f"{_named(missing[key])}: {one_line(error)}") from error
+                point = ", ".join(f"{name} = {value}" for name, value in missing[key].items())
+                fault = error if isinstance(error, SparseskinError) else one_line(error)
+                raise StudyError(f"point {point}: {fault}") from error
             yield key, figures
-
-
-def _named(point: Mapping[str, Any]) -> str:
-    return "point " + ", ".join(f"{key} = {value}" for key, value in point.items())
