@@ -116,8 +116,7 @@ def compiled(*signatures: str, sums_in_any_order: bool = False) -> Callable[[Fun
     """
     numba = import_module("numba")
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    if sums_in_any_order:
-        options["fastmath"] = {"reassoc"}
+    options |= {"fastmath": {"reassoc"}} if sums_in_any_order else {}
 
     def decorate(function: Function) -> Function:
         made: Function

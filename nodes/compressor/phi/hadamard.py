@@ -130,10 +130,8 @@ class HadamardProducts:
         for start, size, count in groups.tolist():
             b = 1 if size <= MOST_AT_ONCE else 1 << size.bit_length() // 2
             part = slice(start, start + size * count)
-            first, second = (
-                array((hadamard_matrix(side) / np.sqrt(side)).astype(np.float32))
-                for side in (size // b, b)
-            )
+            factors = [hadamard_matrix(side) / np.sqrt(side) for side in (size // b, b)]
+            first, second = (array(factor.astype(np.float32)) for factor in factors)
             self._groups.append((part, first, second))
             if b > 1:
                 by_row = self.order_in[part].reshape(size // b, b, count)

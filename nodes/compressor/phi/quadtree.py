@@ -96,9 +96,8 @@ class Quadtree:
         for upper, lower in itertools.pairwise(self.levels):
             inside = upper.parts < lower.size
             own = tile_of_node[upper.first : upper.first + upper.size, None]
-            tile_of_node[lower.first + upper.parts[inside]] = np.broadcast_to(own, inside.shape)[
-                inside
-            ]
+            below = lower.first + upper.parts[inside]
+            tile_of_node[below] = np.broadcast_to(own, inside.shape)[inside]
         self.tile_of_row = tile_of_node[self.node_of_row]
 
     def analysis(self, x: npt.NDArray[np.floating]) -> Doubles:
@@ -161,8 +160,7 @@ class Quadtree:
     def decoded(self, code: npt.NDArray[np.uint8]) -> Mask:
         """Return the nodes that `coded` stated, bool (n_nodes,); ValueError if it stated none."""
         bits, at = np.unpackbits(code).astype(np.bool_), 0
-        chosen = np.zeros(self.n_nodes, dtype=np.bool_)
-        some = np.zeros(self.n_nodes, dtype=np.bool_)
+        chosen, some = np.zeros((2, self.n_nodes), dtype=np.bool_)
 
         def taken(nodes: Indices) -> Mask:
             nonlocal at

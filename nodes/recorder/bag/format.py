@@ -16,7 +16,7 @@ from sparseskin.messages import End
 from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.files import NO_FOLDER, NO_WRITING
+from sparseskin.nodes.files import NO_FOLDER, NO_WRITING, TAKEN
 
 FILE_SUFFIX = ".mcap"
 PART_SUFFIX = ".part"
@@ -51,7 +51,7 @@ def check_new_bag(path: Path) -> Path:
     part = path.with_name(path.name + PART_SUFFIX)
     for taken in (path, part):
         if os.path.lexists(taken):
-            raise BagError(f"{taken}: exists already, and is not written over")
+            raise BagError(f"{taken}: {TAKEN}")
     if not path.parent.is_dir():
         raise BagError(f"{path}: {NO_FOLDER}")
     if not os.access(path.parent, os.W_OK):

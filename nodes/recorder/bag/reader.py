@@ -6,7 +6,7 @@ import json
 import os
 import stat
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -56,15 +56,13 @@ class BagReader(AbstractContextManager["BagReader"]):
 
     def __init__(self, path: str | os.PathLike[str], whole: bool = True) -> None:
         self.path = Path(path)
-        self._file = _open(self.path)
-        try:
-            self._index, self.recovered = load_index(self._file, str(self.path), whole)
-        except OSError as error:
-            self._file.close()
-            raise BagError(f"{self.path}: {error.strerror}") from error
-        except BaseException:
-            self._file.close()
-            raise
+        with ExitStack() as opened:
+            self._file = opened.enter_context(_open(self.path))
+            try:
+                self._index, self.recovered = load_index(self._file, str(self.path), whole)
+            except OSError as error:
+                raise BagError(f"{self.path}: {error.strerror}") from error
+            opened.pop_all()
         self.metadata = self._index.metadata.get(GRAPH_RECORD, {})
         self.counts = _counts(self._index.metadata.get(COUNTS_RECORD, {}))
         self.topics: dict[str, TopicInfo] = dict(sorted(self._index.topics.items()))
@@ -107,13 +105,11 @@ class BagReader(AbstractContextManager["BagReader"]):
                 if stop_ns is not None and stamp_ns >= stop_ns:
                     continue
                 topic, schema, version, is_old = channel
-                payload = bytes(data)
-                if is_old:
-                    try:
-                        payload = version_1.payload_today(payload)
-                    except MessageError as error:
-                        text = f"{self.path}: {topic}, stamp {stamp_ns}: {error}"
-                        raise BagError(text) from error
+                try:
+                    payload = version_1.payload_today(bytes(data)) if is_old else bytes(data)
+                except MessageError as error:
+                    place = f"{self.path}: {topic}, stamp {stamp_ns}"
+                    raise BagError(f"{place}: {error}") from error
                 yield BagMessage(topic, schema, version, log_ns, stamp_ns, payload)
 
     def _chunk(self, chunk: ChunkSpan) -> bytes:
@@ -149,8 +145,7 @@ def _open(path: Path) -> BinaryIO:
 
 
 def _counts(record: dict[str, str]) -> dict[str, Any] | None:
-    try:
+    found = None
+    with suppress(ValueError, RecursionError):
         found = json.loads(record.get(JSON_KEY, ""))
-    except (ValueError, RecursionError):
-        return None
     return found if isinstance(found, dict) and is_shallow(found) else None
