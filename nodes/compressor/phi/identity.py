@@ -43,11 +43,6 @@ class SubsamplePhi(RotatingPhi):
         self._order: Indices = np.random.default_rng(seed).permutation(n).astype(np.intp)
         self._keep(np.sort(self._order[:m]))
 
-    def _keep(self, rows: Indices) -> None:
-        rows.setflags(write=False)
-        self.rows: Indices = rows
-        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, rows)
-
     def _forward(self, x: Floats, out: Floats) -> None:
         x.take(self.rows, None, out, "clip")
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Sequence
 from copy import copy
 from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .base import MAX_SUBSETS, RANDOM, SPREAD, STORED, Phi, phi_class
+from .base import MAX_SUBSETS, RANDOM, SPREAD, STORED, Phi, fingerprint_of, phi_class
 
 FIXED, ROTATING = "fixed", "rotating"
 ROWS = (FIXED, ROTATING)
@@ -110,9 +110,11 @@ class RotatingPhi(Phi):
     can_rotate: ClassVar[bool] = True
     _order: Indices
 
-    @abstractmethod
-    def _keep(self, rows: Indices) -> None:
-        """Measure by these rows of W, ascending."""
+    def _keep(self, rows: Indices, block: int = 1, *w: npt.NDArray[np.generic]) -> None:
+        """Measure by these rows, ascending, of W, which block and arrays state."""
+        rows.setflags(write=False)
+        self.rows: Indices = rows
+        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, block, *w, rows)
 
     def row_subsets(self) -> list[Phi]:
         """P = ceil(n / m) matrices of m rows, which together hold every row, the first like this

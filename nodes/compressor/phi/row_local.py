@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .base import BLOCK, Phi, fingerprint_of
+from .base import BLOCK, Phi
 from .hadamard import hadamard_matrix
 from .rotation import RotatingPhi, split_rows
 
@@ -70,13 +71,11 @@ class RowLocalPhi(RotatingPhi):
         self._order = np.arange(self.n, dtype=np.intp)
         self._keep(self._order[: self.m])
 
-    def _keep(self, rows: Indices) -> None:
-        rows.setflags(write=False)
-        self.rows: Indices = rows
+    def _keep(self, rows: Indices, *_: Any) -> None:
+        super()._keep(rows, 1, self.patterns)
         self._used, self._place = np.unique(rows // self.shape[0], return_inverse=True)
         self._b = np.ascontiguousarray(self.patterns[self._used])
         self._place = self._place * self.shape[0] + rows % self.shape[0]
-        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, self.patterns, rows)
 
     def row_subsets(self) -> list[Phi]:
         """As in `RotatingPhi`; every subset has the pattern of all columns: with M = n_rows there

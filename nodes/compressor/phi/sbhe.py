@@ -6,7 +6,7 @@ import functools
 import heapq
 import math
 from collections.abc import Sequence
-from typing import ClassVar, TypeGuard
+from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .base import BLOCK, RANDOM, SPREAD, Phi, fingerprint_of
+from .base import BLOCK, RANDOM, SPREAD, Phi
 from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
@@ -76,12 +76,8 @@ class SbhePhi(RotatingPhi):
         # Taxel of each place of the vector that is transformed.
         self._deal: Indices = permutation[self._hadamard.order_in]
 
-    def _keep(self, rows: Indices) -> None:
-        rows.setflags(write=False)
-        self.rows: Indices = rows
-        self.fingerprint = fingerprint_of(
-            self.kind, self.n, self.m, self.block, self.permutation, rows
-        )
+    def _keep(self, rows: Indices, *_: Any) -> None:
+        super()._keep(rows, self.block, self.permutation)
         # Place in its transform of each measurement.
         self._places: Indices = np.argsort(self._hadamard.order_out)[rows]
         size = np.repeat(self.sizes, self.sizes)[rows].astype(np.float32)
