@@ -307,12 +307,10 @@ def parse_mask(rows: Any, shape: tuple[int, int], where: str) -> Mask:
     return np.array([[cell == "1" for cell in row] for row in rows], dtype=np.bool_)
 
 
-def check_number(
-    where: str, what: str, value: Any, high: float = MAX_READING, low: float = 1e-9
-) -> None:
-    """Raise SourceError unless a stated value is None or a number in [low, high]."""
-    if value is not None and not is_real(value, low, high):
-        expected = f"expected a number in {low:g}..{high:g}"
+def check_number(where: str, what: str, value: Any, high: float = MAX_READING) -> None:
+    """Raise SourceError unless a stated value is None or a number in [1e-9, high]."""
+    if value is not None and not is_real(value, 1e-9, high):
+        expected = f"expected a number in 1e-09..{high:g}"
         raise SourceError(f"{where}: {what} = {shown(value)}; {expected}")
 
 
