@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N, Skin
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, phis_for
+from sparseskin.nodes.compressor.node import CompressorSettings
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.rotation import block_and_rule, rows_and_m
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SolverError, SparseskinError
 from sparseskin.nodes.lookup import find_class
@@ -157,35 +157,12 @@ class Alone:
         return self.method.reconstruct(taxels)
 
 
-def phis_at(
-    skin: Skin,
-    ratio: float,
-    rows: str,
-    seed: int,
-    *,
-    phi: str = "sbhe",
-    block: int | None = None,
-    sigma_end: float = 0.0,
-    m: int | None = None,
-) -> list[Phi]:
-    """Matrices that frames take in turn at a ratio N / M, or of M = `m`, laid out on a skin.
-
-    M is rounded down where rows are fixed, and up where they rotate, so that all row subsets
-    together hold every row. `rows` "paper" are the paper's, fixed. `block`: size of the Hadamard
-    blocks; None: that of the kind. `sigma_end`: as of `make_method`.
-    """
-    kept, m = rows_and_m(phi, skin.n_taxels, rows=rows, ratio=ratio, m=m)
-    parameters = {"kind": phi, "m": m, "seed": seed, **block_and_rule(rows, block)}
-    return phis_for(skin, sigma_end, True, kept, **parameters)
-
-
 def make_method(
     chosen: Mapping[str, Any],
     shape: tuple[int, int],
     ratio: float,
     seed: int,
     *,
-    rows: str,
     mask: Mask | None = None,
     f_max_n: float = PAPER_F_MAX_N,
     sigma_end: float = 0.0,
@@ -194,15 +171,15 @@ def make_method(
     """Make a method by the names of its parts.
 
     `chosen`: solver, basis ("haar" where absent) and the solver's settings, as in `PRESETS`;
-    `mask`: True where a taxel exists (None: everywhere); `ratio`, `seed`, `rows`, `how`: as for
-    `phis_at`. `f_max_n`, the upper end of the range, and `sigma_end`, the standard deviation of an
+    `mask`: True where a taxel exists (None: everywhere); `ratio`, `seed`, `how`: settings of a
+    compressor. `f_max_n`, the upper end of the range, and `sigma_end`, the standard deviation of an
     untouched taxel's noise (0: not known), newtons, are for phi "adaptive" and the estimated error:
-    settings are used as stated. Raises PhiError or SolverError if a name or setting is unknown or
-    not allowed, or the parts do not fit.
+    settings are used as stated. Raises SettingsError, PhiError or SolverError if a name or setting
+    is unknown or not allowed, or the parts do not fit.
     """
     settings = {key: value for key, value in chosen.items() if key not in ("solver", "basis")}
     skin = Skin(*shape, f_max_n, mask=mask)
-    phis = phis_at(skin, ratio, rows, seed, sigma_end=sigma_end, **how)
+    phis = CompressorSettings(ratio=ratio, seed=seed, **how).phis(skin, sigma_end)
     basis = make_basis(chosen.get("basis", "haar"), *shape)
     solver = make_rotating_solver(chosen["solver"], phis, basis, mask, **settings)
     if sigma_end:

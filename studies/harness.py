@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
@@ -32,7 +33,6 @@ from .evaluate import (
     Scores,
     evaluate,
     make_method,
-    phis_at,
 )
 from .frames import Frames, Take, opened, stated
 from .points import StudyError, compute
@@ -111,7 +111,8 @@ class Candidate:
 
         n_rows, n_cols = take.mask.shape
         skin = Skin(n_rows, n_cols, take.f_max, mask=take.mask)
-        (phi, *_) = phis_at(skin, at.ratio, at.rows, seed, phi=at.phi, block=at.block)
+        how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
+        (phi, *_) = CompressorSettings(ratio=at.ratio, seed=seed, **how).phis(skin)
         weight = self.settings["weight"] * take.f_max / PAPER_F_MAX_N
         return TotalVariation(phi, take.mask, weight, self.settings["iterations"])
 

@@ -24,6 +24,7 @@ from scipy.special import stdtrit
 from tqdm import tqdm
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
@@ -31,7 +32,7 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.tasks import computed
 from sparseskin.nodes.touch import in_contact
-from sparseskin.studies.evaluate import make_method, phis_at
+from sparseskin.studies.evaluate import make_method
 from sparseskin.studies.presses import BODIES, COURSES, Timing, press_frames
 
 from .budget import Accuracy, Row
@@ -85,7 +86,8 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     shape = (mask.shape[0], mask.shape[1])
     n = int(np.count_nonzero(mask))
     if strategy.reads_single:
-        phis = phis_at(Skin(*shape, F_MAX_N, mask=mask), strategy.ratio, seed=seed, **how)
+        settings = CompressorSettings(ratio=strategy.ratio, seed=seed, **how)
+        phis = settings.phis(Skin(*shape, F_MAX_N, mask=mask))
         return raster(mask, bits, None if strategy.phi == "full" else phis)
     how |= {"mask": mask, "f_max_n": F_MAX_N, "sigma_end": noise * F_MAX_N}
     m = strategy.m(n, mask.shape[0])

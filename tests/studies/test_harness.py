@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sparseskin.messages.skin import Skin
+from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.monitor.metrics import psnr_db
@@ -19,7 +20,6 @@ from sparseskin.studies.evaluate import (
     Solved,
     evaluate,
     make_method,
-    phis_at,
 )
 from sparseskin.studies.frames import PressFrames, UntouchedFrames
 from sparseskin.studies.harness import (
@@ -163,7 +163,7 @@ def test_a_method_is_the_solver_on_its_own_measurements():
 
 
 def test_rotating_row_subsets_together_hold_every_row():
-    phis = phis_at(Skin(8, 8, 2.5), 3, ROTATING, seed=0)
+    phis = CompressorSettings(rows=ROTATING).phis(Skin(8, 8, 2.5))
     assert [phi.m for phi in phis] == [22, 22, 22]
     method = make_method(PRESETS["skin"], SHAPE, 3, seed=0, rows=ROTATING)
     used = []
