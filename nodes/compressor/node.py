@@ -12,17 +12,27 @@ from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxe
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.compressor.phi.acts import SIGMAS, ActsPhi, ActsSearch, packed_places
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, phis_for
-from sparseskin.nodes.compressor.phi.base import KINDS, Phi, block_of, check_parameters, phi_class
+from sparseskin.nodes.compressor.phi.base import (
+    KINDS,
+    RANDOM,
+    SPREAD,
+    STORED,
+    Phi,
+    block_of,
+    check_parameters,
+    phi_class,
+)
 from sparseskin.nodes.compressor.phi.rotation import (
     FIXED,
     PAPER,
+    PAPER_BLOCK,
     RATIO,
     ROTATING,
     ROWS,
-    block_and_rule,
     check_rotates,
     check_subsets,
-    rows_and_m,
+    default_rows,
+    m_of,
 )
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
@@ -109,11 +119,32 @@ class CompressorSettings(PatchesSettings):
         return super().changed({"m": None, **changes} if "ratio" in changes else changes)
 
     def rows_and_m(self, n: int) -> tuple[str, int]:
-        """Return rows ("fixed" or "rotating") and M for a skin of `n` taxels."""
-        if self.phi != "full" and self.m is None and self.ratio > n:
+        """Return rows ("fixed" or "rotating") and M for a skin of `n` taxels: "full" has M = N
+        whatever is stated, "file:PATH" that of its file. Raises PhiError if M would be 0, or the
+        kind is not known.
+        """
+        kind, m, rows = self.phi, self.m, FIXED if self.rows == PAPER else self.rows
+        if kind == "full":
+            return rows or FIXED, n
+        if m is None and self.ratio > n:
             fault = f"{self.ratio:g} leaves no measurement of {n} taxels"
             raise PhiError(f"ratio: {fault}; allowed: 1..{n}")
-        return rows_and_m(self.phi, n, rows=self.rows, m=self.m, ratio=self.ratio)
+        if m is None and kind.startswith(STORED):
+            from .phi.stored import load_matrices  # needs scipy
+
+            m = load_matrices(kind.removeprefix(STORED))[0].shape[0]
+        if rows is None:
+            made_by, most = phi_class(kind), m or m_of(n, self.ratio, ROTATING)
+            rows = default_rows(made_by if isinstance(made_by, type) else None, kind, n, most)
+        return rows, m or m_of(n, self.ratio, rows)
+
+    def block_and_rule(self) -> tuple[int, int]:
+        """Return size of the Hadamard blocks and rule of the rows, as of `make_phi`: rows "paper"
+        are drawn at random, from blocks of 32 where no size is stated.
+        """
+        if self.rows == PAPER:
+            return self.block or PAPER_BLOCK, RANDOM
+        return block_of(self.phi, self.block), SPREAD
 
     def phis(self, skin: Skin, sigma_end: float = 0.0, clips_noise: bool = True) -> list[Phi]:
         """Return the matrices that measure frames of a skin in turn: one where rows are fixed.
@@ -121,11 +152,9 @@ class CompressorSettings(PatchesSettings):
         `sigma_end` and `clips_noise` state the skin's noise, as in `SkinState`.
         Raises PhiError if they cannot be made.
         """
-        rows, m = self.rows_and_m(skin.n_taxels)
-        of_phi = {"kind": self.phi, "m": m, "seed": self.seed}
-        return phis_for(
-            skin, sigma_end, clips_noise, rows, **of_phi, **block_and_rule(self.rows, self.block)
-        )
+        (rows, m), (block, rule) = self.rows_and_m(skin.n_taxels), self.block_and_rule()
+        of_phi = {"kind": self.phi, "m": m, "seed": self.seed, "block": block, "rule": rule}
+        return phis_for(skin, sigma_end, clips_noise, rows, **of_phi)
 
 
 def compression_warnings(
@@ -192,7 +221,7 @@ class Compressor(Node[CompressorSettings]):
         rows, m = s.rows_and_m(n)
         made_by = phi_class(s.phi)
         with naming("ratio" if s.m is None else "m"):
-            block = block_of(s.phi, block_and_rule(s.rows, s.block)["block"])
+            block, _ = s.block_and_rule()
             check_parameters(n, m, s.seed, block)
             if isinstance(made_by, type) and issubclass(made_by, Phi):
                 made_by.check_size(n, m, s.seed, block)
@@ -242,18 +271,18 @@ class Compressor(Node[CompressorSettings]):
             threshold = touch_level(state.sigma_end, state.f_max, SIGMAS)
             self._search = ActsSearch(state.skin.exists, phi.m, threshold)
         self._choice = AdaptiveChoice(phi) if isinstance(phi, AdaptivePhi) else None
-        chosen = block_and_rule(s.rows, s.block)
+        block, rule = s.block_and_rule()
         return PhiState(
             stamp_ns=stamp_ns,
             patch=s.patch,
             kind=phi.kind if s.phi == phi.kind else s.phi,
             n=phi.n,
             m=phi.m,
-            block=block_of(s.phi, chosen["block"]),
+            block=block,
             seed=s.seed,
             fingerprint=phi.fingerprint,
             rows=rows,
-            rule=chosen["rule"],
+            rule=rule,
         )
 
     def _warn(self, phi: Phi) -> None:

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import PAPER, block_and_rule
+from sparseskin.nodes.compressor.phi.base import RANDOM, Phi, make_phi
+from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis, make_basis
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS
@@ -35,7 +35,7 @@ class Bpdn:
         self.n = shape[0] * shape[1]
         self.m = self.n // ratio
         self.lambda_n = lambda_n
-        self.phi: Phi = make_phi("sbhe", self.n, self.m, seed, **block_and_rule(PAPER, None))
+        self.phi: Phi = make_phi("sbhe", self.n, self.m, seed, PAPER_BLOCK, RANDOM)
         self.basis: Basis = make_basis("haar", *shape)
 
     def forward(self, theta: Any) -> Floats:

@@ -12,9 +12,8 @@ from bags import skin_state
 from sparseskin.messages import Contacts
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.compressor.node import Compressor
-from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.rotation import RATIO, ROTATING, row_subsets, rows_and_m
+from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
+from sparseskin.nodes.compressor.phi.rotation import RATIO, ROTATING
 from sparseskin.nodes.reconstructor.idle import REFERENCE, REFRESH, IdleWatch
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
@@ -33,8 +32,7 @@ class Watched:
 
     def __init__(self, n_patches, truth):
         state = skin_state(**vars(SKIN), sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end)
-        rows, m = rows_and_m("sbhe", SKIN.n_taxels, rows=ROTATING, m=None, ratio=RATIO)
-        self._phis = row_subsets(make_phi("sbhe", n=SKIN.n_taxels, m=m, seed=0), rows)
+        self._phis = CompressorSettings(rows=ROTATING, ratio=RATIO).phis(SKIN)
         self.watch = IdleWatch(n_patches, state, self._phis)
         self._rng = np.random.default_rng(0)
         self._n_patches, self._k = n_patches, 0

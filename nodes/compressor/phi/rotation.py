@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .base import MAX_SUBSETS, RANDOM, SPREAD, STORED, Phi, fingerprint_of, phi_class
+from .base import MAX_SUBSETS, STORED, Phi, fingerprint_of
 
 FIXED, ROTATING = "fixed", "rotating"
 ROWS = (FIXED, ROTATING)
@@ -33,46 +33,13 @@ def m_of(n: int, ratio: float, rows: str = FIXED) -> int:
     return math.ceil(n / ratio) if rows == ROTATING else int(n / ratio)
 
 
-def rows_and_m(
-    kind: str, n: int, *, rows: str | None = None, m: int | None = None, ratio: float = RATIO
-) -> tuple[str, int]:
-    """Rows ("fixed" or "rotating") and M by settings that may leave them open.
-
-    `rows` "paper" is fixed. By default rows rotate where those of the kind can and M is in N / 64
-    .. N - 1, and for a file with a stack of matrices; else they are fixed. M, where it is not
-    stated, is that of `m_of`; "full" has M = N whatever is stated, "file:PATH" that of its file.
-    Raises PhiError if the kind is not known.
+def default_rows(phi: object, kind: str, n: int, m: int) -> str:
+    """Rows of a matrix, or of a class of them, where none are stated: rotating where they can and M
+    is in N / 64 .. N - 1, and for a file with a stack of matrices; else fixed.
     """
-    if rows == PAPER:
-        rows = FIXED
-    if kind == "full":
-        return rows or FIXED, n
-    if kind.startswith(STORED) and m is None:
-        from .stored import load_matrices
-
-        m = load_matrices(kind.removeprefix(STORED))[0].shape[0]
-    if rows is None:
-        made_by = phi_class(kind)
-        rotating_m = m_of(n, ratio, ROTATING) if m is None else m
-        rows = _default_rows(made_by if isinstance(made_by, type) else None, kind, n, rotating_m)
-    return rows, m_of(n, ratio, rows) if m is None else m
-
-
-def _default_rows(phi: object, kind: str, n: int, m: int) -> str:
-    """Rows of a matrix, or of a class of them, where none are stated."""
     # A file that can rotate is one with several matrices, of whatever size.
     in_turn = kind.startswith(STORED) or m < n <= MAX_SUBSETS * m
     return ROTATING if in_turn and can_rotate(phi) else FIXED
-
-
-def block_and_rule(rows: str | None, block: int | None) -> dict[str, Any]:
-    """Return block and rule, as `make_phi` takes them, by the settings rows and block.
-
-    Rows "paper" are drawn at random, from blocks of 32 where no size is stated.
-    """
-    if rows == PAPER:
-        return {"block": block or PAPER_BLOCK, "rule": RANDOM}
-    return {"block": block, "rule": SPREAD}
 
 
 def split_rows(order: Indices, m: int) -> list[Indices]:
@@ -134,12 +101,12 @@ def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
     """The matrices that successive frames are measured by.
 
     `rows` is "fixed": phi alone; or "rotating": P = ceil(n / m) matrices of m rows each, or those
-    of a file; or None: rotating where they can, as `rows_and_m` has it. They share their work
+    of a file; or None: as of `default_rows`. They share their work
     arrays: use all of them in one thread. Raises PhiError if `rows` is neither, the rows of phi
     cannot rotate, or there were more than 64 subsets.
     """
     if rows is None:
-        rows = _default_rows(phi, phi.kind, phi.n, phi.m) if can_rotate(phi) else FIXED
+        rows = default_rows(phi, phi.kind, phi.n, phi.m) if can_rotate(phi) else FIXED
     if rows == FIXED:
         return [phi]
     if rows != ROTATING:

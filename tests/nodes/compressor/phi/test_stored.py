@@ -7,9 +7,10 @@ from damaged import launch_faults, refusal
 
 from sparseskin import Stream, psnr_db, run_launch
 from sparseskin.checks import check_phi
+from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi import stored
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.rotation import row_subsets, rows_and_m
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError
 
 
@@ -30,7 +31,7 @@ def test_operators_are_adjoint_and_are_those_of_the_file(m, n, tmp_path):
     np.testing.assert_allclose(phi.dense(), matrix.toarray())
     largest = np.linalg.eigvalsh(phi.dense() @ phi.dense().T)[-1]
     assert phi.lipschitz <= 1.1 * largest * (1 + 1e-6)
-    assert rows_and_m(phi.kind, n) == ("fixed", m)
+    assert CompressorSettings(phi=phi.kind).rows_and_m(n) == ("fixed", m)
     scipy.sparse.save_npz(path, 2 * matrix)
     assert make_phi(f"file:{path}", n, m, 0).fingerprint != phi.fingerprint
 
@@ -120,8 +121,8 @@ def test_the_matrices_of_a_stack_measure_frames_in_turn(name, tmp_path):
     stack = stack_of(3, 5, 13)
     path = saved(tmp_path / name, stack)
     kind = f"file:{path}"
-    assert rows_and_m(kind, 13) == ("rotating", 5)
-    assert rows_and_m(kind, 13, rows="fixed") == ("fixed", 5)
+    assert CompressorSettings(phi=kind).rows_and_m(13) == ("rotating", 5)
+    assert CompressorSettings(phi=kind, rows="fixed").rows_and_m(13) == ("fixed", 5)
     phi = make_phi(kind, 13, 5, 0)
     subsets = row_subsets(phi, "rotating")
     for one, matrix in zip(subsets, stack, strict=True):
@@ -135,7 +136,7 @@ def test_the_matrices_of_a_stack_measure_frames_in_turn(name, tmp_path):
     scipy.sparse.save_npz(single, scipy.sparse.csr_matrix(stack[1]))
     assert make_phi(f"file:{single}", 13, 5, 0).fingerprint == subsets[1].fingerprint
     saved(path, stack[:1])
-    assert rows_and_m(kind, 13) == ("fixed", 5)
+    assert CompressorSettings(phi=kind).rows_and_m(13) == ("fixed", 5)
     with pytest.raises(PhiError, match='"rotating" is not allowed for phi'):
         row_subsets(make_phi(kind, 13, 5, 0), "rotating")
 
