@@ -30,11 +30,12 @@ from sparseskin.nodes.sensor.calibration.frames import (
     PARTS,
     Live,
     Recorded,
-    file_frames,
     open_frames,
     read_part,
 )
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
+from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.files.recording import Policy
 
 from .options import add_graph, add_shape, rare, real, show, whole
 
@@ -184,7 +185,8 @@ class _Steps:
         if part is None:
             if not Path(where).exists():
                 raise CalibrationError(f"{where}: no such file; allowed: {PARTS}, or a file")
-            return file_frames(where, self._arguments.n_rows, self._arguments.n_cols)
+            shape = {"n_rows": self._arguments.n_rows, "n_cols": self._arguments.n_cols}
+            return open_file(where, policy=Policy(raw=True), **shape).frames
         if self._reader.is_live:
             seconds = part[1] - part[0]
             wait_s = self._arguments.wait

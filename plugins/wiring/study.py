@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, m_of
 from sparseskin.nodes.compressor.phi.sbhe import WIRED_BLOCK, SbhePhi
@@ -121,7 +120,7 @@ def wiring(point: dict[str, Any]) -> dict[str, Any]:
     found: dict[str, Wiring] = {kind: array_wiring(*SHAPE, m) for kind in (ROW_LOCAL, SINGLE)}
     for kind in (*LOCAL, SCRAMBLED):
         phi = make_phi(kind, n, m, point["seed"], BLOCK)
-        layout(phi, exists)
+        phi.lay_out(exists)
         assert isinstance(phi, SbhePhi)
         found[kind] = sbhe_wiring(phi, exists)
     return {"methods": {kind: vars(one) for kind, one in found.items()}}

@@ -316,22 +316,6 @@ def follow(
         phi.choose(chosen)
 
 
-def layout(
-    phi: Any,
-    exists: Mask,
-    sigma_end: float = 0.0,
-    f_max: float = PAPER_F_MAX_N,
-    clipped: bool = True,
-) -> None:
-    """Lay out a matrix on a grid, and state its noise, where its kind depends on them.
-    Raises PhiError as `Phi.lay_out`.
-    """
-    if isinstance(phi, Phi):
-        phi.lay_out(exists)
-    if isinstance(phi, AdaptivePhi):
-        phi.state_noise(sigma_end, f_max, clipped)
-
-
 def phis_for(
     skin: Skin, sigma_end: float, clips_noise: bool, rows: str | None, **parameters: Any
 ) -> list[Phi]:
@@ -340,5 +324,8 @@ def phis_for(
     but n, as is PhiError.
     """
     phi = make_phi(n=skin.n_taxels, **parameters)
-    layout(phi, skin.exists, sigma_end, skin.f_max, clips_noise)
+    if isinstance(phi, Phi):  # not a class of a user's own
+        phi.lay_out(skin.exists)
+    if isinstance(phi, AdaptivePhi):
+        phi.state_noise(sigma_end, skin.f_max, clips_noise)
     return row_subsets(phi, rows)

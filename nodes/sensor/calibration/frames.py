@@ -11,8 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
-from sparseskin.nodes.sensor.files.file_source import open_file
-from sparseskin.nodes.sensor.files.recording import Policy
 from sparseskin.nodes.sensor.source import Skin, Source
 from sparseskin.nodes.sensor.sources import open_source
 
@@ -43,13 +41,6 @@ def read_part(text: str) -> tuple[float, float] | None:
     if not start < stop:
         raise CalibrationError(f"{text}: the part is empty; expected {PARTS}")
     return start, stop
-
-
-def file_frames(path: str, n_rows: int | None = None, n_cols: int | None = None) -> Frames:
-    """All frames of a file, float32 (n, n_rows, n_cols), as `open_file` reads it; raises as it
-    does.
-    """
-    return open_file(path, n_rows=n_rows, n_cols=n_cols, policy=Policy(raw=True)).frames
 
 
 class Recorded:

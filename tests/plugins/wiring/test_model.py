@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.plugins.wiring import study as wiring
 from sparseskin.plugins.wiring.study import array_wiring, count_crossings, sbhe_wiring, star_wiring
@@ -40,7 +39,7 @@ def test_smaller_neighbourhoods_have_shorter_wires_that_cross_less():
     found = []
     for kind in ("local:4", "local:8", "local:16", "sbhe"):
         phi = make_phi(kind, 1024, 341, 0)
-        layout(phi, exists)
+        phi.lay_out(exists)
         found.append(sbhe_wiring(phi, exists))
     assert [w.length for w in found] == sorted(w.length for w in found)
     assert [w.crossings for w in found] == sorted(w.crossings for w in found)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from sparseskin.checks import check_phi
-from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.identity import FullPhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
@@ -29,7 +28,7 @@ def normal(shape, seed=5):
 def test_adjoint_passes_the_dot_test_both_are_the_dense_matrix_and_rows_are_orthonormal(kind, n, m):
     m = n if kind == "full" else m
     phi = make_phi(kind, n, m, seed=3)
-    layout(phi, np.ones((5, 19) if n == 95 else (1, n), np.bool_))
+    phi.lay_out(np.ones((5, 19) if n == 95 else (1, n), np.bool_))
     check_phi(phi)
     if kind not in ("gaussian", "row_local"):
         matrix = phi.dense()

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sparseskin.checks import check_phi
-from sparseskin.nodes.compressor.phi.adaptive import layout
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError
@@ -16,7 +15,7 @@ SHAPES = [(8, 8), (5, 7), (1, 9)]
 
 def laid_out(kind, shape, m, seed=0):
     phi = make_phi(kind, shape[0] * shape[1], m, seed)
-    layout(phi, np.ones(shape, dtype=np.bool_))
+    phi.lay_out(np.ones(shape, dtype=np.bool_))
     return phi
 
 
@@ -49,13 +48,13 @@ def test_a_mask_is_laid_out_by_its_existing_taxels():
     exists = np.ones((8, 8), dtype=np.bool_)
     exists[2:5, 3:6] = False
     phi = make_phi("local:4", 55, 20, 0)
-    layout(phi, exists)
+    phi.lay_out(exists)
     check_phi(phi)
     for kind in ("local:4", "adaptive", "row_local", "sbhe"):
         with pytest.raises(PhiError, match="n = 55, but 64 taxels exist"):
-            layout(make_phi(kind, 55, 20, 0), np.ones((8, 8), dtype=np.bool_))
+            make_phi(kind, 55, 20, 0).lay_out(np.ones((8, 8), dtype=np.bool_))
     with pytest.raises(PhiError, match="without gaps"):
-        layout(make_phi("row_local", 55, 20, 0), exists)
+        make_phi("row_local", 55, 20, 0).lay_out(exists)
 
 
 def test_driven_sums_give_the_signs_of_a_pattern():

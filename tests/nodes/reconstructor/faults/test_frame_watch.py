@@ -11,7 +11,7 @@ from pressed import noisy, sliding_disc
 from watched import DESK_SHAPE, NOISE, Desk, N
 
 from sparseskin.messages import Reconstruction
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, layout
+from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.reconstructor.faults.frame import FRAMES, SWINGS, FrameWatch, FrozenWatch
@@ -27,7 +27,8 @@ LEFT = np.zeros(PHI.m)
 
 
 ADAPTIVE = AdaptivePhi(N, N // 3, seed=0)
-layout(ADAPTIVE, MASK, NOISE.sigma_end, NOISE.f_max)
+ADAPTIVE.lay_out(MASK)
+ADAPTIVE.state_noise(NOISE.sigma_end, NOISE.f_max)
 CHOICE = AdaptiveChoice(ADAPTIVE)
 CHOSEN = [CHOICE.measure(ADAPTIVE.tree.analysis(f.reshape(-1)).take) for f in noisy(DISC[:21])][-1]
 """Measurements of the disc in frame 20, with noise, of rows that were chosen."""
