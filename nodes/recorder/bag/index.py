@@ -7,6 +7,7 @@ scanned up to its end or to the first break.
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO, NamedTuple
@@ -187,7 +188,7 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
 
 def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | None, str]:
     """The index at the end, None if it must be scanned; its damage. Raises Break without one."""
-    size = of_file.size_of(file)
+    size = file.seek(0, io.SEEK_END)
     footer_at = max(size - _FOOTER_BYTES - len(MAGIC), 0)
     footer = record_at(file, footer_at, size, Opcode.FOOTER).parsed(mcap.Footer.read)
     if file.read() != MAGIC:
@@ -257,7 +258,7 @@ def _topic_info(values: dict[str, Any]) -> TopicInfo:
 
 def _scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
     """Find every complete message before the first break, each proven by a checksum."""
-    index, size = BagIndex(name), of_file.size_of(file)
+    index, size = BagIndex(name), file.seek(0, io.SEEK_END)
     try:
         damage = _scan_records(file, index, size) or damage
         if not index.is_bag:

@@ -7,7 +7,6 @@ checksum. The functions raise `Break` with the byte from which on the file canno
 from __future__ import annotations
 
 import io
-import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -142,11 +141,6 @@ def crc_of(file: BinaryIO, start: int, stop: int) -> int:
         crc = zlib.crc32(block, crc)
         left -= len(block)
     return crc
-
-
-def size_of(file: BinaryIO) -> int:
-    """Length of an open file in bytes."""
-    return os.fstat(file.fileno()).st_size
 
 
 def _decompressed(chunk: Chunk) -> bytes:
