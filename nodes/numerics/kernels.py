@@ -559,36 +559,40 @@ def root_of(parents: A, k: int) -> int:
     return k
 
 
-@compiled(f"Tuple(({L}, {L}, {DM}, {G}))({M}, float32, float64, {V}, {DM}, int32[::1], int64)")
+@compiled(
+    f"Tuple(({L}, {L}, {DM}, {G}, int64))({M}, float32, float64, {V}, {DM}, int32[::1], int64)"
+)
 def components(
     forces: A, low: float, high: float, variances: A, places: A, regions: A, n_regions: int
-) -> tuple[A, A, A, A]:
+) -> tuple[A, A, A, A, int]:
     """The same as `components` of the module `contacts`, but for rounding, in one scan."""
     (n_rows, n_cols), k = forces.shape, places.shape[0]
     flat = forces.reshape(-1)
-    index, grid = np.empty(flat.size, np.int64), np.empty(flat.size, np.int64)
+    index, grid = np.empty(flat.size, np.int64), np.full(flat.size, -1, np.int32)
     most = ((n_rows + 1) // 2) * ((n_cols + 1) // 2)
     parents, wanted = np.empty(most, np.int64), np.zeros(most, np.bool_)
     n_pressed, n_labels = 0, 0
     for i in range(n_rows):
         for j in range(n_cols):
             p = i * n_cols + j
-            grid[p] = -1
             if not flat[p] > low:
+                regions[p] = 0
                 continue
             index[n_pressed] = p
             n_pressed += 1
-            label = -1
-            if j and grid[p - 1] >= 0:
-                label = root_of(parents, grid[p - 1])
-            if i:
-                for q in range(p - n_cols - (j > 0), p - n_cols + 1 + (j + 1 < n_cols)):
-                    if grid[q] >= 0:
-                        other = root_of(parents, grid[q])
-                        if label >= 0:
-                            parents[max(label, other)] = min(label, other)
-                            other = min(label, other)
-                        label = other
+            # Of the four before it, the one above is beside the others, and the left two are
+            # beside each other: those are one component already.
+            label = grid[p - n_cols] if i else -1
+            if label < 0:
+                label = grid[p - 1] if j else -1
+                if label < 0 and i and j:
+                    label = grid[p - n_cols - 1]
+                other = grid[p - n_cols + 1] if i and j + 1 < n_cols else -1
+                if label < 0:
+                    label = other
+                elif other >= 0:
+                    label, other = root_of(parents, label), root_of(parents, other)
+                    parents[max(label, other)] = min(label, other)
             if label < 0:
                 label = n_labels
                 parents[label] = label
@@ -610,7 +614,8 @@ def components(
     sums, overlap = np.zeros((4 + 2 * k, n)), np.zeros((n, n_regions), np.int64)
     for t in range(n_pressed):
         p = index[t]
-        c = parents[grid[p]]
+        c, before = parents[grid[p]], regions[p]
+        regions[p] = c + 1
         if c < 0:
             continue
         index[n_kept], labels[n_kept] = p, c
@@ -622,8 +627,8 @@ def components(
         sums[3 + k, c] += variances[p]
         for d in range(k):
             sums[3 + d, c] += value * places[d, p]
-        if regions[p]:
-            overlap[c, regions[p] - 1] += 1
+        if before:
+            overlap[c, before - 1] += 1
     for c in range(n):
         for d in range(k):
             sums[3 + d, c] /= sums[0, c]
@@ -635,7 +640,7 @@ def components(
     for c in range(n):
         for d in range(k):
             sums[4 + k + d, c] /= sums[0, c] ** 2
-    return index[:n_kept], labels[:n_kept], sums, overlap
+    return index[:n_kept], labels[:n_kept], sums, overlap, n_pressed
 
 
 LOOPS: tuple[Callable[..., Any], ...] = (

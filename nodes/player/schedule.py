@@ -1,5 +1,7 @@
 """Times at which recorded messages are due: absolute targets, so that no error accumulates."""
 
+import sys
+
 
 class Schedule:
     """Maps stamps of a recording to times on the graph's clock, from `first_ns` on, at `rate` times
@@ -13,13 +15,13 @@ class Schedule:
         self.rate = rate
         self.paused = paused
         self._first_ns = first_ns
-        self._t0_ns = 0
+        self._t0_ns = sys.maxsize  # it has not begun
         self._position_ns = first_ns
         self._steps = 0
 
     def begin(self, now_ns: int) -> None:
-        """Start: the first stamp is due now."""
-        self._t0_ns = now_ns
+        """Start: the first stamp, or the one that was sought, is due now."""
+        self._anchor(self._position_ns, now_ns)
 
     def due_ns(self, stamp_ns: int) -> int | None:
         """Time at which a stamp is due; None while paused without a requested step."""
@@ -63,7 +65,7 @@ class Schedule:
             self._anchor(position_ns, now_ns)
 
     def _stamp_at(self, now_ns: int) -> int:
-        return self._first_ns + round((now_ns - self._t0_ns) * self.rate)
+        return self._first_ns + round(max(0, now_ns - self._t0_ns) * self.rate)
 
     def _anchor(self, position_ns: int, now_ns: int) -> None:
         """Make a stamp due now."""

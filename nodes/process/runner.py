@@ -93,8 +93,8 @@ class Runner:
             self.client = ControlClient(path)
             self.client.send({"watch": True})
             self.network.poller.register(self.client.connection.fileno(), zmq.POLLIN)
-        self.connected = self.ready = self.started = self.stopping = self.end_reported = False
-        self.draining = self.failed = self.terminated = False
+        self.connected = self.ready = self.started = self.begun = False
+        self.draining = self.stopping = self.end_reported = self.failed = self.terminated = False
         self.asks: deque[int] = deque()
         self.unanswered: deque[tuple[int, bytes]] = deque()
         self.caught_up = True
@@ -186,11 +186,15 @@ class Runner:
     def _left_ns(self) -> int | None:
         """Time until the next tick; None if an event must come first."""
         source = self._source
-        if source is None or len(self.writer.present) < source.min_readers:
+        if source is None:
             return None
         while self.asks and not self.writer.awaits(self.asks[0]):
             self.asks.popleft()
-        if len(self.asks) >= source.window:
+        if not (self.begun or self.asks):
+            source.begin(self.clock.now_ns())
+            self.begun = True
+        wanting = len(self.writer.present) < source.min_readers
+        if wanting or not self.begun or len(self.asks) >= source.window:
             return None
         due_ns = source.next_tick_ns()
         return None if due_ns is None else due_ns - self.clock.now_ns()
@@ -266,8 +270,8 @@ class Runner:
         return self.network.clock_of(topic)
 
     def _start(self) -> None:
-        if isinstance(self.host.node, SourceNode):
-            self.host.node.begin(self.clock.now_ns())
+        if self.host.is_source:  # its frames begin once the states are processed: solvers are made
+            self.asks.append(self.writer.ask())
         self.started = True
 
     def _receive(self, reader: Reader) -> None:

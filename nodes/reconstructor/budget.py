@@ -47,12 +47,12 @@ def steps_within(solver: Solver, phi: Phi, f_max: float, budget_s: float) -> tup
     fewer = [pace for pace in paces if pace < solver.n_steps]
     while fewer and costs.of(solver.n_steps) > budget_s:
         solver.use_pace(fewer.pop())
-        costs = measured_costs(solver, phi, f_max)
+        costs = measured_costs(solver, phi, f_max, 1)
     steps = solver.n_steps if paces else costs.steps_in(budget_s, solver.n_steps)
     return steps, costs.of(steps)
 
 
-def measured_costs(solver: Solver, phi: Phi, f_max: float) -> Costs:
+def measured_costs(solver: Solver, phi: Phi, f_max: float, n_first: int = N_FIRST) -> Costs:
     """Time frames in which every taxel is pressed by up to f_max, newtons; the solver is reset.
 
     Of each time the least of all frames counts: what else runs on the host only adds to it.
@@ -61,7 +61,7 @@ def measured_costs(solver: Solver, phi: Phi, f_max: float) -> Costs:
     frames: list[float] = []
     steps: list[float] = []
     begin_s = time.perf_counter()
-    for k in range(N_FIRST + N_TIMED):
+    for k in range(n_first + N_TIMED):
         y = phi.forward(rng.uniform(0, f_max, phi.n).astype(np.float32))
         if getattr(solver, "subsets", ()):
             solver.use(phi)
@@ -73,7 +73,7 @@ def measured_costs(solver: Solver, phi: Phi, f_max: float) -> Costs:
         times.append(time.perf_counter())
         solver.finish()
         times.append(time.perf_counter())
-        if k >= N_FIRST:
+        if k >= n_first:
             frames.append(times[1] - times[0] + times[3] - times[2])
             steps.append((times[2] - times[1]) / max(solver.n_steps, 1))
             if times[-1] > begin_s + ENOUGH_S:

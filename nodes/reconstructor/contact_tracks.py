@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from sparseskin.messages import SkinState
 from sparseskin.messages.contacts import BEGIN, END, OVER, SLIDE
 from sparseskin.messages.skin import CONTACT_FRACTION
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
 
 from .contacts import HELD, ContactFinder, Found, Limits
 
@@ -30,33 +30,26 @@ SMOOTHING_S = 0.05
 makes a speed of 0.4 taxels/s."""
 
 
-class Tracks(NamedTuple):
-    """The contacts of a frame, an entry or column each; the rows of places and velocities are row
-    and column, then x, y, z in mm if known.
+class Tracks:
+    """The contacts of a frame, of some ids. Rows of `state`, with a column for each contact: age,
+    s; 1 where it is over the stated force; 1 where it slides; `velocities`, and `places`: row and
+    column, then x, y, z in mm if known.
     """
 
-    ids: list[int]
-    begins_ns: Indices
-    places: Doubles
-    velocities: Doubles
-    over: Mask
-    sliding: Mask
+    def __init__(self, ids: list[int], state: Doubles) -> None:
+        self.ids, self.state = ids, state
+        self.age_s, self.over, self.sliding = state[:3]
+        self.velocities, self.places = state[3:].reshape(2, len(state) // 2 - 1, len(ids))
 
-    def of(self, ids: list[int], places: Doubles, now_ns: int) -> Tracks:
-        """These contacts in the order of some ids; those that are not among them begin now."""
+    def of(self, ids: list[int], places: Doubles) -> Tracks:
+        """Contacts of other ids; those that are not among these begin now, at some places."""
         if ids == self.ids:
             return self
-        made = Tracks(
-            ids,
-            np.full(len(ids), now_ns, dtype=np.intp),
-            places.copy(),
-            np.zeros_like(places),
-            *np.zeros((2, len(ids)), dtype=np.bool_),
-        )
-        old = [k for k, one in enumerate(ids) if one in self.ids]
-        rows = [self.ids.index(ids[k]) for k in old]
-        for one, other in zip(made[1:], self[1:], strict=True) if old else ():
-            one[..., old] = other[..., rows]
+        made = Tracks(ids, np.zeros((3 + 2 * len(places), len(ids))))
+        made.places[:] = places
+        for k, one in enumerate(ids):
+            if one in self.ids:
+                made.state[:, k] = self.state[:, self.ids.index(one)]
         return made
 
 
@@ -102,7 +95,7 @@ class ContactTracker:
         self._skin = skin.skin
         self._finder = ContactFinder(self._skin, fast)
         self.set_noise(skin)
-        self._pitch_mm = 1e3 * (skin.pitch_m or 0.0)
+        self._cell_mm2 = np.float32((1e3 * (skin.pitch_m or 0.0)) ** 2)
         self._tracks = _NO_TRACKS
         #: Of contacts that met: where they were before, by id, by the id of the one that goes on.
         self._apart: dict[int, dict[int, Doubles]] = {}
@@ -160,121 +153,129 @@ class ContactTracker:
             ids[k] = self._last_id
         events = [(one, BEGIN) for one in ids if one not in before.ids]
         events += [(one, END) for one in before.ids if one not in ids]
-        _, begins_ns, was, velocities, over, sliding = before.of(ids, places, stamp_ns)
+        before.age_s += max(0.0, elapsed_s)
+        tracks = self._tracks = before.of(ids, places)
         if elapsed_s > 0:
             gain = 1 - math.exp(-elapsed_s / SMOOTHING_S)
-            velocities = (1 - gain) * velocities + (gain / elapsed_s) * (places - was)
+            tracks.velocities *= 1 - gain
+            tracks.velocities += (gain / elapsed_s) * (places - tracks.places)
+        tracks.places[:] = places
         if not math.isinf(limits.over):
-            over = _switched(over, found.sums[0], limits.over, ids, OVER, events)
+            _switch(tracks.over, found.sums[0], limits.over, ids, OVER, events)
         if not math.isinf(limits.slide):
-            speeds = np.linalg.norm(velocities[-3:], axis=0)
-            sliding = _switched(sliding, speeds, limits.slide, ids, SLIDE, events)
-        self._tracks = Tracks(ids, begins_ns, places, velocities, over, sliding)
+            speeds = np.linalg.norm(tracks.velocities[-3:], axis=0)
+            _switch(tracks.sliding, speeds, limits.slide, ids, SLIDE, events)
         if self._apart:
             self._apart = {one: apart for one, apart in self._apart.items() if one in ids}
-        return Followed(self._fields(found.sums, stamp_ns), events)
+        return Followed(self._fields(found.sums), events)
 
     def _ids(self, found: Found, places: Doubles) -> list[int]:
         """Ids of the contacts of a frame; 0: a new one."""
-        before, overlap = self._tracks, found.overlap
-        (n, p), rows = overlap.shape, overlap.tolist()
-        pairs = [q for row in rows for q in range(p) if row[q]]
-        if n == p == len(pairs) == len(set(pairs)) and all(map(any, rows)):
-            return [before.ids[q] for q in pairs]
-        ids = [0] * n
+        before, ids = self._tracks, [0] * places.shape[1]
+        rows = found.overlap.tolist()
+        pairs = [(k, q) for k, row in enumerate(rows) for q, n in enumerate(row) if n]
+        overlapped = {q for _, q in pairs}
+        if len({k for k, _ in pairs}) == len(overlapped) == len(pairs):
+            for k, q in pairs:
+                ids[k] = before.ids[q]
+        else:
+            self._meet_and_part(found.overlap, ids, places)
+        new = [k for k, row in enumerate(rows) if not (ids[k] or any(row))]
+        left = [q for q in range(len(before.ids)) if q not in overlapped]
+        for k, q, distance in _nearest(new, places, [before.places[:2, q] for q in left]):
+            if distance <= GATE + math.sqrt(found.sums[1, k]):
+                ids[k] = before.ids[left[q]]
+        return ids
+
+    def _meet_and_part(self, overlap: Indices, ids: list[int], places: Doubles) -> None:
+        """Set the ids of contacts of which some overlap with several, or are overlapped by some."""
+        before = self._tracks
         for k, q in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
             ids[k] = before.ids[q] if overlap[k, q] else 0
         for q, one in enumerate(before.ids):
             if one in self._apart:
-                parts = [k for k in range(n) if ids[k] == one or (not ids[k] and overlap[k, q])]
+                parts = [
+                    k for k in range(len(ids)) if ids[k] == one or (not ids[k] and overlap[k, q])
+                ]
                 if len(parts) > 1:
                     self._part(one, parts, ids, places)
-        missing = [q for q, one in enumerate(before.ids) if one not in ids]
-        for q in missing:
+        for q, one in enumerate(before.ids):
             into = int(overlap[:, q].argmax())
-            if overlap[into, q] and ids[into] in before.ids:
-                one, other = ids[into], before.ids[q]
-                apart = self._apart.setdefault(one, {})
-                apart.setdefault(one, before.places[:, before.ids.index(one)])
-                apart |= {other: before.places[:, q], **self._apart.get(other, {})}
-        left = [q for q in missing if not overlap[:, q].any()]
-        new = [k for k in range(n) if not ids[k] and not overlap[k].any()]
-        if left and new:
-            distances = _distances(places[:, new], before.places[:, left])
-            for k, q in zip(*linear_sum_assignment(distances), strict=True):
-                if distances[k, q] <= GATE + math.sqrt(found.sums[1, new[k]]):
-                    ids[new[k]] = before.ids[left[q]]
-        return ids
+            if one not in ids and overlap[into, q] and ids[into] in before.ids:
+                kept = ids[into]
+                apart = self._apart.setdefault(kept, {})
+                apart.setdefault(kept, before.places[:2, before.ids.index(kept)])
+                apart |= {one: before.places[:2, q], **self._apart.get(one, {})}
 
     def _part(self, one: int, parts: Sequence[int], ids: list[int], places: Doubles) -> None:
         """Give the parts of merged contacts the ids that were nearest to them before."""
         apart = self._apart[one]
         known = list(apart)
-        distances = _distances(places[:, parts], np.array([*apart.values()]).T)
+        nearest = _nearest(parts, places, [*apart.values()])
         for k in parts:
             ids[k] = 0
-        for k, j in zip(*linear_sum_assignment(distances), strict=True):
-            ids[parts[k]] = known[j]
+        for k, j, _ in nearest:
+            ids[k] = known[j]
             del apart[known[j]]
         if one in apart or len(apart) < 2:
             del self._apart[one]
 
-    def _fields(self, sums: Doubles, stamp_ns: int) -> dict[str, Any]:
+    def _fields(self, sums: Doubles) -> dict[str, Any]:
         """Fields of the message."""
-        tracks, k = self._tracks, len(sums) // 2 + 1
-        floats, velocities = sums.astype(np.float32, "C"), tracks.velocities.astype(np.float32)
+        k, j = len(sums) // 2 + 1, len(sums)
+        floats = np.concatenate([sums, self._tracks.state]).astype(np.float32)
+        switches = floats[j + 1 : j + 3] > 0
         fields: dict[str, Any] = {
-            "id": np.array(tracks.ids, dtype=np.int32),
+            "id": np.array(self._tracks.ids, dtype=np.int32),
             "total": floats[0],
             "total_sd": floats[k],
             "peak": floats[2],
-            "centre": _rows(floats[3:5]),
-            "centre_sd": _rows(floats[k + 1 : k + 3]),
-            "area": sums[1].astype(np.int32),
-            "velocity": _rows(velocities[:2]),
-            "age_s": (1e-9 * np.maximum(0, stamp_ns - tracks.begins_ns)).astype(np.float32),
-            "over": tracks.over,
-            "sliding": tracks.sliding,
+            "centre": floats[3:5].T.copy(),
+            "centre_sd": floats[k + 1 : k + 3].T.copy(),
+            "area": floats[1].astype(np.int32),
+            "velocity": floats[j + 3 : j + 5].T.copy(),
+            "age_s": floats[j],
+            "over": switches[0],
+            "sliding": switches[1],
         }
         if k > 5:
-            fields["place_mm"] = _rows(floats[5:8])
-            fields["velocity_mm_s"] = _rows(velocities[2:])
-            fields["place_sd_mm"] = _rows(floats[k + 3 : k + 6])
-        if self._pitch_mm:
-            fields["area_mm2"] = floats[1] * np.float32(self._pitch_mm**2)
+            fields["place_mm"] = floats[5:8].T.copy()
+            fields["velocity_mm_s"] = floats[j + 5 : j + 8].T.copy()
+            fields["place_sd_mm"] = floats[k + 3 : k + 6].T.copy()
+        if self._cell_mm2:
+            fields["area_mm2"] = floats[1] * self._cell_mm2
         if k > 8:
-            fields["normal"] = _rows(floats[8:k])
+            fields["normal"] = floats[8:k].T.copy()
         return fields
 
 
-def _rows(columns: Floats) -> Floats:
-    """A row for each contact of arrays with a column each."""
-    return np.ascontiguousarray(columns.T)
+def _nearest(
+    contacts: Sequence[int], places: Doubles, others: Sequence[Doubles]
+) -> Iterator[tuple[int, int, float]]:
+    """Pairs of contacts and other places that are nearest in sum, and each distance, in taxels."""
+    if contacts and others:
+        spots = [place.tolist() for place in others]
+        distances = [[math.dist(places[:2, k], one) for one in spots] for k in contacts]
+        for k, q in zip(*linear_sum_assignment(distances), strict=True):
+            yield contacts[k], q, distances[k][q]
 
 
-def _distances(places: Doubles, others: Doubles) -> Doubles:
-    """Distances of places on the grid, (>= 2, n), from others, (>= 2, m), in taxels, (n, m)."""
-    apart: Doubles = np.linalg.norm(places[:2, :, None] - others[:2, None], axis=0)
-    return apart
-
-
-def _switched(
-    was: Mask,
+def _switch(
+    state: Doubles,
     values: Doubles,
     limit: float,
     ids: Sequence[int],
     event: int,
     events: list[tuple[int, int]],
-) -> Mask:
-    """State of an event with hysteresis; adds it for the contacts where it begins."""
-    now: Mask = values > np.where(was, HELD * limit, limit)
-    events += [(ids[k], event) for k in np.flatnonzero(now & ~was).tolist()]
-    return now
+) -> None:
+    """Update the state of an event, with hysteresis; add it for the contacts where it begins."""
+    for k, (was, value) in enumerate(zip(state.tolist(), values.tolist(), strict=True)):
+        state[k] = value > (HELD * limit if was else limit)
+        if state[k] > was:
+            events.append((ids[k], event))
 
 
-_NO_TRACKS = Tracks(
-    [], *np.zeros((1, 0), np.intp), *np.zeros((2, 5, 0)), *np.zeros((2, 0), np.bool_)
-)
+_NO_TRACKS = Tracks([], np.zeros((5, 0)))
 _EMPTY, _EMPTY_2 = np.zeros(0, dtype=np.float32), np.zeros((0, 2), dtype=np.float32)
 NOTHING: dict[str, Any] = {
     "id": np.zeros(0, dtype=np.int32),

@@ -108,16 +108,17 @@ class ContactFinder:
         elif skin.pitch_m is not None:
             flat = 1e3 * skin.pitch_m * self._places[::-1]
             self._places = np.concatenate([self._places, flat, np.zeros_like(flat[:1])])
-        self._components: Callable[..., tuple[Indices, Indices, Doubles, Indices]] = components
+        self._components: Callable[..., tuple[Indices, Indices, Doubles, Indices, int]] = components
         if use_compiled(fast):
             from sparseskin.nodes.numerics import kernels  # needs numba
 
             ready(kernels.components)
             self._components = kernels.components
         self.regions = np.zeros(self._alike.size, dtype=np.int32)
-        self._index, self._n = np.zeros(0, dtype=np.intp), 0
-        #: Cells of what exceeded the high threshold in the last frame, but not `AT_ONCE` times.
-        self._waiting = self._index
+        self._n = 0
+        #: True in cells of what exceeded the high threshold in the last frame, but not `AT_ONCE`
+        #: times; None: of nothing.
+        self._waiting: Mask | None = None
 
     def find(
         self,
@@ -139,36 +140,41 @@ class ContactFinder:
         """
         unit = error if unit is None else unit
         low, high = np.float32(limits.low * unit), limits.high * unit
-        n_before, waiting, self._waiting = self._n, self._waiting, self._waiting[:0]
+        n_before, waiting, self._waiting = self._n, self._waiting, None
         if not n_before and float(forces.max()) <= high:
             return None
         forces = np.ascontiguousarray(forces, dtype=np.float32)
         weights = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
         given = forces, low, high, weights, self._places, self.regions, n_before
-        index, labels, sums, overlap = self._components(*given)
+        index, labels, sums, overlap, n_above = self._components(*given)
         held = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
-        again = set(labels[np.isin(index, waiting)].tolist()) if waiting.size else ()
-        kept, weak = [], []
+        again = () if waiting is None else set(labels[waiting[index]].tolist())
+        kept, numbers = [], []  # number of each component among the contacts: -1 of none, -2 waits
         for c, (total, area, peak) in enumerate(sums[:3].T.tolist()):
             fits = total >= limits.force and area >= limits.area and peak > high
             stays = c in held and total >= HELD * limits.force
             if stays or (fits and (peak > AT_ONCE * high or c in again)):
+                numbers.append(len(kept))
                 kept.append(c)
-            elif fits:
-                weak.append(c)
-        if len(kept) < sums.shape[1]:
-            self._waiting = index[np.isin(labels, weak)]
-            inside = np.isin(labels, kept)
-            index, labels = index[inside], np.searchsorted(kept, labels[inside])
+            else:
+                numbers.append(-2 if fits else -1)
+        if len(kept) < len(numbers):
+            labels = np.array(numbers)[labels]
+            if -2 in numbers:
+                self._waiting = np.zeros(self.regions.size, dtype=np.bool_)
+                self._waiting[index[labels == -2]] = True
+            index, labels = index[labels >= 0], labels[labels >= 0]
             sums, overlap = sums[:, kept], overlap[kept]
-        self.regions[self._index] = 0
-        self.regions[index] = labels + 1
-        self._index, self._n = index, len(kept)
+            self.regions.fill(0)
+            self.regions[index] = labels + 1
+        self._n = len(kept)
         if not kept:
             return None
-        share = self._n_taxels / np.count_nonzero(forces > low) if is_mean else 1.0
+        share = self._n_taxels / n_above if is_mean else 1.0
         k = 3 + len(self._places)
-        sums[k:] = np.sqrt(sums[k:] * (SD_SCALE**2 * share * error**2 if sd is None else 1.0))
+        variances = sums[k:]
+        variances *= SD_SCALE**2 * share * error**2 if sd is None else 1.0
+        np.sqrt(variances, out=variances)
         if k > 8:
             sums[8:k] /= np.maximum(np.linalg.norm(sums[8:k], axis=0), 1e-12)
         return Found(sums, overlap, index, labels)
@@ -182,15 +188,15 @@ def components(
     places: Doubles,
     regions: npt.NDArray[np.int32],
     n_regions: int,
-) -> tuple[Indices, Indices, Doubles, Indices]:
+) -> tuple[Indices, Indices, Doubles, Indices, int]:
     """Connected components of the taxels above `low` of which one exceeds `high`, or lies in an
     earlier region, and their sums.
 
     `forces`: (n_rows, n_cols); `variances`, (n_cells,), of the forces; `places`: (k, n_cells);
-    `regions`: (n_cells,), from 1 to `n_regions`, or 0. Returns the flat indices of the taxels, the
-    number of the component of each; rows with an entry for each component: total, area, peak, k
-    centres, variance of the total, and by the delta method those of the centres; and the numbers of
-    taxels in each region, (n, n_regions).
+    `regions`: (n_cells,), from 1 to `n_regions`, or 0; it becomes that of the components. Returns
+    the flat indices of the taxels, the number of the component of each; rows with an entry for each
+    component: total, area, peak, k centres, variance of the total, and by the delta method those of
+    the centres; the numbers of taxels in each region, (n, n_regions); and that of all above `low`.
     """
     from scipy import ndimage  # half the time of the start of a process: only where it is used
 
@@ -212,7 +218,10 @@ def components(
     means = summed(values * here) / total
     apart = summed(of_each * np.square(here - means[:, labels])) / total**2
     overlap = np.bincount(labels * p + regions[index], minlength=n * p).reshape(n, p)[:, 1:]
-    return index, labels, np.stack([total, area, peak, *means, variance, *apart]), overlap
+    regions.fill(0)
+    regions[index] = labels + 1
+    sums = np.stack([total, area, peak, *means, variance, *apart])
+    return index, labels, sums, overlap, np.count_nonzero(grid)
 
 
 def find_contacts(

@@ -159,11 +159,13 @@ def test_the_compiled_loop_finds_the_same_components(shape, part):
     rng = np.random.default_rng(1)
     forces, variances = rng.random((2, *shape), dtype=np.float32)
     forces[rng.random(shape) >= part] = 0
-    places, regions = rng.random((3, forces.size)), np.zeros(forces.size, np.int32)
-    regions[: shape[1]] = rng.integers(0, 3, shape[1])
-    given = forces, np.float32(0.1), 0.8, variances.reshape(-1), places, regions, 2
-    for one, other in zip(components(*given), kernels.components(*given), strict=True):
+    given = forces, np.float32(0.1), 0.8, variances.reshape(-1), rng.random((3, forces.size))
+    regions = np.zeros((2, forces.size), np.int32)
+    regions[:, : shape[1]] = rng.integers(0, 3, shape[1])
+    found = components(*given, regions[0], 2), kernels.components(*given, regions[1], 2)
+    for one, other in zip(*found, strict=True):
         assert one == pytest.approx(other, rel=1e-9)
+    assert (regions[0] == regions[1]).all()
 
 
 def test_the_contacts_of_a_skin_of_points_have_a_place_and_a_normal():
