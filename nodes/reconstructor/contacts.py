@@ -149,7 +149,8 @@ class ContactFinder:
         index, labels, sums, overlap, n_above = self._components(*given)
         held = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
         again = () if waiting is None else set(labels[waiting[index]].tolist())
-        kept, numbers = [], []  # number of each component among the contacts: -1 of none, -2 waits
+        kept: list[int] = []
+        numbers = []  # of each component, that of its contact; -1: it is none, -2: it may be next
         for c, (total, area, peak) in enumerate(sums[:3].T.tolist()):
             fits = total >= limits.force and area >= limits.area and peak > high
             stays = c in held and total >= HELD * limits.force
@@ -221,7 +222,7 @@ def components(
     regions.fill(0)
     regions[index] = labels + 1
     sums = np.stack([total, area, peak, *means, variance, *apart])
-    return index, labels, sums, overlap, np.count_nonzero(grid)
+    return index, labels, sums, overlap, int(np.count_nonzero(grid))
 
 
 def find_contacts(

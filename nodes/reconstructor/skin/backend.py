@@ -74,7 +74,7 @@ class OnePatch:
     @staticmethod
     def same(a: Array, b: Array) -> Number:
         """True where all numbers of two vectors are equal."""
-        return np.array_equal(a, b)
+        return bool((a == b).all())
 
     def array(self, numbers: Any) -> Array:
         """The same numbers as an array here."""
