@@ -186,16 +186,15 @@ class Runner:
     def _left_ns(self) -> int | None:
         """Time until the next tick; None if an event must come first."""
         source = self._source
-        if source is None:
+        if source is None or len(self.writer.present) < source.min_readers:
             return None
         while self.asks and not self.writer.awaits(self.asks[0]):
             self.asks.popleft()
-        if not (self.begun or self.asks):
+        if len(self.asks) >= (source.window if self.begun else 1):
+            return None
+        if not self.begun:
             source.begin(self.clock.now_ns())
             self.begun = True
-        wanting = len(self.writer.present) < source.min_readers
-        if wanting or not self.begun or len(self.asks) >= source.window:
-            return None
         due_ns = source.next_tick_ns()
         return None if due_ns is None else due_ns - self.clock.now_ns()
 

@@ -161,10 +161,10 @@ class ContactTracker:
             tracks.velocities += (gain / elapsed_s) * (places - tracks.places)
         tracks.places[:] = places
         if not math.isinf(limits.over):
-            _switch(tracks.over, found.sums[0], limits.over, ids, OVER, events)
+            events += [(ids[k], OVER) for k in _switch(tracks.over, found.sums[0], limits.over)]
         if not math.isinf(limits.slide):
             speeds = np.linalg.norm(tracks.velocities[-3:], axis=0)
-            _switch(tracks.sliding, speeds, limits.slide, ids, SLIDE, events)
+            events += [(ids[k], SLIDE) for k in _switch(tracks.sliding, speeds, limits.slide)]
         if self._apart:
             self._apart = {one: apart for one, apart in self._apart.items() if one in ids}
         return Followed(self._fields(found.sums), events)
@@ -260,19 +260,12 @@ def _nearest(
             yield contacts[k], q, distances[k][q]
 
 
-def _switch(
-    state: Doubles,
-    values: Doubles,
-    limit: float,
-    ids: Sequence[int],
-    event: int,
-    events: list[tuple[int, int]],
-) -> None:
-    """Update the state of an event, with hysteresis; add it for the contacts where it begins."""
+def _switch(state: Doubles, values: Doubles, limit: float) -> Iterator[int]:
+    """Update the state of an event, with hysteresis; yield the contacts where it begins."""
     for k, (was, value) in enumerate(zip(state.tolist(), values.tolist(), strict=True)):
         state[k] = value > (HELD * limit if was else limit)
         if state[k] > was:
-            events.append((ids[k], event))
+            yield k
 
 
 _NO_TRACKS = Tracks([], np.zeros((5, 0)))

@@ -116,8 +116,7 @@ class ContactFinder:
             self._components = kernels.components
         self.regions = np.zeros(self._alike.size, dtype=np.int32)
         self._n = 0
-        #: True in cells of what exceeded the high threshold in the last frame, but not `AT_ONCE`
-        #: times; None: of nothing.
+        #: Cells of what exceeded the high threshold in the last frame, but not `AT_ONCE` times.
         self._waiting: Mask | None = None
 
     def find(
@@ -154,11 +153,9 @@ class ContactFinder:
         for c, (total, area, peak) in enumerate(sums[:3].T.tolist()):
             fits = total >= limits.force and area >= limits.area and peak > high
             stays = c in held and total >= HELD * limits.force
-            if stays or (fits and (peak > AT_ONCE * high or c in again)):
-                numbers.append(len(kept))
-                kept.append(c)
-            else:
-                numbers.append(-2 if fits else -1)
+            stays |= fits and (peak > AT_ONCE * high or c in again)
+            numbers.append(len(kept) if stays else -2 if fits else -1)
+            kept += [c] * stays
         if len(kept) < len(numbers):
             labels = np.array(numbers)[labels]
             if -2 in numbers:
@@ -173,9 +170,8 @@ class ContactFinder:
             return None
         share = self._n_taxels / n_above if is_mean else 1.0
         k = 3 + len(self._places)
-        variances = sums[k:]
-        variances *= SD_SCALE**2 * share * error**2 if sd is None else 1.0
-        np.sqrt(variances, out=variances)
+        scale = SD_SCALE**2 * share * error**2 if sd is None else 1.0
+        np.sqrt(scale * sums[k:], out=sums[k:])
         if k > 8:
             sums[8:k] /= np.maximum(np.linalg.norm(sums[8:k], axis=0), 1e-12)
         return Found(sums, overlap, index, labels)

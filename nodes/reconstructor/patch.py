@@ -134,7 +134,15 @@ class Patch:
             if most_steps in getattr(solver, "paces", ()):
                 solver.use_pace(most_steps)
         elif budget_ms is not None:
-            most_steps, frame_ms = self._steps_within(settings, budget_ms, solver, phi, skin.f_max)
+            n_steps = solver.n_steps
+            most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
+            frame_ms = round(1e3 * frame_s, 3)
+            if most_steps < MIN_ITERATIONS.get(chosen["solver"], 0):
+                self.log(
+                    f"{most_steps} of {n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
+                    f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
+                    "budget_ms, a lower rate, or fewer taxels a node"
+                )
         self.settings, self.solver, self._subsets = settings, solver, subsets
         self.most_steps = most_steps
         self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
@@ -160,26 +168,6 @@ class Patch:
             "lambda_n": options.get("lambda_n", 0.0),
             "frame_ms": frame_ms,
         }
-
-    def _steps_within(
-        self,
-        settings: ReconstructorSettings,
-        budget_ms: float,
-        solver: Solver,
-        phi: Phi,
-        f_max: float,
-    ) -> tuple[int, float]:
-        """Steps of a frame that fit into a budget on this host, and their time, milliseconds."""
-        n_steps = solver.n_steps
-        steps, frame_s = steps_within(solver, phi, f_max, budget_ms / 1e3)
-        frame_ms = round(1e3 * frame_s, 3)
-        if steps < MIN_ITERATIONS.get(settings.chosen()["solver"], 0):
-            self.log(
-                f"{steps} of {n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
-                f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
-                "budget_ms, a lower rate, or fewer taxels a node"
-            )
-        return steps, frame_ms
 
     def set_noise(self, skin: SkinState) -> None:
         """Hand the noise that the skin states to the solver."""
