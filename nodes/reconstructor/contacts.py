@@ -138,12 +138,12 @@ class ContactFinder:
         half of the least force.
         """
         unit = error if unit is None else unit
-        low, high = np.float32(limits.low * unit), limits.high * unit
-        n_before, waiting, self._waiting = self._n, self._waiting, None
+        high, n_before, waiting, self._waiting = limits.high * unit, self._n, self._waiting, None
         if not n_before and float(forces.max()) <= high:
             return None
         forces = np.ascontiguousarray(forces, dtype=np.float32)
         weights = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
+        low = np.float32(limits.low * unit)
         given = forces, low, high, weights, self._places, self.regions, n_before
         index, labels, sums, overlap, n_above = self._components(*given)
         held = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
