@@ -19,31 +19,29 @@ SLOWLY = ("--set", "sensor.rate_hz=20", "--set", "reconstructor.iterations=3")
 NONE_MISSING = {"skipped": 0, "lost": 0, "unpaired": 0}
 TAP = """
 import numpy as np
-from dataclasses import dataclass
 from sparseskin.nodes.node import Node
-from sparseskin.nodes.settings import PatchSettings, setting
-
-@dataclass(frozen=True)
-class TapSettings(PatchSettings):
-    out: str = setting("tap.npy", "file to write")
+from sparseskin.nodes.settings import PatchSettings
 
 class Tap(Node):
-    Settings = TapSettings
+    Settings = PatchSettings
 
     def __init__(self, settings, context):
         super().__init__(settings, context)
-        self.frames = []
+        self.frames, self.knows_solver = [], False
 
     @classmethod
     def inputs(cls, settings):
-        return (f"/{settings.patch}/reconstruction",)
+        return [f"/{settings.patch}/{kind}" for kind in ("solver", "taxels", "reconstruction")]
 
     def step(self, message):
-        self.frames.append(message.forces[0])
+        self.knows_solver |= message.latched
+        assert self.knows_solver  # it is made before the first frame is acquired
+        if message.schema == "reconstruction":
+            self.frames.append(message.forces[0])
         return ()
 
     def ended(self, topic, n_messages):
-        np.save(self.settings.out, np.array(self.frames))
+        np.save("tap.npy", np.array(self.frames))
         return ()
 """
 
