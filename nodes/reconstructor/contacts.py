@@ -77,14 +77,11 @@ class Features:
 
 class Found(NamedTuple):
     """Contacts of one frame: rows of `sums` as of `components`, with deviations in place of
-    variances and unit normals; `overlap` with those of the frame before; the flat indices of the
-    taxels, and the number of the contact of each.
+    variances and unit normals; `overlap` with those of the frame before.
     """
 
     sums: Doubles
     overlap: Indices
-    taxels: Indices
-    labels: Indices
 
 
 class ContactFinder:
@@ -149,22 +146,20 @@ class ContactFinder:
         held = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
         again = () if waiting is None else set(labels[waiting[index]].tolist())
         kept: list[int] = []
-        numbers = []  # of each component, that of its contact; -1: it is none, -2: it may be next
+        numbers = []  # of each component, that of its contact, from 1 on; 0: none, -1: maybe next
         for c, (total, area, peak) in enumerate(sums[:3].T.tolist()):
             fits = total >= limits.force and area >= limits.area and peak > high
             stays = c in held and total >= HELD * limits.force
             stays |= fits and (peak > AT_ONCE * high or c in again)
-            numbers.append(len(kept) if stays else -2 if fits else -1)
             kept += [c] * stays
+            numbers.append(len(kept) if stays else -fits)
         if len(kept) < len(numbers):
-            labels = np.array(numbers)[labels]
-            if -2 in numbers:
+            regions = np.array(numbers, dtype=np.int32)[labels]
+            self.regions[index] = np.maximum(regions, 0)
+            if -1 in numbers:
                 self._waiting = np.zeros(self.regions.size, dtype=np.bool_)
-                self._waiting[index[labels == -2]] = True
-            index, labels = index[labels >= 0], labels[labels >= 0]
+                self._waiting[index[regions < 0]] = True
             sums, overlap = sums[:, kept], overlap[kept]
-            self.regions.fill(0)
-            self.regions[index] = labels + 1
         self._n = len(kept)
         if not kept:
             return None
@@ -174,7 +169,7 @@ class ContactFinder:
         np.sqrt(scale * sums[k:], out=sums[k:])
         if k > 8:
             sums[8:k] /= np.maximum(np.linalg.norm(sums[8:k], axis=0), 1e-12)
-        return Found(sums, overlap, index, labels)
+        return Found(sums, overlap)
 
 
 def components(
@@ -281,9 +276,11 @@ def find_contacts(
     skin = Skin(n_rows, n_cols, f_max=1.0, mask=mask)
     forces = np.where(skin.exists, forces, np.float32(0))
     limits = Limits(low, high / AT_ONCE, force, area)
-    found = ContactFinder(skin).find(forces, error, limits, is_mean=is_mean, sd=sd)
-    none = np.zeros(0, dtype=np.intp)
-    sums, _, taxels, labels = found or Found(np.zeros((8, 0)), none, none, none)
+    finder = ContactFinder(skin)
+    found = finder.find(forces, error, limits, is_mean=is_mean, sd=sd)
+    sums = np.zeros((8, 0)) if found is None else found.sums
     total, n_taxels, peak, _, _, total_sd, _, _ = sums
+    taxels = np.flatnonzero(finder.regions)
+    labels = finder.regions[taxels].astype(np.intp) - 1
     centres = np.ascontiguousarray(sums[3:5].T), np.ascontiguousarray(sums[6:].T)
     return Features(total, total_sd, peak, *centres, n_taxels.astype(np.intp), taxels, labels)
