@@ -37,7 +37,7 @@ charts charts-quick: .venv/installed-charts
 	done
 
 # The tests that take seconds at most; of some folders: make test TESTS=tests/nodes/player.
-test: .venv/installed-dev
+test: .venv/installed-test
 	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" $(TESTS)
 
 # All tests, those that are slow by nature too (kills, soak, browser, network namespaces).
@@ -108,9 +108,13 @@ check: .venv/installed-dev
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[charts,fast,peers]'
 	touch $@ .venv/installed
 
+.venv/installed-test: pyproject.toml .venv/python
+	$(call install,-e '.[test]')
+	touch $@ .venv/installed
+
 .venv/installed-dev: pyproject.toml .venv/python
 	$(call install,-e '.[dev]')
-	touch $@ .venv/installed
+	touch $@ .venv/installed .venv/installed-test
 
 .venv/installed-docs: pyproject.toml .venv/python
 	$(call install,-e '.[docs]')

@@ -22,7 +22,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 LEFT_OUT = ("plugins/", "tests/plugins/")
 FEW = (
-    *("tests/test_imports.py", "tests/test_extensions.py", "tests/nodes/sensor/test_sources.py"),
+    *("tests/test_package.py", "tests/test_extensions.py", "tests/nodes/sensor/test_sources.py"),
     *("tests/nodes/sensor/files/test_arrays.py", "tests/nodes/recorder/convert/test_exports.py"),
     "tests/launch/commands/test_lists.py",
 )

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.launch.commands.cli import make_parser
+from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import (
     Measurements,
     Message,
@@ -16,8 +17,9 @@ from sparseskin.messages import (
     encode,
 )
 from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.clock import Clock, ManualClock
 from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.node import Tick
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -111,17 +113,33 @@ def make_bag(path: Path, messages: list[Message], flush_every: int = 40) -> list
     return payloads
 
 
+CHAIN = (Sensor, Compressor, Reconstructor)
+STATIONS = {cls.__name__.lower(): cls for cls in (*CHAIN, Monitor, Recorder)}
+
+
+def chain(clock: Clock | None = None, **settings: dict[str, Any]) -> Bus:
+    """Sensor, compressor, reconstructor and other nodes by their settings, in one process."""
+    chosen: dict[str, Any] = {cls.__name__.lower(): {} for cls in CHAIN} | settings
+    nodes = {name: (STATIONS[name], STATIONS[name].Settings(**v)) for name, v in chosen.items()}
+    return Bus(nodes, clock)
+
+
+def launched(name: str, *changes: str, record: str | None = None) -> Bus:
+    """The nodes of a launch file in one process, on a clock that goes on by 1 ns a frame."""
+    nodes = load(name, changes, record).nodes.values()
+    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+
+
+def only(messages: list[Message], kind: type[Message]) -> Any:
+    """The one message of a kind."""
+    (found,) = [message for message in messages if isinstance(message, kind)]
+    return found
+
+
 def record_scene(out: Path, scene: str, first: int, n_frames: int, every: int) -> Path:
     """Record steps of a scene from `first` on, `every` steps apart, at 100 Hz, with all topics."""
-    bus = Bus(
-        {
-            "sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}")),
-            "compressor": (Compressor, Compressor.Settings()),
-            "reconstructor": (Reconstructor, Reconstructor.Settings()),
-            "recorder": (Recorder, Recorder.Settings(out=str(out), source=scene)),
-        },
-        clock := ManualClock(PERIOD_NS),
-    )
+    clock, recorder = ManualClock(PERIOD_NS), {"out": str(out), "source": scene}
+    bus = chain(clock, sensor={"source": f"scene:{scene}"}, recorder=recorder)
     sensor: Any = bus.hosts["sensor"].node
 
     def skip(n_steps: int) -> None:

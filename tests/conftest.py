@@ -11,9 +11,18 @@ from pathlib import Path
 
 import hypothesis
 import pytest
-from processes import COMMAND, PATIENCE_S, PATIENT_COMMAND, Program, note_of_graph, wait_until
+from processes import (
+    COMMAND,
+    PATIENCE_S,
+    PATIENT_COMMAND,
+    SENSOR,
+    Program,
+    note_of_graph,
+    wait_until,
+)
 
 from sparseskin.nodes import extensions
+from sparseskin.nodes.network.sockets import make_context
 from sparseskin.nodes.numerics.warm_up import compile_loops
 
 __all__ = ["COMMAND", "PATIENCE_S", "PATIENT_COMMAND", "note_of_graph", "wait_until"]
@@ -41,9 +50,23 @@ def _own_environment():
         del os.environ[name]
 
 
-def pytest_sessionstart():
-    """Compile all loops where they are not yet, one test process for all."""
+COMPILE = "from sparseskin.nodes.numerics.warm_up import compile_loops as c; c('skin', 'auto', id)"
+
+
+def pytest_sessionstart(session):
+    """Begin to compile all loops, where they are not yet, beside the collection of tests."""
+    if not hasattr(session.config, "workerinput"):
+        session.config.compiling = subprocess.Popen([sys.executable, "-c", COMPILE])
+
+
+def pytest_collection_finish():
+    """Wait until all loops are compiled: one process has the lock."""
     compile_loops("skin", "auto", lambda line: None)
+
+
+def pytest_sessionfinish(session):
+    if not hasattr(session.config, "workerinput"):
+        session.config.compiling.wait()
 
 
 def pytest_collection_modifyitems(items):
@@ -94,9 +117,22 @@ def forget_user_modules(tmp_path_factory):
 def start(tmp_path):
     """Start `sparseskin ARGUMENTS` in an empty folder; nothing outlives the test."""
     with contextlib.ExitStack() as stack:
-        yield lambda *arguments, **options: stack.enter_context(
-            Program(*arguments, cwd=tmp_path, **options)
-        )
+        yield lambda *a, **kw: stack.enter_context(Program(*a, cwd=tmp_path, **kw))
+
+
+@pytest.fixture
+def context():
+    """A context of ZeroMQ."""
+    made = make_context()
+    yield made
+    made.destroy(linger=0)
+
+
+@pytest.fixture
+def sensor(tmp_path):
+    """A launch file of a sensor alone."""
+    (tmp_path / "sensor.toml").write_text(SENSOR)
+    return "sensor.toml"
 
 
 @pytest.fixture

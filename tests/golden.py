@@ -78,9 +78,7 @@ def main(scenes: Iterable[str]) -> None:
         alone = Bus({"sensor": (sensor.cls, sensor.settings)})
         frames = list(alone.frames(first + count))[first:]
         taxels = [m for messages in frames for m in messages if isinstance(m, Taxels)]
-        truth = np.stack(
-            [m.forces[0] for messages in frames for m in messages if isinstance(m, Truth)]
-        )
+        truth = np.stack([m.forces[0] for frame in frames for m in frame if isinstance(m, Truth)])
         for preset, kinds in ROWS.items():
             for rows in kinds:
                 settings = [f"reconstructor.preset={preset}", f"compressor.rows={rows}"]

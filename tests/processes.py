@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from sparseskin.launch.run.running import RunningGraph, remove_note, write_note
+from sparseskin.nodes.network.sockets import Writer
 
 PATIENCE_S = 300.0
 """When a wait is given up: far beyond what anything here takes, so it is no claim on speed."""
@@ -65,6 +66,16 @@ def processes_with(mark: str) -> dict[int, str]:
                 command = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
                 found[int(folder.name)] = command.decode(errors="replace")
     return found
+
+
+def wait_for_reader(writer: Writer, name: str) -> None:
+    """Serve the subscriptions of a writer until a reader is present."""
+
+    def is_present() -> bool:
+        writer.serve_subscriptions()
+        return name in writer.present
+
+    wait_until(is_present, f"the reader {name}")
 
 
 LOOP = """\
@@ -138,6 +149,13 @@ class Program:
         stdout, stderr = self.process.communicate(timeout=PATIENCE_S)
         return self.process.returncode, stdout, self._stderr + stderr
 
+    def ended(self, *codes: int) -> tuple[str, str]:
+        """Wait for the end, with exit code 0 or one stated, and no traceback; stdout and stderr."""
+        code, stdout, stderr = self.finish()
+        assert code in (codes or (0,)), stderr
+        assert "Traceback" not in stderr
+        return stdout, stderr
+
     def survivors(self) -> dict[int, str]:
         """Command lines of all processes that carry this run's mark, by pid."""
         return processes_with(self._mark)
@@ -158,3 +176,29 @@ class Program:
         for pid in self.survivors():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
+
+
+PROGRAM = [sys.executable, "-m", "sparseskin.launch.commands.entry"]
+
+
+def words(line: str, breaks: str = " \t\n\"'><=;|&(:") -> list[str]:
+    """Candidates of the last word of `sparseskin LINE` for bash, with its word breaks."""
+    typed = f"sparseskin {line}"
+    reader, writer = os.pipe()
+    environment = {
+        **os.environ,
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_SHELL": "bash",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
+        "_ARGCOMPLETE_COMP_WORDBREAKS": breaks,
+        "COMP_TYPE": "9",
+        "COMP_LINE": typed,
+        "COMP_POINT": str(len(typed)),
+    }
+    # argcomplete writes to file descriptor 8.
+    shell = ["bash", "-c", f'exec 8>&{writer}; exec "$@"', "bash", *PROGRAM]
+    with os.fdopen(reader) as found:
+        subprocess.run(shell, env=environment, pass_fds=[writer], check=True, timeout=120)
+        os.close(writer)
+        return found.read().splitlines()

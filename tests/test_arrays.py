@@ -10,12 +10,9 @@ import pytest
 from damaged import refusal
 
 import sparseskin
-from sparseskin import arrays
-from sparseskin.messages import Reconstruction
+from sparseskin import arrays, compress, make_basis, make_phi, make_solver, reconstruct
 from sparseskin.messages.state import CLIP_SD
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.errors import SolverError, SparseskinError
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 
 
@@ -37,9 +34,9 @@ def test_examples_in_docstrings_give_what_they_state(module):
 def test_compress_measures_existing_taxels_alone():
     mask = np.ones((4, 4), np.bool_)
     mask[0, :2] = False
-    phi = sparseskin.make_phi("subsample", n=14, m=14, seed=0)
+    phi = make_phi("subsample", n=14, m=14, seed=0)
     frames = np.arange(32, dtype=np.float32).reshape(2, 4, 4)
-    np.testing.assert_array_equal(sparseskin.compress(frames, phi, mask), frames[:, mask])
+    np.testing.assert_array_equal(compress(frames, phi, mask), frames[:, mask])
 
 
 def test_reconstruct_warns_once_of_threads_that_slow_it_down(monkeypatch):
@@ -48,8 +45,8 @@ def test_reconstruct_warns_once_of_threads_that_slow_it_down(monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     monkeypatch.setenv("SPARSESKIN_FAST", "off")
     threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
-    phi = sparseskin.make_phi("sbhe", n=64, m=32, seed=0)
-    basis = sparseskin.make_basis("haar", 8, 8)
+    phi = make_phi("sbhe", n=64, m=32, seed=0)
+    basis = make_basis("haar", 8, 8)
     y = np.zeros(32, np.float32)
     for solver_name, stated, expected in (("skin", 0, 1), ("skin", 1, 0), ("fista", 0, 0)):
         for name in threads:
@@ -57,71 +54,59 @@ def test_reconstruct_warns_once_of_threads_that_slow_it_down(monkeypatch):
         if stated:
             monkeypatch.setenv(threads[0], "1")
         arrays.warn_of_threads.cache_clear()
-        solver = sparseskin.make_solver(solver_name, phi, basis, rows="fixed")
+        solver = make_solver(solver_name, phi, basis, rows="fixed")
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always")
             for _ in range(2):
-                sparseskin.reconstruct(y, solver)
+                reconstruct(y, solver)
         assert ["OPENBLAS_NUM_THREADS=1" in str(one.message) for one in found] == [True] * expected
 
 
 def test_row_subsets_measure_frames_in_turn():
     frames = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
-    phi = sparseskin.make_phi("sbhe", n=64, m=22, seed=0)
+    phi = make_phi("sbhe", n=64, m=22, seed=0)
     subsets = phi.row_subsets()
-    y = sparseskin.compress(frames, phi)
-    np.testing.assert_array_equal(sparseskin.compress(frames, phi, rows="rotating"), y)
+    y = compress(frames, phi)
+    np.testing.assert_array_equal(compress(frames, phi, rows="rotating"), y)
     for k, frame in enumerate(frames):
         np.testing.assert_array_equal(y[k], subsets[k % 3].forward(frame.reshape(-1)))
-    np.testing.assert_array_equal(sparseskin.compress(frames[0], phi, rows="rotating"), y[0])
-    np.testing.assert_array_equal(
-        sparseskin.compress(frames, phi, rows="fixed"), phi.forward(frames.reshape(7, 64))
-    )
-    assert sparseskin.compress(frames[:0], phi, rows="rotating").shape == (0, 22)
+    np.testing.assert_array_equal(compress(frames[0], phi, rows="rotating"), y[0])
+    assert np.array_equal(compress(frames, phi, rows="fixed"), phi.forward(frames.reshape(7, 64)))
+    assert compress(frames[:0], phi, rows="rotating").shape == (0, 22)
 
 
 @pytest.mark.parametrize("solver", ["skin", "fista"])
 def test_arrays_give_the_bits_of_the_nodes_by_default(solver):
     stated = {"skin": "iterations=8", "fista": "preset=paper"}[solver]
     settings = ["sensor.first=310", f"reconstructor.{stated}"]  # touched from frame 320 on
-    frames = list(sparseskin.run_launch("lift_box_40", 30, settings))
+    launch = sparseskin.load_launch("lift_box_40", settings)
+    frames = list(sparseskin.run_launch(launch, 30))
+    assert (frames[0].patch, frames[0].truth.shape) == ("skin", (40, 40))
     taxels = np.stack([frame.taxels for frame in frames])
-    phi = sparseskin.make_phi("sbhe", n=1600, m=534, seed=0)
-    y = sparseskin.compress(taxels, phi)
+    phi = make_phi("sbhe", n=1600, m=534, seed=0)
+    y = compress(taxels, phi)
     np.testing.assert_array_equal(y, np.stack([frame.measurements for frame in frames]))
-    made = sparseskin.make_solver(solver, phi, sparseskin.make_basis("haar", 40, 40))
+    made = make_solver(solver, phi, make_basis("haar", 40, 40))
     made.noise_sd = PAPER_SIGMA_END_N * CLIP_SD  # as the scene states
-    forces = sparseskin.reconstruct(y, made)
+    forces = reconstruct(y, made)
     np.testing.assert_array_equal(forces, np.stack([frame.forces for frame in frames]))
     made.reset()
-    np.testing.assert_array_equal(sparseskin.reconstruct(y[:20], made), forces[:20])
-    assert sparseskin.reconstruct(y[:0], made).shape == (0, 40, 40)
+    np.testing.assert_array_equal(reconstruct(y[:20], made), forces[:20])
+    assert reconstruct(y[:0], made).shape == (0, 40, 40)
 
 
 def test_a_single_frame_of_rotating_rows_is_refused_unless_its_row_subset_is_stated():
-    phi, basis = sparseskin.make_phi("sbhe", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
-    y = sparseskin.compress(np.ones((4, 8, 8), np.float32), phi, rows="rotating")
-    solver = sparseskin.make_solver("skin", phi, basis)
+    phi, basis = make_phi("sbhe", 64, 22, 0), make_basis("haar", 8, 8)
+    y = compress(np.ones((4, 8, 8), np.float32), phi, rows="rotating")
+    solver = make_solver("skin", phi, basis)
     with pytest.raises(SolverError, match=r"call solver\.use\(solver\.subsets\[k % "):
-        sparseskin.reconstruct(y[1], solver)
+        reconstruct(y[1], solver)
     found = []
     for k, one in enumerate(y):
         solver.use(solver.subsets[k % len(solver.subsets)])
-        found.append(sparseskin.reconstruct(one, solver))
+        found.append(reconstruct(one, solver))
     solver.reset()
-    np.testing.assert_array_equal(found, sparseskin.reconstruct(y, solver))
-
-
-def test_rows_that_cannot_rotate_are_refused_on_arrays():
-    phi, basis = sparseskin.make_phi("gaussian", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
-    with pytest.raises(PhiError, match='"rotating" is not allowed for phi "gaussian"'):
-        sparseskin.compress(np.zeros((8, 8), np.float32), phi, rows="rotating")
-    with pytest.raises(PhiError, match='compress: phi "adaptive" chooses rows by what it reads'):
-        sparseskin.compress(
-            np.zeros((8, 8), np.float32), sparseskin.make_phi("adaptive", 64, 22, 0)
-        )
-    with pytest.raises(PhiError, match="rows: 'turning' is not allowed"):
-        sparseskin.make_solver("skin", phi, basis, rows="turning")
+    np.testing.assert_array_equal(found, reconstruct(y, solver))
 
 
 def test_psnr_of_frames_is_that_of_each():
@@ -134,17 +119,6 @@ def test_psnr_of_frames_is_that_of_each():
     with pytest.raises(SparseskinError, match=r"reaches 4000, above f_max = 2.5; state f_max"):
         sparseskin.psnr_db(counts, counts)
     assert sparseskin.psnr_db(counts - np.uint16(40), counts, f_max=4000) == pytest.approx(40)
-
-
-def test_a_launch_file_runs_with_the_bits_of_its_nodes():
-    launch = sparseskin.load_launch("path_40", ["reconstructor.iterations=3"])
-    frames = list(sparseskin.run_launch(launch, 3))
-    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, ManualClock(0))
-    made = [
-        m.forces[0] for ms in bus.frames(3) for m in ms if isinstance(m, Reconstruction)
-    ]  # fmt: skip
-    np.testing.assert_array_equal([frame.forces for frame in frames], made)
-    assert ([frame.patch for frame in frames], frames[0].truth.shape) == (["skin"] * 3, (40, 40))
 
 
 def test_a_bag_is_read_into_arrays(tmp_path):
@@ -193,37 +167,45 @@ def test_arguments_of_a_run_are_named(n_frames):
         next(sparseskin.run_launch("path_40", 3, "compressor.ratio=4"))
 
 
-PHI, BASIS = sparseskin.make_phi("sbhe", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
-SOLVER = sparseskin.make_solver("fista", PHI, BASIS)
-STREAM = sparseskin.Stream((8, 8))
+PHI, BASIS = make_phi("sbhe", 64, 22, 0), make_basis("haar", 8, 8)
+OTHER, CHOOSING = (make_phi(kind, 64, 22, 0) for kind in ("gaussian", "adaptive"))
 X, Y = np.ones((2, 8, 8), np.float32), np.ones((2, 22), np.float32)
+
+
+def solver():
+    return make_solver("fista", PHI, BASIS)
+
+
 MISTAKES = {
-    "the mask is bool of shape (4, 16); expected bool of shape (8, 8)": lambda: sparseskin.compress(
+    "the mask is bool of shape (4, 16); expected bool of shape (8, 8)": lambda: compress(
         X, PHI, np.ones((4, 16), np.bool_)
     ),
-    "the mask is int64 of shape": lambda: sparseskin.compress(X, PHI, X[0].astype(int)),
-    "compress: forces[1, 0, 3] is not finite": lambda: sparseskin.compress(
+    "the mask is int64 of shape": lambda: compress(X, PHI, X[0].astype(int)),
+    "compress: forces[1, 0, 3] is not finite": lambda: compress(
         np.where(np.arange(128).reshape(2, 8, 8) == 67, np.nan, X), PHI
     ),
-    "compress: forces: type int64; allowed: newtons": lambda: sparseskin.compress(
-        np.ones((8, 8), int), PHI
+    "compress: forces: type int64; allowed: newtons": lambda: compress(np.ones((8, 8), int), PHI),
+    "compress: forces: type complex": lambda: compress(X * 1j, PHI),
+    "compress: forces: type object": lambda: compress(X.astype(object), PHI),
+    "compress: forces: shape (64,)": lambda: compress(X[0].reshape(-1), PHI),
+    "compress: 256 taxels of (16, 16) exist": lambda: compress(np.ones((16, 16)), PHI),
+    '"rotating" is not allowed for phi "gaussian"': lambda: compress(X, OTHER, rows="rotating"),
+    'compress: phi "adaptive" chooses rows by what it': lambda: compress(X, CHOOSING),
+    "rows: 'turning' is not allowed": lambda: make_solver("skin", PHI, BASIS, rows="turning"),
+    "phi: got ndarray": lambda: compress(PHI, X),
+    "measures frames of (8, 8), not of (4, 16)": lambda: make_solver(
+        "fista", PHI, make_basis("haar", 4, 16)
     ),
-    "compress: forces: type complex": lambda: sparseskin.compress(X * 1j, PHI),
-    "compress: forces: type object": lambda: sparseskin.compress(X.astype(object), PHI),
-    "compress: forces: shape (64,)": lambda: sparseskin.compress(X[0].reshape(-1), PHI),
-    "compress: 256 taxels of (16, 16) exist": lambda: sparseskin.compress(np.ones((16, 16)), PHI),
-    "phi: got ndarray": lambda: sparseskin.compress(PHI, X),
-    "measures frames of (8, 8), not of (4, 16)": lambda: sparseskin.make_solver(
-        "fista", PHI, sparseskin.make_basis("haar", 4, 16)
+    "phi: got HaarBasis; expected what": lambda: make_solver("fista", BASIS, PHI),
+    "basis: got str; expected what": lambda: make_solver("fista", PHI, "haar"),
+    "basis: '8' x 8 is no grid": lambda: make_basis("haar", "8", 8),
+    "y has shape (21,); expected (22,)": lambda: reconstruct(Y[:, :21], solver()),
+    "measurements: type complex": lambda: reconstruct(Y * 1j, solver()),
+    "solver: got ndarray": lambda: reconstruct(solver(), Y),
+    "the frame has shape (2, 32); expected (8, 8)": lambda: sparseskin.Stream((8, 8)).compress(
+        X[0].reshape(2, 32)
     ),
-    "phi: got HaarBasis; expected what": lambda: sparseskin.make_solver("fista", BASIS, PHI),
-    "basis: got str; expected what": lambda: sparseskin.make_solver("fista", PHI, "haar"),
-    "basis: '8' x 8 is no grid": lambda: sparseskin.make_basis("haar", "8", 8),
-    "y has shape (21,); expected (22,)": lambda: sparseskin.reconstruct(Y[:, :21], SOLVER),
-    "measurements: type complex": lambda: sparseskin.reconstruct(Y * 1j, SOLVER),
-    "solver: got ndarray": lambda: sparseskin.reconstruct(SOLVER, Y),
-    "the frame has shape (4, 16); expected (8, 8)": lambda: STREAM.compress(X[0].reshape(4, 16)),
-    "stream: readings: type complex": lambda: STREAM.compress(X[0] * 1j),
+    "stream: readings: type complex": lambda: sparseskin.Stream((8, 8)).compress(X[0] * 1j),
     "psnr_db: type complex": lambda: sparseskin.psnr_db(X * 1j, X),
     "find_contacts: forces of shape (2, 8, 8)": lambda: sparseskin.find_contacts(X, 0.1),
 }
@@ -232,14 +214,6 @@ MISTAKES = {
 @pytest.mark.parametrize("line", MISTAKES)
 def test_a_natural_mistake_is_answered_in_one_line(line):
     assert line in refusal(lambda: MISTAKES[line](), SparseskinError)
-
-
-def test_objects_state_what_they_are():
-    assert repr(PHI) == "<SbhePhi sbhe: m = 22 of 64 taxels, seed 0>"
-    assert repr(BASIS) == "<HaarBasis haar: 8 x 8>"
-    made = "8 x 8, m = 22 of 64 taxels by sbhe, 3 row subsets"
-    assert repr(SOLVER) == f"<RotatingSolver fista: {made}>"
-    assert repr(STREAM) == f"<Stream {made.replace(',', ':', 1)}; solver skin>"
 
 
 def test_missing_readings_of_a_file_are_treated_as_stated(tmp_path):

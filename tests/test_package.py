@@ -1,9 +1,12 @@
-"""The package: what is installed, and that it is all of it."""
+"""The package: what is installed, that it is all of it, and its imports: one way, no circles."""
 
+import ast
 import re
 import subprocess
 import sys
 import zipfile
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -14,6 +17,9 @@ STATIONS = [
     f"sparseskin.nodes.{station}"
     for station in ("sensor", "compressor", "reconstructor", "monitor", "recorder", "player")
 ]
+
+
+EVERY_PHI = "[b.make_phi(kind, 64, 64, seed=0) for kind in b.KINDS]"
 
 
 def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
@@ -52,6 +58,7 @@ def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
     ("module", "strangers"),
     [
         ("sparseskin.nodes.compressor.node", ["scipy", "pywt", "sparseskin.nodes.reconstructor"]),
+        ("sparseskin.nodes.compressor.phi.base as b; " + EVERY_PHI, ["scipy", "pywt"]),
         ("sparseskin.nodes.sensor.node", ["scipy", "sparseskin.nodes.compressor"]),
         ("sparseskin.nodes.reconstructor.node", ["scipy", "pywt", "numba"]),
         ("sparseskin.nodes.process.runner", ["sparseskin.launch", "sparseskin.nodes.monitor"]),
@@ -81,3 +88,51 @@ def test_nothing_in_the_package_unpickles_or_evaluates():
         for match in re.finditer(unsafe, path.read_text(encoding="utf-8"))
     ]
     assert found == []
+
+
+LAYERS = ("messages", "nodes", "launch", "studies", "plugins")
+
+
+def modules():
+    """Files of all modules, by the names under which they are imported."""
+    found = {}
+    for path in (path for layer in LAYERS for path in (ROOT / layer).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(("sparseskin", *parts)).removesuffix(".__init__")] = path
+    return found
+
+
+def imports(name, known):
+    """Modules that a module imports anywhere: within functions and for type checkers too."""
+    path = known[name]
+    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) + 1 - node.level] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            for alias in node.names:
+                full = f"{base}.{alias.name}"
+                yield full if full in known else base
+
+
+@cache
+def graph():
+    """Modules that each module imports, of those that are known."""
+    known = modules()
+    return {name: set(imports(name, known)) & known.keys() - {name} for name in known}
+
+
+def test_imports_form_no_circle_and_run_one_way():
+    edges = graph()
+    assert len(edges) > 200
+    assert sum(map(len, edges.values())) > 500
+    TopologicalSorter(edges).prepare()  # raises CycleError with the modules of a circle
+    upward = [
+        f"{name} imports {other}"
+        for name, others in graph().items()
+        for other in others
+        if LAYERS.index(name.split(".")[1]) < LAYERS.index(other.split(".")[1])
+    ]
+    assert upward == []

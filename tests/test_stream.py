@@ -7,7 +7,11 @@ from doubting import DOUBTING
 
 import sparseskin
 from sparseskin import Stream
-from sparseskin.nodes.errors import SolverError, SparseskinError
+from sparseskin.checks import check_basis, check_phi, check_solver
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N, PAPER_SIGMA_MID_N
 
 FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
@@ -21,6 +25,8 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
             ["compressor.rows=paper", "compressor.ratio=4", "reconstructor.preset=paper"],
             {"rows": "paper", "ratio": 4, "preset": "paper"},
         ),
+        # Lambda is scaled with the range.
+        (["reconstructor.preset=paper"], {"preset": "paper", "f_max": 40}),
         (
             ["compressor.phi=gaussian", "compressor.seed=2", "reconstructor.iterations=3"],
             {"phi": "gaussian", "seed": 2, "iterations": 3},
@@ -38,10 +44,11 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
 )
 def test_a_stream_has_the_bits_and_defaults_of_a_graph(settings, chosen, tmp_path):
     if chosen:
-        np.save(tmp_path / "log.npy", FRAMES)
+        f_max = chosen.get("f_max", 2.5)
+        np.save(tmp_path / "log.npy", FRAMES * (f_max / 2.5))
         name, shape, sigmas = "replay", (8, 8), None
         settings = [*settings, f"sensor.source=file:{tmp_path}/log.npy", "sensor.unit=N"]
-        settings += ["sensor.rate_hz=100", "sensor.f_max=2.5"]
+        settings += ["sensor.rate_hz=100", f"sensor.f_max={f_max}"]
     else:
         name, shape, sigmas = "lift_box_40", (40, 40), (PAPER_SIGMA_MID_N, PAPER_SIGMA_END_N)
     stream = Stream(shape, sigmas=sigmas, **chosen)
@@ -51,16 +58,6 @@ def test_a_stream_has_the_bits_and_defaults_of_a_graph(settings, chosen, tmp_pat
         np.testing.assert_array_equal(stream.reconstruct(y), frame.forces)
         assert (stream.error, stream.trusted) == (frame.error, frame.trusted)
     assert (stream.n, stream.m) == (shape[0] * shape[1], y.size)
-
-
-def test_lambda_is_scaled_with_the_range_as_in_a_graph(tmp_path):
-    np.save(tmp_path / "log.npy", 40 * FRAMES)
-    sensor = [f"source=file:{tmp_path}/log.npy", "rate_hz=100", "unit=N", "f_max=40"]
-    settings = [f"sensor.{one}" for one in sensor] + ["reconstructor.preset=paper"]
-    stream = Stream((8, 8), f_max=40, preset="paper")
-    for frame in sparseskin.run_launch("replay", 7, settings):
-        forces = stream.reconstruct(stream.compress(frame.taxels))
-        np.testing.assert_array_equal(forces, frame.forces)
 
 
 def test_a_masked_skin_is_that_of_the_arrays():
@@ -157,3 +154,73 @@ def test_an_even_force_stays_where_the_rows_that_see_it_are_not_read():
         taxels = (0.1 + rng.normal(0, 0.003, (16, 16))).astype(np.float32)
         forces = stream.reconstruct(stream.compress(taxels))
         assert k < 6 or forces.sum() == pytest.approx(taxels.sum(), rel=0.05)
+
+
+def changed(made, **methods):
+    """The same object, with methods that are wrong: functions of it and what it is given."""
+    made.__class__ = type("Own", (made.__class__,), methods)
+    return made
+
+
+def phi(**methods):
+    return changed(make_phi("gaussian", 24, 9, seed=0), **methods)
+
+
+def solver(**methods):
+    basis, measured = make_basis("haar", 8, 8), make_phi("sbhe", 64, 30, seed=0)
+    return changed(make_solver("fista", measured, basis), **methods)
+
+
+def half(self, y, out):
+    out[:] = 0.5 * (self.dense().T @ y)
+
+
+def growing(self, x, out):
+    self.calls = getattr(self, "calls", 0) + 1
+    out[:] = self.calls * x.sum()
+
+
+@pytest.mark.parametrize(
+    ("methods", "text"),
+    [
+        ({"_adjoint": half}, "adjoint: inner products of .*; expected: the transpose, so equal"),
+        ({"_forward": growing}, "forward: other bits on a second call; expected: the same bits"),
+        ({"lipschitz": property(lambda self: 1.0)}, r"lipschitz: 1.0; expected: at least 2\.\d+"),
+        ({"dense": lambda self: np.zeros((9, 24))}, "forward: a relative error of .* dense"),
+    ],
+)
+def test_a_wrong_matrix_is_named(methods, text):
+    assert check_phi(phi())["dot"] < 1e-6
+    if "_adjoint" in methods:  # the dense form is that of `_adjoint` else
+        matrix = phi().dense()
+        methods = {**methods, "dense": lambda self: matrix}
+    with pytest.raises(PhiError, match=f"phi gaussian: {text}"):
+        check_phi(phi(**methods))
+
+
+def test_a_basis_that_is_not_orthonormal_is_named():
+    def twice(self, image, out):
+        out[:] = 2 * image
+
+    basis = changed(make_basis("identity", 5, 7), _analysis=twice)
+    with pytest.raises(SolverError, match="basis Own: synthesis: inner products of"):
+        check_basis(basis)
+
+
+def forces(value):
+    return lambda self: np.full((8, 8), value, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("methods", "text"),
+    [
+        ({"finish": forces(-1)}, "forces below 0 or not finite; expected: at least 0, finite"),
+        ({"finish": lambda self: np.zeros((8, 8))}, r"float64 \(8, 8\); expected: float32"),
+        ({"finish": forces(1)}, "a NaN among the measurements is taken|forces for measurements"),
+        ({"reset": lambda self: None}, "a second run after reset"),
+    ],
+)
+def test_a_wrong_solver_is_named(methods, text):
+    assert check_solver(solver())["error"] < 1
+    with pytest.raises(SolverError, match=f"solver fista: (?:{text})"):
+        check_solver(solver(**methods))

@@ -123,9 +123,7 @@ def test_a_serial_line_becomes_frames_in_newtons(opened, line):
     assert [round(float(frame[0, 0]), 6) for frame in frames] == [0.5, 1.0, 2.5]
 
 
-def test_garbage_between_the_frames_of_a_serial_line_is_passed_over_and_counted(
-    opened, line, capsys
-):
+def test_garbage_between_the_frames_of_a_serial_line_is_counted(opened, line, capsys):
     skin, device = line
     cut = serial_frame(9)[:200]  # as after an overrun: the rest never came
     wrong = serial_frame(9)[:-1] + b"\0"
@@ -140,15 +138,12 @@ def test_garbage_between_the_frames_of_a_serial_line_is_passed_over_and_counted(
     assert f"{device}: 1 frames with a wrong sum" in capsys.readouterr().out
 
 
-def test_a_serial_skin_that_falls_silent_is_named(opened, line):
+def test_skins_that_fall_silent_or_are_not_there_are_named(opened, line):
     skin, device = line
     os.write(skin, serial_frame(1))
     source = opened("serial_skin", DEVICE=device, SILENT_S=0.2)
     with pytest.raises(SourceError, match=f"{device}: nothing came for 0.2 s"):
         taken(source, 10**9)
-
-
-def test_a_device_that_is_not_there_is_named(opened):
     with pytest.raises(SourceError, match="No such file or directory: '/dev/no-skin'"):
         opened("serial_skin", DEVICE="/dev/no-skin")
 

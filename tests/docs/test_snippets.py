@@ -105,9 +105,7 @@ def test_python_blocks_of_a_page_run_one_after_the_other(page, workplace):
 
 
 def test_the_driver_of_the_pages_delivers_frames(workplace):
-    (block,) = (
-        b for b in fenced(ROOT / "docs" / "howto" / "drivers.md", "python") if "my_skin.py" in b
-    )
+    (block,) = (b for b in fenced(ROOT / "docs/howto/drivers.md", "python") if "my_skin.py" in b)
     (workplace / "my_skin.py").write_text(block, encoding="utf-8")
     frames = sparseskin.run_launch("replay", 3, ["sensor.source=my_skin:frames"])
     assert [frame.taxels.shape for frame in frames] == [(12, 32)] * 3
@@ -151,13 +149,10 @@ def runnable(arguments):
     return not any(part in " ".join(arguments) for part in readers)
 
 
-def test_targets_of_the_pages_are_in_the_makefile():
+def test_targets_scripts_tests_and_extras_of_the_pages_are_there():
     targets = {word for words in stated("make") for word in words[1:] if "=" not in word}
     done = subprocess.run(["make", "-n", *targets], cwd=ROOT, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
-
-
-def test_scripts_and_tests_of_the_pages_are_there():
     for words in [*stated("python"), *stated("pytest")]:
         target = next(word for word in words[1:] if "/" in word or not word.startswith("-"))
         if words[1:3] == ["-m", "pytest"]:
@@ -166,16 +161,81 @@ def test_scripts_and_tests_of_the_pages_are_there():
             assert importlib.util.find_spec(words[2]) is not None
         else:
             assert (ROOT / target).exists()
-
-
-def test_extras_of_the_pages_are_those_of_the_package():
     known = set(PYPROJECT["project"]["optional-dependencies"])
     for words in stated("pip"):
         for extras in re.findall(r"\.\[([\w,]+)\]", " ".join(words)):
             assert set(extras.split(",")) <= known
-
-
-def test_indented_blocks_hold_commands_of_known_programs_alone():
     known = {"sparseskin", "make", "python", "pip", *OTHERS}
     for first in {words[0] for page in PAGES for words in commands(page, INDENTED)} - known:
         assert (ROOT / first).exists(), first
+
+
+TEXTS = {
+    page: page.read_text(encoding="utf-8")
+    for page in [
+        *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+        *sorted((ROOT / "docs").rglob("*.md")),
+    ]
+}
+TOP = "messages|nodes|launch|plugins|packages|studies|sparseskin|examples|tests|docs"
+PATH = re.compile(rf"`((?:{TOP})/[\w/.]*)`")
+MODULE = re.compile(rf"`((?:{TOP})/[\w/]*/)`,\s+module\s+`(\w+)`")
+DOTTED = re.compile(r"`(?:import )?(sparseskin(?:\.\w+)+)`")
+TEST = re.compile(r"`(test_\w+\.py)`")
+LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
+#: Paths that were, and are named as such.
+FORMER = {"docs/examples/"}
+
+
+def test_every_path_of_a_page_is_there():
+    modules = {path.stem for top in TOP.split("|") for path in (ROOT / top).rglob("*.py")}
+    for page, text in TEXTS.items():
+        missing = [p for p in PATH.findall(text) if p not in FORMER and not (ROOT / p).exists()]
+        missing += [
+            f"{folder}{name}.py"
+            for folder, name in MODULE.findall(text)
+            if not (ROOT / folder / f"{name}.py").exists()
+        ]
+        # A module that is named without its folder is somewhere.
+        missing += sorted(set(re.findall(r"\bmodules?\s+`(\w+)`", text)) - modules)
+        assert not missing, page
+
+
+def test_every_module_and_name_of_a_page_can_be_found():
+    for dotted in DOTTED.findall("\n".join(TEXTS.values())):
+        parts = dotted.split(".")[1:]
+        while parts and not found(parts):
+            attribute = parts.pop()
+            base = ROOT.joinpath(*parts)
+            source = base.with_suffix(".py") if parts else ROOT / "sparseskin" / "__init__.py"
+            if source.is_file():
+                assert re.search(rf"\b{attribute}\b", source.read_text(encoding="utf-8")), dotted
+                break
+        else:
+            assert parts, dotted
+
+
+def found(parts):
+    path = ROOT.joinpath(*parts)
+    return path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def test_every_test_and_link_of_a_page_is_there_no_path_of_a_machine_and_the_version():
+    tests = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
+    for page, text in TEXTS.items():
+        assert set(TEST.findall(text)) <= tests, page
+        missing = [link for link in LINK.findall(text) if not (page.parent / link).exists()]
+        assert not missing, page
+        assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text), page
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"\nversion: {project['version']}\n" in citation
+
+
+def test_every_picture_has_the_command_that_makes_it_beside_it():
+    command = re.compile(r"(?:`|^ {4})(sparseskin|make|python|\.venv/bin/python) ", re.M)
+    for page, text in TEXTS.items():
+        lines = [line for line in text.splitlines() if line]
+        for k, line in enumerate(lines):
+            if line.startswith("![") and "data_flow.svg" not in line:  # drawn by hand
+                assert command.search("\n".join(lines[max(0, k - 2) : k + 8])), (page, line)

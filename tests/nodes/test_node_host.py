@@ -93,14 +93,11 @@ def test_gaps_are_losses_at_the_start_between_and_at_the_end(numbers, n_sent, lo
     assert (count.received, count.lost, count.received + count.lost) == (len(numbers), lost, n_sent)
 
 
-def test_a_repeated_message_is_taken_once():
+def test_a_repeated_message_is_taken_once_and_a_publisher_that_starts_again_is_no_loss():
     host, _ = make(Summer)
     for message in (phi(), phi(), taxels(0), taxels(0), taxels(1)):
         list(host.receive(message))
     assert (host.node.steps, host.counts.inputs["/skin/phi"].received) == (3, 1)
-
-
-def test_a_publisher_that_starts_again_is_no_loss():
     host, _ = make(Summer)
     for message in (taxels(0), taxels(1), taxels(0, OTHER_RUN), taxels(1, OTHER_RUN)):
         list(host.receive(message))
@@ -161,14 +158,11 @@ def test_the_end_of_all_streams_is_passed_on_once_with_the_count():
     assert list(host.receive(end(3))) == []
 
 
-def test_a_source_ends_with_its_last_frame():
+def test_a_source_ends_with_its_last_frame_or_with_its_failure():
     host, _ = make(Counter)
     out = [m for k in range(3) for m in host.tick(Tick(k, k))]
     assert [type(m) for m in out] == [Taxels, Taxels, Taxels, End]
     assert [m.seq for m in out] == [0, 1, 2, 3]
-
-
-def test_a_source_that_fails_ends_its_stream_and_reports_why():
     host, lines = make(Counter)
     host.node.fails_at = 1
     out = [m for k in range(2) for m in host.tick(Tick(k, k))]

@@ -26,23 +26,17 @@ def put(address, data):
         file.write(data)
 
 
-def test_paths_stay_paths():
+def test_addresses_are_copied_once_files_stored_once_and_paths_stay_paths(tmp_path):
     for path in ("drag.mcap", "a/b:c.mcap", "C:/drag.mcap", "/tmp/x"):
         assert not is_remote(path)
         assert local_path(path) == Path(path)
     assert file_name("a/b.mcap") == "b.mcap"
     assert file_name("https://host/a/b.mcap?version=3") == "b.mcap"
-
-
-def test_an_address_is_copied_once_a_process():
     put("memory://bucket/a.mcap", b"first")
     path = local_path("memory://bucket/a.mcap")
     assert (path.read_bytes(), path.name) == (b"first", "a.mcap")
     put("memory://bucket/a.mcap", b"second")
     assert local_path("memory://bucket/a.mcap") == path
-
-
-def test_a_file_is_stored_and_none_is_written_over(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"forces")
     remote.store(path, "memory://out/a.mcap")
@@ -93,7 +87,7 @@ def test_a_file_that_is_too_large_or_comes_too_slowly_is_given_up(monkeypatch):
             local_path(address)
 
 
-def test_a_missing_package_and_a_missing_file_are_named(monkeypatch):
+def test_what_is_missing_is_named_and_no_error_shows_a_password(monkeypatch):
     with pytest.raises(RemoteError, match=r"memory://none/a.mcap: no such file"):
         local_path("memory://none/a.mcap")
     with monkeypatch.context() as patch:
@@ -103,8 +97,5 @@ def test_a_missing_package_and_a_missing_file_are_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "s3fs", None)
     with pytest.raises(SettingsError, match=r"a.mcap: needs a further package: Install s3fs"):
         check_address("s3://bucket/a.mcap")
-
-
-def test_no_error_shows_a_password():
     error = SparseskinError("--set source=http://me:key@h/x.npy: http:/me:key@h/x.npy: none")
     assert str(error) == "--set source=http://***@h/x.npy: http:/***@h/x.npy: none"

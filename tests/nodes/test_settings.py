@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from bags import launched, only
 
 from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import Measurements, PhiState, Reconstruction, SolverState, Taxels, Truth
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.settings import PatchSettings, Settings, setting
@@ -73,8 +72,7 @@ class Example(Settings):
 
 
 def graph(*overrides):
-    nodes = load("path_40", [*OVERRIDES, *overrides]).nodes.values()
-    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+    return launched("path_40", *OVERRIDES, *overrides)
 
 
 def run(bus, n_frames, at=-1, node="", changes=None):
@@ -88,11 +86,6 @@ def run(bus, n_frames, at=-1, node="", changes=None):
 
 def forces(frames, kind=Reconstruction):
     return [m.forces.tobytes() for messages in frames for m in messages if isinstance(m, kind)]
-
-
-def only(messages, kind):
-    (found,) = [message for message in messages if isinstance(message, kind)]
-    return found
 
 
 def test_live_settings_change_and_the_others_stay():
@@ -118,15 +111,12 @@ def test_a_change_that_is_not_allowed_is_named(changes, text):
         Example().changed(changes)
 
 
-def test_a_ratio_that_is_stated_last_counts():
+def test_a_ratio_or_preset_that_is_stated_last_counts():
     settings = load("path_40", ["compressor.m=400"]).nodes["compressor"].settings
     assert settings.changed({"ratio": 4}).rows_and_m(1600)[1] == 400
     assert settings.changed({"ratio": 8}).rows_and_m(1600)[1] == 200
     assert settings.changed({"ratio": 8, "m": 300}).rows_and_m(1600)[1] == 300
     assert settings.changed({"ratio": 8}).changed({"m": 100}).rows_and_m(1600)[1] == 100
-
-
-def test_a_preset_that_is_stated_last_replaces_solver_and_numbers():
     settings = load("path_40", ["reconstructor.solver=tv"]).nodes["reconstructor"].settings
     assert settings.changed({"preset": "paper"}).chosen() == PRESETS["paper"]
     both = settings.changed({"preset": "paper", "iterations": 5})

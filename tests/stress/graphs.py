@@ -175,9 +175,7 @@ class GraphRun(Program):
         return left
 
 
-def launch_text(
-    nodes: Mapping[str, Mapping[str, Any]], graph: Mapping[str, Any] | None = None
-) -> str:
+def launch_text(nodes: Mapping[str, Any], graph: Mapping[str, Any] | None = None) -> str:
     """Text of a launch file: settings of nodes by name, and of [graph]; None: left out."""
     tables = {f"nodes.{name}": {"type": name, **settings} for name, settings in nodes.items()}
     return "".join(

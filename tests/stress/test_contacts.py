@@ -7,16 +7,13 @@ import itertools
 
 import numpy as np
 import pytest
-from bags import skin_state
+from bags import chain, skin_state
 
 from sparseskin.messages import Contacts
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
+from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.rotation import RATIO, ROTATING
 from sparseskin.nodes.reconstructor.idle import REFERENCE, REFRESH, IdleWatch
-from sparseskin.nodes.reconstructor.node import Reconstructor
-from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.tiled import TiledScene
 
@@ -46,9 +43,7 @@ class Watched:
         phi = self._phis[self._k % len(self._phis)]
         self._k += 1
         readings = (NOISE.apply(truth, self._rng).reshape(-1) for _ in range(self._n_patches))
-        return self.watch.to_solve(
-            phi.fingerprint, np.stack([phi.forward(one) for one in readings])
-        )
+        return self.watch.to_solve(phi.fingerprint, np.stack([phi.forward(r) for r in readings]))
 
 
 def missed(contact, sigmas, n_patches):
@@ -101,17 +96,12 @@ def test_an_untouched_skin_has_no_contact(ratio, stated, full, note, tmp_path):
     skin = tmp_path / "skin.toml"
     of_noise = "" if stated is None else f"noise = {stated}\nnoise_mid = {stated}\n"
     skin.write_text(f"name = 'noisy'\nrows = 40\ncols = 40\nunit = 'N'\nf_max = 2.5\n{of_noise}")
-    source = Sensor.Settings(source=f"{__name__}:noise", skin=str(skin))
+    source = {"source": f"{__name__}:noise", "skin": str(skin)}
     n_frames, n_starts = (8_400, 28) if full else (60, 1)
     begins = 0
     for seed in range(n_starts):
-        bus = Bus(
-            {
-                "sensor": (Sensor, source),
-                "compressor": (Compressor, Compressor.Settings(ratio=ratio, seed=seed)),
-                "reconstructor": (Reconstructor, Reconstructor.Settings(contacts=True)),
-            }
-        )
+        compressor = {"ratio": ratio, "seed": seed}
+        bus = chain(sensor=source, compressor=compressor, reconstructor={"contacts": True})
         for messages in bus.frames(n_frames // n_starts):
             found = [one for one in messages if isinstance(one, Contacts)]
             begins += sum(name == "begin" for one in found for _, name in one.named_events)

@@ -109,9 +109,7 @@ def not_recorded(folder, sensed):
     ("name", "transport"),
     [("SIGKILL", None), ("SIGKILL", "tcp"), ("SIGSEGV", None), ("SIGSTOP", None)],
 )
-def test_a_node_that_is_killed_crashes_or_stops_takes_no_other_with_it(
-    name, transport, full, note, tmp_path
-):
+def test_a_node_that_ends_takes_no_other_with_it(name, transport, full, note, tmp_path):
     n_graphs, repeats, stop_s, rate_hz = (7, 3, 5.0, 100.0) if full else (1, 1, 1.0, 20.0)
     dies = name != "SIGSTOP"
     struck = {node: [] for node in NODES}

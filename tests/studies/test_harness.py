@@ -3,16 +3,26 @@
 import numpy as np
 import pytest
 
-from sparseskin.messages.skin import Skin
-from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.compressor.phi.quadtree import Quadtree
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.accuracy.experiments import CANDIDATES, READINGS, SIMPLE
-from sparseskin.studies.baselines.sampling import CODECS
+from sparseskin.studies.baselines.sampling import (
+    CODECS,
+    NEWEST,
+    Codec,
+    Filtered,
+    Lattice,
+    acts_values,
+    adaptive_values,
+    address_bytes,
+    classes,
+)
 from sparseskin.studies.evaluate import (
     VALUE_BYTES,
     Reading,
@@ -60,25 +70,18 @@ def test_all_estimators_of_a_ratio_send_the_same_bytes_to_within_rounding(tmp_pa
         [VALUE_BYTES * 120 / 3] * len(rows), abs=6
     )
     assert rows["n_contact"].nunique() == 1
+    chosen = {name: CANDIDATES[name] for name in ("subsample", "lattice")}
+    some = Experiment("seeds", [PRESS], [Measurement(4)], chosen, ("psnr_db",), (0, 1))
+    rows = some.run(tmp_path, "serial")
+    assert (rows["seed"].tolist(), len({str(db) for db in rows["psnr_db"]})) == ([0, 0, 1, 1], 4)
     every = READINGS | {kind: Candidate(of=kind) for kind in CODECS}
     read = Experiment("read", [PRESS], [Measurement(1)], every, scores).run(tmp_path, "serial")
     assert (unrefused(read)["mean_db"] > 30).all()
 
 
-def test_a_seed_changes_what_is_random_and_nothing_else(tmp_path):
-    chosen = {name: CANDIDATES[name] for name in ("subsample", "lattice")}
-    frames = [PressFrames("gaussian", (12, 10), 20, "sudden")]
-    rows = Experiment("seeds", frames, [Measurement(4)], chosen, ("psnr_db",), (0, 1)).run(
-        tmp_path, "serial"
-    )
-    assert (rows["seed"].tolist(), len({str(db) for db in rows["psnr_db"]})) == ([0, 0, 1, 1], 4)
-
-
 def test_what_does_not_go_together_is_refused_by_name_and_the_others_are_run(tmp_path):
     chosen = {"good": PAPER, "bad": Candidate({**PRESETS["paper"], "iterations": 0})}
-    rows = Experiment("some", [PRESS], [Measurement(3)], chosen, ("mean_db",)).run(
-        tmp_path, "serial"
-    )
+    rows = Experiment("a", [PRESS], [Measurement(3)], chosen, ("mean_db",)).run(tmp_path, "serial")
     found = rows.set_index("method")
     assert found.loc["good", "refused"] == ""
     assert "iterations = 0" in found.loc["bad", "refused"]
@@ -162,24 +165,84 @@ def test_a_method_is_the_solver_on_its_own_measurements():
     np.testing.assert_array_equal(method.reconstruct(FRAMES[0][1]).forces, expected[0])
 
 
-def test_rotating_row_subsets_together_hold_every_row():
-    phis = CompressorSettings(rows=ROTATING).phis(Skin(8, 8, 2.5))
-    assert [phi.m for phi in phis] == [22, 22, 22]
-    method = make_method(PRESETS["skin"], SHAPE, 3, seed=0, rows=ROTATING)
-    used = []
-    for _, taxels in [*FRAMES, *FRAMES]:
-        used.append(method.phi.fingerprint)
-        np.testing.assert_array_equal(
-            method.measure(taxels), method.phi.forward(taxels.reshape(-1))
-        )
-        method.reconstruct(taxels)
-    assert (len(set(used[:3])), used[3]) == (3, used[0])
+GRID = (12, 10)
+EVERY = np.ones(GRID, np.bool_)
 
 
-def test_missing_taxels_are_not_measured():
-    mask = np.ones(SHAPE, np.bool_)
-    mask[0] = False
-    method = make_method(PRESETS["paper"], SHAPE, 2, seed=0, rows=FIXED, mask=mask)
-    taxels = FRAMES[1][1].copy()
-    taxels[0] = np.nan
-    assert not method.reconstruct(taxels).forces[0].any()
+def press(row):
+    """A smooth press at a row."""
+    i, j = np.indices(GRID)
+    frame = 50 * np.exp(-((i - row) ** 2 + (j - 5) ** 2) / 6)
+    return np.where(frame > 1, frame, 0).astype(np.float32)
+
+
+def still(force_n, n=40):
+    truth = np.full((8, 8), force_n, dtype=np.float32)
+    rng = np.random.default_rng(0)
+    return [NoiseModel().apply(truth, rng) for _ in range(n)]
+
+
+@pytest.mark.parametrize("k", [2, 3, 16])
+@pytest.mark.parametrize("shape", [(1, 16), (31, 11)])
+def test_classes_hold_every_taxel_once_and_are_of_equal_density(shape, k):
+    mask = np.ones(shape, dtype=np.bool_)
+    mask[0, :2] = False
+    members = classes(mask, k)
+    assert np.array_equal(np.sort(np.concatenate(members)), np.flatnonzero(mask))
+    assert len(members) == k
+    assert max(one.size for one in members) <= mask.size / k + max(shape)
+
+
+def test_the_lattice_reproduces_a_plane_and_reads_no_cell_without_a_taxel():
+    i, j = np.indices((16, 16))
+    plane = (1 + 2 * i + 3 * j).astype(np.float32)
+    solved = Lattice(np.ones((16, 16), dtype=np.bool_), 4).reconstruct(plane)
+    assert solved.n_bytes == 64 * VALUE_BYTES
+    assert np.abs((solved.forces - plane)[3:-3, 3:-3]).max() < 1e-3
+    mask = np.zeros((8, 8), dtype=np.bool_)
+    mask[::2, ::2] = True
+    taxels = np.where(mask, np.float32(3), np.float32(np.nan))
+    for ratio in (3, 4, 8):
+        solved = Lattice(mask, ratio).reconstruct(taxels)
+        assert solved.n_bytes <= VALUE_BYTES * -(-16 // ratio)
+        assert (solved.forces == np.where(mask, 3, 0)).all()
+
+
+def test_the_filter_halves_the_noise_and_follows_a_jump_at_once():
+    frames, kept = still(1.25), Filtered(NoiseModel())
+    last = [kept.reconstruct(frame).forces for frame in frames][-1]
+    # Of a running mean of weight w, the variance is w / (2 - w).
+    expected = np.std(frames[-1]) * np.sqrt(NEWEST / (2 - NEWEST))
+    assert np.std(last) == pytest.approx(expected, rel=0.3)
+    kept = Filtered(NoiseModel())
+    for frame in still(0.0):
+        assert kept.reconstruct(frame).forces.max() < 0.1
+    pressed = still(1.0, 1)[0]
+    before = pressed.copy()
+    np.testing.assert_allclose(kept.reconstruct(pressed).forces, pressed, rtol=1e-6)
+    np.testing.assert_array_equal(pressed, before)
+
+
+@pytest.mark.parametrize("kind", CODECS)
+def test_codecs_keep_eight_bits_and_state_their_size(kind):
+    codec = Codec(EVERY, 50.0, kind)
+    for frame in (press(5), press(5.5), np.zeros(GRID, np.float32)):
+        assert np.abs(codec.reconstruct(frame).forces - frame).max() <= 0.5001 * 50 / 255
+    codec.reconstruct(np.zeros(GRID, np.float32))
+    assert codec.reconstruct(np.zeros(GRID, np.float32)).n_bytes < 30
+    # Touched taxels cost a byte each, and a bit a taxel.
+    frame = press(5)
+    assert kind != "touched" or codec.reconstruct(frame).n_bytes == np.count_nonzero(frame) + 15
+
+
+@pytest.mark.parametrize(("shape", "ratio"), [((4, 8), 3), ((19, 12), 4), ((64, 64), 8)])
+def test_taxels_with_addresses_and_adaptive_rows_with_their_code_fill_the_bytes_of_m(shape, ratio):
+    mask = np.ones(shape, dtype=np.bool_)
+    m = mask.size // ratio
+    values = acts_values(mask.size, m)
+    assert VALUE_BYTES * values + address_bytes(mask.size, values) <= VALUE_BYTES * m
+    assert VALUE_BYTES * (values + 1) + address_bytes(mask.size, values + 1) > VALUE_BYTES * m
+    values = adaptive_values(mask, m)
+    assert 2 * m / 3 < values < m
+    tree = Quadtree(mask, values)
+    assert VALUE_BYTES * values + tree.most_code_bytes(values - tree.n_tiles) <= VALUE_BYTES * m

@@ -97,9 +97,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path):
     code, stderr = Run(tmp_path, "process:2").finish()
     assert code == 0, stderr
     assert "4 of 8 points are known" in stderr
-    assert (tmp_path / "out" / "squares" / "squares.md").read_text() == str(
-        [k**2 for k in range(8)]
-    )
+    assert (tmp_path / "out/squares/squares.md").read_text() == str([k**2 for k in range(8)])
     assert n_under_way <= 2
     assert sum(calls(tmp_path).values()) == 8 + n_under_way
     assert all(calls(tmp_path)[k] == 1 for k in range(4))
@@ -138,9 +136,7 @@ def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path)
     assert n_lines(tmp_path / POINTS_FILE) == 3
 
 
-def test_points_that_are_known_and_those_of_other_code_are_reported_until_they_are_forgotten(
-    tmp_path, monkeypatch, capsys
-):
+def test_points_of_earlier_runs_are_reported_until_forgotten(tmp_path, monkeypatch, capsys):
     compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
     compute(double, [{"k": 1}, {"k": 2}], tmp_path, "serial", "doubles")
     assert "1 of 2 points are known from an earlier run (--anew" in capsys.readouterr().err
@@ -153,21 +149,11 @@ def test_points_that_are_known_and_those_of_other_code_are_reported_until_they_a
     assert "known from an earlier run" not in capsys.readouterr().err
 
 
-def test_a_line_without_its_end_is_cut_off(tmp_path):
-    compute(double, [{"k": k} for k in range(2)], tmp_path, "serial", "doubles")
-    path = tmp_path / POINTS_FILE
-    path.write_bytes(path.read_bytes()[:-1])
-    assert compute(double, [{"k": 1}], tmp_path, "serial", "doubles")[0]["double"] == 2
-    assert len([json.loads(line) for line in path.read_text().splitlines()]) == 2
-
-
-def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path):
+def test_a_point_that_fails_is_named_and_a_second_run_in_the_same_folder_refused(tmp_path):
     with pytest.raises(StudyError, match=r"point k = 2: ValueError: two is not allowed"):
         compute(fail_on_two, [{"k": k} for k in range(3)], tmp_path, "serial", "some")
     assert n_lines(tmp_path / POINTS_FILE) == 2
 
-
-def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
     def compute_again(point):
         with pytest.raises(StudyError, match="another run of a study uses it"):
             compute(double, [{"k": 0}], tmp_path, "serial", "doubles")

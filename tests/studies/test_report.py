@@ -2,13 +2,24 @@
 
 import csv
 
+import numpy as np
 import pandas as pd
 import pytest
+from damaged import npz
 
 from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.reconstructor.skin.backend import ManyPatches
+from sparseskin.nodes.reconstructor.skin.gates import WINDOW, Gates
+from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.studies import command
+from sparseskin.studies.accuracy import constants
+from sparseskin.studies.baselines.libraries import PEERS, Bpdn, TotalVariation
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
+from sparseskin.studies.speed_accuracy.charts import front
+from sparseskin.studies.speed_accuracy.experiments import WITHIN, race
+from sparseskin.studies.training import train
 
 FRAME = pd.DataFrame({"solver": ["a", "b"], "n": [3, 4], "mean dB": [41.256, None]})
 
@@ -88,3 +99,77 @@ def test_without_a_package_of_the_extra_one_line_names_it_and_the_extra(monkeypa
     assert f"{package} is not installed" in error
     assert "pip install 'sparseskin[charts]'" in error
     assert error.count("\n") == 1
+
+
+def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest():
+    problem = Bpdn((12, 20), 3, 0, 0.01)
+    rng = np.random.default_rng(0)
+    theta = rng.standard_normal(problem.n).astype(np.float32)
+    y = rng.standard_normal(problem.m).astype(np.float32)
+    inner = float(problem.forward(theta) @ y)
+    assert inner == pytest.approx(float(theta @ problem.adjoint(y)), abs=1e-3)
+    best = problem.solution(y)
+    # At the minimum no coefficient's gradient is steeper than lambda.
+    gradient = problem.adjoint(problem.forward(best) - y)
+    assert np.abs(gradient).max() <= problem.lambda_n * 1.01
+    for step in (1e-3, -1e-3):
+        assert problem.objective(best + step * theta, y) > problem.objective(best, y)
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_a_library_comes_within_one_percent_of_the_same_minimum(peer):
+    pytest.importorskip(PEERS[peer].module)
+    point = {"scene": "lift_box_40", "seed": 0, "short": True}
+    point |= {"peer": peer, "lambda_n": 0.1 / 32, "n_frames": 1}
+    figures = race(point)
+    assert figures["n_frames"] == 1
+    assert figures["objective"] <= WITHIN
+    assert figures["mean_db"] > 40
+
+
+def test_the_front_is_of_rows_that_none_beats():
+    rows = pd.DataFrame(
+        [(3, 47), (1, 40), (2, 39), (1, 38), (2, 45), (4, 47)], columns=["median_ms", "mean_db"]
+    )
+    best = front(rows, "median_ms", "mean_db")
+    assert [*best.itertuples(index=False, name=None)] == [(1, 40), (2, 45), (3, 47)]
+
+
+def test_total_variation_of_sigpy_finds_an_even_box():
+    pytest.importorskip("sigpy")
+    mask = np.ones((16, 16), np.bool_)
+    mask[0] = False
+    box = np.zeros((16, 16), np.float32)
+    box[5:11, 4:12] = 1
+    phi = make_phi("sbhe", n=240, m=120, seed=0)
+    found = TotalVariation(phi, mask, 0.01, 1000).reconstruct(box).forces
+    assert np.linalg.norm(found - box) < 0.1 * np.linalg.norm(box)
+    assert not found[0].any()
+
+
+def test_every_constant_has_a_candidate_halved_and_doubled():
+    assert set(constants.PARTS + constants.GROWTHS) <= set(constants.VALUES)
+    tunings = [one.settings.get("tuning", {}) for one in constants.candidates().values()]
+    for name in vars(SkinTuning()):
+        low, high = (tuning[name] for tuning in tunings if name in tuning)
+        assert low < getattr(SkinTuning(), name) < high
+
+
+def test_without_pytorch_the_study_names_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr(train, "find_spec", lambda name: None)
+    with pytest.raises(StudyError, match=r"sparseskin\[train\]"):
+        train.run(tmp_path, quick=True, seed=0, executor="")
+
+
+def test_network_and_gates_are_the_same():
+    torch = pytest.importorskip("torch")
+    from sparseskin.studies.training.network import first_network, weights
+
+    network = first_network(0)
+    gates = Gates.read(npz(**weights(network)), "trained")
+    shape = (50, WINDOW * WINDOW)
+    windows = 3 * np.random.default_rng(0).standard_normal(shape, dtype=np.float32)
+    tiles, error = Gates(**network).gated(torch.tensor(windows), ManyPatches(1, "cpu"))
+    found, expected = gates.gated(windows)
+    np.testing.assert_allclose(found, tiles.detach().numpy(), atol=1e-4)
+    np.testing.assert_allclose(expected, error.detach().numpy(), rtol=1e-4)

@@ -66,6 +66,9 @@ def small(monkeypatch):
     for module, sizes in SIZES:
         for name, value in sizes.items():
             monkeypatch.setattr(module, name, value)
+    # Charts are drawn, but not laid out, which takes longer than all else.
+    engine = "matplotlib.layout_engine.ConstrainedLayoutEngine.execute"
+    monkeypatch.setattr(engine, lambda self, figure: None)
     windows, of_latency = frames.SceneFrames.windows, latency.points
 
     def few(self, seed):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sparseskin.launch.attach.echo import Echo, FieldPath, plain, text
 from sparseskin.launch.attach.heat_map import COLOURS, LETTERS, UPPER_HALF, heat_map
 from sparseskin.launch.attach.stream import Arrival
-from sparseskin.launch.attach.text import MAX_SHOWN, allowed_text, shown_value, table, typed_value
+from sparseskin.launch.attach.text import MAX_SHOWN, shown_value, table, typed_value
 from sparseskin.messages import Contacts, Taxels, encode
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.errors import SettingsError
@@ -21,7 +21,7 @@ FORCES = np.arange(12, dtype=np.float32).reshape(3, 4)
 TAXELS = Taxels(stamp_ns=1, patch="skin", forces=FORCES)
 
 
-def test_an_array_is_its_shape_extent_and_first_numbers():
+def test_an_array_is_its_shape_extent_and_first_numbers_or_in_full_every_element(monkeypatch):
     assert text(FORCES, full=False) == ("float32, 3 x 4: min 0, mean 5.5, max 11 [0 1 2 3 4 5 ...]")
     assert plain(FORCES, full=False) == {
         "dtype": "float32",
@@ -31,9 +31,6 @@ def test_an_array_is_its_shape_extent_and_first_numbers():
         "max": 11.0,
         "first": [0, 1, 2, 3, 4, 5],
     }
-
-
-def test_an_array_in_full_has_every_element(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     big = np.arange(6400, dtype=np.float32).reshape(80, 80)
     assert len(text(big, full=True).replace("[", " ").replace("]", " ").split()) == 4 + 6400
@@ -53,9 +50,7 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty():
     echo = Echo("/skin/contacts", None, **options)
     lines = echo.text(contacts).split("\n")
     about = "3 ± 0.1 N; peak 1 N; at (4 ± 0.25, 4 ± 0.25) taxels; 9 taxels, 1 s; over"
-    assert " ".join(line.strip() for line in lines).endswith(
-        f"contact 7: {about} event of 7: begin"
-    )
+    assert " ".join(s.strip() for s in lines).endswith(f"contact 7: {about} event of 7: begin")
     places = np.array([[5, 6, 0]], np.float32)
     flat = replace(contacts, place_mm=places, place_sd_mm=places / 10, events=None)
     assert "at (5 ± 0.5, 6 ± 0.6) mm" in " ".join(echo.text(flat).split())
@@ -80,12 +75,6 @@ def test_other_values_are_one_line(value, shown):
     assert text(value, full=False).startswith(shown)
 
 
-def test_a_field_or_one_element_is_found_by_its_path():
-    assert FieldPath("patch", Taxels).of(TAXELS) == "skin"
-    assert FieldPath("forces[2,1]", Taxels).of(TAXELS) == 9
-    assert plain(FieldPath("forces[2,1]", Taxels).of(TAXELS), full=False) == 9
-
-
 @pytest.mark.parametrize(
     ("path", "fault"),
     [
@@ -95,7 +84,9 @@ def test_a_field_or_one_element_is_found_by_its_path():
         ("seq[0]", "is no array"),
     ],
 )
-def test_what_is_no_field_or_element_is_refused(path, fault):
+def test_a_field_or_one_element_is_found_by_its_path_and_no_other(path, fault):
+    assert FieldPath("patch", Taxels).of(TAXELS) == "skin"
+    assert plain(FieldPath("forces[2,1]", Taxels).of(TAXELS), full=False) == 9
     with pytest.raises(SettingsError, match=fault):
         FieldPath(path, Taxels).of(TAXELS)
 
@@ -118,7 +109,7 @@ def pixels(lines):
     return np.array(rows)
 
 
-def test_a_taxel_is_as_large_a_square_as_fits_and_the_brightest_is_the_top():
+def test_a_taxel_is_a_square_as_large_as_fits_of_more_than_fit_the_largest_is_shown():
     forces = np.zeros((2, 3), np.float32)
     forces[0, 2], forces[1, 0] = 1.0, 0.5
     shown = pixels(heat_map(forces, 1.0, 12, 5))
@@ -126,13 +117,14 @@ def test_a_taxel_is_as_large_a_square_as_fits_and_the_brightest_is_the_top():
     expected = np.zeros((2, 3))
     expected[0, 2], expected[1, 0] = len(COLOURS) - 1, len(COLOURS) // 2
     np.testing.assert_array_equal(shown, np.kron(expected, np.ones((4, 4))))
-
-
-def test_of_more_taxels_than_places_the_largest_is_shown():
     forces = np.zeros((64, 64), np.float32)
     forces[37, 61] = 1.0
     shown = pixels(heat_map(forces, 1.0, 16, 8))
     assert (shown.shape, list(np.argwhere(shown)[0])) == ((16, 16), [37 // 4, 61 // 4])
+    # Without colours letters stand for the readings.
+    forces = np.linspace(0, 1, len(LETTERS), dtype=np.float32)[None]
+    (line,) = heat_map(forces, 1.0, 2 * len(LETTERS), 1, coloured=False)
+    assert line == "".join(2 * letter for letter in LETTERS)
 
 
 @given(
@@ -150,27 +142,8 @@ def test_the_map_fits(rows, cols, width, height, coloured):
     assert 1 <= widths.pop() <= max(width, 1 if coloured else 2)
 
 
-def test_without_colours_letters_stand_for_the_readings():
-    forces = np.linspace(0, 1, len(LETTERS), dtype=np.float32)[None]
-    (line,) = heat_map(forces, 1.0, 2 * len(LETTERS), 1, coloured=False)
-    assert line == "".join(2 * letter for letter in LETTERS)
-
-
 def entry(type_, **stated):
     return {"type": type_, "low": None, "high": None, "choices": [], "known": [], **stated}
-
-
-@pytest.mark.parametrize(
-    ("described", "allowed"),
-    [
-        (entry("int", low=1, high=1048576), "a whole number 1..1048576"),
-        (entry("float", low=0), "a number, 0 or more"),
-        (entry("bool"), "true or false"),
-        (entry("str | None", known=["a", "b"]), "a, b, none"),
-    ],
-)
-def test_what_a_setting_may_be_is_said_in_words(described, allowed):
-    assert allowed_text(described) == allowed
 
 
 @pytest.mark.parametrize(
@@ -197,15 +170,12 @@ def test_a_number_that_is_shown_can_be_typed_again(value):
 
 @given(st.text(max_size=50))
 def test_any_text_is_shown_on_one_line_and_can_be_typed_again(value):
+    assert (len(shown_value("x" * 5000)), shown_value(None)) == (MAX_SHOWN, "none")
+    assert shown_value("a\nb\nc\n") == "(3 lines: param get prints them)"
     shown = shown_value(value)
     assert len(shown.splitlines()) == 1
     if value.isprintable() and '"' not in value and "'" not in value:
         assert typed_value(shown, entry("str")) == value
-
-
-def test_a_long_text_is_cut_and_of_one_of_many_lines_their_number_is_shown():
-    assert (len(shown_value("x" * 5000)), shown_value(None)) == (MAX_SHOWN, "none")
-    assert shown_value("a\nb\nc\n") == "(3 lines: param get prints them)"
 
 
 def test_the_last_column_is_wrapped_under_itself(monkeypatch):

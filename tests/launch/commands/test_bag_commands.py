@@ -1,12 +1,15 @@
-"""The commands `sparseskin recording ...`."""
+"""The commands `sparseskin recording ...` and `sparseskin play --open`."""
 
 import json
+import signal
+import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import frame, frames, make_bag, run_bag, skin_state
+from bags import frame, frames, make_bag, record_scene, run_bag, skin_state
 
+from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Taxels, decode
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.recorder.bag.format import BagError
@@ -98,7 +101,7 @@ def test_only_the_topics_asked_for_are_exported(bag):
         bag("export", "b.mcap", "--to", "npz")
 
 
-def test_an_export_overwrites_nothing(bag):
+def test_an_export_overwrites_nothing_and_leaves_nothing_where_it_is_refused(bag):
     make_bag(Path("a.mcap"), frames(1))
     Path("taken").write_bytes(b"precious")
     with pytest.raises(SparseskinError, match="taken: exists already"):
@@ -123,3 +126,28 @@ def test_a_broken_bag_is_exported_as_far_as_it_goes_and_reports_it(bag, capsys):
     assert "messages recovered, up to byte" in capsys.readouterr().err
     with BagReader("b.mcap") as broken:
         assert open_file("b.npz").n_frames == broken.topics["/skin/taxels"].n_messages
+
+
+@pytest.mark.parametrize("schemas", [(), ("skin", "taxels"), ("skin", "phi", "measurements")])
+def test_too_little_to_show_is_one_line(tmp_path, capsys, schemas):
+    path = tmp_path / "some.mcap"
+    make_bag(path, [m for m in frames(3) if m.schema in schemas])
+    assert main(["play", str(path), "--open"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{path}: --open: has no reconstructions of all patches; ")
+
+
+def test_the_page_shows_a_recording_again_and_again(start, tmp_path):
+    record_scene(tmp_path / "some.mcap", "path_40", 300, 20, 1)
+    play = start("play", "some.mcap", "--open")
+    url = play.wait_for("live page: ").split()[0]
+    play.wait_for("ready: player, monitor")
+    with urllib.request.urlopen(url) as page:
+        assert b"<title>sparseskin" in page.read()
+    # More frames than the recording has.
+    echo = start("topic", "echo", "/skin/reconstruction", "-n", "50", "--json")
+    code, lines, _ = echo.finish()
+    assert code == 0
+    assert len({json.loads(line)["stamp_ns"] for line in lines.splitlines()}) == 50
+    play.process.send_signal(signal.SIGINT)
+    assert play.finish()[0] == 130

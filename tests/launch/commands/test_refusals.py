@@ -101,9 +101,7 @@ def files(tmp_path_factory):
         *((f"{line} {more}", fault) for line, of in FAULTS.items() for more, fault in of.items()),
     ],
 )
-def test_a_command_is_refused_in_one_line_and_writes_nothing(
-    line, fault, files, monkeypatch, capsys
-):
+def test_a_command_is_refused_in_one_line(line, fault, files, monkeypatch, capsys):
     monkeypatch.chdir(files)
     before = sorted(files.iterdir())
     try:

@@ -10,10 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.launch.commands.cli import main
+from sparseskin.launch.commands.launch import graph_text
+from sparseskin.launch.launchfile.check import MAX_ERROR, MAX_ERRORS, MAX_NODES
 from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.launch.run.restarts import RestartPolicy
 from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
+from sparseskin.nodes.toml import MAX_CHARS
 
 GOOD = """\
 [graph]
@@ -196,9 +199,7 @@ def test_a_mutated_launch_file_is_used_or_refused_in_lines(tmp_path_factory, dat
         assert line.partition(": ")[2]
 
 
-def test_a_recording_in_a_read_only_folder_is_refused_before_the_start(
-    capsys, tmp_path, monkeypatch
-):
+def test_a_recording_in_a_read_only_folder_is_refused(capsys, tmp_path, monkeypatch):
     out = tmp_path / "a.mcap"
     monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)  # root may write anywhere
     assert main(["launch", "path_40", "--record", str(out)]) == 2
@@ -266,9 +267,7 @@ def test_cpus_and_priority_are_of_the_graph_or_of_a_node(tmp_path):
     assert "priority" not in nodes["sensor"].values
 
 
-def test_nodes_that_may_not_be_scheduled_as_stated_are_refused_in_one_line(
-    tmp_path, monkeypatch, capsys
-):
+def test_nodes_that_may_not_be_scheduled_are_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     monkeypatch.chdir(tmp_path)
     Path("f.toml").write_text(GOOD)
@@ -279,14 +278,49 @@ def test_nodes_that_may_not_be_scheduled_as_stated_are_refused_in_one_line(
     )
 
 
-@pytest.mark.parametrize(
-    "source", ['file:whole.npy"\n#"', 'file:plain.csv"\nn_rows = 6\nunit = "N']
-)
+@pytest.mark.parametrize("source", ['file:whole.npy"\n#"', 'file:a.csv"\nn_rows = 6\nunit = "N'])
 def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(check, source):
     frames = np.full((2, 6, 8), 0.5, np.float32)
     np.save("whole.npy", frames)
-    np.savetxt("plain.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
+    np.savetxt("a.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
     (line,) = check(GOOD.replace("scene:path_40", source), "compressor.m=49")
     end = "phi: m = 49 is not allowed; allowed: 1..48 (n = 48 taxels)"
     assert line == f"--set compressor.m=49: {end}"
     load("f.toml", ["compressor.m=48"])
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("\n[graph]\ndescription = " + "9" * 5000, ":3: not TOML: a whole number beyond 64 bits"),
+        ("[graph]\ndescription = 0x" + "f" * 5000, "graph.description: a whole number beyond 64"),
+        ("".join(f"[t{k}]\n" for k in range(200_000)), f"more than {MAX_CHARS} characters"),
+        ("\n[graph]\na" + ".a" * 9000 + " = 1", ":3: not TOML: a key of more than 100 parts"),
+        ("a" + ".a" * 50 + " = 1", "more than 8 tables or lists in each other"),
+        ("a = " + "[" * 900 + "]" * 900, "more than 8 tables or lists"),
+        ("".join(f"[nodes.n{k}]\n" for k in range(3000)), f"3000 nodes; at most {MAX_NODES}"),
+        ("[graph]\ntransport = 'x" + "y" * 60_000 + "'", "graph.transport: 'xyyy"),
+        ("".join(f"a{k} = 1\n" for k in range(6000)), "g.toml: perhaps more; these come first"),
+        ("[nodes.n]\ntype = '\\u001b[2J'".replace("'", '"'), r"\x1b[2J"),
+    ],
+)
+def test_a_hostile_file_is_refused_in_lines_that_name_the_place(tmp_path, text, line):
+    path = tmp_path / "g.toml"
+    path.write_text(text)
+    lines = launch_faults(str(path))
+    assert any(line in one for one in lines)
+    assert max(map(len, lines)) < 3 * MAX_ERROR
+    assert len(lines) <= MAX_ERRORS + 1
+
+
+def test_a_dry_run_shows_the_graph(capsys):
+    assert main(["launch", "path_40", "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert out.rstrip() == graph_text(load("path_40"))
+    (line,) = (line for line in out.splitlines() if line.startswith("/skin/measurements "))
+    assert line.split() == ["/skin/measurements", "compressor", "reconstructor,", "monitor"]
+    assert "\ntransport ipc\n" in out
+    changes = ["graph.transport=tcp", "graph.cpus=[1, 0]", "sensor.priority=7"]
+    text = " ".join(graph_text(load("path_40", changes)).split())
+    assert " transport tcp " in text
+    assert (text.count("cpus = [0, 1]"), text.count("priority = 7")) == (4, 1)

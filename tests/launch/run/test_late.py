@@ -1,20 +1,56 @@
 """Nodes that are late as a graph starts or ends, and what each one waits for."""
 
 import os
+import re
 import signal
+from dataclasses import dataclass, field
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from conftest import wait_until
-from fake_node import FakeNode
 
 from sparseskin.launch.launchfile.hosts import Host
+from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
+from sparseskin.launch.run import controls
+from sparseskin.launch.run.controls import MAX_OPEN, PATIENCE_S, Requests
+from sparseskin.launch.run.live_recording import LiveRecording
 from sparseskin.launch.run.state import hosts_state
-from sparseskin.launch.run.waiting import AFTER_S, AGAIN_S, LateLog, late_at_end, waits_for
+from sparseskin.launch.run.waiting import AFTER_S, AGAIN_S, LateLog, waits_for
+from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.player.node import PlayerSettings
+
+
+@dataclass
+class FakeNode:
+    """Stands in for a `NodeProcess`; `told` are the commands to it, each with its fields."""
+
+    name: str = ""
+    spec: Any = None
+    endpoint: str = "tcp://127.0.0.1:1"
+    ready: bool = False
+    ended: bool = False
+    failed: bool = False
+    code: int | None = None
+    refusal: str = ""
+    heard_s: float = 0.0
+    lacks: list[str] = field(default_factory=list)
+    state: dict[str, Any] = field(default_factory=lambda: {"paused": False})
+    counts: dict[str, Any] = field(default_factory=dict)
+    report: dict[str, Any] = field(default_factory=dict)
+    heard: dict[str, bool] = field(default_factory=dict)
+    clocks: dict[str, tuple[int, int]] = field(default_factory=dict)
+    told: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+
+    def exit_code(self) -> int | None:
+        return self.code
+
+    def command(self, command: str, **fields: Any) -> None:
+        self.told.append((command, fields))
+
 
 LINKS = [
     Link("/skin/taxels", "sensor", "compressor"),
@@ -64,20 +100,6 @@ def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_cloc
     assert desk["clock_offset_ms"] == pytest.approx(2.5)
     assert desk["clock_uncertainty_ms"] == pytest.approx(0.4)
     assert wall["clock_offset_ms"] is None
-
-
-def test_who_has_not_ended_waits_for_those_before_it():
-    sensor, compressor, monitor = FakeNode("sensor"), FakeNode("compressor"), FakeNode("monitor")
-    assert late_at_end([sensor, compressor, monitor], LINKS) == [
-        "sensor (has not ended its stream)",
-        "compressor (waits for sensor)",
-        "monitor (waits for compressor, sensor)",
-    ]
-    sensor.ended = True
-    assert late_at_end([sensor, compressor, monitor], LINKS) == [
-        "compressor (has not ended its stream)",
-        "monitor (waits for compressor)",
-    ]
 
 
 def test_what_is_late_is_logged_after_a_while_and_again_now_and_then():
@@ -132,3 +154,243 @@ def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start):
     program.wait_for("[launch] compressor does not end: SIGKILL")
     program.finish()
     wait_until(lambda: program.survivors() == {}, "the end of all processes")
+
+
+class Desk:
+    """A graph of fake processes, the requests to it, and the answers that came."""
+
+    def __init__(self, monkeypatch):
+        specs = load("path_40").nodes
+        self.nodes = {name: FakeNode(name, spec, ready=True) for name, spec in specs.items()}
+        self.answers = []
+        self.own = []
+        self.now_s = 100.0
+        self.requests = Requests(self.nodes, self._own)
+        monkeypatch.setattr(controls, "awake_s", lambda: self.now_s)
+
+    def _own(self, command, value, say):
+        if command != "record":
+            raise RefusedError(f"launch: {command}: expected the command 'record'")
+        self.own.append((command, value))
+        say(True, "recording")
+
+    def ask(self, node, command, value=None, number="7"):
+        request = {"id": number, "node": node, "command": command, "value": value}
+        self.requests.take(request, self.answers.append)
+
+    def refusal(self, node, command, value=None):
+        """Why a request is refused at once; no node is told of it."""
+        before = len(self.answers)
+        self.ask(node, command, value)
+        (answer,) = self.answers[before:]
+        assert not answer["done"]
+        assert not any(process.told for process in self.nodes.values())
+        return str(answer["text"])
+
+    def reply(self, node, done=True, text="done"):
+        """The node answers the last thing it was told."""
+        _, fields = self.nodes[node].told[-1]
+        self.requests.answered({"id": fields["id"], "done": done, "text": text})
+
+
+@pytest.fixture
+def desk(monkeypatch):
+    return Desk(monkeypatch)
+
+
+def test_two_askers_with_one_number_get_their_own_answers(desk):
+    heard = {"a": [], "b": []}
+    for asker, value in (("a", True), ("b", False)):
+        request = {"id": "1", "node": "sensor", "command": "pause", "value": value}
+        desk.requests.take(request, heard[asker].append)
+    assert [fields["value"] for _, fields in desk.nodes["sensor"].told] == [True, False]
+    first, second = (fields["id"] for _, fields in desk.nodes["sensor"].told)
+    desk.requests.answered({"id": second, "done": True, "text": "runs"})
+    desk.requests.answered({"id": first, "done": True, "text": "paused"})
+    done = {"id": "1", "node": "sensor", "done": True}
+    assert heard == {"a": [{**done, "text": "paused"}], "b": [{**done, "text": "runs"}]}
+
+
+@pytest.mark.parametrize(
+    ("node", "command", "value", "text"),
+    [
+        ("sensr", "pause", None, "sensr: no such node (did you mean 'sensor'?)"),
+        ("sensor", "pase", None, "sensor: has no command 'pase' (did you mean 'pause'?)"),
+        ("compressor", "pause", None, "compressor: has no command 'pause' (known: set)"),
+        ("launch", "recrd", True, "launch: recrd: expected the command 'record'"),
+        (3, "pause", None, "expected the texts id, node and command"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_at_once_and_reports_why(desk, node, command, value, text):
+    assert desk.refusal(node, command, value).startswith(text)
+
+
+@pytest.mark.parametrize("state", [{"ready": False}, {"ended": True}, {"code": -9}])
+def test_a_node_that_does_not_run_is_not_asked(desk, state):
+    for name, value in state.items():
+        setattr(desk.nodes["sensor"], name, value)
+    assert desk.refusal("sensor", "pause") == "sensor does not run just now"
+
+
+def test_a_node_that_does_not_answer_is_answered_for(desk):
+    desk.ask("sensor", "pause")
+    desk.now_s += 0.99 * PATIENCE_S
+    desk.requests.expire()
+    assert desk.answers == []
+    desk.now_s += 0.02 * PATIENCE_S
+    desk.requests.expire()
+    (answer,) = desk.answers
+    assert answer["text"] == "sensor has not answered within 20 s, and may still do it"
+    assert not answer["done"]
+    desk.reply("sensor")  # too late
+    assert len(desk.answers) == 1
+
+
+def test_a_node_that_has_gone_is_answered_for_at_once(desk):
+    desk.ask("sensor", "pause")
+    desk.ask("compressor", "set", {"ratio": 2.0}, number="8")
+    desk.nodes["sensor"].code = -9
+    desk.requests.expire()
+    assert [(a["id"], a["text"]) for a in desk.answers] == [("7", "sensor has ended")]
+    desk.reply("compressor")
+    assert desk.answers[1]["done"]
+
+
+def test_a_flood_of_requests_is_refused_until_some_are_answered(desk):
+    for _ in range(MAX_OPEN):
+        desk.ask("sensor", "pause")
+    assert desk.answers == []
+    desk.ask("sensor", "pause")
+    assert desk.answers.pop()["text"] == "256 requests wait for an answer already"
+    desk.reply("sensor")
+    desk.answers.clear()
+    desk.ask("sensor", "pause")
+    assert desk.answers == []
+
+
+def test_the_launcher_answers_for_itself_and_what_is_sent_back_is_short(desk):
+    desk.ask("launch", "record", True)
+    assert desk.own == [("record", True)]
+    assert desk.answers.pop() == {"id": "7", "node": "launch", "done": True, "text": "recording"}
+    long = "x" * 10_000
+    desk.ask(long, long, number=long)
+    (answer,) = desk.answers
+    assert len(answer["id"]) == len(answer["node"]) == 64
+    assert len(answer["text"]) < 200
+
+
+class FakeFleet:
+    """Keeps what it is to start."""
+
+    def __init__(self):
+        self.nodes = {}
+        self.started = []
+
+    def add(self, spec, topics):
+        self.started.append((spec, topics))
+        self.nodes[spec.name] = FakeNode(spec.name)
+
+
+class Recorded:
+    """A graph of which recordings are asked for."""
+
+    def __init__(self):
+        self.fleet = FakeFleet()
+        self.launch = load("path_40", ["compressor.ratio=4"])
+        self.recording = LiveRecording(self.launch, self.fleet)
+        self.said = []
+
+    def take(self, step, node=None):
+        """A request, "on" or "off", or an event of the recorder, by default of the last one."""
+        if step not in ("on", "off"):
+            self.recording.hear(node or self.fleet.nodes[list(self.fleet.nodes)[-1]], step)
+            return
+        try:
+            self.recording.command("record", step == "on", lambda *said: self.said.append(said))
+        except RefusedError as error:
+            self.said.append((False, str(error)))
+
+
+@pytest.fixture
+def recorded(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return Recorded()
+
+
+def test_a_recorder_of_all_topics_joins_the_graph(recorded):
+    recorded.take("on")
+    ((spec, topics),) = recorded.fleet.started
+    assert (spec.name, spec.type_name) == ("live_recorder_1", "recorder")
+    assert set(topics) == {
+        *("/skin/skin", "/skin/taxels", "/skin/truth", "/skin/phi"),
+        *("/skin/measurements", "/skin/solver", "/skin/reconstruction"),
+    }
+    assert len(topics) == len(set(topics)) == len(spec.settings.topics)
+    assert spec.settings.source == "path_40"
+    assert spec.settings.launch.startswith("# --set compressor.ratio=4\n")
+
+
+BUSY, OFF = "record: the last request is still being done", "record: not on"
+BEGUN, DONE = "recording to OUT", "OUT: 321 messages recorded"
+
+
+@pytest.mark.parametrize(
+    ("steps", "done", "refused"),
+    [
+        ("on ready off ended on ready", [BEGUN, DONE, BEGUN], []),
+        ("on failed ended", [], ["OUT: cannot be recorded; see the log"]),
+        ("on error ended on ready", [BEGUN], ["OUT: cannot be recorded; see the log"]),
+        ("on ready failed off", [BEGUN], [OFF]),
+        ("on ready ended", [BEGUN], []),  # with its streams: nobody asked for it
+        ("on ready on", [BEGUN], ["record: already on: OUT"]),
+        ("on on", [], [BUSY]),
+    ],
+)
+def test_each_request_is_answered_once_and_what_is_on_is_known(recorded, steps, done, refused):
+    out = ""
+    for step in steps.split():
+        recorded.take(step)
+        out = recorded.recording.out or out
+        for node in recorded.fleet.nodes.values():
+            node.report = {"recording": {"n_messages": 321, "error": None}}
+    said = [(ok, re.sub(r"path_40-2[-\d]+\.mcap", "OUT", text)) for ok, text in recorded.said]
+    assert [text for is_done, text in said if is_done] == done
+    assert [text for is_done, text in said if not is_done] == refused
+    ended = steps.split()[-1] in ("ended", "failed", "error") or refused == [OFF]
+    assert (recorded.recording.out is None) == ended
+    assert [node.told for node in recorded.fleet.nodes.values()][:1] == (
+        [[("stop", {})] if "ready off" in steps else []]
+    )
+
+
+def test_why_a_recorder_failed_is_in_the_answer(recorded):
+    recorded.take("on")
+    out, node = recorded.recording.out, recorded.fleet.nodes["live_recorder_1"]
+    node.refusal = "failed: no space left"
+    recorded.take("failed")
+    assert recorded.said == [(False, f"{out}: failed: no space left")]
+    for step in ("on", "ready", "off"):
+        recorded.take(step)
+    node = recorded.fleet.nodes["live_recorder_2"]
+    node.report = {"recording": {"n_messages": 3, "error": "a.mcap: no space left"}}
+    recorded.take("ended")
+    assert recorded.said[2:] == [(False, "a.mcap: no space left")]
+
+
+@pytest.mark.parametrize(("name", "value"), [("record", 1), ("recrd", True)])
+def test_any_other_request_is_refused(recorded, name, value):
+    with pytest.raises(RefusedError, match=f"launch: {name}: expected the command 'record', true"):
+        recorded.recording.command(name, value, lambda *said: None)
+    assert recorded.fleet.started == []
+
+
+def test_a_file_that_is_there_already_is_not_written_over(recorded, tmp_path, monkeypatch):
+    monkeypatch.setattr("time.strftime", lambda form: "now")
+    name = f"{recorded.recording._launch.name}-now.mcap"
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(RefusedError, match=f"record: out: {re.escape(name)}: exists already"):
+        recorded.recording.command("record", True, lambda *said: None)
+    assert (recorded.recording.out, recorded.fleet.started) == (None, [])
+    (tmp_path / name).unlink()
+    recorded.take("on")
+    assert recorded.recording.out == name

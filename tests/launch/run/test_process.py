@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from conftest import PATIENCE_S, note_of_graph, wait_until
-from processes import SENSOR
 
 from sparseskin.launch.attach.client import ask_node
 from sparseskin.launch.run.process import (
@@ -30,13 +29,16 @@ def frames():
 """
 
 
-def test_lines_are_put_together_from_chunks():
+def test_lines_are_put_together_from_chunks_within_bounds_and_those_that_were_cut_are_counted():
     log = LogLines()
     assert (log.take(b"one\ntw", 0.0), log.take(b"o\n\nthr", 0.1)) == (["one"], ["two"])
     assert log.take(b"", 0.2, at_end=True) == ["thr"]
-
-
-def test_a_flood_is_cut_and_what_was_cut_is_counted():
+    for _ in range(1000):
+        log.take(b"x" * CHUNK_BYTES, 0.0)
+        assert len(log._rest) <= MAX_LINE_BYTES
+    log = LogLines()
+    log.take(b"a\n" * 2000, 0.0)
+    assert log.take(b"the end", 0.1, at_end=True)[1:] == ["the end"]
     log = LogLines()
     found = [line for _ in range(100) for line in log.take(b"abcde\n" * 1000, 5.0)]
     n_kept = LOG_BYTES // 105 + 1
@@ -46,29 +48,13 @@ def test_a_flood_is_cut_and_what_was_cut_is_counted():
     assert log.take(b"", 7.0) == []
 
 
-def test_a_flood_that_ends_with_the_node_is_counted_at_its_end():
-    log = LogLines()
-    log.take(b"a\n" * 2000, 0.0)
-    assert log.take(b"the end", 0.1, at_end=True)[1:] == ["the end"]
-
-
-def test_a_line_without_an_end_takes_no_memory_without_end():
-    log = LogLines()
-    for _ in range(1000):
-        log.take(b"x" * CHUNK_BYTES, 0.0)
-        assert len(log._rest) <= MAX_LINE_BYTES
-
-
-def test_a_launcher_hears_signals_while_a_node_floods_its_log(start, tmp_path):
+def test_a_launcher_hears_signals_while_a_node_floods_its_log(start, sensor, tmp_path):
     (tmp_path / "flooding.py").write_text(FLOODING)
-    (tmp_path / "sensor.toml").write_text(SENSOR)
-    program = start("launch", "sensor.toml", "--set", "sensor.source=flooding:frames")
+    program = start("launch", sensor, "--set", "sensor.source=flooding:frames")
     program.wait_for("[launch] ready")
     program.wait_for("lines were cut (more than 100 kB a second)")
     os.kill(program.process.pid, signal.SIGHUP)
-    code, _, stderr = program.finish()
-    assert code == 128 + signal.SIGHUP
-    assert "Traceback" not in stderr
+    program.ended(128 + signal.SIGHUP)
     wait_until(lambda: not program.survivors(), "the end of all processes")
 
 
@@ -81,11 +67,8 @@ def test_the_clock_stands_still_while_the_launcher_does():
         assert clock() - began_s == pytest.approx(passed_s)
 
 
-def test_live_recordings_leave_no_descriptor_open_and_a_killed_one_is_not_on(
-    start, tmp_path, monkeypatch
-):
-    (tmp_path / "sensor.toml").write_text(SENSOR)
-    program = start("launch", "sensor.toml")
+def test_live_recordings_leave_no_descriptor_open(start, sensor, tmp_path, monkeypatch):
+    program = start("launch", sensor)
     program.wait_for("[launch] ready")
     pid = program.process.pid
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))

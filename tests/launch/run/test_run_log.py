@@ -121,10 +121,8 @@ def test_a_full_disk_keeps_neither_table_nor_summary_back(start, mount_disk, tmp
         *("launch", "replay", "--set", "sensor.source=wordy:frames", "--summary", "summary.json"),
         *("--set", f"graph.log_dir={disk}", "--set", "monitor.page=false"),
     )
-    code, stdout, stderr = program.finish()
-    assert code == 0, stderr
+    stdout, stderr = program.ended()
     assert "no more logs: " in stderr
-    assert "Traceback" not in stderr
     assert "sensed 40, reconstructed 40" in stdout
     assert json.loads((tmp_path / "summary.json").read_text())["patches"]
 
@@ -153,8 +151,7 @@ def test_a_run_that_fails_reports_where_its_logs_are(start, tmp_path):
         *("launch", "replay", "--set", "sensor.source=broken:frames"),
         *("--set", "graph.log_dir=logs", "--set", "monitor.page=false"),
     )
-    code, stdout, stderr = program.finish()
-    assert code == 2
+    stdout, stderr = program.ended(2)
     assert "sensed 9, reconstructed 9, lost 0" in stdout
     (folder,) = (tmp_path / "logs").iterdir()
     assert f"logs of the nodes: logs/{folder.name}\n" in stderr
@@ -164,6 +161,5 @@ def test_a_run_that_fails_reports_where_its_logs_are(start, tmp_path):
     assert (said, failure) == ("a word", f"{text} (broken.py:5)")
     assert trace[0] == "Traceback (most recent call last):"
     assert any(line.endswith('broken.py", line 5, in frames') for line in trace)
-    assert "Traceback" not in stderr
     assert all(re.match(r"\d\d:\d\d:\d\d\.\d{3} \[sensor\] ", line) for line in stderr.splitlines()
                if "[sensor]" in line)  # fmt: skip

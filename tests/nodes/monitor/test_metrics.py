@@ -6,6 +6,8 @@ import bags
 import numpy as np
 import pytest
 from exported import contacts
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sparseskin.messages import (
     Measurements,
@@ -22,8 +24,10 @@ from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.graph import join
+from sparseskin.nodes.monitor import statistics
 from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, psnr_db
 from sparseskin.nodes.monitor.node import Monitor
+from sparseskin.nodes.monitor.statistics import COLUMNS, MIN_CAPACITY, SPAN_S, History, Quantiles
 from sparseskin.nodes.monitor.table import status_line, summary_table
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.node import Reconstructor
@@ -100,16 +104,14 @@ def test_while_a_clock_is_unknown_latency_alone_is_unknown(unknown):
 
 
 def test_noise_and_reconstruction_are_compared_with_the_truth():
-    summary = metrics_of(
-        skin(), *frame(0, 1.0, 1.025, 1.0025), *frame(1, 0.0, 0.25, 0.025)
-    ).summary()
-    psnr = summary["psnr_db"]
-    assert summary["reference"] == "truth"
+    found = metrics_of(skin(), *frame(0, 1.0, 1.025, 1.0025), *frame(1, 0.0, 0.25, 0.025)).summary()
+    psnr = found["psnr_db"]
+    assert found["reference"] == "truth"
     assert psnr["noisy"]["all"] == pytest.approx({"mean": 30, "min": 20, "max": 40}, abs=1e-3)
     assert psnr["noisy"]["contact"] == pytest.approx({"mean": 40, "min": 40, "max": 40}, abs=1e-3)
     expected = {"mean": 50, "min": 40, "max": 60}
     assert psnr["reconstruction"]["all"] == pytest.approx(expected, abs=1e-2)
-    assert summary["relative_error"]["mean"] == pytest.approx(0.0025, abs=1e-6)
+    assert found["relative_error"]["mean"] == pytest.approx(0.0025, abs=1e-6)
 
 
 def test_without_a_truth_the_taxels_are_the_reference():
@@ -143,7 +145,7 @@ def test_without_taxels_frames_are_counted_by_their_measurements(answer_first):
     assert "taxels" not in table
 
 
-def test_masked_cells_do_not_count():
+def test_masked_cells_and_the_order_of_topics_do_not_count():
     mask = np.ones(SHAPE, np.bool_)
     mask[0] = False
     taxels, *others = frame(0, 1.0, 1.0, 1.025)
@@ -153,9 +155,6 @@ def test_masked_cells_do_not_count():
     summary = metrics_of(skin(mask=mask), taxels, *others).summary()
     assert summary["psnr_db"]["noisy"]["all"]["mean"] == 100.0
     assert summary["bytes_in"] == size_bytes(taxels) - 4 * SHAPE[1]
-
-
-def test_the_order_in_which_topics_arrive_does_not_matter():
     messages = [*frame(0, 1.0, 1.1, 1.2), *frame(1, 1.0, 1.1, 1.3)]
     forward, backward = (metrics_of(skin(), *order) for order in (messages, reversed(messages)))
     assert forward.summary() == backward.summary()
@@ -394,9 +393,7 @@ def test_a_monitor_watches_several_patches_apart():
     ("sensor_ms", "reconstructor_ms", "uncertainty_ms"),
     [((-5000, 2), (0, 0), 2), ((5, 2), (-1, 1), 3)],
 )
-def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
-    sensor_ms, reconstructor_ms, uncertainty_ms
-):
+def test_offsets_of_clocks_are_subtracted(sensor_ms, reconstructor_ms, uncertainty_ms):
     clocks = {
         f"/skin/{schema}": ClockEstimate(ahead * MS, within * MS) if within else SAME_CLOCK
         for schema, (ahead, within) in (("taxels", sensor_ms), ("reconstruction", reconstructor_ms))
@@ -411,3 +408,44 @@ def test_offsets_of_clocks_are_subtracted_and_their_uncertainties_added(
     assert isinstance(message, Reconstruction)
     metrics.add(message)
     assert (metrics.latency_ns, metrics.latency_uncertainty_ns) == (4 * MS, uncertainty_ms * MS)
+
+
+@given(st.lists(st.floats(1.1e3, 0.9e12), min_size=1), st.sampled_from([0.01, 0.5, 0.9, 0.99]))
+def test_a_quantile_is_right_within_a_quarter_percent(values, q):
+    quantiles = Quantiles()
+    for value in values:
+        quantiles.add(value)
+    exact = np.quantile(values, q, method="inverted_cdf") / 1e6
+    assert quantiles.quantile_ms(q) == pytest.approx(exact, rel=0.0026)
+
+
+def row(time_s):
+    """A row whose every value follows from its time."""
+    return (time_s, *(time_s + k for k in range(1, len(COLUMNS))))
+
+
+def filled(n_rows, period_s):
+    history = History()
+    for k in range(n_rows):
+        history.add(*row(k * period_s))
+    return history
+
+
+def test_it_grows_no_further_than_its_greatest_size(monkeypatch):
+    monkeypatch.setattr(statistics, "MAX_CAPACITY", 2 * MIN_CAPACITY)
+    n = 5 * MIN_CAPACITY
+    first, rows = filled(n, 0.0).since(0)
+    assert (first, len(rows)) == (3 * MIN_CAPACITY, 2 * MIN_CAPACITY)
+
+
+@given(st.integers(1, 9000), st.floats(0.0, 0.2), st.integers(0, 9000))
+def test_it_is_the_end_of_a_plain_list(n_rows, period_s, n):
+    history = filled(n_rows, period_s)
+    plain = [row(k * period_s) for k in range(n_rows)]
+    assert history.n == n_rows
+    first, rows = history.since(n)
+    assert first >= n
+    assert [tuple(kept) for kept in rows] == plain[first:]
+    oldest, _ = history.since(0)
+    # Nothing of the last minute is missing: what is gone is older than that.
+    assert oldest == 0 or plain[-1][0] - plain[oldest - 1][0] >= SPAN_S

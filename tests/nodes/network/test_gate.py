@@ -3,17 +3,26 @@
 import contextlib
 import socket
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 import zmq
 from conftest import PATIENCE_S, wait_until
-from zmq_contexts import context as context
+from other_user import NOBODY, give
 
+from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Taxels, decode
 from sparseskin.nodes.network import gate as gate_module
 from sparseskin.nodes.network.gate import Gate
-from sparseskin.nodes.network.keys import KeyPair
+from sparseskin.nodes.network.keys import (
+    KeyFileError,
+    KeyPair,
+    known_names,
+    make_key_files,
+    read_key_pair,
+    read_public_key,
+)
 from sparseskin.nodes.network.peers import Peers
 from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context
 
@@ -91,9 +100,7 @@ def listen(context, station, keys, server_key):
 
 @pytest.mark.parametrize("endpoint", ["tcp://127.0.0.1:*", "ipc://{}/s"])
 @pytest.mark.parametrize("keys", [SERVER, None], ids=["keys", "no keys"])
-def test_who_is_on_the_list_gets_every_message_and_without_keys_all_do(
-    context, endpoint, keys, tmp_path
-):
+def test_who_is_on_the_list_gets_every_message(context, endpoint, keys, tmp_path):
     with closing_station(keys, endpoint.format(tmp_path)) as station:
         theirs = (LISTED, SERVER.public) if keys else (None, "")
         reader, peers, _ = listen(context, station, *theirs)
@@ -217,17 +224,87 @@ def test_half_open_connections_are_bounded_and_keep_no_reader_out(station, conte
         stranger.close()
 
 
-def test_of_too_many_connections_one_of_the_address_with_the_most_is_closed(station, monkeypatch):
+def test_of_too_many_connections_one_of_the_busiest_address_is_closed(station, monkeypatch):
     closed = []
     monkeypatch.setattr(gate_module, "_shut_down", lambda fd, address: closed.append(address))
     station.gate._pending = {3: "10.0.0.1:1", 4: "10.0.0.7:1", 5: "10.0.0.7:2", 6: "10.0.0.2:1"}
     station.gate._close_one()
     assert (closed, list(station.gate._pending)) == (["10.0.0.7:1"], [3, 5, 6])
-
-
-def test_no_other_connection_is_closed_under_a_descriptor_that_was_used_again():
     ours, theirs = socket.socketpair()
     with ours, theirs:
         gate_module._shut_down(ours.fileno(), "10.0.0.7:1234")
         theirs.sendall(b"still open")
         assert ours.recv(100) == b"still open"
+
+
+def test_keys_belong_together_and_the_command_names_both_files(tmp_path, monkeypatch, capsys):
+    secret, public = make_key_files("edge", tmp_path / "own")
+    pair = read_key_pair(secret)
+    assert (pair.public, secret.stat().st_mode & 0o777) == (read_public_key(public), 0o600)
+    assert pair.secret not in public.read_text()
+    assert pair.secret not in repr(pair)
+    assert known_names(secret.parent) == {pair.public: "edge"}
+    monkeypatch.chdir(tmp_path)
+    assert main(["keys", "make", "desk"]) == 0
+    assert sorted(path.name for path in Path("keys").iterdir()) == ["desk.key", "desk.pub"]
+    before = Path("keys/desk.key").read_text()
+    assert main(["keys", "make", "desk"]) == 2
+    assert "keys/desk.key: exists already, and is not written over" in capsys.readouterr().err
+    assert Path("keys/desk.key").read_text() == before
+
+
+@pytest.mark.parametrize("name", ["", "Edge", "../edge", "a" * 40])
+def test_what_is_no_name_makes_no_key(tmp_path, name):
+    with pytest.raises(KeyFileError, match="NAME"):
+        make_key_files(name, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_secret_that_others_can_get_at_or_own_is_refused(tmp_path):
+    secret, _ = make_key_files("edge", tmp_path)
+    for mode in (0o640, 0o620):
+        secret.chmod(mode)
+        with pytest.raises(KeyFileError, match=rf"edge.key: mode {mode:04o} .*allowed: 0600"):
+            read_key_pair(secret)
+    secret.chmod(0o600)
+    give(secret)
+    with pytest.raises(KeyFileError, match=rf"edge.key: belongs to user {NOBODY}, not to you"):
+        read_key_pair(secret)
+
+
+@pytest.mark.parametrize(("what", "mode"), [("file", 0o646), ("folder", 0o777)])
+def test_a_public_key_that_others_can_replace_or_own_is_refused(tmp_path, what, mode):
+    _, public = make_key_files("edge", tmp_path)
+    given = public if what == "file" else tmp_path
+    before = given.stat().st_mode
+    given.chmod(mode)
+    with pytest.raises(KeyFileError, match=rf": mode {mode:04o} lets other users replace the key"):
+        read_public_key(public)
+    assert known_names(tmp_path) == {}
+    given.chmod(before)
+    give(given)
+    with pytest.raises(KeyFileError, match=rf"^{given}: belongs to user {NOBODY}, who can"):
+        read_public_key(public)
+
+
+def test_a_public_key_that_others_cannot_replace_is_read(tmp_path):
+    secret, public = make_key_files("edge", tmp_path)
+    tmp_path.chmod(0o1777)
+    public.chmod(0o664)
+    assert read_public_key(public) == read_key_pair(secret).public
+
+
+@pytest.mark.parametrize(
+    "text", ["", "# nothing\n", "short\n", "a" * 40 + "\n" + "b" * 40, "é" * 40, "\0" * 40]
+)
+def test_what_holds_no_key_is_refused_by_name(tmp_path, text):
+    path = tmp_path / "edge.key"
+    path.write_text(text)
+    path.chmod(0o600)
+    with pytest.raises(KeyFileError, match=r"edge.key: (expected one key of 40|holds no secret)"):
+        read_key_pair(path)
+
+
+def test_the_error_of_a_missing_key_names_the_command_that_makes_it(tmp_path):
+    with pytest.raises(KeyFileError, match=r"edge.key: No such file.*sparseskin keys make edge"):
+        read_key_pair(tmp_path / "edge.key")

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from bags import MASK, PERIOD_NS, make_bag, skin_state
+from bags import MASK, PERIOD_NS, chain, launched, make_bag, skin_state
 from damaged import launch_faults
 
-from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import Measurements, PhiState, Reconstruction, decode, encode
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.node import Context, Tick
@@ -18,8 +16,6 @@ from sparseskin.nodes.player.schedule import Schedule
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
-from sparseskin.nodes.recorder.node import Recorder
-from sparseskin.nodes.sensor.node import Sensor
 
 MS = 1_000_000
 N_FRAMES = 20
@@ -29,15 +25,8 @@ BEGIN_NS = 10**15
 def record(path):
     """A recording of 20 frames, 10 ms apart, and the messages it was made of."""
     clock = ManualClock(BEGIN_NS)
-    bus = Bus(
-        {
-            "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
-            "compressor": (Compressor, Compressor.Settings()),
-            "reconstructor": (Reconstructor, Reconstructor.Settings(iterations=3)),
-            "recorder": (Recorder, Recorder.Settings(out=str(path))),
-        },
-        clock,
-    )
+    settings = {"reconstructor": {"iterations": 3}, "recorder": {"out": str(path)}}
+    bus = chain(clock, sensor={"source": "scene:path_40"}, **settings)
     seen = []
     for messages in bus.frames(N_FRAMES):
         seen += messages
@@ -117,9 +106,7 @@ def test_a_wrong_setting_is_named(recording, settings, text):
         ("replay_measurements", "reconstructor.solver=interpolation", 'phi "sbhe" mixes taxels'),
     ],
 )
-def test_what_does_not_go_with_a_recording_is_found_before_it_is_played(
-    recording, name, override, text
-):
+def test_what_does_not_go_with_a_recording_is_refused(recording, name, override, text):
     (line,) = launch_faults(name, [f"player.file={recording[0]}", override])
     assert line.startswith(f"--set {override}: ")
     assert text in line
@@ -148,8 +135,7 @@ def test_a_number_of_frames_is_played_with_all_their_messages(recording, tmp_pat
     with BagWriter(path, {}) as writer:
         for k, message in enumerate(late):
             writer.record(message, BEGIN_NS + k)
-    launch = load("replay_measurements", [f"player.file={path}"])
-    bus = Bus({node.name: (node.cls, node.settings) for node in launch.nodes.values()})
+    bus = launched("replay_measurements", f"player.file={path}")
     bus.run(n_frames)
     bus.check()
     frames = bus.reports()["monitor"]["patches"]["skin"]["frames"]
@@ -199,14 +185,11 @@ def restored(bus, n_ticks=None):
     return [message for message in made if isinstance(message, Reconstruction)]
 
 
-def test_every_frame_is_inverted_by_the_phi_that_made_it(changed):
+def test_every_frame_of_a_whole_or_a_part_is_inverted_by_the_phi_that_made_it(changed):
     bus = graph(changed, keep_stamps=True)
     found = restored(bus)
     assert bus.hosts["reconstructor"].counts.refused == {}
     assert [m.phi for m in found] == [PHIS[k >= CHANGED_AT].fingerprint for k in range(N_FRAMES)]
-
-
-def test_a_part_begins_with_the_states_that_held_there(changed):
     found = restored(graph(changed, start_s=0.15))
     assert ({m.phi for m in found}, len(found)) == ({PHIS[1].fingerprint}, 5)
 
@@ -232,15 +215,12 @@ def test_a_seek_reports_the_states_that_hold_there(changed, keep_stamps):
     assert rest[0].phi == PHIS[0].fingerprint
 
 
-def test_targets_are_absolute():
+def test_targets_are_absolute_and_a_change_of_rate_while_paused_keeps_the_position():
     rate = 0.1
     schedule = Schedule(first_ns=500, rate=rate)
     schedule.begin(1_000_000)
     for k in range(0, 100_000, 777):
         assert schedule.due_ns(500 + k * MS) == 1_000_000 + round(k * MS / rate)
-
-
-def test_a_change_of_rate_while_paused_keeps_the_position():
     schedule = Schedule(first_ns=0, rate=1.0)
     schedule.begin(0)
     schedule.toggle_pause(now_ns=40 * MS)

@@ -8,14 +8,24 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from conftest import wait_until
 from damaged import refusal
+from processes import wait_for_reader
 
+from sparseskin.messages import End, PhiState, Taxels
+from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.process import memory, proc, runner
-from sparseskin.nodes.process.memory import EVERY, GROWN_BYTES, FreeMemory
+from sparseskin.nodes.network.sockets import Reader, Writer
+from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.node_host import NodeHost
+from sparseskin.nodes.process import proc, runner
+from sparseskin.nodes.process.backlog import Backlog
+from sparseskin.nodes.process.memory import EVERY, FreeMemory
 from sparseskin.nodes.process.scheduling import MAX_CPU, MAX_PRIORITY, Scheduling
 from sparseskin.nodes.process.tally import Tally
+from sparseskin.nodes.settings import Settings
 
 APPLIED = """
 import json, os, threading
@@ -94,42 +104,16 @@ def test_a_priority_without_the_privilege_is_refused(monkeypatch):
     assert calls == [os.SCHED_FIFO, before]  # the policy of the launcher is as before
 
 
-def test_a_process_and_all_its_threads_run_on_the_stated_cpus():
+def test_cpus_and_priority_are_those_of_the_process_and_of_threads_started_within():
     cpu = max(os.sched_getaffinity(0))
     assert applied((cpu,), 0) == [[[cpu], os.SCHED_OTHER]] * 3
     assert applied((), 0) == [[sorted(os.sched_getaffinity(0)), os.SCHED_OTHER]] * 3
-
-
-def test_the_priority_is_that_of_the_process_and_of_threads_started_within():
     try:
         Scheduling(priority=1).check_permitted()
     except SettingsError as error:
         pytest.skip(str(error))
     policies = [policy for _, policy in applied((), 1)]
     assert policies == [os.SCHED_FIFO, os.SCHED_FIFO, os.SCHED_OTHER]
-
-
-LEAST = 50_000_000
-
-
-def test_memory_is_trimmed_after_the_start_and_every_20th_call_while_it_is_grown(monkeypatch):
-    trims = []
-    resident = LEAST
-    monkeypatch.setattr(memory, "resident_bytes", lambda _pid: resident)
-    free = FreeMemory()
-    monkeypatch.setattr(free, "_trim", trims.append)
-    found = []
-    for resident in (  # noqa: B007 - read by resident_bytes
-        LEAST,
-        LEAST,
-        LEAST + 2 * GROWN_BYTES,
-        LEAST + 2 * GROWN_BYTES,
-        LEAST - 9,
-    ):
-        for _ in range(EVERY):
-            free.trim()
-        found.append(len(trims))
-    assert found == [1, 1, 2, 3, 3]
 
 
 def test_memory_is_not_looked_through_while_no_file_can_be_opened():
@@ -182,3 +166,63 @@ def test_what_a_killed_process_has_counted_is_there_to_the_last_message():
         os.kill(os.getpid(), signal.SIGKILL)
     os.waitpid(child, 0)
     assert tally.close() == {"/skin/truth": 1000, "/skin/skin": 1}
+
+
+TAXELS, PHI = "/skin/taxels", "/skin/phi"
+
+
+def taxels(seq):
+    forces = np.ones((2, 2), np.float32)
+    return Taxels(stamp_ns=seq, patch="skin", run_id="0" * 16, seq=seq, forces=forces)
+
+
+class Tap(Node[Settings]):
+    """Keeps the numbers of the frames that it is given."""
+
+    def __init__(self):
+        super().__init__(Settings(), Context("tap", ManualClock()))
+        self.given = []
+        self.overtaken_by_newer = []
+
+    @classmethod
+    def inputs(cls, settings):
+        return (TAXELS,)
+
+    def step(self, message):
+        self.given.append(message.seq)
+        return ()
+
+    def overtaken(self, message):
+        self.overtaken_by_newer.append(message.seq)
+
+
+def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(context):
+    writer = Writer(context, "inproc://writer")
+    reader = Reader(context, "reader", [writer.endpoint], [TAXELS, PHI])
+
+    wait_for_reader(writer, "reader")
+    for seq in (0, 1, 2, 4, 5, 6, 7):  # 3 is lost
+        writer.send(taxels(seq))
+    phi = PhiState(
+        stamp_ns=0, patch="skin", kind="full", n=4, m=4, block=1, seed=0, fingerprint="0" * 16
+    )
+    writer.send(phi)
+    end = End(stamp_ns=9, patch="skin", run_id="0" * 16, seq=9, of="taxels", n_messages=9)
+    writer.send(end)  # and so is 8
+    node = Tap()
+    host = NodeHost(node, "1" * 16, print)
+    backlog = Backlog(reader, frozenset([TAXELS.encode()]))
+    kept = []
+
+    def ended():
+        while (waiting := backlog.take(3)) is not None:
+            kept.extend(host.receive_bytes(*waiting))
+        return host.finished
+
+    wait_until(ended, "the end of the stream")
+    counts = host.counts.as_dict()
+    # The end is none of the three that may wait: the last ones of a stream are all taken in.
+    assert (node.given, node.overtaken_by_newer) == ([5, 6, 7], [0, 1, 2, 4])
+    assert (counts["received"], counts["skipped"]) == ({TAXELS: 7}, {TAXELS: 4})
+    assert counts["lost"] == {TAXELS: 2}
+    assert counts["refused"] == {"unknown topic": 1}  # the state was not dropped on its way

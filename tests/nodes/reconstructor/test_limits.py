@@ -1,12 +1,12 @@
-"""Settings that a reconstructor refuses, and warnings about settings that reconstruct little."""
+"""Settings that nodes refuse, and warnings about settings that reconstruct badly."""
 
 from typing import Any
 
 import numpy as np
 import pytest
+from bags import chain
 
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.compressor.node import compression_warnings
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import SettingsError, SolverError
@@ -20,7 +20,6 @@ from sparseskin.nodes.reconstructor.limits import (
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
-from sparseskin.nodes.sensor.node import Sensor
 
 SHAPE = (40, 40)
 N = 1600
@@ -135,15 +134,11 @@ def test_a_matrix_that_measures_contacts_unevenly_is_warned_of():
 
 
 def lines_of(phi="", **reconstructor):
-    nodes = {
-        "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
-        "compressor": (Compressor, Compressor.Settings(phi=phi or "sbhe")),
-        "reconstructor": (
-            Reconstructor,
-            Reconstructor.Settings(phi=phi or "announced", **reconstructor),
-        ),
-    }
-    bus = Bus(nodes)
+    bus = chain(
+        sensor={"source": "scene:path_40"},
+        compressor={"phi": phi or "sbhe"},
+        reconstructor={"phi": phi or "announced", **reconstructor},
+    )
     bus.run(n_frames=2)
     return bus.lines
 
@@ -163,3 +158,42 @@ class Scaled(OwnPhi):
 def test_users_own_matrix_is_checked_before_the_first_frame():
     lines = lines_of(phi=f"{__name__}:Scaled")
     assert any("lipschitz says 1 but the largest eigenvalue" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("kind", "m", "block", "bits", "message"),
+    [
+        ("sbhe", 533, 32, 5, ""),
+        ("sbhe", 100, 8, None, ""),
+        ("full", 1600, 32, None, ""),
+        ("gaussian", 200, 1, None, ""),
+        ("sbhe", 99, 32, None, "m = 99 of n = 1600 taxels: more than one small contact is not"),
+        ("sbhe", 533, 4, None, "block = 4: most measurements see no pressed taxel"),
+        ("subsample", 400, 32, None, "phi = subsample: a contact of fewer than 4 taxels may touch"),
+        ("sbhe", 533, 32, 4, "bits = 4: the steps of the quantiser lose"),
+    ],
+)
+def test_settings_that_reconstruct_badly_are_warned_of_in_a_line(kind, m, block, bits, message):
+    warnings = compression_warnings(kind, 1600, m, block, bits)
+    assert len(warnings) == bool(message)
+    for warning in warnings:
+        assert warning.startswith(message)
+        assert "advised: " in warning
+        assert "\n" not in warning
+
+
+def running(**compressor):
+    bus = chain(sensor={"source": "scene:path_40"}, compressor=compressor)
+    bus.run(n_frames=2)
+    return bus
+
+
+def test_a_compressor_logs_its_warnings_once_when_they_become_true():
+    (line,) = running(ratio=40).lines
+    assert line.startswith("[compressor] m = 40 of n = 1600 taxels")
+    bus = running()
+    assert bus.lines == []
+    compressor = bus.hosts["compressor"].node
+    list(compressor.change(compressor.settings.changed({"bits": 4})))
+    (line,) = bus.lines
+    assert line.startswith("[compressor] bits = 4: ")

@@ -126,13 +126,6 @@ def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts():
         sources.find_address("broken:x").check()
 
 
-def test_any_other_address_is_one_of_a_driver():
-    address = sources.find_address("my_skin:frames", n_rows=2, n_cols=3)
-    assert isinstance(address, sources.DriverAddress)
-    assert address.n_taxels() == 6
-    assert sources.find_address("my_skin:frames").n_taxels() is None
-
-
 def test_a_source_that_computes_its_frames_is_read_a_frame_at_a_time_and_ends():
     source = sources.open_source("scene:lift_box_40", seed=0)
     first, second = source.next_frame(0.0), source.next_frame(0.0)
@@ -156,20 +149,17 @@ def test_a_recording_that_loops_begins_again_and_its_stamps_go_on():
     ]
 
 
-def test_what_is_no_address_is_refused_with_all_forms():
-    shown = refusal(lambda: sources.find_address("path_40"), SourceError)
-    assert shown.startswith('source "path_40": expected scene:NAME, file:PATH')
-    assert shown.endswith('or module:callable (did you mean "scene:path_40"?)')
-
-
-def test_a_file_without_its_prefix_is_refused_with_it(tmp_path, monkeypatch):
+def test_no_address_is_refused_and_any_other_is_of_a_driver(tmp_path, monkeypatch, offering):
+    address = sources.find_address("my_skin:frames", n_rows=2, n_cols=3)
+    assert isinstance(address, sources.DriverAddress)
+    assert (address.n_taxels(), sources.find_address("my_skin:frames").n_taxels()) == (6, None)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "press.csv").touch()
     with pytest.raises(SourceError, match=r'did you mean "file:press.csv"\?'):
         sources.find_address("press.csv")
-
-
-def test_an_address_whose_plug_in_is_missing_names_it(offering):
+    shown = refusal(lambda: sources.find_address("path_40"), SourceError)
+    assert shown.startswith('source "path_40": expected scene:NAME, file:PATH')
+    assert shown.endswith('or module:callable (did you mean "scene:path_40"?)')
     offering(extensions.ADDRESSES)
     with pytest.raises(SourceError, match="no plug-in for sources serial: is installed; expected"):
         sources.find_address("serial:/dev/ttyUSB0?baud=9600")

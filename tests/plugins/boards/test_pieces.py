@@ -163,12 +163,9 @@ def test_without_a_counter_a_lost_chunk_costs_its_frame_alone(frames, lost, at):
         assert counts.dropped_bytes == (0 if is_last else rest)
 
 
-def test_other_ids_and_short_or_wild_data_are_no_chunk():
+def test_other_ids_and_wild_data_are_no_chunk_and_padding_is_left_out():
     wild = [(0x7FF, bytes(8)), *((0x10, data) for data in (b"", b"\0", b"\xff" * 8, bytes(3)))]
     assert assembled(INDEXED, wild) == ([], Counts(dropped_bytes=12))
-
-
-def test_padding_of_can_fd_is_left_out():
     chunks = chunks_of(CanSettings(ids="0x10-0x11", fd=True), Framing(70))
     assert (chunks.n_chunks, chunks.length_of(0), chunks.length_of(1)) == (2, 64, 6)
     frame = bytes(range(70))

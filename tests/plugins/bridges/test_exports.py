@@ -80,12 +80,10 @@ def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove):
         assert (grid.cell_size.x, grid.cell_size.y) == (0.005, 0.005)
         corner = (grid.pose.position.x, grid.pose.position.y)
         assert corner == pytest.approx((-0.0025 * N_COLS, -0.0025 * N_ROWS))
-        layers = {"force": message.forces[0]} | (
-            {} if message.sd is None else {"sd": message.sd[0]}
-        )
-        assert [field.name for field in grid.fields] == list(layers)
+        maps = {"force": message.forces[0]} | ({} if message.sd is None else {"sd": message.sd[0]})
+        assert [field.name for field in grid.fields] == list(maps)
         cells = np.frombuffer(grid.data, np.uint8).reshape(N_ROWS, N_COLS, grid.cell_stride)
-        for field, array in zip(grid.fields, layers.values(), strict=True):
+        for field, array in zip(grid.fields, maps.values(), strict=True):
             values = cells[:, :, field.offset : field.offset + 4].copy().view("<f4")[:, :, 0]
             assert np.array_equal(values, array)
 

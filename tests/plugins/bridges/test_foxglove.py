@@ -71,15 +71,12 @@ def test_a_frame_that_was_not_solved_has_the_forces_of_the_one_before(bridge):
             assert np.array_equal(pixels(got.content), solved.forces[0])
 
 
-def test_frames_before_the_skin_and_of_another_shape_are_not_sent(bridge):
+def test_frames_of_another_shape_are_not_sent_and_a_taken_port_is_refused(bridge):
     list(bridge.step(taxels(0)))
     list(bridge.step(SKIN))
     other = Taxels(stamp_ns=1, patch="skin", forces=np.zeros((COLS, ROWS), np.float32))
     list(bridge.step(other))
     assert bridge.n_sent == 0
-
-
-def test_a_port_that_is_taken_is_refused_in_one_line(bridge):
     port = int(bridge.where().rpartition(":")[2])
     with pytest.raises(SettingsError, match=rf"port: cannot listen at 127.0.0.1:{port}"):
         FoxgloveBridge(FoxgloveSettings(port=port), Context("two", ManualClock(0)))

@@ -126,9 +126,7 @@ def truths(bag, tmp_path):
     return root, [*words, "--out", str(out)]
 
 
-def test_frames_are_joined_into_the_episodes_of_a_dataset_by_their_stamps(
-    truths, bag, tmp_path, capsys
-):
+def test_frames_are_joined_into_a_dataset_by_stamps(truths, bag, tmp_path, capsys):
     root, words = truths
     later = tmp_path / "later.mcap"  # begins earlier, ends later
     make_bag(later, [skin_state(), *(m for k in range(N_FRAMES + 107) for m in frame(k))])
@@ -203,12 +201,16 @@ def test_statistics_are_those_of_the_rows(exported):
             assert np.allclose(np.array(stored.tolist()).tolist(), value, atol=1e-5)
 
 
-def test_the_window_is_by_default_as_many_frames_as_come_in_a_row(bag, tmp_path, capsys):
+def test_defaults_and_other_maps_are_as_documented(bag, tmp_path, capsys):
     out = tmp_path / "default"
     assert main(["recording", "export", str(bag), "--to", "lerobot", "--out", str(out)]) == 0
     printed = capsys.readouterr().out.split()
     assert sorted(printed) == sorted(str(path) for path in out.rglob("*") if path.is_file())
     assert Dataset(out).info["features"][KEY]["shape"] == [4, N_ROWS * N_COLS]  # 100 Hz at 30
+    with BagReader(bag) as reader:
+        export_lerobot([reader], tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1)
+    features = Dataset(tmp_path / "o").info["features"]
+    assert {"observation.tactile.skin_truth", "observation.tactile.skin_taxels"} <= set(features)
 
 
 @pytest.mark.parametrize(
@@ -224,10 +226,3 @@ def test_what_makes_no_sense_is_one_line(bag, more, fault, capsys):
     assert main(["recording", "export", str(bag), *more]) == 2
     assert fault in capsys.readouterr().err
     assert not list(bag.parent.glob("*_lerobot"))
-
-
-def test_other_maps_have_names_of_their_own(bag, tmp_path):
-    with BagReader(bag) as reader:
-        export_lerobot([reader], tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1)
-    features = Dataset(tmp_path / "o").info["features"]
-    assert {"observation.tactile.skin_truth", "observation.tactile.skin_taxels"} <= set(features)

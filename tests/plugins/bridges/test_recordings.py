@@ -4,6 +4,7 @@ import sqlite3
 
 import numpy as np
 import pytest
+from damaged import mutated, refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -115,30 +116,20 @@ def test_frames_of_each_kind_of_message_are_read(tmp_path, kind):
         open_file(write(tmp_path / "flat", kind, ("/cloud", "/flat")))
     with pytest.raises(SourceError, match=r"no topic '/off'; allowed: /image"):
         open_file(path, topic="/off")
-    with pytest.raises(
-        SourceError, match=r"holds 12 readings; .* shape .*; add n_rows=3 n_cols=4$"
-    ):
+    with pytest.raises(SourceError, match=r"12 readings; .* shape .*; add n_rows=3 n_cols=4$"):
         open_file(path, topic="/flat")
 
 
 def test_the_only_topic_of_frames_is_taken_and_none_is_named(tmp_path):
     assert open_file(write(tmp_path, "db3", ("/image", "/other"))).n_frames == 2
     (tmp_path / "none").mkdir()
-    with pytest.raises(
-        SourceError, match=r"no topic holds frames; it holds /other .std_msgs/msg/H"
-    ):
+    with pytest.raises(SourceError, match=r"no topic holds frames; it holds /other .std_msgs/msg"):
         open_file(write(tmp_path / "none", "mcap", ("/other",)))
-
-
-def test_a_base_whose_tables_are_views_is_refused(tmp_path):
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.execute("CREATE VIEW topics AS SELECT 1")
         base.execute("CREATE VIEW messages AS SELECT 1")
     with pytest.raises(SourceError, match="holds no tables topics and messages"):
         open_file(tmp_path / "a.db3")
-
-
-def test_every_array_of_numbers_is_known():
     assert set(ARRAYS) <= cdr.types(1).types.keys() & cdr.types(2).types.keys()
 
 
@@ -156,16 +147,7 @@ def whole(tmp_path_factory):
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(data=st.data(), kind=st.sampled_from(["bag", "db3", "mcap"]))
 def test_random_and_mutated_recordings_are_read_or_refused_in_one_line(tmp_path, whole, data, kind):
-    raw = bytearray(whole[kind])
-    for _ in range(data.draw(st.integers(1, 4))):
-        start = data.draw(st.integers(0, len(raw)))
-        raw[start : start + data.draw(st.integers(0, 9))] = data.draw(st.binary(max_size=9))
-    path = tmp_path / f"any.{kind}"
-    path.write_bytes(raw)
-    try:
-        assert open_file(path, policy=ANY).frames.shape[1:] == (3, 4)
-    except SourceError as error:
-        line = str(error)
-    else:
-        line = ""
-    assert line.isprintable()
+    path, found = tmp_path / f"any.{kind}", []
+    path.write_bytes(mutated(data, whole[kind]))
+    refusal(lambda: found.append(open_file(path, policy=ANY)), SourceError)
+    assert all(source.frames.shape[1:] == (3, 4) for source in found)

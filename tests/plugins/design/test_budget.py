@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damaged import refusal
 from measured_costs import SIZES, measure
 
 from sparseskin.nodes.errors import SettingsError
@@ -31,9 +32,22 @@ from sparseskin.plugins.design.models import (
     read_edge,
     stored,
 )
-from sparseskin.plugins.design.simulation import grid_of
+from sparseskin.plugins.design.simulation import (
+    ACTIVE,
+    F_MAX_N,
+    MOST_FRAMES,
+    N_UNTOUCHED,
+    SCENE_S,
+    band,
+    grid_of,
+    light_touch,
+    make_reader,
+    presses,
+    simulated,
+)
+from sparseskin.plugins.design.simulation import simulate as simulate_on
 from sparseskin.plugins.design.spec import make_design
-from sparseskin.plugins.design.strategies import STRATEGIES
+from sparseskin.plugins.design.strategies import N_SCENES, STRATEGIES
 from sparseskin.plugins.edge.description import EdgeDescription
 
 PALM = {"rows": 64, "cols": 64}
@@ -47,6 +61,8 @@ def test_a_full_raster_of_a_palm_is_limited_by_its_line():
     found = row("all taxels")
     # 4096 readings of 10 bits and 15 bytes; 4096 conversions at 200 kS/s; 10 bits a byte at 2 Mbaud
     assert (found.n_bytes, found.stage_s["ADC"]) == (5120 + 15, pytest.approx(4096 / 200e3))
+    # Of several converters each waits for its multiplexer: ceil(4096 / 3) = 1366 of 5 + 2 us.
+    assert Adc(10, 200e3, 3, 2e-6).seconds(4096) == pytest.approx(1366 * 7e-6)
     assert (found.stage_s["bus"], found.limit) == (pytest.approx(51350 / 2e6), "bus")
     # A line a row and column.
     assert (found.lines, found.conversions) == (128, 4096)
@@ -68,15 +84,12 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
     assert found.stage_s["ADC"] == pytest.approx(11.2e-3, rel=0.1)
 
 
-def test_digital_sums_need_every_conversion_and_analog_ones_m():
+def test_sums_need_conversions_by_their_kind_and_single_taxels_the_bits_of_the_converter():
     digital, analog = (row("N/4 sums"), row("N/4 sums", sums="analog", rows=16, cols=16))
     assert (digital.m, digital.conversions) == (1024, 4096)
     assert (analog.m, analog.conversions, analog.lines) == (64, 64, 256)
     # 24 * 4096 + 72 * 1024 + 16 * 1039 + 550 instructions of 2 cycles
     assert digital.stage_s["edge"] == pytest.approx(2 * 189_206 / 168e6)
-
-
-def test_single_taxels_are_sent_with_the_bits_of_the_converter():
     d = make_design(PALM)
     sizes = {name: frame_bytes(STRATEGIES[name], d) - 15 for name in STRATEGIES}
     assert (sizes["all taxels"], sizes["N/4 taxels in turn"]) == (4096 * 10 // 8, 1024 * 10 // 8)
@@ -179,32 +192,31 @@ def a_length(text):
     return quantity(text, LENGTH, "4mm", 0.0, 1.0)
 
 
-def test_a_byte_has_ten_bits_on_a_serial_line_and_eight_clocks_of_spi():
-    assert read_bus("serial:2M").seconds(514) == pytest.approx(5140 / 2e6)
-    assert read_bus("spi:20M").seconds(1038) == pytest.approx(8304 / 20e6)
+CAN_FD = 34e-6 + (5 + 512 + 129 + 32) / 5e6
+"""A full frame: 5 + 512 bits, floor(533 / 4) - 4 = 129 more, 32 of the CRC; slow: 17 + 4 + 13."""
 
 
-def test_a_full_frame_of_classic_can_has_135_bits():
-    # 34 + 64 bits, floor(97 / 4) = 24 stuff bits, 13 bits of the end.
-    assert read_bus("can:1M").seconds(8) == pytest.approx((98 + 24 + 13) * 1e-6)
-    # Nine bytes are a full frame and one of a byte: 42 + floor(41 / 4) + 13 = 65 bits.
-    assert read_bus("can:1M").seconds(9) == pytest.approx((135 + 65) * 1e-6)
-
-
-def test_a_full_frame_of_can_fd_has_34_slow_and_678_fast_bits():
-    bus = read_bus("can-fd")
-    # 5 + 512 bits, floor(533 / 4) - 4 = 129 stuff bits, 32 of the CRC; slow: 17 + 4 + 13.
-    assert bus.seconds(64) == pytest.approx(34e-6 + (5 + 512 + 129 + 32) / 5e6)
-    # To 16 bytes the CRC has 27 bits: 5 + 128 + (149 // 4 - 4) + 27.
-    assert bus.seconds(16) == pytest.approx(34e-6 + (5 + 128 + 33 + 27) / 5e6)
-    # The last frame is filled to the next length.
-    assert bus.seconds(64 + 33) == pytest.approx(bus.seconds(64) + bus.seconds(48))
-
-
-def test_a_datagram_has_66_bytes_beside_its_data():
-    # Of a byte the least Ethernet frame, with preamble and gap: 84.
-    assert read_bus("udp").seconds(1472) == pytest.approx(1538 * 8 / 100e6)
-    assert read_bus("udp:1G").seconds(1473) == pytest.approx((1538 + 84) * 8 / 1e9)
+@pytest.mark.parametrize(
+    ("bus", "n_bytes", "seconds"),
+    [
+        ("serial:2M", 514, 5140 / 2e6),  # ten bits a byte
+        ("spi:20M", 1038, 8304 / 20e6),
+        # 34 + 64 bits, floor(97 / 4) = 24 stuff bits, 13 bits of the end.
+        ("can:1M", 8, (98 + 24 + 13) * 1e-6),
+        # Nine bytes are a full frame and one of a byte: 42 + floor(41 / 4) + 13 = 65 bits.
+        ("can:1M", 9, (135 + 65) * 1e-6),
+        ("can-fd", 64, CAN_FD),
+        # To 16 bytes the CRC has 27 bits: 5 + 128 + (149 // 4 - 4) + 27.
+        ("can-fd", 16, 34e-6 + (5 + 128 + 33 + 27) / 5e6),
+        # The last frame is filled to the next length.
+        ("can-fd", 64 + 33, CAN_FD + read_bus("can-fd").seconds(48)),
+        # 66 bytes beside the data; of a byte the least Ethernet frame, with preamble and gap: 84.
+        ("udp", 1472, 1538 * 8 / 100e6),
+        ("udp:1G", 1473, (1538 + 84) * 8 / 1e9),
+    ],
+)
+def test_a_frame_takes_the_time_of_its_bits_on_each_bus(bus, n_bytes, seconds):
+    assert read_bus(bus).seconds(n_bytes) == pytest.approx(seconds)
 
 
 @pytest.mark.parametrize(
@@ -220,10 +232,7 @@ def test_a_datagram_has_66_bytes_beside_its_data():
     ],
 )
 def test_a_text_of_another_form_is_refused_in_one_line(read, text, fault):
-    with pytest.raises(SettingsError) as error:
-        read(text)
-    assert fault in str(error.value)
-    assert "\n" not in str(error.value)
+    assert fault in (refusal(lambda: read(text), SettingsError) or "none")
 
 
 @pytest.mark.parametrize(
@@ -241,12 +250,6 @@ def test_texts_are_read_with_spaces_and_units(found, expected):
     assert found == expected
 
 
-def test_converters_share_the_conversions_and_each_waits_for_its_multiplexer():
-    assert Adc(10, 200e3).seconds(4096) == pytest.approx(20.48e-3)
-    # ceil(4096 / 3) = 1366 conversions of 5 + 2 us
-    assert Adc(10, 200e3, 3, 2e-6).seconds(4096) == pytest.approx(1366 * 7e-6)
-
-
 @pytest.mark.parametrize(
     ("n_rows", "n_cols", "ratio", "bits", "rows", "counted"),
     [
@@ -256,9 +259,7 @@ def test_converters_share_the_conversions_and_each_waits_for_its_multiplexer():
         (64, 64, 3, 8, "fixed", 215698),
     ],
 )
-def test_instructions_are_within_5_percent_of_those_counted(
-    n_rows, n_cols, ratio, bits, rows, counted
-):
+def test_instructions_are_those_counted(n_rows, n_cols, ratio, bits, rows, counted):
     """Counted by `make cortex-m4` of exported edges, the largest number."""
     d = EdgeDescription.chosen(n_rows, n_cols, ratio=ratio, bits=bits, rows=rows)
     assert instructions(d.n_taxels, d.m, d.frame_bytes) == pytest.approx(counted, rel=0.05)
@@ -279,3 +280,70 @@ def test_rigs_that_were_built_are_predicted():
     beyond = [name for name, ratio in ratios.items() if not 0.5 <= ratio <= 2]
     assert (len(ratios), beyond) == (9, ["3D-ViTac", "SPTS, 7 % of 100"])
     assert ratios["FlexiTac, bus alone"] == pytest.approx(1.0, abs=0.001)
+
+
+ALL = np.ones((12, 12), dtype=np.bool_)
+
+
+def simulate(name, n_rows, n_cols, *given, **more):
+    """Simulate a strategy by its name, on a skin without a mask."""
+    mask = np.ones((n_rows, n_cols), dtype=np.bool_)
+    return simulate_on(STRATEGIES[name], mask, *given, **more)
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 300.0])
+def test_a_body_touches_the_skin_in_every_scene_at_any_rate(rate_hz):
+    for scene in range(N_SCENES):
+        frames = [truth for truth, _ in presses(scene, ALL, 0.01, rate_hz, seed=0)]
+        assert len(frames) == N_UNTOUCHED + min(MOST_FRAMES, round(SCENE_S * rate_hz))
+        assert not np.any(frames[:N_UNTOUCHED])
+        touched = [np.count_nonzero(truth) for truth in frames]
+        assert 1 <= max(touched) <= 2.5 * ACTIVE[1] * ALL.size
+
+
+def test_readings_held_in_turn_are_those_of_a_raster_once_all_taxels_were_read():
+    taxels = np.random.default_rng(0).uniform(0, F_MAX_N, ALL.shape).astype(np.float32)
+    raster = make_reader(STRATEGIES["all taxels"], ALL, 0.01, 8, seed=0)
+    held = make_reader(STRATEGIES["N/4 taxels in turn"], ALL, 0.01, 8, seed=0)
+    whole = raster(taxels)
+    parts = [held(taxels) for _ in range(4)]
+    assert [np.count_nonzero(part) for part in parts] == [36, 72, 108, 144]
+    np.testing.assert_array_equal(parts[-1], whole)
+    # Steps of 1/255 of the range.
+    assert np.abs(whole - taxels).max() <= 0.5 * F_MAX_N / 255 * 1.001
+
+
+def test_the_light_touch_of_a_raster_grows_with_the_noise():
+    def found(noise):
+        reader = make_reader(STRATEGIES["all taxels"], ALL, noise, 24, seed=0)
+        return light_touch(reader, ALL, noise, seed=0)
+
+    # The same draws, and no rounding: in units of the noise it is the same.
+    assert found(0.01) == pytest.approx(10 * found(0.001))
+    # The mean of 9 readings has a third of their noise, and 3 x 3 untouched taxels reach some
+    # standard deviations of it.
+    assert 0.5 < found(0.01) / 0.01 < 3
+    # A reader that sees nothing finds none.
+    assert math.isnan(light_touch(np.zeros_like, ALL, 0.01, seed=0))
+
+
+def test_a_raster_has_the_error_of_clipped_noise_and_a_band_is_a_prediction_interval():
+    # Noise s clipped at 0 has a mean square of s^2 / 2 on untouched taxels, and s^2 on touched
+    # ones: PSNR lies 0 to 3 dB above -20 log10(s).
+    for noise in (0.003, 0.03):
+        found = simulate("all taxels", 10, 12, noise, 16, 100.0, seed=0)
+        assert 0 < found.psnr_db + 20 * math.log10(noise) < 3.1
+        assert found.low_db < found.psnr_db < found.high_db
+    low, high = band(np.array([10.0, 12.0, 14.0]))
+    # Student's t of 2 degrees of freedom at 95 % is 2.920; deviation 2, root of 4 / 3.
+    half = 2.920 * 2 * math.sqrt(4 / 3)
+    assert (low, high) == pytest.approx((12 - half, 12 + half), abs=0.01)
+
+
+def test_rows_are_simulated_in_processes_as_in_this_one():
+    design = make_design({"rows": 6, "cols": 6, "rate": 50})
+    rows = simulated(budget(design)[:2], design, n_scenes=2)
+    for row in rows:
+        assert row.accuracy == simulate(
+            row.strategy.name, 6, 6, design.noise, 10, row.reached_hz, n_scenes=2
+        )

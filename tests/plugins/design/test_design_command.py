@@ -5,14 +5,19 @@ import os
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+from damaged import refusal
 
 from sparseskin.launch.commands.cli import main
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.design import simulation
 from sparseskin.plugins.design.models import Bus
 from sparseskin.plugins.design.spec import make_design, read_file
 from sparseskin.plugins.design.strategies import STRATEGIES
+from sparseskin.plugins.wiring import study as wiring
+from sparseskin.plugins.wiring.study import array_wiring, count_crossings, sbhe_wiring, star_wiring
 
 PAD = ["design", "--rows", "8", "--cols", "8"]
 
@@ -57,6 +62,8 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(tmp_path, cap
     [
         (["design"], "--rows: is missing; state rows and cols, taxels, or points"),
         (["design", "none.toml"], "none.toml: No such file or directory"),
+        (["design", "none.bin"], "none.bin: no TOML: "),
+        (["design", "half.toml"], "half.toml: no TOML: "),
         (["design", "bad.toml"], "bad.toml: 'colls': unknown key (did you mean 'cols'?)"),
         ([*PAD, "--csv", "bad.toml"], "bad.toml: exists already"),
     ],
@@ -64,6 +71,8 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(tmp_path, cap
 def test_bad_options_are_refused_in_one_line(words, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("bad.toml").write_text("rows = 8\ncolls = 8\n")
+    Path("half.toml").write_text("rows = ")
+    Path("none.bin").write_bytes(b"\xff\xfe\x00rows")
     assert main(words) == 2
     shown = capsys.readouterr().err
     assert shown.startswith(line)
@@ -90,18 +99,10 @@ def test_a_design_has_defaults_and_units():
     assert (d.pitch_m, d.noise_n, d.rate_hz) == pytest.approx((0.003, 0.02, 1000.0))
     assert (d.noise, d.bus) == (pytest.approx(0.02 / 2.5), Bus("can-fd", (1e6, 5e6)))
     assert (d.adc.bits, d.adc.rate_hz, d.bits, d.cores, d.sums) == (10, 200e3, 8, 4, "digital")
-
-
-@pytest.mark.parametrize(
-    "keys",
-    [
-        {**SIZE, "rate": 500, "host": 2, "bits": 6},
-        {"rows": "12", "cols": " 32", "rate": "500 Hz", "host": "2 cores", "bits": "6 "},
-    ],
-)
-def test_numbers_of_a_file_are_those_of_options(keys):
-    d = make_design(keys)
-    assert (d.n_taxels, d.rate_hz, d.cores, d.bits) == (384, 500.0, 2, 6)
+    # Numbers of a file are those of options.
+    numbers = {**SIZE, "rate": 500, "host": 2, "bits": 6}
+    texts = {"rows": "12", "cols": " 32", "rate": "500 Hz", "host": "2 cores", "bits": "6 "}
+    assert make_design(numbers) == make_design(texts)
 
 
 @pytest.mark.parametrize(
@@ -123,18 +124,7 @@ def test_numbers_of_a_file_are_those_of_options(keys):
 def test_a_wrong_key_is_refused_in_one_line(keys, line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("few.csv").write_text("x_mm,y_mm,z_mm\n0,0,0\n5,0,0\n")
-    with pytest.raises(SettingsError) as error:
-        make_design(keys)
-    assert str(error.value).startswith(line)
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("raw", [b"rows = ", b"\xff\xfe\x00rows"])
-def test_a_wrong_file_is_refused_in_one_line(raw, tmp_path):
-    path = tmp_path / "design.toml"
-    path.write_bytes(raw)
-    with pytest.raises(SettingsError, match=r"design\.toml: no TOML: .*$"):
-        read_file(path)
+    assert refusal(lambda: make_design(keys), SettingsError).startswith(line)
 
 
 def test_points_stand_beside_the_file_that_names_them(tmp_path):
@@ -144,3 +134,52 @@ def test_points_stand_beside_the_file_that_names_them(tmp_path):
     d = make_design(read_file(tmp_path / "design.toml"))
     assert (d.n_taxels, d.n_rows, d.pitch_m) == (25, None, pytest.approx(0.005))
     assert int(d.mask.sum()) == 25
+
+
+def test_stars_and_arrays_are_as_their_formulas():
+    cells = np.arange(9)  # 3 x 3: the median is the middle
+    one = star_wiring([np.arange(9)], cells, 3, conversions=4)
+    assert (one.length, one.crossings, one.lines, one.conversions) == (12.0, 0, 9, 4)
+    rows = star_wiring([np.arange(3), np.arange(3, 6), np.arange(6, 9)], cells, 3, 9)
+    assert (rows.length, rows.crossings) == (6.0, 0)
+    one = array_wiring(3, 5, 15)
+    assert (one.length, one.crossings, one.conversions) == (3 * 4 + 5 * 2, 15, 15)
+    assert one.lines == 8
+
+
+def test_crossings_of_a_grid_of_lines_are_counted():
+    k = np.arange(1.0, 5.0)
+    begins = np.concatenate([np.stack([k, 0 * k], 1), np.stack([0 * k, k + 0.5], 1)])
+    ends = np.concatenate([np.stack([k, 0 * k + 9], 1), np.stack([0 * k + 9, k + 0.5], 1)])
+    each_its_own = np.arange(8)
+    assert count_crossings(begins, ends, each_its_own) == 16
+    assert count_crossings(begins, ends, np.repeat([0, 1], 4)) == 16
+    assert count_crossings(begins, ends, np.zeros(8, np.intp)) == 0
+    assert count_crossings(begins[:4], ends[:4], each_its_own[:4]) == 0
+
+
+def test_smaller_neighbourhoods_have_shorter_wires_that_cross_less():
+    exists = np.ones((32, 32), dtype=np.bool_)
+    found = []
+    for kind in ("local:4", "local:8", "local:16", "sbhe"):
+        phi = make_phi(kind, 1024, 341, 0)
+        phi.lay_out(exists)
+        found.append(sbhe_wiring(phi, exists))
+    assert [w.length for w in found] == sorted(w.length for w in found)
+    assert [w.crossings for w in found] == sorted(w.crossings for w in found)
+    assert (found[0].crossings, {w.conversions for w in found}) == (0, {341})
+    # 8 x 4 cells about their middle: 2 columns of 4 and 1 row of 8 away in the mean.
+    assert found[0].length == 32 * (8 * 4 * (2 + 1))
+
+
+def test_the_study_writes_its_page(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(wiring, "SHAPE", (16, 16))
+    monkeypatch.setattr(wiring, "QUICK_FRAMES", 3)
+    monkeypatch.setattr(wiring, "BODIES", ("gaussian",))
+    words = ["--quick", "--executor", "serial", "--out", str(tmp_path)]
+    assert main(["study", "wiring", *words]) == 0
+    page = (tmp_path / "wiring.md").read_text()
+    assert "| local:4 |" in page
+    assert "nan" not in page
+    assert (tmp_path / "wiring.csv").stat().st_size > 50

@@ -60,9 +60,7 @@ def received(node, n):
 
 
 @pytest.mark.parametrize(("f_max", "unit"), [(None, None), (2.5, "N")])
-def test_it_publishes_skin_phi_and_codes_times_a_step_in_the_unit_of_the_forces(
-    f_max, unit, described, line
-):
+def test_it_publishes_skin_phi_and_codes_times_a_step(f_max, unit, described, line):
     node = opened(source=f"serial:{line.device}", description=described, f_max=f_max, unit=unit)
     skin, phi = node.start()
     stated = (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels)
@@ -141,8 +139,6 @@ def test_settings_are_refused_by_name(settings, line, described):
         SparseskinError,
     )
 
-
-pytest.importorskip("serial", reason="pyserial is not installed")
 
 N_FRAMES = 40
 

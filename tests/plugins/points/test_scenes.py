@@ -1,16 +1,22 @@
 """Scenes on points: forces in balance with the push, where the body touches, and in the sensor."""
 
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sparseskin.messages import SkinState, Taxels, Truth
+from sparseskin.launch.commands.cli import main
+from sparseskin.launch.launchfile.load import load
+from sparseskin.launch.launchfile.spec import LaunchError
+from sparseskin.messages import SkinState, Taxels, Truth, decode
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinFileError
 from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
+from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
 from sparseskin.plugins.points.placing import placed
@@ -101,6 +107,14 @@ def test_a_skin_file_with_points_is_calibrated_in_their_order(folder):
     loaded = load_skin(again)
     assert loaded.points is not None
     assert np.array_equal(loaded.skin.points, run.state.points)
+    for line, what in (
+        ('points = "six.csv"\nrows = 2', "rows: is stated beside points"),
+        ("points = 3", "points: expected the name of a file"),
+        ('points = "six.csv"\nbaseline = [1, 2]', "baseline: six: a frame has 2 readings"),
+    ):
+        (folder / "bad.toml").write_text(f"f_max = 1.0\n{line}")
+        with pytest.raises(SkinFileError, match=f"bad.toml: {what}"):
+            load_skin("bad.toml")
 
 
 @pytest.mark.parametrize(
@@ -124,16 +138,61 @@ def test_settings_that_contradict_the_points_are_refused(folder, values, what):
         Run(**settings)
 
 
-@pytest.mark.parametrize(
-    ("line", "what"),
-    [
-        ("rows = 2", "rows: is stated beside points"),
-        ("points = 3", "points: expected the name of a file"),
-        ("baseline = [1, 2]", "baseline: six: a frame has 2 readings"),
-    ],
-)
-def test_a_malformed_skin_file_with_points_is_refused(folder, line, what):
-    lines = ["f_max = 1.0", *(['points = "six.csv"'] if "points" not in line else []), line]
-    (folder / "bad.toml").write_text("\n".join(lines))
-    with pytest.raises(SkinFileError, match=f"bad.toml: {what}"):
-        load_skin("bad.toml")
+POINTS = "sensor.points=example:grip"
+
+
+@pytest.mark.slow
+def test_a_skin_of_points_is_recorded_exported_and_reprocessed(start, tmp_path):
+    bag = tmp_path / "run.mcap"
+    options = ["--frames", "30", "--record", str(bag)]
+    for setting in (POINTS, "sensor.rate_hz=0", "reconstructor.fast=off", "monitor.page=false"):
+        options += ["--set", setting]
+    out, _ = start("launch", "torso", *options).ended()
+    assert "N = 924, M = 308" in out
+    with BagReader(bag) as reader:
+        (state,) = (decode(m.topic.encode(), m.payload) for m in reader.messages(["/skin/skin"]))
+    assert state.points is not None
+    exported, again = tmp_path / "run.npz", tmp_path / "again.mcap"
+    assert main(["recording", "export", str(bag), "--to", "npz", "--out", str(exported)]) == 0
+    assert np.array_equal(open_file(str(exported)).skin.points, state.points)
+    assert main(["reprocess", str(bag), "--out", str(again), "--set", "compressor.ratio=4"]) == 0
+    with BagReader(again) as reader:
+        assert len(list(reader.messages(["/skin/reconstruction"]))) == 30
+
+
+BODY = """
+[[patches]]
+name = "palm"
+rows = 8
+cols = 8
+f_max = 2.5
+[[patches]]
+name = "sole"
+points = "example:grip"
+f_max = 5.0
+"""
+
+
+def test_of_an_invalid_points_file_no_fault_of_its_scene_follows(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("x_mm,y_mm,z_mm\n1,2\n")
+    stated = f"sensor.points={path}"
+    with pytest.raises(LaunchError) as caught:
+        load("torso", [stated, "sensor.noise=-1"])
+    assert str(caught.value).splitlines() == [
+        "--set sensor.noise=-1: -1.0 is outside 0.0..100.0",
+        f"--set {stated}: {path}, line 2: 2 numbers; expected 3",
+    ]
+
+
+def test_patches_of_points_are_a_batch_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("body.toml").write_text(BODY)
+    launch = load("body", ["skin.body=body.toml"])
+    found = (node.settings for node in launch.nodes.values())
+    (sensor,) = (one for one in found if "points" in (getattr(one, "simulated", None) or {}))
+    assert sensor.patches == ("sole",)
+    assert sensor.address().n_taxels() == 924
+    Path("body.toml").write_text(BODY.replace("example:grip", "a.csv"))
+    with pytest.raises(LaunchError, match=r"a\.csv: there is no such file"):
+        load("body", ["skin.body=body.toml"])

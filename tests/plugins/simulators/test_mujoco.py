@@ -153,21 +153,15 @@ def test_forces_in_mujoco_are_those_of_the_contact_model():
     assert theirs.max() == pytest.approx(ours.max(), rel=0.05)  # of the impact
 
 
-def test_an_arm_presses_and_lets_go():
+def test_a_source_runs_at_1_khz_and_anew_each_time_an_arm_presses_and_lets_go(tmp_path):
     total = np.array([forces.sum() for _, forces in MujocoSource(ARM)])
     assert (total[500], total[-1]) == (0, 0)
     assert total[1400] > 5
-
-
-def test_a_source_runs_at_1_khz_and_anew_each_time():
     source = open_source(f"mujoco:{PAD}", seed=0)
     assert source.rate_hz == pytest.approx(1000)
     assert (source.skin.shape, source.skin.pitch_m, source.n_frames) == ((32, 32), 0.005, 2000)
     one, two = ([(t, f.tobytes()) for t, f in islice(source, 150)] for _ in range(2))
     assert (one, [t for t, _ in one[:3]]) == (two, [0, 1_000_000, 2_000_000])
-
-
-def test_a_short_time_step_is_read_each_millisecond(tmp_path):
     address = model_of(BALL.format(z=0.02), tmp_path)
     path = Path(address.rpartition("#")[0])
     path.write_text(path.read_text().replace('timestep="0.001"', 'timestep="0.00025"'))
@@ -220,9 +214,7 @@ def test_a_simulation_that_diverges_is_reported(tmp_path):
         ),
     ],
 )
-def test_a_model_without_a_skin_or_contact_is_refused_in_one_line(
-    tmp_path, monkeypatch, bodies, site, more, text
-):
+def test_a_model_without_a_skin_is_refused(tmp_path, monkeypatch, bodies, site, more, text):
     monkeypatch.chdir(tmp_path)
     address = model_of(bodies, tmp_path, site, more)
     assert text in refusal(lambda: find_address(f"mujoco:{address}").check(), SourceError)

@@ -1,6 +1,7 @@
 """Arrays in files of MATLAB and HDF5: which one is taken, in which order, and what is refused."""
 
 import io
+import re
 import struct
 import sys
 from types import SimpleNamespace
@@ -8,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import PATIENCE_S
+from damaged import mutated, refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
@@ -90,9 +92,7 @@ def test_the_frames_are_found(tmp_path, name, raw, stated):
     ],
 )
 def test_what_holds_no_frames_is_refused(tmp_path, name, raw, message):
-    with pytest.raises(SourceError, match=message) as caught:
-        read(tmp_path, name, raw)
-    assert str(caught.value).isprintable()
+    assert re.search(message, refusal(lambda: read(tmp_path, name, raw), SourceError))
 
 
 def test_links_to_other_files_are_not_followed(tmp_path):
@@ -123,14 +123,5 @@ def test_bytes_at_which_scipy_ends_the_process_are_refused_in_one_line(tmp_path)
 )
 @given(data=st.data(), packed=st.booleans())
 def test_mutated_files_of_matlab_are_read_or_refused_in_one_line(tmp_path, data, packed):
-    raw = bytearray(mat(packed, forces=LAST))
-    for _ in range(data.draw(st.integers(1, 4))):
-        start = data.draw(st.integers(0, len(raw)))
-        raw[start : start + data.draw(st.integers(0, 9))] = data.draw(st.binary(max_size=9))
-    try:
-        read(tmp_path, "any.mat", bytes(raw))
-    except SourceError as error:
-        line = str(error)
-    else:
-        line = ""
-    assert line.isprintable()
+    raw = mutated(data, mat(packed, forces=LAST))
+    refusal(lambda: read(tmp_path, "any.mat", raw), SourceError)

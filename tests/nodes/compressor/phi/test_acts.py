@@ -2,16 +2,14 @@
 
 import numpy as np
 import pytest
+from bags import launched, only
 from damaged import launch_faults
 from hypothesis import given
 from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import Measurements, MessageError, Reconstruction, Taxels
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.phi.acts import ActsSearch, packed_places
 from sparseskin.nodes.compressor.phi.adaptive import follow
 from sparseskin.nodes.compressor.phi.base import make_phi
@@ -51,13 +49,10 @@ def test_m_existing_taxels_are_read_each_once_on_any_grid(exists, data):
     assert places[-1] < n
 
 
-def test_an_untouched_skin_is_read_evenly():
+def test_an_untouched_skin_is_read_evenly_and_a_contact_and_around_it_whole():
     is_read = read_cells(np.zeros((64, 64), np.float32), 64 * 64 // 16)
     for part in is_read.reshape(8, 8, 8, 8).swapaxes(1, 2).reshape(-1, 64):
         assert part.sum() == 4
-
-
-def test_the_taxels_of_a_contact_and_around_it_are_all_read_where_m_allows():
     image = np.zeros((40, 40), np.float32)
     image[17:24, 5:12] = 1.0
     assert read_cells(image, 400)[16:25, 4:13].all()
@@ -101,12 +96,10 @@ def test_places_that_do_not_fit_are_refused(kind, places, text):
 
 ACTS = ("compressor.phi=acts", "reconstructor.solver=interpolation")
 ADAPTIVE = ("compressor.phi=adaptive",)
-KINDS = pytest.mark.parametrize("chosen", [ACTS, ADAPTIVE])
 
 
 def graph(*overrides, name="path_40", record=None):
-    nodes = load(name, [*overrides], record).nodes.values()
-    return Bus({node.name: (node.cls, node.settings) for node in nodes}, ManualClock(1))
+    return launched(name, *overrides, record=record)
 
 
 def reconstructions(bus, n_frames):
@@ -136,9 +129,7 @@ def test_m_changes_while_the_graph_runs(overrides):
 
 def test_interpolation_leaves_readings_unchanged():
     for frame in graph(*ACTS, "compressor.bits=12").frames(3):
-        (taxels,) = [m for m in frame if isinstance(m, Taxels)]
-        (made,) = [m for m in frame if isinstance(m, Measurements)]
-        (found,) = [m for m in frame if isinstance(m, Reconstruction)]
+        taxels, made, found = (only(frame, k) for k in (Taxels, Measurements, Reconstruction))
         assert made.places is not None
         read = np.flatnonzero(np.unpackbits(made.places))
         np.testing.assert_allclose(made.y[0], taxels.forces.reshape(-1)[read], atol=1e-3)
@@ -168,7 +159,7 @@ def test_settings_that_do_not_go_together_are_refused_in_one_line(overrides, tex
     assert text in line
 
 
-@KINDS
+@pytest.mark.parametrize("chosen", [ACTS, ADAPTIVE])
 def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(chosen, tmp_path):
     bag, out = tmp_path / "chosen.mcap", tmp_path / "again.mcap"
     streamed = reconstructions(graph(*chosen, record=str(bag)), 6)

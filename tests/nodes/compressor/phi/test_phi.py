@@ -1,8 +1,5 @@
 """Measurement matrices: the fast forms agree with the dense matrices; fingerprints differ."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -121,13 +118,3 @@ def test_describe_is_enough_to_make_it_again(kind):
 def test_what_cannot_be_made_is_named(arguments, message):
     with pytest.raises(PhiError, match=message):
         make_phi(*arguments)
-
-
-def test_the_edge_loads_no_scipy_and_no_wavelets():
-    code = (
-        "import sys; from sparseskin.nodes.compressor.phi.base import make_phi, KINDS;"
-        "[make_phi(k, 64, 64, seed=0) for k in KINDS];"
-        "print([m for m in sys.modules if m.split('.')[0] in ('scipy', 'pywt')])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout.strip() == "[]"

@@ -2,15 +2,22 @@
 
 import numpy as np
 import pytest
+from bags import launched, only
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.checks import check_phi
+from sparseskin.launch.launchfile.load import load
+from sparseskin.messages import Measurements, Reconstruction
+from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, SPREAD, Phi, block_of, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.reconstructor.limits import OTHER_ROWS
+from sparseskin.nodes.reconstructor.node import Reconstructor
 
 SIZES = st.integers(1, 700)
 BLOCKS = st.sampled_from([1, 2, 4, 8, 32, 64, 256, 1024])
@@ -55,9 +62,7 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
-def test_each_row_subset_has_rows_of_each_block_in_proportion_and_together_they_have_all(
-    n, data, block, seed
-):
+def test_row_subsets_have_rows_of_each_block_and_together_all(n, data, block, seed):
     m = data.draw(st.integers(-(-n // 64), n))
     subsets = row_subsets(sbhe(n, m, seed, block), "rotating")
     assert len(subsets) == -(-n // m)
@@ -80,13 +85,10 @@ def test_fewer_rows_of_one_seed_are_among_the_more(n, data, block, rule):
     assert set(phis[0].rows) <= set(phis[1].rows)
 
 
-def test_rule_1_is_that_of_version_0_1():
+def test_rules_and_blocks_are_those_of_version_0_1_and_of_today():
     for rows in ("fixed", "rotating"):
         first = row_subsets(sbhe(96, 30, 7, 32, RANDOM), rows)[0]
         assert first.fingerprint == "443e07fb12311131"  # by the code of version 0.1
-
-
-def test_blocks_are_of_256_but_of_32_where_sums_are_wires_or_the_papers():
     assert ({block_of(kind, None) for kind in KINDS}, block_of("local:8", None)) == ({256}, 32)
     assert block_of("local:8", 64) == 64
     phi = make_phi("sbhe", 1600, 533, 0)
@@ -161,3 +163,91 @@ def test_what_cannot_rotate_is_named():
         row_subsets(make_phi("sbhe", 64, 16, seed=0), "turning")
     with pytest.raises(PhiError, match=r"m = 24 of n = 1600; allowed: m of 25 or more \(N/64\)"):
         row_subsets(make_phi("sbhe", 1600, 24, seed=0), "rotating")
+
+
+FIXED, ROTATING = "compressor.rows=fixed", "compressor.rows=rotating"
+
+
+def graph(*overrides):
+    return launched("path_40", *overrides)
+
+
+def states_of(bus):
+    """The skin and Phi that the reconstructor received before the first frame."""
+    node = bus.hosts["reconstructor"].node
+    return [node._skin, node._announced]
+
+
+def test_row_subsets_alternate_and_each_frame_is_inverted_by_its_own_matrix():
+    bus = graph("compressor.ratio=4")  # rows rotate by default
+    frames = list(bus.frames(10))
+    prints = [phi.fingerprint for phi in row_subsets(make_phi("sbhe", 1600, 400, 0), "rotating")]
+    assert [state.rows for state in states_of(bus)[1:]] == ["rotating"]
+    for k, messages in enumerate(frames):
+        assert only(messages, Measurements).phi == prints[k % 4]
+        assert only(messages, Reconstruction).phi == prints[k % 4]
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    assert bus.hosts["compressor"].node.status() == "sbhe 400 x 1600, rotating rows"
+    assert bus.hosts["compressor"].node.state()["rows"] == "rotating"
+
+
+def test_frames_that_are_lost_cost_themselves_alone():
+    """Any frames may be missing: no other is refused, and none is inverted by a wrong matrix."""
+    bus = graph(ROTATING)
+    messages = [m for f in bus.frames(60) for m in f]
+    settings = load("path_40", []).nodes["reconstructor"].settings
+    node = Reconstructor(settings, Context("reconstructor", ManualClock(1)))
+    lost = np.random.default_rng(0).random(60) < 0.4
+    for state in states_of(bus):
+        list(node.step(state))
+    for k, measured in enumerate(m for m in messages if isinstance(m, Measurements)):
+        if not lost[k]:
+            (restored,) = node.step(measured)
+            assert restored.phi == measured.phi
+            assert restored.residual[0] < 0.05
+
+
+def test_it_can_be_switched_on_and_off_while_the_graph_runs():
+    bus = graph(FIXED)
+    frames = []
+    said = []
+    for k, messages in enumerate(bus.frames(24)):
+        frames.append([*said, *messages])
+        changes = {
+            5: {"rows": "rotating"},
+            11: {"ratio": 8.0},
+            14: {"rows": "fixed", "ratio": 3.0},
+            17: {"rows": None},  # the default
+            20: {"m": 1600},  # no row is left to rotate to
+        }
+        said = bus._deliver(bus.hosts["compressor"].change(changes[k])) if k in changes else []
+    assert bus.hosts["reconstructor"].counts.refused == {}
+    prints = [only(messages, Measurements).phi for messages in frames]
+    assert [len(set(part)) for part in (prints[:6], prints[6:12], prints[12:15])] == [1, 3, 3]
+    assert (set(prints[15:18]), prints[18:21]) == ({prints[0]}, prints[6:9])
+    assert len(set(prints[21:])) == 1
+    assert all(only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("settings", "warned"),
+    [
+        (["reconstructor.preset=paper"], True),
+        (["reconstructor.preset=paper", "compressor.rows=paper"], False),
+        (["reconstructor.preset=skin"], False),
+    ],
+)
+def test_the_papers_method_with_other_rows_than_its_own_is_warned_of(settings, warned):
+    bus = graph(*settings)
+    list(bus.frames(1))
+    assert (f"[reconstructor] {OTHER_ROWS}" in bus.lines) == warned
+
+
+@pytest.mark.parametrize(
+    ("rows", "some_doubted"), [(FIXED, False), (ROTATING, False), ("compressor.ratio=8", True)]
+)
+def test_an_untouched_skin_at_the_start_logs_no_doubt(rows, some_doubted):
+    bus = graph(rows, "reconstructor.iterations=8")
+    doubted = [not only(messages, Reconstruction).trusted[0] for messages in bus.frames(40)]
+    assert any(doubted) == some_doubted
+    assert not [line for line in bus.lines if "not to be trusted" in line]

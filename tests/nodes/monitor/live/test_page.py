@@ -282,9 +282,7 @@ def test_the_marks_of_frames_in_doubt_and_of_old_frames_move_nothing(page):
         wait_until(lambda: page.execute_script(old), "the age of each map")
         assert page.execute_script(places) == before
         graph.frame(error=0.1)
-        wait_until(
-            lambda: "not trusted" not in "".join(page.execute_script(marks)), "the marks to go"
-        )
+        wait_until(lambda: "not trusted" not in "".join(page.execute_script(marks)), "no marks")
 
 
 def test_a_taxel_whose_reading_is_missing_looks_like_no_force(page):
@@ -319,8 +317,7 @@ def test_a_colour_range_grows_at_once_and_shrinks_after_a_while(page):
 def test_the_numbers_of_the_page_are_those_of_the_summary(start, page, tmp_path):
     summary = tmp_path / "summary.json"
     settings = ("--set", "sensor.rate_hz=30", "--frames", "450", "--summary", str(summary))
-    code, _, stderr = open_page(start, page, "drag_wrench_40", *settings).finish()
-    assert code == 0, stderr
+    open_page(start, page, "drag_wrench_40", *settings).ended()
     wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end on the page")
     assert "The graph has ended: nothing can be set." in text(page, "#controls")
     assert page.find_elements("css selector", "#controls :enabled") == []
@@ -352,10 +349,8 @@ def frames():
 
 def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(start, page, tmp_path):
     (tmp_path / "old_skin.py").write_text(OLD_SKIN)
-    described = SkinDescription(
-        "old", 4, 6, 50.0, unit="N", baseline=np.full((4, 6), 35.0), noise=1.0
-    )
-    save_skin(tmp_path / "old.toml", described)
+    sent = SkinDescription("old", 4, 6, 50.0, unit="N", baseline=np.full((4, 6), 35.0), noise=1.0)
+    save_skin(tmp_path / "old.toml", sent)
     open_page(
         start, page, "replay", "--set", "sensor.source=old_skin:frames",
         "--set", "sensor.skin=old.toml", "--set", "sensor.rate_hz=50",

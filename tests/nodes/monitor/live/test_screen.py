@@ -110,7 +110,7 @@ def test_each_other_host_is_a_line(clock, changes, told):
     assert told[1] in lines_of(graph)
 
 
-def test_long_names_and_many_nodes_still_fit(clock):
+def test_long_names_fit_and_a_monitor_in_text_mode_has_the_screen_as_its_status(clock):
     graph = filled(clock)
     nodes = [node_state(f"node_{k}_" + "x" * 24, condition="restarting") for k in range(12)]
     state = graph_state(*nodes, name="n" * 100, recording="r" * 100 + ".mcap")
@@ -119,9 +119,6 @@ def test_long_names_and_many_nodes_still_fit(clock):
     text = "\n".join(lines_of(graph))
     for k in range(12):
         assert f"!! node_{k}_" in text
-
-
-def test_a_monitor_in_text_mode_has_the_screen_as_its_status():
     settings = Monitor.Settings(screen=True, page=False)
     monitor = Monitor(settings, Context("monitor", ManualClock()))
     list(monitor.start())
@@ -198,9 +195,7 @@ def test_until_frames_are_reconstructed_that_is_reported(monkeypatch):
 
 
 @pytest.mark.parametrize(("rate_hz", "stale_s"), [(0.0, 0.2), (1000.0, 0.2), (5.0, 0.5)])
-def test_stale_is_what_is_older_than_200_ms_and_than_two_and_a_half_periods(
-    monkeypatch, rate_hz, stale_s
-):
+def test_stale_is_older_than_200_ms_and_2_5_periods(monkeypatch, rate_hz, stale_s):
     desk = Desk(FakeTime(monkeypatch))
     desk.graph.skin(rate_hz=rate_hz)
     desk.graph.frame()
@@ -280,7 +275,7 @@ def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_som
     assert news(1, "running", RECENT_S) == []
 
 
-def test_old_news_of_the_graph_is_reported_with_its_age(desk):
+def test_old_news_and_a_busy_monitor_are_reported(desk):
     desk.news(node_state("sensor"))
     desk.clock.advance(0.99 * GRAPH_S)
     desk.graph.frame()
@@ -288,9 +283,6 @@ def test_old_news_of_the_graph_is_reported_with_its_age(desk):
     desk.clock.advance(10.0)
     desk.graph.frame()
     assert desk.look() == [(BAD, "No state of the nodes has arrived for 12 s.")]
-
-
-def test_a_monitor_that_is_busy_reports_it_first(desk):
     now_s = desk.clock.advance(3.0)
     assert Notices(desk.feed).all(now_s)[0] == (BAD, "The monitor has not responded for 3.0 s.")
 

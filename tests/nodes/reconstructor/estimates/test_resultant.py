@@ -4,14 +4,15 @@ import itertools
 
 import numpy as np
 import pytest
+from doubting import DOUBTING, ERROR
 from pressed import noisy, sliding_disc
 from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
-from sparseskin.messages import Reconstruction, Resultant
+from sparseskin.messages import Reconstruction, Resultant, decode, encode
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.errors import RefusedError, SettingsError
 from sparseskin.nodes.reconstructor.estimates.resultant import T
 from sparseskin.nodes.reconstructor.node import ReconstructorSettings
 from sparseskin.studies.presses import press_frames
@@ -101,15 +102,54 @@ def test_bands_hold_in_taps_and_where_most_rows_are_never_read(course, rows, hel
     assert all(len(one) > 50 and np.mean(one) > 0.85 for one in inside.values())
 
 
-def test_an_untouched_skin_has_no_centre_and_next_to_no_force():
+def test_an_untouched_skin_has_no_centre_and_a_solver_with_a_bias_no_resultant():
     found = resultants(np.zeros((40, *SHAPE), np.float32))[20:]
     for one in found:
         assert one.row is None
         assert one.total < 1.0
     # A normal number is above two deviations in one frame of 44.
     assert np.mean([one.total <= 2 * one.total_sd for one in found]) >= 0.95
-
-
-def test_a_solver_that_leaves_a_bias_has_no_resultant():
     with pytest.raises(SettingsError, match="resultant: is not available with solver fista"):
         ReconstructorSettings(preset="paper", resultant=True).check()
+
+
+PHI = make_phi("sbhe", N, N // 3, seed=0)
+
+
+def untouched(n_frames):
+    """Measurements of the noise of a skin that nothing touches, float32 (n_frames, m)."""
+    found = np.random.default_rng(0).normal(scale=0.01, size=(n_frames, PHI.m))
+    return found.astype(np.float32)
+
+
+def reconstructions(desk, n_frames):
+    found = desk.messages(untouched(n_frames))
+    return [message for message in found if isinstance(message, Reconstruction)]
+
+
+def test_the_message_carries_what_the_solver_estimates():
+    options = {"n_doubted": 2, "period": 3}
+    # Every other row without noise looks stuck.
+    desk = Desk(PHI, solver=DOUBTING, options=options, watch_taxels=False)
+    found = reconstructions(desk, 6)
+    assert [message.trusted for message in found] == [(False,), (False,), (True,)] * 2
+    assert {message.error for message in found} == {(ERROR,)}
+    for message in found:
+        assert decode(*encode(message)) == message
+
+
+@pytest.mark.parametrize("wrong", [{"error": -0.1}, {"error": float("nan")}, {"trusted": 1}])
+def test_an_estimate_that_is_none_is_refused(wrong, monkeypatch):
+    desk = Desk(PHI, solver=DOUBTING)
+    solver = desk.node._patches[0].solver
+    finish = solver.finish
+
+    def finish_wrongly():
+        forces = finish()
+        for name, value in wrong.items():
+            setattr(solver, name, value)
+        return forces
+
+    monkeypatch.setattr(solver, "finish", finish_wrongly)
+    with pytest.raises(RefusedError, match=rf"doubting: {next(iter(wrong))} = .*; allowed: "):
+        reconstructions(desk, 1)

@@ -205,9 +205,7 @@ def test_what_may_repeat_is_no_hung_board(sigma, frames):
 
 
 @pytest.mark.parametrize(("last_touch", "rows"), [(0, "fixed"), (15, "rotating"), (30, "rotating")])
-def test_its_frames_are_not_trusted_and_one_line_is_logged_before_in_and_after_a_contact(
-    last_touch, rows
-):
+def test_frames_of_a_hung_board_are_not_trusted_and_logged_once(last_touch, rows):
     """The board hangs in frame 30 of 60: 15 frames after the contact has ended, in it, without."""
     desk = Desk(make_phi("sbhe", N, N // 2, seed=0), rows=rows)
     n_subsets = len(desk.subsets)

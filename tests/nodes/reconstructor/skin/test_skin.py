@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from matrices import Stretched
 from pressed import noisy, psnr_db, sliding_disc
-from stretched import Stretched
 
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, row_subsets
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
+from sparseskin.nodes.reconstructor.skin.rows import HadamardRows, WhitenedRows, rows_of
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
@@ -158,3 +159,47 @@ def test_measurements_of_another_row_subset_are_not_trusted():
         solver.use(phis[k % 3])
         solver.solve(phis[(k + 1) % 3].forward(frame.reshape(-1)))
         assert k < 5 or not solver.trusted
+
+
+KINDS = ("sbhe", "gaussian", "subsample", "full", "local:4")
+
+
+def made(kind):
+    n, m = 144, 144 if kind == "full" else 48
+    if kind == "stretched":
+        return Stretched(make_phi("gaussian", n, m, seed=0))
+    return make_phi(kind, n, m, seed=0)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "stretched"])
+def test_rows_are_orthonormal_with_a_transpose_and_measure_what_is_read(kind):
+    phi = made(kind)
+    rows = rows_of(phi)
+    dense = np.stack([rows.forward(one) for one in np.eye(rows.n, dtype=np.float32)], axis=1)
+    np.testing.assert_allclose(dense @ dense.T, np.eye(rows.n_rows), atol=1e-4)
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal(rows.n, dtype=np.float32)
+    y = rng.standard_normal(rows.n_rows, dtype=np.float32)
+    assert rows.forward(x) @ y == pytest.approx(x @ rows.adjoint(y), abs=1e-3)
+    found = rows.forward(x[rows.taxel])[rows.read]
+    np.testing.assert_allclose(rows.values(phi.forward(x)), found, atol=1e-4)
+
+
+def test_all_rows_of_a_hadamard_ensemble_are_known_and_read_in_turn():
+    subsets = row_subsets(make_phi("sbhe", 144, 48, seed=0), "rotating")
+    rows = rows_of(subsets[0])
+    assert isinstance(rows, HadamardRows)
+    read = []
+    for phi in subsets:
+        rows.use(phi)
+        read += rows.read.tolist()
+    assert sorted(set(read)) == list(range(144))
+
+
+def test_directions_that_are_hardly_measured_are_left_out():
+    phi = made("stretched")
+    assert isinstance(phi, Stretched)
+    phi.lengths[:5] = 1e-3
+    rows = rows_of(phi)
+    assert isinstance(rows, WhitenedRows)
+    assert rows.n_rows == phi.m - 5

@@ -30,9 +30,7 @@ def made(name, phi, mask, how, **more):
 
 @pytest.mark.parametrize(
     ("name", "shape", "n_missing"),
-    [
-        *[("fista", (33, 47), 100), ("fista", (10, 6), 3), ("skin", (15, 21), 20)],
-    ],
+    [("fista", (33, 47), 100), ("fista", (10, 6), 3), ("skin", (15, 21), 20)],
 )
 def test_the_forces_are_those_of_numpy_to_within_10_micronewtons(name, shape, n_missing):
     mask = mask_of(shape, n_missing)

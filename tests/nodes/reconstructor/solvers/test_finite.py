@@ -86,9 +86,7 @@ def test_one_frame_of_garbage_does_not_blind_the_skin(rows, garbage):
     assert errors[1] < 1.5 * errors[0]
 
 
-SIZES = st.sampled_from(
-    [0.0, 1e-44, 1e-38, 1e-20, 1e-6, 0.02, 1.0, 3.0, 1e4, 1e12, 1e19, 1e29, -1.0, -1e12]
-)
+SIZES = st.sampled_from([0.0, 1e-44, 1e-38, 1e-20, 1e-6, 0.02, 1.0, 1e4, 1e12, 1e19, 1e29, -1e12])
 
 
 @pytest.mark.filterwarnings("error")

@@ -64,9 +64,7 @@ def ring_mask(shape):
         *[("subsample", "haar", (13, 11), 32), ("gaussian", "identity", (13, 11), 32)],
     ],
 )
-def test_it_is_the_articles_iteration_from_the_last_frame_or_a_warm_start(
-    kind, basis, shape, block, fast
-):
+def test_it_is_the_articles_iteration_however_started(kind, basis, shape, block, fast):
     """Every frame of a sequence, within 1e-4 N; missing taxels are left out."""
     if fast == "auto" and (kind, basis) != ("sbhe", "haar"):
         pytest.skip("the same code")

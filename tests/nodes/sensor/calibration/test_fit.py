@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from damaged import refusal
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from sparseskin.nodes.sensor.calibration.chain import Chain
+from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription
 from sparseskin.nodes.sensor.calibration.fit import (
     GRAVITY,
     CalibrationError,
@@ -15,6 +19,7 @@ from sparseskin.nodes.sensor.calibration.fit import (
     read_area,
     read_load,
 )
+from sparseskin.nodes.sensor.saturation import Clipped
 
 SHAPE = (6, 8)
 N = SHAPE[0] * SHAPE[1]
@@ -88,7 +93,7 @@ def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each():
     assert worst["taxel"] < 1e-6 < 0.02 < worst["shared"]
 
 
-def test_a_total_gives_one_gain_for_all():
+def test_totals_give_one_gain_for_all_and_those_that_it_does_not_explain_are_remarked():
     print_of_it = np.zeros(SHAPE)
     print_of_it[2:4, 3:6] = 0.7
     counts = BASELINE + 500 * print_of_it
@@ -97,9 +102,6 @@ def test_a_total_gives_one_gain_for_all():
     np.testing.assert_allclose(found.skin.gains, 1 / 500)
     assert found.skin.f_max == pytest.approx(1.25 * 0.7, rel=0.05)
     assert found.remarks == ["f_max = 0.87 N is 1.25 times the largest force of a press"]
-
-
-def test_totals_that_one_gain_does_not_explain_are_remarked():
     loads = [Press(f"{f}N", f * N, frames(saturating(f))) for f in (0.2, 2.0)]
     remarks = fit("p", frames(saturating(0)), loads).remarks
     assert any("off one gain for all" in line for line in remarks)
@@ -144,14 +146,11 @@ def test_stuck_noisy_and_dead_taxels_are_masked():
     assert found.presses[0].measured == pytest.approx(N, rel=1e-3)
 
 
-def test_a_skin_of_whole_counts_without_noise_has_no_stuck_taxels():
+def test_whole_counts_are_not_stuck_and_taxels_under_no_even_load_get_the_median_gain():
     found = fit("p", np.full((9, *SHAPE), 5.0), f_max=250.0, unit="raw")
     assert found.stuck == 0
     assert found.skin.mask is None
     assert (found.skin.unit, found.skin.noise) == ("raw", 0.0)
-
-
-def test_taxels_under_no_even_load_get_the_median_gain():
     load = Press("a", 0.5 * 24, frames(linear(0.5)), read_area("0-5x0-3", SHAPE))
     found = fit("p", frames(linear(0)), [load])
     np.testing.assert_allclose(found.skin.gains[:, 4:], np.median(found.skin.gains[:, :4]))
@@ -189,3 +188,173 @@ def test_loads_and_areas_are_read():
     for text in ("1-2", "some", "0-6x0-7", "2-1x0-0"):
         with pytest.raises(CalibrationError):
             read_area(text, SHAPE)
+
+
+GRID = (3, 4)
+SECOND = 1_000_000_000
+
+
+def skin(**changes):
+    return SkinDescription("palm", *GRID, 2.5, **changes)
+
+
+def still(description):
+    """A chain that follows no drift."""
+    return Chain(description, drift_rate=0.0)
+
+
+counts = arrays(np.float64, GRID, elements=st.floats(0, 4095))
+gains = arrays(np.float64, GRID, elements=st.floats(1e-4, 1e-2) | st.floats(-1e-2, -1e-4))
+pressed = arrays(np.float64, GRID, elements=st.floats(0, 2.5))
+
+
+@given(counts, gains, pressed)
+def test_forces_come_back_from_counts(baseline, gain, force):
+    curve = Response(np.array([0.2, 1.0, 2.0]), np.array([0.5, 1.2, 2.5]))
+    raw = baseline + Response(curve.force, curve.reading).forces(force) / gain
+    chain = still(skin(baseline=baseline, gains=gain, response=curve))
+    np.testing.assert_allclose(chain.apply(raw, 0), force, atol=1e-6)
+
+
+def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the_drift():
+    chain = Chain(skin(baseline=np.zeros(GRID)))
+    run(chain, -0.02, 10)
+    assert chain.drift.value.any()
+    chain.tare([np.full(GRID, 7.0)] * 20 + [np.full(GRID, 900.0)] * 9)
+    line = chain.state()["tared"]
+    assert line.startswith("forces changed by at most 7 N, of 12 taxels by more than 5 %")
+    assert not chain.drift.value.any()
+    assert (chain.apply(np.full(GRID, 9.0), 0) == 2.0).all()
+    first = Chain(skin())
+    first.tare([np.full(GRID, 7.0)])
+    assert first.state()["tared"] == "forces changed by at most 7 N"
+
+
+def test_a_tare_measures_the_noise_that_no_file_states():
+    rng = np.random.default_rng(0)
+    chain, stated = Chain(skin()), Chain(skin(noise=0.02))
+    frames = [rng.normal(3.0, 0.01, GRID) for _ in range(1000)]
+    for frame in frames[::7]:
+        frame[1, 2] = np.nan
+    for one in (chain, stated):
+        one.tare(frames)
+    # The deviation of 100 frames is off by 1 / sqrt(200) of itself, the median of 12 by a third.
+    assert chain.description.sigmas == pytest.approx((0.01, 0.01), rel=0.1)
+    assert stated.description.sigmas == (0.02, 0.02)
+
+
+def test_masked_cells_are_0_and_readings_beyond_the_range_are_clipped_and_counted():
+    mask = np.ones(GRID, dtype=np.bool_)
+    mask[1, 2] = False
+    raw = np.full(GRID, 1.5)
+    raw[1, 2] = 1e9
+    chain = still(skin(mask=mask))
+    forces = chain.apply(raw, 0)
+    assert forces[1, 2] == 0
+    assert (forces[mask] == 1.5).all()
+    assert chain.clipped.n == 0
+    chain = still(skin(noise=0.01))
+    raw = np.zeros(GRID)
+    raw[0, :3] = 3.0, -0.05, -0.07
+    assert list(chain.apply(raw, 0)[0]) == [2.5, 0, 0, 0]
+    assert chain.clipped == Clipped(n_below=1, n_above=1, lowest=-0.07, highest=3.0)
+
+
+def test_a_lower_end_below_0_keeps_the_mean_of_noise_centred_on_0():
+    rng = np.random.default_rng(3)
+    chain = still(skin(noise=0.01, f_min=-0.05))
+    frames = np.stack([chain.apply(rng.normal(0, 0.01, GRID), 0) for _ in range(4000)])
+    # Of 48000 readings the mean is normal with 0.01 / sqrt(48000).
+    assert abs(frames.mean()) < 4 * 0.01 / np.sqrt(frames.size)
+    clipped = np.clip(frames, 0, None).mean()
+    assert clipped == pytest.approx(0.01 / np.sqrt(2 * np.pi), rel=0.02)
+
+
+def run(chain, force, seconds, rate_hz=100.0):
+    """Forces at the end of `seconds` under a force, a number or a function of time in seconds."""
+    n = round(seconds * rate_hz)
+    for k in range(n + 1):
+        t = k / rate_hz
+        value = force(t) if callable(force) else force
+        found = chain.apply(np.broadcast_to(np.asarray(value, float), GRID), round(t * SECOND))
+    return found
+
+
+def test_a_steady_press_of_60_s_and_its_edge_lose_nothing():
+    # The threshold of a skin whose noise is not known: 0.004 of 2.5 N.
+    press = np.zeros(GRID)
+    press[1, 1], press[1, 2], press[2, 3] = 1.0, 0.008, 0.011
+    found = run(Chain(skin()), press, 60, rate_hz=20.0)
+    np.testing.assert_allclose(found, press, atol=1e-7)
+
+
+PAD = (12, 12)
+PRESSED = np.s_[4:8, 4:8]
+FOLLOWED = np.ones(PAD, np.bool_)
+FOLLOWED[2:10, 2:10] = False  # a press holds the taxels around it
+
+
+def drift_under_a_light_press(percent, noise, *, drift=0.0, seconds=62.0):
+    """Drift followed, in parts of f_max, under a press of some % from second 2 on."""
+    chain = Chain(SkinDescription("palm", *PAD, 2.5, noise=noise or None))
+    rng = np.random.default_rng(0)
+    for k in range(round(20 * seconds)):
+        raw = rng.normal(0, noise, PAD) + 2.5 * drift * k / 20
+        if k >= 40:
+            raw[PRESSED] += 0.025 * percent
+        chain.apply(raw, k * SECOND // 20)
+    return chain.drift.value / 2.5
+
+
+@pytest.mark.parametrize(("percent", "noise"), [(0.3, 0.005), (1.0, 0.0)])
+def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(percent, noise):
+    assert drift_under_a_light_press(percent, noise)[PRESSED].mean() <= 0.01 * percent / 100
+
+
+@pytest.mark.parametrize("percent", [0.0, 1.0])
+def test_a_light_press_loses_nothing_beside_a_drift_at_the_bounded_rate(percent):
+    rate = 1e-4  # 0.6 % of f_max a minute
+    followed = drift_under_a_light_press(percent, 0.005, drift=rate)
+    if percent:  # what had drifted before it, and no more: of 2 s
+        assert followed[PRESSED].mean() <= 2 * rate + 0.01 * percent / 100
+    # Untouched taxels follow, by the lag of the time constant less: 62 s and 10 s, and noise.
+    assert followed[FOLLOWED].mean() == pytest.approx(52 * rate, rel=0.1)
+
+
+def test_a_slow_drift_is_followed_with_the_lag_of_the_time_constant_and_again_after_a_press():
+    chain = Chain(skin())
+    run(chain, lambda t: 0.008 if 2 < t < 10 else 0.004 * (t > 10), 12)
+    assert not chain.drift.value.any()
+    run(chain, 0.004, 40)  # stamps go back: a new recording
+    assert (chain.drift.value > 0).all()
+    # A first-order low pass lags a ramp of rate q by tau q: 10 s x 1e-4 N/s.
+    found = run(Chain(skin()), lambda t: 1e-4 * t, 200, rate_hz=20.0)
+    np.testing.assert_allclose(found, 1e-3, rtol=0.02)
+
+
+@pytest.mark.parametrize(("raw", "seconds", "followed"), [(-0.02, 400, -0.02), (-1.0, 2000, -0.25)])
+def test_a_drift_is_followed_downwards_to_a_tenth_of_the_range(raw, seconds, followed):
+    chain = Chain(skin())
+    run(chain, raw, seconds, rate_hz=2.0)
+    np.testing.assert_allclose(chain.drift.value, followed, atol=1e-4)
+
+
+def test_a_pause_is_not_made_up_for():
+    chain = Chain(skin())
+    chain.apply(np.full(GRID, 0.005), 0)
+    chain.apply(np.full(GRID, 0.005), 3600 * SECOND)
+    assert (chain.drift.value <= 0.5 * 1e-4 * 2.5 + 1e-12).all()
+
+
+def test_frames_of_a_board_that_hangs_repeat_exactly_and_show_no_drift():
+    rng, chain = np.random.default_rng(0), Chain(skin(noise=0.0141))
+    for k in range(300):
+        raw = rng.normal(0.01, 0.0141, GRID)
+        raw[0, 0] += 1.0
+        chain.apply(raw, k * 10_000_000)
+    followed = chain.drift.value.copy()
+    assert followed.any()
+    hung = [chain.apply(raw.copy(), (300 + k) * 10_000_000) for k in range(500)]
+    np.testing.assert_array_equal(chain.drift.value, followed)
+    # The drift that is subtracted is that before each frame.
+    assert all(np.array_equal(one, hung[0]) for one in hung)

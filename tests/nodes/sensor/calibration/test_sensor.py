@@ -1,15 +1,22 @@
 """The sensor node with the file of a skin: what it publishes, tares and refuses."""
 
+from dataclasses import fields
+from pathlib import Path
+
 import numpy as np
 import pytest
+from bags import chain, skin_state
 from damaged import refusal
 
+from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Calibration, SkinState, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription
-from sparseskin.nodes.sensor.calibration.skin_file import save_skin
+from sparseskin.nodes.recorder.bag.frames import last_states
+from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription, of_messages
+from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.node import Sensor
 
 SHAPE = (3, 4)
@@ -147,13 +154,10 @@ def test_wrong_settings_are_refused_in_one_line(settings, line):
     assert line in refusal(lambda: Run(**settings), SettingsError)
 
 
-def test_a_source_of_another_shape_is_refused(folder):
+def test_a_source_of_another_shape_is_refused_and_a_table_of_counts_needs_no_unit(folder):
     np.save(folder / "small.npy", np.ones((5, 2, 2)))
     with pytest.raises(SourceError, match=r"describes 3 x 4 taxels, but the source has 2 x 2"):
         Run(skin="palm.toml", source="file:small.npy")
-
-
-def test_a_table_of_counts_needs_no_unit_however_readings_below_0_are_treated(folder):
     np.savetxt(folder / "counts.csv", np.load("counts.npy").reshape(100, -1), delimiter=",")
     for negative in ("refuse", "zero"):
         run = Run(source="file:counts.csv", skin="palm.toml", negative=negative)
@@ -217,3 +221,81 @@ def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_chan
     list(run.sensor.change(run.settings.changed({"drift": 0.0})))
     run.frames(49)
     assert run.sensor.state()["drift"] == found
+
+
+GRID = (8, 8)
+EXISTS = np.ones(GRID, dtype=np.bool_)
+EXISTS[0, 0] = False
+SKIN = SkinDescription(
+    *("palm", *GRID, 2.5),
+    pitch_mm=2.5,
+    mask=EXISTS,
+    baseline=np.full(GRID, 64.0),
+    gains=np.full(GRID, 0.0078125),
+    response=Response(np.array([0.5, 2.0]), np.array([0.5, 2.5])),
+    noise=0.015625,
+)
+
+
+@pytest.fixture
+def bag(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save_skin("palm.toml", SKIN)
+    raw = 64 + np.random.default_rng(0).integers(0, 200, (20, *GRID))
+    np.save("counts.npy", raw)
+    sensor = {"source": "file:counts.npy", "skin": "palm.toml", "tare": 4}
+    bus = chain(ManualClock(1), sensor=sensor, recorder={"out": "run.mcap"})
+    bus.run()
+    bus.close()
+    bus.check()
+    return tmp_path / "run.mcap"
+
+
+def test_a_recording_its_table_and_what_is_reprocessed_carry_the_skin(bag, capsys):
+    with BagReader(bag) as read:
+        assert read.topics["/skin/calibration"].n_messages == 1
+        assert read.topics["/skin/taxels"].n_messages == 16
+    assert main(["recording", "info", str(bag)]) == 0
+    table = capsys.readouterr().out
+    assert "/skin/calibration" in table
+    assert "palm" in table
+    assert main(["reprocess", str(bag), "--out", "again.mcap", "--set", "compressor.ratio=2"]) == 0
+    with BagReader(Path("again.mcap")) as read:
+        assert last_states(read, read.topics)["/skin/skin"]["sigma_end"] == 0.015625
+
+
+def test_the_skin_is_exported_with_the_tared_baseline(bag):
+    assert main(["recording", "export", str(bag), "--to", "skin"]) == 0
+    found = load_skin(bag.with_name("run.toml"))
+    raw = np.load("counts.npy")
+    assert found.baseline is not None
+    np.testing.assert_array_equal(found.baseline, np.median(raw[:4], axis=0))
+    np.testing.assert_array_equal(found.response.force, [0.5, 2.5])
+    assert (found.name, found.noise, found.f_max, found.pitch_mm) == ("palm", 0.015625, 2.5, 2.5)
+    np.testing.assert_array_equal(found.mask, EXISTS)
+
+
+def test_a_recording_without_one_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.save("n.npy", np.ones((3, 4, 4)))
+    assert main(["recording", "import", "n.npy", "--out", "n.mcap"]) == 0
+    assert main(["recording", "export", "n.mcap", "--to", "skin"]) == 2
+    assert capsys.readouterr().err.endswith("n.mcap: holds no calibration of a skin\n")
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_a_message_holds_a_description(own):
+    reading = np.stack([np.full(GRID, 0.5), np.full(GRID, 2.0)]) if own else np.array([0.5, 2.0])
+    skin = SkinDescription(
+        *("a", *GRID, 2.5),
+        pitch_mm=2.0,
+        noise=0.5,
+        response=Response(reading, np.array([1.0, 2.0])),
+    )
+
+    state = skin_state("p", **vars(skin.skin), has_truth=False, sigma_mid=0.5, sigma_end=0.5)
+    found = of_messages(state, skin.message(0, "p"))
+    for field in fields(skin):
+        if field.name not in ("response", "noise_mid"):
+            assert getattr(found, field.name) == getattr(skin, field.name)
+    np.testing.assert_array_equal(found.response.reading, reading)

@@ -182,16 +182,13 @@ def test_hostile_arrays_are_refused_in_one_line(tmp_path, held, line):
     )
 
 
-def test_arrays_stay_beside_the_file(tmp_path):
+def test_arrays_stay_beside_the_file_and_pipes_and_folders_are_refused_at_once(tmp_path):
     away = tmp_path / "away"
     away.mkdir()
     save_arrays(away / "b.npz", baseline=np.zeros((2, 3)))
     (tmp_path / "b.npz").symlink_to(away / "b.npz")
     with pytest.raises(SkinFileError, match="is not a file beside"):
         load_skin(write(tmp_path, HEAD + "arrays = 'b.npz'"))
-
-
-def test_a_pipe_a_folder_and_no_file_are_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
     (tmp_path / "folder.toml").mkdir()
     for name, what in (

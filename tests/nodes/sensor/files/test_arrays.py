@@ -1,10 +1,8 @@
 """Plain arrays: what .npy, .npz and .csv files must hold, and what is refused."""
 
-import io
-
 import numpy as np
 import pytest
-from damaged import refusal
+from damaged import mutated, npy, npz, refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -23,18 +21,6 @@ def frames_of(source):
     return np.stack([forces for _, forces in source])
 
 
-def npy_bytes(array, **kwargs):
-    buffer = io.BytesIO()
-    np.save(buffer, array, **kwargs)
-    return buffer.getvalue()
-
-
-def npz_bytes(**arrays):
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
-
-
 def open_bytes(folder, name, raw, **stated):
     path = folder / name
     path.write_bytes(raw)
@@ -45,17 +31,15 @@ class TestNpy:
     @pytest.mark.parametrize(("dtype", "order"), [(">f4", "C"), ("u1", "F"), ("<u8", "C")])
     def test_any_real_dtype_and_order_is_read_as_float32(self, tmp_path, dtype, order):
         array = np.asarray(FORCES * 10, dtype=dtype, order=order)
-        source = open_bytes(tmp_path, "skin.npy", npy_bytes(array))
+        source = open_bytes(tmp_path, "skin.npy", npy(array))
         frames = frames_of(source)
         assert frames.dtype == np.float32
         np.testing.assert_array_equal(frames, FORCES * 10)
         assert (source.skin.n_rows, source.skin.n_cols, source.skin.f_max) == (3, 4, 23.0)
 
     @pytest.mark.parametrize(("dtype", "unit"), [("f4", "N"), ("u2", "counts"), ("i8", "counts")])
-    def test_an_array_alone_has_a_unit_by_its_dtype_and_no_rate_which_the_log_states(
-        self, tmp_path, dtype, unit
-    ):
-        source = open_bytes(tmp_path, "skin.npy", npy_bytes((10 * FORCES).astype(dtype)))
+    def test_an_array_alone_has_a_unit_by_its_dtype_and_no_rate(self, tmp_path, dtype, unit):
+        source = open_bytes(tmp_path, "skin.npy", npy((10 * FORCES).astype(dtype)))
         assert source.skin.unit == unit
         assert [unit in line or "100 Hz" in line for line in source.take_lines()] == [True, True]
         assert source.rate_hz is None
@@ -65,7 +49,7 @@ class TestNpy:
 
     def test_stated_unit_range_and_rate_are_kept(self, tmp_path):
         stated = {"unit": "kPa", "f_max": 2.5, "rate_hz": 1000}
-        source = open_bytes(tmp_path, "skin.npy", npy_bytes(FORCES), **stated)
+        source = open_bytes(tmp_path, "skin.npy", npy(FORCES), **stated)
         assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 2.5, 1000)
         assert [stamp for stamp, _ in source] == [0, 1_000_000]
 
@@ -85,9 +69,8 @@ class TestNpy:
         ],
     )
     def test_what_is_no_stack_of_frames_is_refused(self, tmp_path, array, message):
-        with pytest.raises(SourceError, match=message) as caught:
-            open_bytes(tmp_path, "skin.npy", npy_bytes(array))
-        assert "skin.npy" in str(caught.value)
+        with pytest.raises(SourceError, match=rf"skin\.npy.*{message}"):
+            open_bytes(tmp_path, "skin.npy", npy(array))
 
     @pytest.mark.parametrize(
         ("value", "message"),
@@ -101,14 +84,14 @@ class TestNpy:
         array = FORCES.copy()
         array[1, 2, 3] = value
         with pytest.raises(SourceError, match=f"frame 1, row 2, column 3: {message}"):
-            open_bytes(tmp_path, "skin.npy", npy_bytes(array))
+            open_bytes(tmp_path, "skin.npy", npy(array))
 
 
 class TestNpz:
     def test_everything_that_an_archive_can_state_is_read(self, tmp_path):
         mask = np.ones((3, 4), dtype=bool)
         mask[0, 0] = mask[2, 3] = False
-        raw = npz_bytes(
+        raw = npz(
             forces=FORCES,
             stamp_ns=np.array([5_000, 9_000]),
             rate_hz=250.0,
@@ -127,7 +110,7 @@ class TestNpz:
         assert not frames[:, ~mask].any()
 
     def test_the_only_3_d_array_is_taken_under_any_name(self, tmp_path):
-        raw = npz_bytes(pressure=FORCES, other=np.zeros(3))
+        raw = npz(pressure=FORCES, other=np.zeros(3))
         np.testing.assert_array_equal(
             frames_of(open_bytes(tmp_path, "skin.npz", raw)), FORCES.astype(np.float32)
         )
@@ -149,14 +132,13 @@ class TestNpz:
         ],
     )
     def test_what_an_archive_must_not_hold_is_refused(self, tmp_path, arrays, message):
-        with pytest.raises(SourceError, match=message) as caught:
-            open_bytes(tmp_path, "skin.npz", npz_bytes(**arrays))
-        assert "skin.npz" in str(caught.value)
+        with pytest.raises(SourceError, match=rf"skin\.npz.*{message}"):
+            open_bytes(tmp_path, "skin.npz", npz(**arrays))
 
     def test_unsigned_stamps_far_apart_do_not_wrap_round(self, tmp_path):
         stamps = np.array([0, 2**64 - 1], dtype=np.uint64)
         with pytest.raises(SourceError, match=r"lasts longer than 2\*\*63 ns"):
-            open_bytes(tmp_path, "skin.npz", npz_bytes(forces=FORCES, stamp_ns=stamps))
+            open_bytes(tmp_path, "skin.npz", npz(forces=FORCES, stamp_ns=stamps))
 
 
 class TestAnyBytes:
@@ -164,36 +146,26 @@ class TestAnyBytes:
     @given(data=st.data(), suffix=st.sampled_from(["npy", "npz", "csv"]))
     def test_random_and_mutated_files_never_raise_anything_else(self, tmp_path, data, suffix):
         whole = {
-            "npy": npy_bytes(FORCES),
-            "npz": npz_bytes(forces=FORCES, mask=np.ones((3, 4), bool), unit="N", rate_hz=2.0),
+            "npy": npy(FORCES),
+            "npz": npz(forces=FORCES, mask=np.ones((3, 4), bool), unit="N", rate_hz=2.0),
             "csv": b"t,a,b\n2026-11-03,3,4\n2026-11-04T01:00Z,7,8\n",
         }[suffix]
-        raw = bytearray(data.draw(st.just(whole) | st.binary(min_size=1, max_size=200)))
-        for _ in range(data.draw(st.integers(0, 4))):
-            start = data.draw(st.integers(0, max(len(raw) - 1, 0)))
-            raw[start : start + data.draw(st.integers(0, 2))] = data.draw(st.binary(max_size=2))
+        raw = mutated(data, data.draw(st.just(whole) | st.binary(min_size=1, max_size=200)))
         stated = {"n_rows": 1, "unit": "N"} if suffix == "csv" else {}
-        try:
-            source = open_bytes(tmp_path, f"any.{suffix}", bytes(raw), **stated)
-        except SourceError as error:
-            line = str(error)
-        else:
-            line, frames = "", frames_of(source)
+        found = []
+        opened = lambda: found.append(open_bytes(tmp_path, f"any.{suffix}", raw, **stated))  # noqa: E731
+        refusal(opened, SourceError)
+        for source in found:
+            frames = frames_of(source)
             assert np.isfinite(frames).all()
-            assert frames.min() >= 0
-            assert frames.max() <= np.float32(source.skin.f_max)
-        assert line.isprintable()
+            assert 0 <= frames.min() <= frames.max() <= np.float32(source.skin.f_max)
 
 
 @pytest.mark.parametrize(("suffix", "order"), [(".npy", "F"), (".npz", "C")])
 def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(tmp_path, suffix, order):
     forces = np.asarray(np.ones((3, 512, 1024), np.float32), order=order)  # some parts of it
     forces[2, 511, 7] = np.nan
-    raw = (
-        npy_bytes(forces)
-        if suffix == ".npy"
-        else npz_bytes(forces=forces, mask=np.ones((512, 1024)) > 0)
-    )
+    raw = npy(forces) if suffix == ".npy" else npz(forces=forces, mask=np.ones((512, 1024)) > 0)
     path = tmp_path / f"skin{suffix}"
     path.write_bytes(raw)
     find_address(f"file:{path}").check()  # reads the begin alone
@@ -210,10 +182,10 @@ def test_readings_of_cells_without_a_taxel_are_not_checked(tmp_path):
     mask = np.ones((3, 4), np.bool_)
     mask[1, 2] = False
     path = tmp_path / "skin.npz"
-    path.write_bytes(npz_bytes(forces=forces, mask=mask))
+    path.write_bytes(npz(forces=forces, mask=mask))
     assert not open_file(path).frames[:, 1, 2].any()
     forces[1, 0, 0] = -1
-    path.write_bytes(npz_bytes(forces=forces, mask=mask, more=1))
+    path.write_bytes(npz(forces=forces, mask=mask, more=1))
     with pytest.raises(SourceError, match="frame 1, row 0, column 0: -1 is below 0"):
         open_file(path)
     open_file(path, policy=Policy(raw=True))

@@ -1,11 +1,19 @@
 """Tables of frames, and invalid readings of any file."""
 
+import contextlib
+import re
+import tracemalloc
+import zipfile
+
 import numpy as np
 import pytest
+from damaged import npy, npz, refusal
 
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.numerics import array_files
+from sparseskin.nodes.numerics.array_files import read_npy, read_npz
 from sparseskin.nodes.sensor.files.file_source import n_taxels, open_file
 from sparseskin.nodes.sensor.files.recording import Policy
 from sparseskin.nodes.sensor.missing import MissingReadings
@@ -80,10 +88,8 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
     ],
 )
 def test_what_is_no_table_of_frames_is_refused_in_one_line(tmp_path, text, stated, message):
-    with pytest.raises(SourceError, match=message) as caught:
-        read(tmp_path, text, **stated)
-    assert str(caught.value).startswith(str(tmp_path / "log.csv"))
-    assert str(caught.value).isprintable()
+    shown = refusal(lambda: read(tmp_path, text, **stated), SourceError)
+    assert re.match(f"{tmp_path / 'log.csv'}.*{message}", shown)
 
 
 BAD = np.array([[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32)
@@ -142,3 +148,58 @@ def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):
     ]
     counts = {"not_finite": 2, "negative": 2, "masked_taxels": 0, "offset": -3.0}
     assert sensor.report()["invalid"] == counts
+
+
+MB = 1_000_000
+
+
+@contextlib.contextmanager
+def peak_below(n_bytes):
+    """No more memory than that is allocated within."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < n_bytes
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("dtype", ["u1", ">f4", "?", "<U3"])
+@pytest.mark.parametrize("shape", [(), (2, 3, 4), (0, 4, 4)])
+def test_arrays_are_read_as_numpy_wrote_them(shape, dtype):
+    array = np.arange(np.prod(shape, dtype=int)).astype(dtype).reshape(shape)
+    for written in (array, np.asfortranarray(array)):
+        np.testing.assert_array_equal(read_npy(npy(written)), written)
+        found = read_npz(npz(a=written, b=written), lambda names: ["b"])
+        assert list(found) == ["b"]
+        np.testing.assert_array_equal(found["b"], written)
+
+
+def test_an_archive_that_would_grow_too_far_is_not_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr(array_files, "MAX_GROWN_BYTES", MB)
+    path = tmp_path / "bomb.npz"
+    path.write_bytes(npz(forces=np.zeros((40_000, 32, 32), np.uint8)))
+    assert path.stat().st_size < MB / 10
+    with peak_below(MB), pytest.raises(SourceError, match=r"bomb\.npz: its arrays would have 409"):
+        open_file(path)
+
+
+def test_headers_of_arrays_are_not_believed(tmp_path):
+    head = npy(np.zeros((1, 4, 4)))[:128].replace(b"(1, 4, 4)", b"(1000000, 400, 4)")[:128]
+    path = tmp_path / "lies.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("forces.npy", head + bytes(64))
+    with peak_below(MB), pytest.raises(SourceError, match=r"array 'forces': its header states 10"):
+        open_file(path)
+    path = tmp_path / "true.npy"
+    path.write_bytes(npy(np.ones((1, 8, 8))).replace(b"(1, 8, 8), }   ", b"(True, 8, 8), }"))
+    with pytest.raises(SourceError, match=r"true\.npy: not a readable NumPy file"):
+        open_file(path)
+
+
+def test_a_recording_of_bytes_takes_the_memory_of_its_frames_and_no_more(tmp_path):
+    path = tmp_path / "bytes.npy"
+    np.save(path, np.ones((4000, 32, 32), np.uint8))
+    # The file, its frames in float32, and a part that is checked.
+    with peak_below(path.stat().st_size * (1 + 4) + 12 * MB):
+        assert open_file(path).n_frames == 4000

@@ -86,9 +86,7 @@ def frames_of(source, n_frames):
         ),
     ],
 )
-def test_body_lands_and_bounces_as_the_exact_solution(
-    name, n_frames, method, change_db, worst_db, noise_db, n_above, n_contact
-):
+def test_body_lands_well(name, n_frames, method, change_db, worst_db, noise_db, n_above, n_contact):
     source = open_scene(name, 0)
     body, state = source.scene.body, next(source.states())
     reached = state.bed.gap < 0.1
@@ -189,9 +187,7 @@ def test_body_dragged_over_the_skin_follows_the_exact_solution():
         pytest.param(*("drag_wrench_64", 2400, 10.13, 1.47, 1.46), marks=pytest.mark.slow),
     ],
 )
-def test_first_landing_has_the_stated_depth_and_peaks(
-    name, n_steps, deepest_mm, largest_n, published_n
-):
+def test_first_landing_is_as_stated(name, n_steps, deepest_mm, largest_n, published_n):
     source = open_scene(name, 0)
     deepest, largest = 0.0, 0.0
     for state in itertools.islice(source.states(), n_steps):
@@ -216,9 +212,7 @@ class ExactDisc(Sole):
     ("n_frames", "change_db", "n_above", "n_contact"),
     [(1000, 49.5, 49, 341), pytest.param(12200, 64.5, 49, 11541, marks=pytest.mark.slow)],
 )
-def test_height_map_of_the_peg_lacks_one_taxel_of_19_at_its_landing(
-    n_frames, change_db, n_above, n_contact
-):
+def test_height_map_of_the_peg_lacks_one_taxel_of_19(n_frames, change_db, n_above, n_contact):
     scene = SCENES["path_40"]()
     sole = metal_peg(TAXEL_RADIUS_M).sole
     body = replace(scene.body, sole=ExactDisc(sole.heights, sole.x_min, sole.y_min))

@@ -9,8 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2
-from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
+from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N, Skin
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.scenes.bodies import wooden_cube
+from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2, Bed, RigidBody
+from sparseskin.nodes.sensor.scenes.scenes import SKIN as GRID_SKIN
+from sparseskin.nodes.sensor.scenes.scenes import TAXEL_RADIUS_M, open_scene
+from sparseskin.nodes.sensor.scenes.terrain import Terrain
+from sparseskin.nodes.sensor.scenes.tiled import TILED, TiledScene
 
 TABLE = {
     "lift_box_40": (40, 700, 1_000_000),
@@ -46,18 +52,6 @@ def played(name):
             at_rest = forces
     assert step == n_steps - 1
     return Played(peak, total, at_rest)
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_scene_has_the_properties_of_the_table(name):
-    side, n_steps, dt_ns = TABLE[name]
-    source = open_scene(name, 0)
-    assert source.skin.shape == (side, side)
-    assert (source.skin.f_max, source.skin.unit, source.skin.pitch_m) == (2.5, "N", 0.005)
-    assert (source.name, source.delivers, source.n_frames) == (name, "truth", n_steps)
-    assert source.rate_hz == pytest.approx(1e9 / dt_ns)
-    stamps = [stamp for stamp, _ in itertools.islice(source, 5)]
-    assert stamps == [dt_ns * step for step in range(5)]
 
 
 @pytest.mark.parametrize(
@@ -104,3 +98,161 @@ def test_forces_at_rest_carry_the_weight_and_those_of_the_box_evenly(name, mass_
 def test_ground_takes_its_part_as_the_wrench_leaves_the_skin():
     weight = 1.0 * GRAVITY_M_S2
     assert 0.0 < played("drag_wrench_40").total[4700:4900].mean() < 0.5 * weight
+
+
+SKIN = Skin(12, 16, PAPER_F_MAX_N, pitch_m=0.005)
+STEP_S = 0.05
+
+
+def touched(scene, seconds):
+    """True where a patch is touched, (n_frames, n_patches)."""
+    frames = [scene.forces(k * STEP_S) for k in range(round(seconds / STEP_S))]
+    return np.array([f.max(axis=(1, 2)) > CONTACT_FRACTION * PAPER_F_MAX_N for f in frames])
+
+
+@pytest.mark.parametrize("name", TILED)
+def test_as_many_patches_are_pressed_as_stated_and_the_others_are_idle(name):
+    ever = touched(TiledScene(name, SKIN, 20), TILED[name].period_s).any(axis=0)
+    assert np.count_nonzero(ever) == np.ceil(TILED[name].active * 20)
+
+
+@pytest.mark.parametrize("name", TILED)
+@pytest.mark.parametrize("shape", [(16, 5), (1, 16)])
+def test_forces_are_within_the_range_and_each_press_ends(name, shape):
+    scene = TiledScene(name, Skin(*shape, PAPER_F_MAX_N, pitch_m=0.005), 3, active=0.3)
+    peaks = [scene.forces(k * STEP_S).max() for k in range(round(TILED[name].period_s / STEP_S))]
+    assert 0.1 < max(peaks) < 0.9
+    assert scene.forces(TILED[name].pressed_s + 1e-6)[0].max() == 0.0
+
+
+def test_a_walking_and_a_lying_body_press_patches_in_turn():
+    pressed = touched(TiledScene("walk", SKIN, 8), 4 * TILED["walk"].period_s)
+    left, right = pressed[:, 0], pressed[:, 1]
+    assert not pressed[:, 2:].any()
+    half = round(TILED["walk"].period_s / 2 / STEP_S)
+    np.testing.assert_array_equal(left[:-half], right[half:])
+    assert left.any()
+    assert not left.all()
+    pressed = touched(TiledScene("lying", SKIN, 6), 2 * TILED["lying"].period_s)
+    first, second = np.array_split(pressed, 2)
+    np.testing.assert_array_equal(first.any(axis=0), ~second.any(axis=0))
+
+
+def test_patches_bear_the_weight_and_differ_by_mirroring_alone_on_skins_with_a_pitch():
+    scene = TiledScene("hug", SKIN, 1)
+    body = TILED["hug"].body(SKIN.shape, 0.005)
+    total = float(scene.forces(2.2)[0].sum(dtype=np.float64))
+    assert total == pytest.approx(9.81 * body.mass_kg, rel=0.02)
+    forces = TiledScene("hug", SKIN, 4, active=1.0).forces(2.2)
+    for other, mirrored in ((1, forces[0, ::-1]), (3, forces[0, ::-1, ::-1])):
+        np.testing.assert_allclose(forces[other], mirrored, rtol=1e-3)
+    with pytest.raises(SourceError, match="pitch"):
+        TiledScene("hug", Skin(4, 4, 2.5), 4)
+
+
+MASS_KG = 0.5
+N_SIDE = 10
+N_CELLS = N_SIDE**2
+PITCH_M = 0.005
+
+
+def square_bed(stiffness, damping, with_pitch=False):
+    """N_SIDE x N_SIDE equal cells about the origin, under a flat sole."""
+    x = (np.arange(N_SIDE) - (N_SIDE - 1) / 2) * PITCH_M
+    columns = [np.ones(N_CELLS)]
+    if with_pitch:
+        columns.append(-np.tile(x, N_SIDE))
+    return Bed(
+        stiffness=np.full(N_CELLS, stiffness),
+        damping=np.full(N_CELLS, damping),
+        gap=np.zeros(N_CELLS),
+        jacobian=np.stack(columns, axis=1),
+    )
+
+
+def falling_body(*inertia_kg_m2):
+    forces = np.zeros(1 + len(inertia_kg_m2))
+    forces[0] = -MASS_KG * GRAVITY_M_S2
+    return RigidBody(np.array([MASS_KG, *inertia_kg_m2]), forces)
+
+
+def bed_of(omega, zeta):
+    """A bed on which MASS_KG has the given frequency (rad/s) and damping ratio."""
+    return square_bed(MASS_KG * omega**2 / N_CELLS, 2 * zeta * omega * MASS_KG / N_CELLS)
+
+
+def run(body, bed, q, v, dt_s, n_steps):
+    """Coordinates and rates at steps 0..n_steps, each of shape (n_steps + 1, n_dof)."""
+    qs, vs = [np.array(q)], [np.array(v)]
+    for _ in range(n_steps):
+        q_next, v_next = body.step(bed, qs[-1], vs[-1], dt_s)
+        qs.append(q_next)
+        vs.append(v_next)
+    return np.array(qs), np.array(vs)
+
+
+def test_cells_push_and_never_pull():
+    bed = square_bed(100.0, 10.0)
+    assert not bed.forces(np.array([1e-4]), np.array([-1.0])).any()  # above, and approaching
+    assert not bed.forces(np.array([-1e-4]), np.array([1.0])).any()  # within, and leaving fast
+    np.testing.assert_allclose(bed.forces(np.array([-0.01]), np.array([-0.1])), 100 * 0.01 + 1.0)
+
+
+def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest():
+    dt_s, omega = 1e-3, 1e5
+    bed = bed_of(omega, 0.05)
+    q, v = run(falling_body(), bed, [0.05], [0.0], dt_s, 2000)
+    assert q[:, 0].max() <= 0.05
+    assert bed.forces(q[-1], v[-1]).sum() == pytest.approx(MASS_KG * GRAVITY_M_S2, rel=0.01)
+
+
+def test_bouncing_and_tipping_body_never_gains_energy():
+    inertia, stiffness, dt_s = 1e-4, 500.0, 1e-2
+    bed = square_bed(stiffness, 0.0, with_pitch=True)
+    q, v = run(falling_body(inertia), bed, [0.02, 0.3], [0.0, 0.0], dt_s, 1500)
+    depth = np.maximum(-(q @ bed.jacobian.T), 0.0)
+    energy = (
+        MASS_KG * GRAVITY_M_S2 * q[:, 0]
+        + 0.5 * MASS_KG * v[:, 0] ** 2
+        + 0.5 * inertia * v[:, 1] ** 2
+        + 0.5 * stiffness * (depth**2).sum(axis=1)
+    )
+    partly = depth.any(axis=1) & ~depth.all(axis=1)
+    assert partly.any()
+    assert np.diff(energy).max() <= 1e-9 * energy[0]
+
+
+def test_a_step_is_of_second_order_on_a_bed_that_stays_loaded():
+    omega = 100.0
+    bed = bed_of(omega, 0.2)
+    static = GRAVITY_M_S2 / omega**2
+    errors = []
+    for n_steps in (20, 40):
+        q, _ = run(falling_body(), bed, [-0.5 * static], [0.0], 0.01 / n_steps, n_steps)
+        damped, t = omega * math.sqrt(1 - 0.2**2), 0.01
+        exact = -static + 0.5 * static * math.exp(-0.2 * omega * t) * (
+            math.cos(damped * t) + 0.2 * omega / damped * math.sin(damped * t)
+        )
+        errors.append(abs(q[-1, 0] - exact))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+    assert errors[1] < 1e-4 * static
+
+
+SHAPE = (40, 40)
+
+
+@pytest.mark.parametrize(("axis", "sign"), [("pitch", -1.0), ("roll", 1.0)])
+def test_a_tilt_lifts_one_side_of_the_body_and_lowers_the_other(axis, sign):
+    yaw_rad = 0.7
+    sole = wooden_cube(TAXEL_RADIUS_M).sole
+    terrain = Terrain(GRID_SKIN, SHAPE, sole, yaw_rad, ("z", "pitch", "roll"))
+    bed, taxels = terrain.under((0.01, -0.02))
+    rows, cols = np.divmod(taxels, SHAPE[1])
+    x = (cols - 19.5) * GRID_SKIN.pitch_m - 0.01
+    y = (rows - 19.5) * GRID_SKIN.pitch_m + 0.02
+    along = x if axis == "pitch" else y
+    across = y if axis == "pitch" else -x
+    place = np.cos(yaw_rad) * along + np.sin(yaw_rad) * across
+    column = bed.jacobian[:, 1 if axis == "pitch" else 2]
+    np.testing.assert_allclose(column, sign * place, atol=1e-12)
+    np.testing.assert_array_equal(bed.jacobian[:, 0], 1.0)
