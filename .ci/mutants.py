@@ -75,7 +75,11 @@ WANTED_PERCENT = 90
 TESTS_OF = {
     "nodes/compressor/quantiser.py": ("tests/messages",),
     "nodes/compressor/phi/sbhe.py": ("tests/nodes/compressor/phi",),
+    "nodes/monitor/statistics.py": ("tests/nodes/monitor/test_metrics.py",),
     "nodes/network/peers.py": ("tests/nodes/network",),
+    "nodes/reconstructor/skin/rows.py": ("tests/nodes/reconstructor/skin/test_skin.py",),
+    "nodes/sensor/noise.py": ("tests/nodes/sensor/test_missing.py",),
+    "nodes/sensor/scenes/contact.py": ("tests/nodes/sensor/scenes/test_scenes.py",),
 }
 #: Exit codes of the tests under a mutant: passed, or no test reached it.
 SURVIVED, NO_TESTS = 0, 33

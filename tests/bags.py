@@ -7,15 +7,8 @@ import numpy as np
 
 from sparseskin.launch.commands.cli import make_parser
 from sparseskin.launch.launchfile.load import load
-from sparseskin.messages import (
-    Measurements,
-    Message,
-    Reconstruction,
-    SkinState,
-    Taxels,
-    Truth,
-    encode,
-)
+from sparseskin.messages import Measurements, Reconstruction, SkinState, Taxels, Truth, encode
+from sparseskin.messages.base import Message
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import Clock, ManualClock
 from sparseskin.nodes.compressor.node import Compressor

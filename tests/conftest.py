@@ -11,21 +11,13 @@ from pathlib import Path
 
 import hypothesis
 import pytest
-from processes import (
-    COMMAND,
-    PATIENCE_S,
-    PATIENT_COMMAND,
-    SENSOR,
-    Program,
-    note_of_graph,
-    wait_until,
-)
+from processes import COMMAND, PATIENCE_S, SENSOR, Program, note_of_graph, wait_until
 
 from sparseskin.nodes import extensions
 from sparseskin.nodes.network.sockets import make_context
 from sparseskin.nodes.numerics.warm_up import compile_loops
 
-__all__ = ["COMMAND", "PATIENCE_S", "PATIENT_COMMAND", "note_of_graph", "wait_until"]
+__all__ = ["COMMAND", "PATIENCE_S", "note_of_graph", "wait_until"]
 
 # No test fails because the host is busy. Few examples of each property, and in CI more.
 hypothesis.settings.register_profile(

@@ -6,15 +6,8 @@ from pathlib import Path
 import numpy as np
 from bags import MASK, N_COLS, N_ROWS, PERIOD_NS, PHI, M, frame, make_bag, skin_state
 
-from sparseskin.messages import (
-    Calibration,
-    Contacts,
-    Message,
-    PhiState,
-    Resultant,
-    SkinState,
-    SolverState,
-)
+from sparseskin.messages import Calibration, Contacts, PhiState, Resultant, SkinState, SolverState
+from sparseskin.messages.base import Message
 from sparseskin.messages.quantised import Quantised
 
 N_FRAMES = 12

@@ -1,4 +1,4 @@
-"""Every snippet of README and docs/ runs, or is accepted by the parser that would run it."""
+"""Every snippet of README and docs/ runs or is accepted by its parser; names stand in the docs."""
 
 import importlib.util
 import re

@@ -1,4 +1,4 @@
-"""Frames as one buffer: what goes in comes out, and nothing else comes in."""
+"""Frames as one buffer, of several patches too, and text of messages."""
 
 import math
 import struct

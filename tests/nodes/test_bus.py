@@ -1,4 +1,4 @@
-"""The graph in one process."""
+"""The graph in one process, of one patch and of several."""
 
 import re
 from collections import Counter

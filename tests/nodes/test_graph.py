@@ -1,4 +1,4 @@
-"""Links of a graph: one writer a topic, a writer for each reader."""
+"""Links of a graph: one writer a topic, a writer for each reader; files that are written whole."""
 
 from pathlib import Path
 from typing import Any
@@ -60,10 +60,8 @@ def test_each_reader_has_a_link_from_each_of_its_writers():
     ],
 )
 def test_a_topic_that_no_node_writes_is_named_with_those_written(reads, said):
-    assert (
-        refusal(lambda: links_of(sensor=SENSOR, desk=([], [reads], [])), SettingsError)
-        == f"desk: reads {said}"
-    )
+    line = refusal(lambda: links_of(sensor=SENSOR, desk=([], [reads], [])), SettingsError)
+    assert line == f"desk: reads {said}"
 
 
 def test_two_writers_of_a_topic_are_both_named():

@@ -23,14 +23,7 @@ from sparseskin.studies.baselines.sampling import (
     address_bytes,
     classes,
 )
-from sparseskin.studies.evaluate import (
-    VALUE_BYTES,
-    Reading,
-    Scores,
-    Solved,
-    evaluate,
-    make_method,
-)
+from sparseskin.studies.evaluate import VALUE_BYTES, Reading, Scores, Solved, evaluate, make_method
 from sparseskin.studies.frames import PressFrames, UntouchedFrames
 from sparseskin.studies.harness import (
     SCORES,

@@ -1,4 +1,4 @@
-"""Output of studies: tables, CSV files, charts and pages; and what the command refuses."""
+"""Output of studies: tables, CSV files, charts and pages; accuracy over speed; refusals."""
 
 import csv
 

@@ -1,4 +1,4 @@
-"""An observer of a topic: it reads the messages, and no node waits for it."""
+"""An observer of a topic: it reads the messages, no node waits for it; rates that it shows."""
 
 import time
 import uuid

@@ -1,4 +1,4 @@
-"""Completion of commands, options and values in a shell, without a running graph."""
+"""Completion in a shell, without a running graph, and what starts a command."""
 
 import os
 import shutil

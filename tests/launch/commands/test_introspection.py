@@ -7,9 +7,9 @@ import subprocess
 import sys
 
 import pytest
-from conftest import PATIENCE_S, PATIENT_COMMAND, Program, wait_until
+from conftest import PATIENCE_S, Program, wait_until
 from documented import check
-from processes import LOOP, note_of_graph, words
+from processes import LOOP, PATIENT_COMMAND, note_of_graph, words
 
 from sparseskin.launch.attach.client import ask_node
 from sparseskin.launch.commands.cli import main

@@ -1,4 +1,4 @@
-"""Commands that list what there is, end a graph, watch it, or show a source."""
+"""Commands that list what there is, end a graph, watch it, or show a source; graphs with keys."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""Launch files of several hosts: checked whole, and safe unless stated otherwise."""
+"""Launch files of several hosts and of bodies: checked whole, safe unless stated otherwise."""
 
 from pathlib import Path
 

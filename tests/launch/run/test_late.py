@@ -1,4 +1,4 @@
-"""Nodes that are late as a graph starts or ends, and what each one waits for."""
+"""Nodes that are late or asked as a graph runs, and recordings that are live."""
 
 import os
 import re

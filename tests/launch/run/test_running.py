@@ -1,4 +1,4 @@
-"""Notes of running graphs: there while the graph is, and no longer."""
+"""Notes of running graphs, in a folder that is theirs alone: there while the graph is."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""Figures of the monitor, against values computed by hand."""
+"""Figures of the monitor, against values computed by hand; statistics of streams."""
 
 import dataclasses
 

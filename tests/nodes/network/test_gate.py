@@ -1,4 +1,4 @@
-"""The gate of a writer: who is let in, who is not, and that it is said who that was."""
+"""The gate of a writer: who is let in, by which keys, and that it is said who was not."""
 
 import contextlib
 import socket

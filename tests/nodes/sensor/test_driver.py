@@ -183,10 +183,7 @@ class TestName:
             ("def frame():\n    yield 0, [[1.0]]", "has no 'frames'; did you mean 'frame'"),
             ("frames = 3", "is int, which cannot be called"),
             ("def frames():\n    yield 0, np.zeros((0, 3))", "0 rows x 3 columns"),
-            (
-                "def frames():\n    yield 0, np.ones((1, 2), int)",
-                "whole numbers, .*; add unit=c",
-            ),
+            ("def frames():\n    yield 0, np.ones((1, 2), int)", "whole numbers, .*; add unit=c"),
             ("def frames():\n    yield from ()\n", "ended before its first frame"),
             ("def frames(port):\n    yield", "the driver failed: TypeError: .*'port'"),
             ("def frames():\n    raise OSError('no\\nport')", "failed: OSError: no port"),

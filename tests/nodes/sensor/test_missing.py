@@ -1,4 +1,4 @@
-"""Readings that a skin lacks, and the noise model of the paper."""
+"""Readings that a skin lacks; the noise of the paper; a skin that is pressed as a graph begins."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What limits a design, and its models in closed form."""
+"""What limits a design: models in closed form, and accuracy as simulated."""
 
 import math
 import tomllib

@@ -1,4 +1,4 @@
-"""The command `design`, and the files that it reads."""
+"""The command `design` and the files that it reads; wires, counted by hand."""
 
 import csv
 import os
@@ -111,10 +111,7 @@ def test_a_design_has_defaults_and_units():
         ({"rows": 12}, "cols: is missing; state rows and cols"),
         ({**SIZE, "taxels": 99}, "taxels: states the size once more; leave out rows"),
         ({"rows": 1, "cols": 2}, "rows: 1 x 2 are 2 taxels; allowed: 16..65536"),
-        (
-            {**SIZE, "noise": "1N"},
-            "noise: 1 N is not allowed for a range of 2.5 N; allowed: 0.000",
-        ),
+        ({**SIZE, "noise": "1N"}, "noise: 1 N is not allowed for a range of 2.5 N; allowed: 0.000"),
         ({**SIZE, "rate": "0"}, "rate: '0': is outside 1 .. 10000"),
         ({**SIZE, "host": "4 core s"}, "host: '4 core s': expected such as 4cores, 1..4096"),
         ({**SIZE, "sums": "analogue"}, "sums: 'analogue' is not allowed (did you mean 'analog'?)"),

@@ -1,4 +1,4 @@
-"""Scenes on points: forces in balance with the push, where the body touches, and in the sensor."""
+"""Scenes on points: forces in balance with the push; skins of points in nodes, files, batches."""
 
 from itertools import islice
 from pathlib import Path

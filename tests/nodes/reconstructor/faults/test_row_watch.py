@@ -1,4 +1,4 @@
-"""Faulty measurements are found, excluded and logged; working ones are not."""
+"""Faulty measurements and taxels are found, excluded and logged; working ones are not."""
 
 import numpy as np
 import pytest

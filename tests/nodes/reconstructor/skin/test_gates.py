@@ -1,4 +1,4 @@
-"""Denoisers of tiles: learned gates and their file, Haar shrinkage by a formula."""
+"""Denoisers of tiles: learned gates, Haar shrinkage by a formula; batches of frames."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The writer: what reaches the disk, when, and what happens if it does not."""
+"""The writer: what reaches the disk, when, and what happens if it does not; hostile bags."""
 
 import json
 import zlib

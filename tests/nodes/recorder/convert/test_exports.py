@@ -164,10 +164,8 @@ def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path, monkeyp
 def test_an_import_to_a_full_disk_names_the_bag_and_leaves_nothing(tmp_path, mount_disk):
     np.save(tmp_path / "a.npy", np.random.default_rng(0).random((200, 40, 40)))
     out = mount_disk("400k") / "q.mcap"
-    assert (
-        refusal(lambda: import_file(tmp_path / "a.npy", out), BagError)
-        == f"{out}: No space left on device; nothing was written"
-    )
+    line = refusal(lambda: import_file(tmp_path / "a.npy", out), BagError)
+    assert line == f"{out}: No space left on device; nothing was written"
     assert list(out.parent.iterdir()) == []
 
 

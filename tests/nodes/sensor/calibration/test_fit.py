@@ -1,4 +1,4 @@
-"""Gains, curves, noise and faulty taxels from presses, against the skin that made the readings."""
+"""Gains, curves and faults from presses; the chain from counts to newtons, and its drift."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The six scenes: their table, their physics, and the bodies in them."""
+"""The scenes: their physics, the bodies in them, tiled skins, and contact of bodies."""
 
 import itertools
 import math
