@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from board_lines import a_line, flexitac
-from conftest import COMMAND, PATIENCE_S, wait_until
+from conftest import PATIENCE_S, wait_until
 from damaged import refusal
 from hypothesis import given
 from hypothesis import strategies as st
+from processes import COMMAND
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.launch.commands.completion import candidates
