@@ -76,11 +76,12 @@ def test_files_are_written_over_links_of_ones_own_followed_and_folders_new(tmp_p
         overwrite(tmp_path / name, data)
         assert (tmp_path / name).read_bytes() == data
     assert (tmp_path / "file").read_bytes() == b"then"
-    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
-    for path in (tmp_path / "link", tmp_path):
+    (folder := tmp_path / "folder").mkdir()
+    (folder / "link").symlink_to(folder / "elsewhere")
+    for path in (folder / "link", folder):
         with pytest.raises(OutputError, match="exists already"), whole_folder(path):
             pass
-    assert [one.name for one in tmp_path.iterdir()] == ["link"]
+    assert [one.name for one in folder.iterdir()] == ["link"]
 
 
 def test_a_link_of_another_user_is_not_followed(tmp_path, monkeypatch, capsys):
