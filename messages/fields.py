@@ -22,8 +22,6 @@ MAX_ELEMENTS = 1 << 20
 """Largest number of elements of one array."""
 STEP_MAX = 1e30
 """Upper bound of the step of quantised numbers."""
-REMEMBERED = 256
-"""Number of valid texts, or shapes, of a field that are not checked a second time."""
 _ARRAY_KEYS = frozenset({"dtype", "shape", "order", "data"})
 
 
@@ -205,26 +203,13 @@ class Text(FieldKind):
     pattern: str = r"[^\x00-\x1f\x7f\ud800-\udfff]*"
 
     def check(self, name: str, value: Any) -> str:
-        if type(value) is str and value in self._sound:
-            return value
         if not isinstance(value, str):
             raise FieldError(f"{name}: expected a text, got {type(value).__name__}")
         if len(value) > self.longest:
             raise OversizedError(f"{name}: {len(value)} characters, at most {self.longest}")
-        if self._compiled.fullmatch(value) is None:
+        if re.fullmatch(self.pattern, value) is None:
             raise FieldError(f"{name}: {value!r} does not match {self.pattern}")
-        if type(value) is str and len(self._sound) < REMEMBERED:
-            self._sound.add(value)
         return value
-
-    @functools.cached_property
-    def _sound(self) -> set[str]:
-        """Texts that were checked before: the same few recur in every frame."""
-        return set()
-
-    @functools.cached_property
-    def _compiled(self) -> re.Pattern[str]:
-        return re.compile(self.pattern)
 
 
 @dataclass(frozen=True)
@@ -337,14 +322,7 @@ class Array(FieldKind):
             shown = list(cell[1:] if self.patches and len(value) == 1 else cell)
             raise NotFiniteError(f"{name}{shown}: {value[cell]} is not a finite number")
 
-    @functools.cached_property
-    def _sound(self) -> set[tuple[int, ...]]:
-        """Shapes that were checked before: the same few recur in every frame."""
-        return set()
-
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
-        if shape in self._sound:
-            return
         if len(shape) != self.ndim or min(shape[self.sparse :], default=1) < 1:
             raise ShapeError(
                 f"{name}: expected {self.ndim} dimensions, none empty, got {list(shape)}"
@@ -354,8 +332,6 @@ class Array(FieldKind):
                 f"{name}: shape {list(shape)}, at most {MAX_ELEMENTS} elements "
                 f"and {self.longest} a side"
             )
-        if len(self._sound) < REMEMBERED:
-            self._sound.add(shape)
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
 
 
 @once_a_class
-def _of_patches(cls: type[Message]) -> dict[str, Each | Array]:
-    """Fields that hold something for each patch, numbers first."""
+def of_patches(cls: type[Message]) -> dict[str, Each | Array]:
+    """Kinds of the fields that hold something for each patch, by name, numbers first."""
     fields = wire_fields(cls).items()
     numbers = {name: kind for name, kind in fields if isinstance(kind, Each)}
     arrays = {name: kind for name, kind in fields if isinstance(kind, Array) and kind.patches}
@@ -40,11 +40,6 @@ class Frames(Message):
 
     names: tuple[str, ...] = wire(Names(), default=(), omitted=True)
 
-    @classmethod
-    def of_patches(cls) -> dict[str, Each | Array]:
-        """Kinds of the fields that hold something for each patch, by name, numbers first."""
-        return _of_patches(cls)
-
     @property
     def patches(self) -> tuple[str, ...]:
         """Names of the patches."""
@@ -52,7 +47,7 @@ class Frames(Message):
 
     def validate(self) -> None:
         values, n = self.__dict__, len(self.names) or 1
-        for name, kind in _of_patches(type(self)).items():
+        for name, kind in of_patches(type(self)).items():
             if isinstance(kind, Each) and not values[name]:
                 values[name] = kind.unstated * n
             rows = values[name]
@@ -75,7 +70,7 @@ class Frames(Message):
         values = self.__dict__
         parts = {
             name: values[name][k : k + 1]
-            for name in self.of_patches()
+            for name in of_patches(type(self))
             if name not in changes and values[name] is not None
         }
         return self._copy(patch=self.patches[k], names=(), **parts, **changes)
@@ -93,7 +88,7 @@ def values_alone(message: Message) -> dict[str, Any]:
     """
     values = {name: value for name, value in message.__dict__.items() if name != "names"}
     if isinstance(message, Frames):
-        rows = {name: values[name] for name in message.of_patches()}
+        rows = {name: values[name] for name in of_patches(type(message))}
         values |= {name: row[0] for name, row in rows.items() if row is not None}
     return values
 

@@ -54,17 +54,17 @@ class Skin:
         if not (is_real(self.f_max, 0.0) and self.f_max > 0):
             raise FieldError(f"skin: f_max = {self.f_max} must be finite and above 0")
         if self.mask is not None:
-            if self.mask.shape != self.shape or self.mask.dtype != np.bool_:
-                raise ShapeError(
-                    f"skin: the mask is {self.mask.dtype} {list(self.mask.shape)}, "
-                    f"expected bool {list(self.shape)}"
-                )
+            _check_array("the mask is", self.mask, np.bool_, self.shape)
             if not self.mask.any():
                 raise FieldError("skin: the mask leaves no taxel")
         if self.points is not None:
             _check_points(self.points, self.n_taxels)
         if self.point_rows is not None:
-            self._check_point_rows(self.point_rows)
+            if self.points is None:
+                raise FieldError("skin: point_rows without points")
+            _check_array("point_rows are", self.point_rows, np.int32, (len(self.points),))
+            if (self.point_rows < 0).any():
+                raise FieldError(f"skin: point_rows, {int(self.point_rows.min())} is below 0")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -93,18 +93,6 @@ class Skin:
         rows = None if self.point_rows is None else self.point_rows[left]
         return replace(self, mask=exists & ~cells, points=points, point_rows=rows)
 
-    def _check_point_rows(self, rows: npt.NDArray[np.int32]) -> None:
-        """Raise MessageError unless each point has a row."""
-        if self.points is None:
-            raise FieldError("skin: point_rows without points")
-        if rows.shape != (len(self.points),) or rows.dtype != np.int32:
-            raise ShapeError(
-                f"skin: point_rows are {rows.dtype} {list(rows.shape)}, expected int32 "
-                f"{[len(self.points)]}"
-            )
-        if (rows < 0).any():
-            raise FieldError(f"skin: point_rows, {int(rows.min())} is below 0")
-
 
 def first_far(places: npt.NDArray[Any]) -> int | None:
     """Number of the first place, (n, 3) in metres, that is not within `MAX_COORDINATE_M` or not
@@ -114,12 +102,16 @@ def first_far(places: npt.NDArray[Any]) -> int | None:
     return None if near.all() else int(np.argmin(near))
 
 
+def _check_array(what: str, value: npt.NDArray[Any], dtype: type, shape: tuple[int, ...]) -> None:
+    """Raise MessageError unless an array is of a type and shape."""
+    if value.shape != shape or value.dtype != dtype:
+        expected = f"expected {np.dtype(dtype)} {list(shape)}"
+        raise ShapeError(f"skin: {what} {value.dtype} {list(value.shape)}, {expected}")
+
+
 def _check_points(points: npt.NDArray[np.float32], n: int) -> None:
     """Raise MessageError unless points are n rows of x, y, z and a unit normal."""
-    if points.shape != (n, 6) or points.dtype != np.float32:
-        raise ShapeError(
-            f"skin: the points are {points.dtype} {list(points.shape)}, expected float32 {[n, 6]}"
-        )
+    _check_array("the points are", points, np.float32, (n, 6))
     if (k := first_far(points[:, :3])) is not None:
         raise FieldError(f"skin: point {k} is not within {MAX_COORDINATE_M:g} m")
     lengths = np.linalg.norm(points[:, 3:].astype(np.float64), axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 from .buffers import unpacked
 from .errors import MalformedError
 from .fields import Each
-from .frames import Frames, Measurements, Reconstruction, Taxels, Truth
+from .frames import Frames, Measurements, Reconstruction, Taxels, Truth, of_patches
 from .state import End
 from .topics import split_topic, topic_of
 
@@ -51,7 +51,7 @@ def _frame(body: dict[str, Any]) -> dict[str, Any]:
     cls = SCHEMAS[body["schema"]]
     several = cls.schema != body["schema"]
     found: dict[str, Any] = {"schema": cls.schema, "version": cls.version}
-    for name, kind in cls.of_patches().items():
+    for name, kind in of_patches(cls).items():
         if name not in body or (name == "sd" and body[name] is None):
             continue
         old = body[name]

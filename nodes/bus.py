@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any
 
 from sparseskin.messages import Message
@@ -9,33 +10,31 @@ from sparseskin.messages import Message
 from .clock import Clock, SystemClock
 from .errors import SparseskinError
 from .graph import NodeSpecs, join
-from .node import Context, SourceNode, Tick
-from .node_host import Log, NodeHost
+from .node import Context, Tick
+from .node_host import NodeHost
 
 LOCAL_RUN_ID = "0" * 16
 
 
 class Bus:
-    """Runs nodes in one process, as fast as possible. `clock` is by default a `SystemClock`; lines
-    of text are by default appended to `lines`. Raises SettingsError as `join`.
+    """Runs nodes in one process, as fast as possible. `clock` is by default a `SystemClock`; what
+    nodes log is appended to `lines`. Raises SettingsError as `join`.
 
     >>> bus = Bus({"sensor": (Sensor, Sensor.Settings(source="scene:path_40")), ...})
     >>> bus.run(n_frames=100)
     >>> bus.reports()["monitor"]["patches"]["skin"]["psnr_db"]
     """
 
-    def __init__(
-        self, nodes: NodeSpecs, clock: Clock | None = None, log: Log | None = None
-    ) -> None:
+    def __init__(self, nodes: NodeSpecs, clock: Clock | None = None) -> None:
         self.clock: Clock = clock or SystemClock()
         self.lines: list[str] = []
         self.hosts: dict[str, NodeHost] = {}
         links = join(nodes)
         for name, (cls, settings) in nodes.items():
-            node_log = _named(name, log or self.lines.append)
-            node = cls(settings, Context(name, self.clock, node_log, live=False))
+            log = partial(self._log, name)
+            node = cls(settings, Context(name, self.clock, log, live=False))
             inputs = [link.topic for link in links if link.reader == name]
-            self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, node_log, inputs)
+            self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, log, inputs)
         self._readers: dict[str, list[NodeHost]] = {}
         for link in links:
             self._readers.setdefault(link.topic, []).append(self.hosts[link.reader])
@@ -63,7 +62,7 @@ class Bus:
             self._last_stamp_ns = max(self.clock.now_ns(), self._last_stamp_ns + 1)
             for host in live:
                 messages += self._deliver(host.tick(Tick(self._last_stamp_ns, self._n_ticks)))
-            if not messages and not all(_acquired(host) for host in live):
+            if not messages and not all(getattr(host.node, "acquired", True) for host in live):
                 continue
             self._n_ticks += 1
             done += 1
@@ -99,10 +98,5 @@ class Bus:
                     self._queue.extend(reader.receive(message))
         return delivered
 
-
-def _acquired(host: NodeHost) -> bool:
-    return not isinstance(host.node, SourceNode) or host.node.acquired
-
-
-def _named(name: str, log: Log) -> Log:
-    return lambda line: log(f"[{name}] {line}")
+    def _log(self, name: str, line: str) -> None:
+        self.lines.append(f"[{name}] {line}")

@@ -27,44 +27,57 @@ def is_latched(topic: str) -> bool:
 
 
 @dataclass
-class InputCount:
-    """Counters of one input topic."""
+class TopicCount:
+    """Counters of the messages of a topic, over all runs of its publisher: those `before` its
+    present run, the `expected` next number in that. A `late` reader counts from its first message.
+    """
 
+    late: bool = False
     run_id: str = ""
+    before: int = 0
     expected: int = 0
     received: int = 0
     lost: int = 0
     skipped: int = 0
     ended: bool = False
-    late: bool = False
+
+    @property
+    def total(self) -> int:
+        """Number of messages sent, as far as it is known."""
+        return self.before + self.expected
 
     def admit(self, message: Message) -> bool:
         """Count a message; False for one received before (a latched topic repeats)."""
-        if message.run_id != self.run_id:
-            self.run_id, self.expected, self.ended = message.run_id, 0, False
+        self._enter(message.run_id)
+        if self.late and not self.received:
+            self.before, self.expected = -message.seq, message.seq
         if message.seq < self.expected:
             return False
-        if not message.latched and not (self.late and not self.received):
+        if not message.latched:
             self.lost += message.seq - self.expected
         self.received += 1
         self.expected = message.seq + 1
         return True
 
-    def end(self, end: End) -> None:
-        """Count the messages missing at the end of the stream."""
-        if end.run_id != self.run_id:
-            self.run_id, self.expected = end.run_id, 0
-        if not (self.late and not self.received):
-            self.lost += max(0, end.n_messages - self.expected)
-        self.expected = max(self.expected, end.n_messages)
+    def end(self, run_id: str, n_messages: int) -> None:
+        """Count the messages missing at the end of the stream, as its publisher counted them."""
+        self._enter(run_id)
+        if self.received or not self.late:
+            self.lost += max(0, n_messages - self.expected)
+        self.expected = max(self.expected, n_messages)
         self.ended = True
+
+    def _enter(self, run_id: str) -> None:
+        if run_id != self.run_id:
+            self.before += self.expected
+            self.run_id, self.expected, self.ended = run_id, 0, False
 
 
 @dataclass
 class Counts:
     """All counters of a node; `refused` by reason; `errors` that it raised at messages."""
 
-    inputs: dict[str, InputCount] = field(default_factory=dict)
+    inputs: dict[str, TopicCount] = field(default_factory=dict)
     published: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     errors: int = 0
@@ -101,7 +114,7 @@ class NodeHost:
         self.inputs = tuple(node.inputs(node.settings) if inputs is None else inputs)
         self.outputs = node.outputs(node.settings)
         self.counts = Counts(
-            {topic: InputCount(late=late or topic in late_inputs) for topic in self.inputs}
+            {topic: TopicCount(late=late or topic in late_inputs) for topic in self.inputs}
         )
         self.streams = [topic for topic in self.inputs if not is_latched(topic)]
         self.raised: Callable[[Exception], None] = lambda error: None
@@ -167,9 +180,9 @@ class NodeHost:
             return ()
         return self._guarded(self.node.step, message)
 
-    def _end(self, count: InputCount, end: End) -> Iterator[Message]:
+    def _end(self, count: TopicCount, end: End) -> Iterator[Message]:
         """Process the end of an input."""
-        count.end(end)
+        count.end(end.run_id, end.n_messages)
         yield from self._guarded(self.node.ended, end.topic, end.n_messages)
         if all(self.counts.inputs[topic].ended for topic in self.streams):
             yield from self.finish(self._last_stamp_ns)

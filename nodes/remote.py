@@ -95,9 +95,8 @@ def _copied(address: str) -> Path:
     path = folder / (file_name(address) or "recording")
     n_bytes = 0
 
-    def copy(late: threading.Event) -> None:
+    def copy(filesystem: Any, place: str, late: threading.Event) -> None:
         nonlocal n_bytes
-        filesystem, place = _opened(address)
         with filesystem.open(place, "rb") as source, path.open("xb") as out:
             while not late.is_set() and (part := source.read(_PART)):
                 n_bytes += len(part)
@@ -113,8 +112,7 @@ def check_free(address: str) -> None:
     """Check that there is no file at an address to write to; RemoteError if there is one."""
     check_address(address)
 
-    def check(late: threading.Event) -> None:
-        filesystem, place = _opened(address)
+    def check(filesystem: Any, place: str, late: threading.Event) -> None:
         if filesystem.exists(place):
             raise RemoteError(f"{shown(address)}: {TAKEN}")
 
@@ -125,8 +123,7 @@ def store(path: Path, address: str) -> None:
     """Write a file to an address; raises as `local_path`, and RemoteError if one is there."""
     check_free(address)
 
-    def put(late: threading.Event) -> None:
-        filesystem, place = _opened(address)
+    def put(filesystem: Any, place: str, late: threading.Event) -> None:
         try:
             filesystem.put_file(str(path), place)
         except BaseException:
@@ -139,23 +136,17 @@ def store(path: Path, address: str) -> None:
     _in_time(address, put, lambda: n_bytes)
 
 
-def _opened(address: str) -> tuple[Any, str]:
-    """File system at an address, and the path in it."""
-    from fsspec.core import url_to_fs
-
-    filesystem, place = url_to_fs(address)
-    return filesystem, str(place)
-
-
 def _in_time(
-    address: str, action: Callable[[threading.Event], None], n_bytes: Callable[[], int]
+    address: str, action: Callable[[Any, str, threading.Event], None], n_bytes: Callable[[], int]
 ) -> None:
     """Run an action on a file system in a thread, and give it up (its event is set) if too slow."""
+    from fsspec.core import url_to_fs
+
     late, failures = threading.Event(), list[BaseException]()
 
     def run() -> None:
         try:
-            action(late)
+            action(*url_to_fs(address), late)
         except BaseException as error:
             failures.append(error)
 

@@ -36,24 +36,21 @@ def check_phi(phi: Phi) -> dict[str, float]:
     """
     if not isinstance(phi, Phi):
         raise PhiError(f"phi: got {phi!r}; expected what make_phi returns")
-    name = f"phi {phi.kind}"
+    test = _Test(PhiError, f"phi {phi.kind}")
     x, y = _normal((2, phi.n)), _normal((2, phi.m))
-    measured = _checked(PhiError, f"{name}: forward", phi.forward, x, (2, phi.m))
-    spread = _checked(PhiError, f"{name}: adjoint", phi.adjoint, y, (2, phi.n))
-    dot = _dot_error(PhiError, f"{name}: adjoint", (measured, y), (x, spread))
+    measured = test.applied("forward", phi.forward, x, (2, phi.m))
+    spread = test.applied("adjoint", phi.adjoint, y, (2, phi.n))
+    dot = test.dot_error("adjoint", (measured, y), (x, spread))
     dense = phi.dense()
     if dense.shape != (phi.m, phi.n) or dense.dtype != np.float64:
-        _fail(PhiError, f"{name}: dense", f"{dense.dtype} {dense.shape}", f"float64 {phi.m, phi.n}")
-    for what, found, by_dense in (
-        ("forward", measured, x @ dense.T),
-        ("adjoint", spread, y @ dense),
-    ):
-        _compare(PhiError, f"{name}: {what}", found, by_dense, "the product with dense()")
+        test.fail(": dense", f"{dense.dtype} {dense.shape}", f"float64 {phi.m, phi.n}")
+    test.compare("forward", measured, x @ dense.T, "the product with dense()")
+    test.compare("adjoint", spread, y @ dense, "the product with dense()")
     largest = float(np.linalg.norm(dense, 2)) ** 2
     if not phi.lipschitz >= largest * (1 - ROUNDING):
-        _fail(PhiError, f"{name}: lipschitz", phi.lipschitz, f"at least {largest:.7g}")
+        test.fail(": lipschitz", phi.lipschitz, f"at least {largest:.7g}")
     if not (isinstance(phi.fingerprint, str) and len(phi.fingerprint) == 16):
-        _fail(PhiError, f"{name}: fingerprint", repr(phi.fingerprint), "16 characters")
+        test.fail(": fingerprint", repr(phi.fingerprint), "16 characters")
     return {"dot": dot, "largest": largest}
 
 
@@ -72,14 +69,17 @@ def check_basis(basis: Basis) -> dict[str, float]:
     """
     if not isinstance(basis, Basis):
         raise SparseskinError(f"basis: got {basis!r}; expected what make_basis returns")
-    name, shape = f"basis {type(basis).__name__}", (2, basis.n_rows, basis.n_cols)
+    test, shape = (
+        _Test(SolverError, f"basis {type(basis).__name__}"),
+        (2, basis.n_rows, basis.n_cols),
+    )
     image, theta = _normal(shape), _normal(shape, 1)
-    found = _checked(SolverError, f"{name}: analysis", basis.analysis, image, shape)
-    made = _checked(SolverError, f"{name}: synthesis", basis.synthesis, theta, shape)
-    dot = _dot_error(SolverError, f"{name}: synthesis", (found, theta), (image, made))
+    found = test.applied("analysis", basis.analysis, image, shape)
+    made = test.applied("synthesis", basis.synthesis, theta, shape)
+    dot = test.dot_error("synthesis", (found, theta), (image, made))
     back, again = basis.synthesis(found), basis.analysis(made)
-    _compare(SolverError, f"{name}: synthesis of analysis", back, image, "the image")
-    _compare(SolverError, f"{name}: analysis of synthesis", again, theta, "the coefficients")
+    test.compare("synthesis of analysis", back, image, "the image")
+    test.compare("analysis of synthesis", again, theta, "the coefficients")
     return {"dot": dot}
 
 
@@ -100,7 +100,7 @@ def check_solver(solver: Solver) -> dict[str, float]:
     SolverError
         At the first property that does not hold.
     """
-    name, shape = f"solver {solver.name}", solver.mask.shape
+    test, shape = _Test(SolverError, f"solver {solver.name}"), solver.mask.shape
     frames = _disc(shape) * solver.mask
     subsets = solver.subsets or (solver.phi,)
     phis = [subsets[k % len(subsets)] for k in range(N_FRAMES)]
@@ -114,13 +114,13 @@ def check_solver(solver: Solver) -> dict[str, float]:
             kept = y.copy()
             forces = how(phi, y)
             if forces.shape != shape or forces.dtype != np.float32:
-                _fail(SolverError, name, f"{forces.dtype} {forces.shape}", f"float32 {shape}")
+                test.fail("", f"{forces.dtype} {forces.shape}", f"float32 {shape}")
             if not (np.isfinite(forces).all() and float(forces.min(initial=0)) >= 0):
-                _fail(SolverError, name, "forces below 0 or not finite", "at least 0, finite")
+                test.fail("", "forces below 0 or not finite", "at least 0, finite")
             if forces[~solver.mask].any():
-                _fail(SolverError, name, "forces outside the mask", "0 there")
+                test.fail("", "forces outside the mask", "0 there")
             if not np.array_equal(y, kept):
-                _fail(SolverError, name, "other measurements than were given", "y unchanged")
+                test.fail("", "other measurements than were given", "y unchanged")
             found.append(forces)
         return found
 
@@ -139,7 +139,7 @@ def check_solver(solver: Solver) -> dict[str, float]:
         except SolverError:
             solver.use(phi)
             return solver.solve(y)
-        _fail(SolverError, name, "a NaN among the measurements is taken", "SolverError")
+        test.fail("", "a NaN among the measurements is taken", "SolverError")
 
     first = solved(straight)
     copies = [one.copy() for one in first]
@@ -149,20 +149,16 @@ def check_solver(solver: Solver) -> dict[str, float]:
         ("frames after one that is refused", troubled),
     ):
         if not all(map(np.array_equal, solved(how), copies)):
-            _fail(SolverError, name, f"{what} differ from solve()", "the same bits")
+            test.fail("", f"{what} differ from solve()", "the same bits")
     if not all(map(np.array_equal, first, copies)):
-        _fail(SolverError, name, "a result that a later frame changes", "the caller's own array")
+        test.fail("", "a result that a later frame changes", "the caller's own array")
     solver.reset()
     solver.use(phis[0])
     if solver.solve(np.zeros(solver.phi.m, np.float32)).any():
-        _fail(SolverError, name, "forces for measurements of 0", "0")
+        test.fail("", "forces for measurements of 0", "0")
     solver.reset()
     off = float(np.linalg.norm(first[-1] - frames[-1]))
     return {"error": off / max(float(np.linalg.norm(frames[-1])), TINY)}
-
-
-def _fail(kind: type[SparseskinError], what: str, found: object, expected: str) -> NoReturn:
-    raise kind(f"{what}: {found}; expected: {expected}")
 
 
 def _normal(shape: tuple[int, ...], seed: int = 0) -> Floats:
@@ -179,45 +175,44 @@ def _disc(shape: tuple[int, ...]) -> Floats:
     return inside.astype(np.float32)
 
 
-def _checked(
-    kind: type[SparseskinError],
-    what: str,
-    apply: Callable[[Floats], Floats],
-    given: Floats,
-    shape: tuple[int, ...],
-) -> Floats:
-    """Apply to a batch of two frames, with checks of shape, type, values and bits."""
-    kept = given.copy()
-    found = apply(given)
-    if found.shape != shape or found.dtype != np.float32:
-        _fail(kind, what, f"{found.dtype} of shape {found.shape}", f"float32 of shape {shape}")
-    if not np.isfinite(found).all():
-        _fail(kind, what, "not finite", "finite numbers")
-    if not np.array_equal(given, kept):
-        _fail(kind, what, "its input is changed", "an input that is left as it is")
-    again = np.stack([apply(one) for one in given])
-    if not np.array_equal(again, found):
-        _fail(kind, what, "other bits on a second call", "the same bits, alone and in a batch")
-    return found
+class _Test:
+    """The test of one part, whose failures are errors of a kind that name it."""
 
+    def __init__(self, kind: type[SparseskinError], name: str) -> None:
+        self._kind, self._name = kind, name
 
-def _dot_error(
-    kind: type[SparseskinError], what: str, left: tuple[Floats, ...], right: tuple[Floats, ...]
-) -> float:
-    """Relative difference of two inner products of the first frames, as they are equal."""
-    one, other = (float(np.vdot(a[0].astype(np.float64), b[0])) for a, b in (left, right))
-    length = max(
-        float(np.linalg.norm(a[0])) * float(np.linalg.norm(b[0])) for a, b in (left, right)
-    )
-    error = abs(one - other) / max(length, TINY)
-    if not error <= ROUNDING:
-        _fail(kind, what, f"inner products of {one:.6g} and {other:.6g}", "the transpose, so equal")
-    return error
+    def fail(self, what: str, found: object, expected: str) -> NoReturn:
+        raise self._kind(f"{self._name}{what}: {found}; expected: {expected}")
 
+    def applied(
+        self, name: str, apply: Callable[[Floats], Floats], given: Floats, shape: tuple[int, ...]
+    ) -> Floats:
+        """Apply to a batch of two frames, with checks of shape, type, values and bits."""
+        what, kept = f": {name}", given.copy()
+        found = apply(given)
+        if found.shape != shape or found.dtype != np.float32:
+            self.fail(what, f"{found.dtype} of shape {found.shape}", f"float32 of shape {shape}")
+        if not np.isfinite(found).all():
+            self.fail(what, "not finite", "finite numbers")
+        if not np.array_equal(given, kept):
+            self.fail(what, "its input is changed", "an input that is left as it is")
+        again = np.stack([apply(one) for one in given])
+        if not np.array_equal(again, found):
+            self.fail(what, "other bits on a second call", "the same bits, alone and in a batch")
+        return found
 
-def _compare(
-    kind: type[SparseskinError], what: str, found: Floats, expected: npt.NDArray[Any], name: str
-) -> None:
-    error = float(np.abs(found - expected).max()) / max(float(np.linalg.norm(expected)), TINY)
-    if not error <= ROUNDING:
-        _fail(kind, what, f"a relative error of {error:.2g}", name)
+    def dot_error(self, name: str, left: tuple[Floats, ...], right: tuple[Floats, ...]) -> float:
+        """Relative difference of two inner products of the first frames, as they are equal."""
+        pairs = [[part[0].astype(np.float64) for part in parts] for parts in (left, right)]
+        one, other = (float(np.vdot(a, b)) for a, b in pairs)
+        length = max(float(np.linalg.norm(a) * np.linalg.norm(b)) for a, b in pairs)
+        error = abs(one - other) / max(length, TINY)
+        if not error <= ROUNDING:
+            found = f"inner products of {one:.6g} and {other:.6g}"
+            self.fail(f": {name}", found, "the transpose, so equal")
+        return error
+
+    def compare(self, name: str, found: Floats, expected: npt.NDArray[Any], by: str) -> None:
+        error = float(np.abs(found - expected).max()) / max(float(np.linalg.norm(expected)), TINY)
+        if not error <= ROUNDING:
+            self.fail(f": {name}", f"a relative error of {error:.2g}", by)

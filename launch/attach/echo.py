@@ -110,9 +110,7 @@ class FieldPath:
 
 
 def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
-    """Fields of contacts as text, a line each: where there is a place in mm, that is shown; forces
-    are in `unit`, "" where it is not known.
-    """
+    """Fields of contacts as text, a line each; forces are in `unit`, "" where it is not known."""
     force = f" {unit}" if unit else ""
     shown: dict[str, Any] = {
         name: value

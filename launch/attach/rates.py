@@ -89,9 +89,8 @@ def text_of(figures: dict[str, Any]) -> str:
 
 
 def _a_second(stamp_ns: Longs, amounts: Longs) -> float | None:
-    """Amounts after the first stamp, a second of the publisher's time: messages are read in
-    batches, so their arrival times are no measure.
-    """
+    """Amounts after the first stamp, per second of the publisher's time."""
+    # Messages are read in batches: their arrival times are no measure.
     span_ns = int(stamp_ns[-1] - stamp_ns[0]) if len(stamp_ns) else 0
     return float(amounts.sum()) * 1e9 / span_ns if span_ns > 0 else None
 

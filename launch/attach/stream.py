@@ -19,7 +19,7 @@ from sparseskin.launch.run.running import RunningGraph, is_running
 from sparseskin.messages import End, SkinState, decode
 from sparseskin.messages.buffers import MARK, head_of
 from sparseskin.messages.topics import split_topic
-from sparseskin.messages.wire import SCHEMAS, Payload
+from sparseskin.messages.wire import Payload
 from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.network.keys import read_key_pair
@@ -150,10 +150,7 @@ class TopicStream:
             yield self._read(came_ns)
 
     def _read(self, came_ns: int | None = None) -> list[Arrival]:
-        """The messages that are there; of a patient observer those that wait at the writer, too.
-
-        `came_ns`: when the first of them came, where that is known.
-        """
+        """The messages that are there; `came_ns` is when the first came, where that is known."""
         found: list[Arrival] = []
         self._drained, woken = False, came_ns is not None
         for _ in range(BATCH):
@@ -175,9 +172,8 @@ class TopicStream:
         return found
 
     def _has_waited(self, last: Arrival) -> bool:
-        """True if a message has waited at the writer, and others may wait behind it: not where it
-        was about as new as the newest one on arrival. The stamps of a recording share one offset.
-        """
+        """True if a message has waited at the writer, and others may wait behind it."""
+        # The stamps of a recording share one offset: ages are compared with the least one.
         age_ns = last.at_ns - last.stamp_ns
         self._least_age_ns = min(self._least_age_ns, age_ns)
         return self._patience_s > 0 and age_ns > self._least_age_ns + self._patience_s * 1e9 / 4
@@ -247,17 +243,12 @@ def quiet_reason(graph: RunningGraph, topic: str) -> str:
         described = describe(graph)
     except SparseskinError:
         return " (the graph has ended)"
-    publisher = topics_of(described)[topic]["publisher"]
+    found = topics_of(described)[topic]
+    publisher = found["publisher"]
     (condition,) = (n["condition"] for n in described["nodes"] if n["name"] == publisher)
     if condition != "running":
         return f" ({publisher}: {condition})"
-    return latched_note(topic)
-
-
-def latched_note(topic: str) -> str:
-    """ " (latched: sent when it changes)" of a state; "" of a stream."""
-    schema = SCHEMAS.get(split_topic(topic)[1])
-    return " (latched: sent when it changes)" if schema is not None and schema.latched else ""
+    return " (latched: sent when it changes)" if found["latched"] else ""
 
 
 def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:

@@ -132,16 +132,13 @@ def _import(arguments: argparse.Namespace) -> int:
     for file, bag in zip(arguments.files, map(Path, outs), strict=True):
         options = {key: getattr(arguments, key) for key in READ_AS}
         try:
-            n_frames = import_file(file, bag, log=partial(_log, file), **options)
+            log = partial(print, f"{file}:", file=sys.stderr)
+            n_frames = import_file(file, bag, log=log, **options)
         except SourceError as error:
             text = spelled(str(error), lambda key: f"--{key.replace('_', '-')} ")
             raise SourceError(text) from error
         print(f"{bag}: {_count(n_frames, 'frame')}")
     return 0
-
-
-def _log(file: Path, line: str) -> None:
-    print(f"{file}: {line}", file=sys.stderr)
 
 
 def _export(arguments: argparse.Namespace) -> int:

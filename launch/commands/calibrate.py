@@ -89,8 +89,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
             raise OutputError(f"--out {path}: {TAKEN}")
     reader = open_frames(arguments.source, arguments.n_rows, arguments.n_cols)
     try:
-        guided = not (arguments.press or arguments.no_questions)
-        steps = _Steps(arguments, reader, guided)
+        steps = _Steps(arguments, reader)
         untouched = steps.untouched()
         presses = steps.presses()
     finally:
@@ -120,12 +119,9 @@ def _calibrate(arguments: argparse.Namespace) -> int:
 class _Steps:
     """The steps of a calibration: asked for in the terminal, waited for, or taken from files."""
 
-    def __init__(
-        self, arguments: argparse.Namespace, reader: Recorded | Live, guided: bool
-    ) -> None:
+    def __init__(self, arguments: argparse.Namespace, reader: Recorded | Live) -> None:
         self._arguments = arguments
         self._reader = reader
-        self._guided = guided
         self._shape = reader.skin.shape
 
     def untouched(self) -> Any:
@@ -134,7 +130,7 @@ class _Steps:
 
     def presses(self) -> list[Press]:
         """Loads and their frames: those of --press, or those that a person states."""
-        if not self._guided:
+        if self._arguments.press or self._arguments.no_questions:
             return [self._stated(text) for text in self._arguments.press or ()]
         found: list[Press] = []
         while force := self._answer(f"Load on the skin ({LOADS}; empty: no more): ", read_load):

@@ -99,27 +99,20 @@ def _info(arguments: argparse.Namespace) -> int:
     node = describe_node(graph, arguments.node)
     described = describe(graph)
     node["host"] = described["host"]
-    node |= _resources(node["pid"]) if node["host"] == socket.gethostname() else {}
+    if node["host"] == socket.gethostname():
+        with contextlib.suppress(OSError):  # the process is gone
+            used_s = cpu_s(node["pid"])
+            node |= {
+                "cpu_s": used_s,
+                "cpu_percent": round(100 * used_s / age_s(node["pid"]), 1),
+                "memory_mb": round(resident_bytes(node["pid"]) / 1e6, 1),
+            }
     topics = topics_of(described)
     for entry in node["inputs"]:
         entry["publisher"] = topics[entry["topic"]]["publisher"]
     for entry in node["outputs"]:
         entry["subscribers"] = [one["node"] for one in topics[entry["topic"]]["subscribers"]]
     return show(arguments, "node-info", node, _node_text(node))
-
-
-def _resources(pid: int) -> dict[str, float]:
-    """Processor time that a process has used, its share of a core since it started, and its
-    resident memory; nothing where the process is gone.
-    """
-    with contextlib.suppress(OSError):
-        used_s = cpu_s(pid)
-        return {
-            "cpu_s": used_s,
-            "cpu_percent": round(100 * used_s / age_s(pid), 1),
-            "memory_mb": round(resident_bytes(pid) / 1e6, 1),
-        }
-    return {}
 
 
 def _node_text(node: dict[str, Any]) -> list[str]:

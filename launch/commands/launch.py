@@ -19,7 +19,6 @@ from .options import (
     add_set,
     add_summary,
     check_summary,
-    naming_options,
     print_ends,
     rare,
     whole,
@@ -73,11 +72,6 @@ def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.launchfile.load import load
     from sparseskin.nodes.monitor.node import Monitor
 
-    if arguments.record is not None:
-        from sparseskin.nodes.recorder.node import RecorderSettings
-
-        with naming_options({"out": "--record"}):
-            RecorderSettings(out=arguments.record).check()
     launch = load(arguments.name, arguments.set, arguments.record)
     wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
     if wanted:

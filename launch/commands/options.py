@@ -19,7 +19,6 @@ from sparseskin.nodes.files import (
     OutputError,
     check_link,
     os_errors,
-    overwrite,
 )
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.remote import check_address, is_remote, shown
@@ -161,7 +160,8 @@ def write_summary(path: Path | None, name: str, summary: Mapping[str, Any]) -> N
     if path is not None:
         document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
         try:
-            overwrite(path, (json.dumps(document, indent=2) + "\n").encode())
+            check_link(path)
+            path.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
         except OSError as error:
             raise SettingsError(f"--summary {path}: {error.strerror}") from error
 

@@ -83,9 +83,7 @@ def _play(arguments: argparse.Namespace) -> int:
 
 
 def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]) -> "LaunchFile":
-    """A player and a monitor with its page.
-    Raises SettingsError if the recording has too little to be shown.
-    """
+    """A player and a monitor with its page, or SettingsError if there is too little to show."""
     from sparseskin.launch.launchfile.load import load_tables
     from sparseskin.messages.topics import split_topic
     from sparseskin.nodes.monitor.node import OPTIONAL, REQUIRED

@@ -57,16 +57,12 @@ def _reprocess(arguments: argparse.Namespace) -> int:
         else:
             print(f"{shown(job.out)}:")
             print(summary_table(outcome.patches))
-            print(_rate(outcome))
+            per_minute = size_text(60 * outcome.n_bytes / outcome.seconds)
+            size = size_text(outcome.n_bytes)
+            print(f"{size} in {outcome.seconds:.1f} s: {per_minute} per minute")
     found = {shown(o.job.out): {"patches": o.patches} for o in outcomes if not o.error}
     write_summary(arguments.summary, "reprocess-summary", {"recordings": found})
     return 2 if any(outcome.error for outcome in outcomes) else 0
-
-
-def _rate(outcome: "Outcome") -> str:
-    """Bytes and time of a recording."""
-    per_minute = size_text(60 * outcome.n_bytes / outcome.seconds)
-    return f"{size_text(outcome.n_bytes)} in {outcome.seconds:.1f} s: {per_minute} per minute"
 
 
 def _jobs(arguments: argparse.Namespace) -> "list[Job]":

@@ -137,14 +137,11 @@ def _scope(arguments: argparse.Namespace) -> int:
 
 def _stated(words: list[str]) -> dict[str, Any]:
     """Properties of a source from KEY=VALUE."""
-    entries = [entry for entry in SensorSettings.described() if entry["key"] in READ_AS]
-    values = stated_values(words, entries)
+    values = stated_values(words, [e for e in SensorSettings.described() if e["key"] in READ_AS])
     with naming_options({key: f"--set {key}" for key in READ_AS}):
         checked = SensorSettings.from_mapping(values)
-    policy = Policy(checked.nan, checked.negative)
-    return {key: v for key, v in values.items() if key not in ("nan", "negative")} | {
-        "policy": policy
-    }
+    stated = {key: value for key, value in values.items() if key not in ("nan", "negative")}
+    return {**stated, "policy": Policy(checked.nan, checked.negative)}
 
 
 def _frames(source: Source) -> Iterator[Floats | None]:
@@ -198,13 +195,6 @@ class View:
         """Reading of the brightest colour."""
         return max(self._peak, LEAST_TOP * self._source.skin.f_max)
 
-    def rate_hz(self, now_s: float) -> float:
-        """Frames a second of late."""
-        span_s = min(RATE_S, max(now_s - self._begin_s, 1e-3))
-        while self._times and self._times[0] < now_s - RATE_S:
-            self._times.popleft()
-        return len(self._times) / span_s
-
     def _line(self, first: str, *figures: str) -> str:
         """Figures in one line, with what was dropped."""
         dropped = self._source.dropped()
@@ -225,8 +215,11 @@ class View:
         since, forces = f"{now_s - self._begin_s:.0f} s: ", self.forces
         if forces is None:
             return f"{since}no frame yet"
+        while self._times and self._times[0] < now_s - RATE_S:
+            self._times.popleft()
+        rate_hz = len(self._times) / min(RATE_S, max(now_s - self._begin_s, 1e-3))
         extent = self._extent(forces.min(), forces.max())
-        return self._line(f"{since}{self.rate_hz(now_s):.1f} Hz", f"frame {self.n_frames}", extent)
+        return self._line(f"{since}{rate_hz:.1f} Hz", f"frame {self.n_frames}", extent)
 
     def summary(self) -> str:
         """Figures of all frames, in one line."""

@@ -87,7 +87,7 @@ class Checker:
         tables = self.expanded(tables)
         if record is not None:
             tables[RECORDER] = {"type": "recorder", "out": record}
-            self.overridden[RECORDER, "out"] = f"{RECORDER}.out={record}"
+            self.overridden[RECORDER, "out"] = "--record"
         for node_name, table in tables.items() if hosts else ():
             if node_name != RECORDER or record is None:
                 self.places[node_name] = str(table.pop("host", ""))
@@ -195,7 +195,7 @@ class Checker:
             value = {**(table if isinstance(table, dict) else {}), part: value}
         tables[node][key] = value
         place = (node, key, part) if part is not None and node != GRAPH else (node, key)
-        self.overridden[place] = text
+        self.overridden[place] = f"--set {text}"
 
     def node(self, name: str, table: dict[str, Any]) -> NodeSpec | None:
         values = dict(table)
@@ -274,7 +274,7 @@ class Checker:
             place = ("nodes", self.templates.get(place[1], place[1]), *place[2:])
         stated = place if place[0] in (SKIN, GRAPH) else place[1:]
         if stated in self.overridden:
-            self.errors.append(f"--set {self.overridden[stated]}: {what}")
+            self.errors.append(f"{self.overridden[stated]}: {what}")
             return
         line = _line_of(self.text, place)
         where = f"{self.shown}:{line}" if line else self.shown
@@ -296,9 +296,7 @@ def _to_name(node: str, values: dict[str, Any]) -> str:
 
 
 def _line_of(text: str, place: tuple[str, ...]) -> int:
-    """Number of the line that holds a key of a table, or the header of the table or of the first
-    table in it; 0 if not found.
-    """
+    """Number of the line of a key, or of the header of its table, or the first in it; 0: none."""
     header = re.compile(r"\s*\[\s*([^\]]+?)\s*\]")
     table: tuple[str, ...] = ()
     found = 0

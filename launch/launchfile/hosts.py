@@ -43,11 +43,6 @@ class Host(Settings):
             allowed = "(allowed: the IPv4 address of one host, as 192.168.1.10)"
             raise SettingsError(f"address: {self.address!r} is no address of a host {allowed}")
 
-    @property
-    def is_loopback(self) -> bool:
-        """True if nothing outside this computer can reach it."""
-        return ipaddress.ip_address(self.address).is_loopback
-
 
 @dataclass(frozen=True)
 class Security(Settings):
@@ -100,7 +95,8 @@ def check_exposure(
 ) -> None:
     """Refuse hosts whose topics anyone on the network could read, unless the file states it."""
     for name, host in hosts.items():
-        if not host.is_loopback and security is None and not insecure:
+        is_loopback = ipaddress.ip_address(host.address).is_loopback
+        if not is_loopback and security is None and not insecure:
             fault(
                 ("hosts", name, "address"),
                 f"{host.address} can be reached from other computers, and there are no keys "

@@ -95,11 +95,8 @@ def _written(out: str) -> Iterator[Path]:
 
 
 def _run(job: Job, source: Path, out: Path, progress: bool) -> dict[str, Any]:
-    """Write the result of a job; return the monitor's summary by patch, without latencies.
-
-    Offline a frame is done when it was acquired: the clock is moved to the stamps of the frames.
-    """
-    clock = ManualClock()
+    """Write the result of a job; return the monitor's summary by patch, without latencies."""
+    clock = ManualClock()  # offline a frame is done when it was acquired
     with BagReader(source, whole=False) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
         launch = make_graph(job, bag, out)

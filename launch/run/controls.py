@@ -13,20 +13,20 @@ import os
 import secrets
 import signal
 import socket
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sparseskin.launch.launchfile.spec import LAUNCHER, LaunchFile
-from sparseskin.nodes.errors import RefusedError
+from sparseskin.launch.launchfile.load import single_node
+from sparseskin.launch.launchfile.spec import LAUNCHER, LIVE_RECORDER, LaunchFile
+from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.files import is_served
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import MAX_DEPTH, Connection, is_shallow
 
 from .fleet import Fleet
-from .live_recording import LiveRecording
 from .process import NodeProcess, awake_s
 from .running import GraphError
 from .state import graph_description, graph_state
@@ -36,6 +36,8 @@ NEWS_S = 0.5
 
 Reply = Callable[[dict[str, Any]], None]
 """Called with the answer: {id, node, done, text}."""
+Say = Callable[[bool, str], None]
+"""Called with the answer to one request: done or not, and the text."""
 
 PATIENCE_S = 20.0
 """Longest time that a node may take to answer, seconds. Chosen: a dense matrix of 4096 taxels takes
@@ -46,92 +48,78 @@ MAX_CLIENTS = 32
 MAX_LINE_BYTES = 65536
 
 
-@dataclass
-class _Open:
-    """A request that a node has not answered yet."""
-
-    id: str
-    node: str
-    command: str
-    reply: Reply
-    deadline_s: float
-
-
 class Requests:
     """Passes requests on to nodes, and returns each answer once. For requests to the launcher
     itself `own` is called with (command, value, answer); it calls answer(done, text).
     """
 
     def __init__(
-        self,
-        nodes: Mapping[str, NodeProcess],
-        own: Callable[[str, Any, Callable[[bool, str], None]], None],
+        self, nodes: Mapping[str, NodeProcess], own: Callable[[str, Any, Say], None]
     ) -> None:
         self._nodes = nodes
         self._own = own
-        self._open: dict[str, _Open] = {}
+        self._open: dict[str, tuple[str, Say, float]] = {}
 
     def take(self, request: Mapping[str, Any], reply: Reply) -> None:
         """Pass on one request {id, node, command, value}; the reply is called once."""
-        number, node, command = (request.get(key) for key in ("id", "node", "command"))
-        asked = _Open(str(number)[:64], str(node)[:64], str(command)[:64], reply, 0.0)
-        if not (isinstance(number, str) and isinstance(node, str) and isinstance(command, str)):
-            _answer(asked, False, "expected the texts id, node and command")
-        elif not is_shallow(request.get("value")):
-            _answer(asked, False, f"value: nested more than {MAX_DEPTH} deep")
-        elif node == LAUNCHER:
-            try:
-                self._own(command, request.get("value"), lambda *what: _answer(asked, *what))
-            except RefusedError as error:
-                _answer(asked, False, str(error))
-        elif fault := self._fault(node, command, request.get("value")):
-            _answer(asked, False, fault)
-        else:
-            asked.deadline_s = awake_s() + PATIENCE_S
-            key = secrets.token_hex(8)
-            self._open[key] = asked
-            self._nodes[node].command(command, id=key, value=request.get("value"))
+        stated = [request.get(key) for key in ("id", "node", "command")]
+        number, node, command = (str(one) for one in stated)
+        value = request.get("value")
+
+        def say(done: bool, text: str) -> None:
+            reply({"id": number[:64], "node": node[:64], "done": done, "text": text})
+
+        try:
+            if not all(isinstance(one, str) for one in stated):
+                raise RefusedError("expected the texts id, node and command")
+            if not is_shallow(value):
+                raise RefusedError(f"value: nested more than {MAX_DEPTH} deep")
+            if node == LAUNCHER:
+                self._own(command, value, say)
+                return
+            self._check(node, command, value)
+        except RefusedError as error:
+            say(False, str(error))
+            return
+        key = secrets.token_hex(8)
+        self._open[key] = node, say, awake_s() + PATIENCE_S
+        self._nodes[node].command(command, id=key, value=value)
 
     def answered(self, event: Mapping[str, Any]) -> None:
         """Return the answer of a node."""
-        asked = self._open.pop(event["id"], None)
-        if asked is not None:
-            _answer(asked, event["done"], event["text"])
+        if event["id"] in self._open:
+            _, say, _ = self._open.pop(event["id"])
+            say(event["done"], event["text"])
 
     def expire(self) -> None:
         """Answer in place of nodes that are late or gone."""
-        now_s = awake_s()
-        for key, asked in list(self._open.items()):
-            node = self._nodes.get(asked.node)
-            gone = node is None or node.exit_code() is not None
-            if gone or asked.deadline_s < now_s:
-                del self._open[key]
-                why = (
-                    "has ended"
-                    if gone
-                    else f"has not answered within {PATIENCE_S:g} s, and may still do it"
-                )
-                _answer(asked, False, f"{asked.node} {why}")
+        for key, (name, say, deadline_s) in list(self._open.items()):
+            node = self._nodes.get(name)
+            if node is None or node.exit_code() is not None:
+                why = "has ended"
+            elif deadline_s < awake_s():
+                why = f"has not answered within {PATIENCE_S:g} s, and may still do it"
+            else:
+                continue
+            del self._open[key]
+            say(False, f"{name} {why}")
 
-    def _fault(self, node: str, command: str, value: Any) -> str:
-        """Why a request cannot be passed on; "" where it can."""
-        if node not in self._nodes:
-            return f"{node[:64]}: no such node{did_you_mean(node, [*self._nodes, LAUNCHER])}"
-        process = self._nodes[node]
-        known = ("set", *process.spec.cls.commands)
+    def _check(self, name: str, command: str, value: Any) -> None:
+        """Raise RefusedError if a request cannot be passed on."""
+        if name not in self._nodes:
+            hint = did_you_mean(name, [*self._nodes, LAUNCHER])
+            raise RefusedError(f"{name[:64]}: no such node{hint}")
+        node = self._nodes[name]
+        known = ("set", *node.spec.cls.commands)
         if command not in known:
-            return f"{node}: has no command '{command[:64]}'{did_you_mean(command, known)}"
+            hint = did_you_mean(command, known)
+            raise RefusedError(f"{name}: has no command '{command[:64]}'{hint}")
         if command == "set" and not (isinstance(value, dict) and value):
-            return f"{node}: set: expected settings and their values"
-        if not process.ready or process.ended or process.exit_code() is not None:
-            return f"{node} does not run just now"
+            raise RefusedError(f"{name}: set: expected settings and their values")
+        if not node.ready or node.ended or node.exit_code() is not None:
+            raise RefusedError(f"{name} does not run just now")
         if len(self._open) >= MAX_OPEN:
-            return f"{MAX_OPEN} requests wait for an answer already"
-        return ""
-
-
-def _answer(asked: _Open, done: bool, text: str) -> None:
-    asked.reply({"id": asked.id, "node": asked.node, "done": done, "text": text})
+            raise RefusedError(f"{MAX_OPEN} requests wait for an answer already")
 
 
 class ControlServer:
@@ -231,6 +219,77 @@ class ControlServer:
             self._clients.remove(client)
             self._fleet.unwatch(client.connection)
             client.connection.close()
+
+
+class LiveRecording:
+    """Starts a recorder of all topics on request, as one node more, and stops it on request."""
+
+    def __init__(self, launch: LaunchFile, fleet: Fleet) -> None:
+        self._launch = launch
+        self._fleet = fleet
+        self._node = ""
+        self._say: Say | None = None
+        self._n = 0
+        self.out: str | None = None
+
+    def command(self, name: str, value: Any, say: Say) -> None:
+        """Take the request "record": true or false.
+        Raises RefusedError if it is not that, or a recording cannot begin or end just now.
+        """
+        if name != "record" or not isinstance(value, bool):
+            raise RefusedError(f"launch: {name}: expected the command 'record', true or false")
+        if self._say is not None:
+            raise RefusedError("record: the last request is still being done")
+        if value == (self.out is not None):
+            raise RefusedError(f"record: {'already on: ' + self.out if self.out else 'not on'}")
+        if value:
+            self._begin()
+        else:
+            self._fleet.nodes[self._node].command("stop")
+        self._say = say
+
+    def hear(self, node: NodeProcess, event: str) -> None:
+        """Handle the start, the end and a failure of the recorder."""
+        if node.name != self._node or self.out is None:
+            return
+        out = self.out
+        if event == "ready":
+            self._done(True, f"recording to {out}")
+        elif event in ("failed", "error", "died"):
+            self.out = None
+            self._done(False, f"{out}: {node.refusal or 'cannot be recorded; see the log'}")
+        elif event == "ended":
+            self.out = None
+            recording = node.report.get("recording", {})
+            fault = recording.get("error")
+            n = recording.get("n_messages", 0)
+            came = f"{n} messages recorded" if n else "no message came, so there is no file"
+            text = fault or f"{out}: {came}"
+            self._done(not fault, text)
+
+    def _begin(self) -> None:
+        self._n += 1
+        self.out = f"{self._launch.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
+        self._node = f"{LIVE_RECORDER}{self._n}"
+        specs = self._launch.nodes.values()
+        topics = list(dict.fromkeys(topic for spec in specs for topic in spec.outputs))
+        values = {
+            "out": self.out,
+            "topics": topics,
+            "launch": self._launch.text,
+            "source": self._launch.name,
+        }
+        try:
+            spec = single_node(self._node, "recorder", values).nodes[self._node]
+            self._fleet.add(spec, topics)
+        except SparseskinError as error:
+            self.out = None
+            raise RefusedError(f"record: {error}") from error
+
+    def _done(self, done: bool, text: str) -> None:
+        say, self._say = self._say, None
+        if say is not None:
+            say(done, text)
 
 
 class Controls:

@@ -202,12 +202,7 @@ class Fleet:
                 for topic, writer in inputs.items()
                 if writer in elsewhere
             },
-            "security": keys
-            and {
-                "own": [keys.own.public, keys.own.secret],
-                "allowed": dict(keys.allowed),
-                "known": dict(keys.known),
-            },
+            "security": keys and asdict(keys),
         }
         node = NodeProcess(spec, config)
         self.nodes[spec.name] = node
@@ -215,9 +210,7 @@ class Fleet:
             self._selector.register(pipe, selectors.EVENT_READ, node)
 
     def _start_again(self, dead: NodeProcess) -> None:
-        """Start a node that died, at the endpoint where its readers look for it, and paused where
-        it was.
-        """
+        """Start a node that died, at its endpoint, and paused where it was."""
         restarts = self.restarts[dead.name]
         restarts.due_s = None
         self._close(dead)
@@ -234,10 +227,10 @@ class Fleet:
 
     def _close(self, node: NodeProcess) -> None:
         """Read what is left of a node, and close its pipes."""
-        for _ in range(2):  # what waits, then the end
+        for _ in range(5):  # more than a socket holds, then the end
             self._listen(node)
         for pipe in node.pipes:  # a child of the node's may still hold the other end
-            if not pipe.closed and pipe in self._selector.get_map():
+            if not node.closed and pipe in self._selector.get_map():
                 self._selector.unregister(pipe)
         node.close()
 

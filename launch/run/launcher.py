@@ -199,9 +199,7 @@ class Launcher:
     def _until(
         self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
     ) -> bool:
-        """Serve the nodes until `done`; False if the time is over first, or an interrupt or a
-        failure comes; while draining, a second interrupt.
-        """
+        """Serve until `done`; False if time, an interrupt (draining: two) or a failure ends it."""
         deadline = None if limit_s is None else awake_s() + limit_s
         while not done():
             if self._interrupts > draining or (self._exit_code and not draining):

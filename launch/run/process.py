@@ -2,10 +2,10 @@
 which the silence of a node is measured.
 """
 
-import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,6 +14,7 @@ from typing import IO, Any
 
 from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.process.control import Connection
 from sparseskin.nodes.process.tally import Tally
 
 NEW_S = 8.0
@@ -72,16 +73,19 @@ class NodeProcess:
         # -P: a file of the user's that is named like a standard module must not shadow it.
         # The name at the end is for whoever lists processes.
         try:
+            ours, theirs = socket.socketpair()
             self._tally = Tally(spec.outputs)
-            self._popen = subprocess.Popen(
-                [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", name],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                start_new_session=True,
-                env=environment,
-                pass_fds=(self._tally.fd,),
-            )
+            with theirs:
+                self._popen = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", name],
+                    bufsize=0,
+                    stdin=theirs,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                    env=environment,
+                    pass_fds=(self._tally.fd,),
+                )
         except OSError as error:
             raise SparseskinError(f"{name}: cannot be started: {error.strerror}") from error
         self.endpoint = ""
@@ -97,20 +101,16 @@ class NodeProcess:
         self.counted: dict[str, Any] = {}
         self.earlier: dict[str, Any] = {}
         self.report: dict[str, Any] = {}
-        self.closed_pipes: list[IO[bytes]] = []
-        self._log = LogLines()
-        self._rest = self._unsent = b""
         self._said, self._said_s = "", 0.0
-        stdin, stdout, stderr = self._popen.stdin, self._popen.stdout, self._popen.stderr
-        assert stdin is not None
-        assert stdout is not None
-        assert stderr is not None
-        self._stdin = stdin
-        self.pipes: tuple[IO[bytes], IO[bytes]] = (stdout, stderr)
+        self._lines = LogLines()
+        self._channel = Connection(ours)
+        assert self._popen.stdout is not None
+        self._log: IO[bytes] = self._popen.stdout
+        os.set_blocking(self._log.fileno(), False)
+        self.pipes = (ours, self._log)
         """Events and log lines, to be waited on."""
-        for pipe in (*self.pipes, stdin):
-            os.set_blocking(pipe.fileno(), False)
-        self._write({**config, "tally": [spec.outputs, self._tally.fd]})
+        self.closed_pipes: set[Any] = set()
+        self._channel.send({**config, "tally": [spec.outputs, self._tally.fd]})
 
     @property
     def pid(self) -> int:
@@ -147,7 +147,7 @@ class NodeProcess:
     @property
     def closed(self) -> bool:
         """True once its pipes are closed."""
-        return self.pipes[0].closed
+        return self._log.closed
 
     def exit_code(self) -> int | None:
         """Exit code, negative for a signal; None while the process runs."""
@@ -155,20 +155,7 @@ class NodeProcess:
 
     def command(self, command: str, **fields: Any) -> None:
         """Send a command; a process that is gone is noticed by its exit code."""
-        self._write({"command": command, **fields})
-
-    def flush(self) -> None:
-        """Send what is queued; a process that hangs must not hold up the others."""
-        if self.closed:
-            self._unsent = b""
-        try:
-            while self._unsent:
-                n_sent = os.write(self._stdin.fileno(), self._unsent)
-                self._unsent = self._unsent[n_sent:]
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._unsent = b""  # it is gone
+        self._channel.send({"command": command, **fields})
 
     def send_signal(self, number: signal.Signals) -> None:
         if self.exit_code() is None:
@@ -176,39 +163,28 @@ class NodeProcess:
 
     def read(self) -> tuple[list[dict[str, Any]], list[str]]:
         """Waiting (events, log lines): of each pipe a bounded part, for a flood has no end."""
-        self.flush()
-        *events, self._rest = (self._rest + self._chunk(self.pipes[0])).split(b"\n")
-        chunk = self._chunk(self.pipes[1])
-        log = self._log.take(chunk, awake_s(), at_end=self.pipes[1] in self.closed_pipes)
+        self._channel.flush()
+        events = self._channel.lines()
+        if events is None:
+            self.closed_pipes.add(self.pipes[0])
+        chunk = self._log.read(CHUNK_BYTES)
+        if chunk == b"":
+            self.closed_pipes.add(self._log)
+        log = self._lines.take(chunk or b"", awake_s(), at_end=self._log in self.closed_pipes)
         if log:
             self._said, self._said_s = log[-1], awake_s()
         if events:
             self.heard_s = awake_s()
-        return [_event(line.decode(errors="replace")) for line in events if line], log
+        return [_event(line.decode(errors="replace")) for line in events or () if line], log
 
     def close(self) -> None:
         """Collect the process and close its pipes; what has not ended by now is killed."""
-        with contextlib.suppress(OSError):
-            self._stdin.close()
+        self._channel.connection.close()
         self.send_signal(signal.SIGKILL)
         self._popen.wait()
         if not self.closed:
             self.counted["published"] = self._tally.close()
-        for pipe in self.pipes:
-            pipe.close()
-
-    def _chunk(self, pipe: IO[bytes]) -> bytes:
-        try:
-            chunk = os.read(pipe.fileno(), CHUNK_BYTES)
-        except BlockingIOError:
-            return b""
-        if not chunk and pipe not in self.closed_pipes:
-            self.closed_pipes.append(pipe)
-        return chunk
-
-    def _write(self, fields: dict[str, Any]) -> None:
-        self._unsent += json.dumps(fields).encode() + b"\n"
-        self.flush()
+        self._log.close()
 
 
 def _event(line: str) -> dict[str, Any]:

@@ -203,11 +203,24 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
     that is starting is waited for, `PATIENCE_S` at most.
     Raises GraphError if there is none, or more than one.
     """
-    graphs = _wait_for_start(name)
-    if not graphs:
+    given_up_s = None
+    while True:
+        graphs = running_graphs(starting=True)
+        named = [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
+        matching = [graph for graph in named if not graph.starting]
+        if matching or not named:
+            break
+        label, now_s = named[0].label, time.monotonic()
+        if given_up_s is None:
+            given_up_s = now_s + PATIENCE_S
+            print(f"{label}: is starting; waiting until it runs", file=sys.stderr, flush=True)
+        elif now_s >= given_up_s:
+            why = f"is still starting after {PATIENCE_S:g} s; its terminal shows what it waits for"
+            raise GraphError(f"{label}: {why}")
+        time.sleep(POLL_S)
+    labels = [graph.label for graph in graphs if not graph.starting]
+    if not labels:
         raise GraphError("no graph runs on this host (start one: sparseskin launch NAME)")
-    matching = _named(graphs, name)
-    labels = [graph.label for graph in graphs]
     if not matching:
         hint = did_you_mean(str(name), labels)
         raise GraphError(f"{option} {name}: no such graph runs{hint}".strip())
@@ -216,27 +229,3 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
         which = f" with {option}" if option else ""
         raise GraphError(f"several graphs run; choose one{which}: {choices}")
     return matching[0]
-
-
-def _named(graphs: list[RunningGraph], name: str | None) -> list[RunningGraph]:
-    return [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
-
-
-def _wait_for_start(name: str | None) -> list[RunningGraph]:
-    """The running graphs, once one of them has that name or none of those that start has it."""
-    given_up_s = None
-    while True:
-        found = running_graphs(starting=True)
-        matching = _named(found, name)
-        if not matching or not all(graph.starting for graph in matching):
-            return [graph for graph in found if not graph.starting]
-        label, now_s = matching[0].label, time.monotonic()
-        if given_up_s is None:
-            given_up_s = now_s + PATIENCE_S
-            print(f"{label}: is starting; waiting until it runs", file=sys.stderr, flush=True)
-        elif now_s >= given_up_s:
-            raise GraphError(
-                f"{label}: is still starting after {PATIENCE_S:g} s; its terminal shows what it "
-                "waits for"
-            )
-        time.sleep(POLL_S)

@@ -2,7 +2,7 @@
 
 import os
 import socket
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from sparseskin.launch.launchfile.spec import LIVE_RECORDER, LaunchFile
@@ -20,7 +20,7 @@ def graph_state(launch: LaunchFile, fleet: Fleet, recording: str | None) -> dict
     return {
         "name": launch.name,
         "recording": recording,
-        "nodes": [_node_state(fleet, node) for node in _present(fleet)],
+        "nodes": _nodes(fleet, _in_short),
         "hosts": hosts_state(launch, fleet),
     }
 
@@ -36,64 +36,32 @@ def graph_description(
         "pid": os.getpid(),
         "host": socket.gethostname(),
         "recording": recording,
-        "nodes": [_node_description(fleet, one, one.name == node) for one in _present(fleet)],
+        "nodes": _nodes(fleet, lambda one: _in_full(one, one.name == node)),
     }
 
 
-def _present(fleet: Fleet) -> list[NodeProcess]:
-    """The nodes, without live recorders that have ended."""
-    return [node for node in fleet if not (node.ended and node.name.startswith(LIVE_RECORDER))]
+def _nodes(fleet: Fleet, more: Callable[[NodeProcess], dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each node, without live recorders that have ended, and more of it."""
+    return [
+        {
+            "name": node.name,
+            "type": node.spec.type_name,
+            "condition": fleet.condition(node),
+            "restarts": fleet.restarts[node.name].total,
+            "line": node.line,
+            "refusal": node.refusal,
+            "state": node.state,
+            "commands": dict(node.spec.cls.commands),
+            **more(node),
+        }
+        for node in fleet
+        if not (node.ended and node.name.startswith(LIVE_RECORDER))
+    ]
 
 
-def _common(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
-    """What state and description of a node share."""
-    return {
-        "name": node.name,
-        "type": node.spec.type_name,
-        "condition": fleet.condition(node),
-        "restarts": fleet.restarts[node.name].total,
-        "line": node.line,
-        "refusal": node.refusal,
-        "state": node.state,
-        "commands": dict(node.spec.cls.commands),
-    }
-
-
-def _node_description(fleet: Fleet, node: NodeProcess, in_full: bool) -> dict[str, Any]:
-    spec, counts = node.spec, node.counts
-
-    def counted(topic: str, **keys: str) -> dict[str, Any]:
-        numbers = {name: counts.get(key, {}).get(topic, 0) for name, key in keys.items()}
-        return {"topic": topic, "latched": is_latched(topic), **numbers}
-
-    described = {
-        **_common(fleet, node),
-        "pid": node.pid,
-        "transport": node.endpoint.partition(":")[0],
-        "refused": counts.get("refused", {}),
-        "inputs": [
-            counted(topic, **{what: what for what in COUNTED}) for topic in node.config["inputs"]
-        ],
-        "outputs": [counted(topic, sent="published") for topic in node.outputs],
-    }
-    if in_full:
-        values = {**vars(spec.settings), **node.settings}
-        described["settings"] = [
-            {
-                **entry,
-                "value": value,
-                "in_force": node.state.get(entry["key"]) if value is None else value,
-            }
-            for entry in spec.cls.Settings.described()
-            for value in (values[entry["key"]],)
-        ]
-    return described
-
-
-def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
+def _in_short(node: NodeProcess) -> dict[str, Any]:
     cls, settings, counts = node.spec.cls, node.spec.settings, node.counts
     return {
-        **_common(fleet, node),
         "patch": getattr(settings, "patch", None),
         "patches": list(getattr(settings, "patches", ())),
         "refused": sum(counts.get("refused", {}).values()),
@@ -102,6 +70,32 @@ def _node_state(fleet: Fleet, node: NodeProcess) -> dict[str, Any]:
         "settings": node.settings,
         "controls": [entry for entry in cls.Settings.described() if entry["live"]],
     }
+
+
+def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
+    counts = node.counts
+
+    def counted(topic: str, **keys: str) -> dict[str, Any]:
+        numbers = {name: counts.get(key, {}).get(topic, 0) for name, key in keys.items()}
+        return {"topic": topic, "latched": is_latched(topic), **numbers}
+
+    described: dict[str, Any] = {
+        "pid": node.pid,
+        "transport": node.endpoint.partition(":")[0],
+        "refused": counts.get("refused", {}),
+        "inputs": [
+            counted(topic, **{what: what for what in COUNTED}) for topic in node.config["inputs"]
+        ],
+        "outputs": [counted(topic, sent="published") for topic in node.outputs],
+    }
+    if with_settings:
+        stated = {**vars(node.spec.settings), **node.settings}
+        in_force = {**stated, **{k: v for k, v in node.state.items() if stated.get(k) is None}}
+        described["settings"] = [
+            {**entry, "value": stated[entry["key"]], "in_force": in_force[entry["key"]]}
+            for entry in node.spec.cls.Settings.described()
+        ]
+    return described
 
 
 def hosts_state(launch: LaunchFile, nodes: Iterable[NodeProcess]) -> dict[str, dict[str, Any]]:

@@ -21,7 +21,17 @@ def waits_for(node: NodeProcess, launch: LaunchFile) -> str:
     if node.ended or node.failed:
         return ""
     if node.ready:
-        return _lacks_readers(node, launch.name)
+        settings, published = node.spec.settings, node.counts.get("published", {})
+        is_player = hasattr(settings, "lockstep")
+        n_readers = (settings.wait or int(settings.lockstep)) if is_player else 0
+        begun = any(n for topic, n in published.items() if not is_latched(topic))
+        if not n_readers or begun or node.state.get("paused", True):
+            return ""
+        readers = "a reader" if n_readers == 1 else f"{n_readers} readers"
+        return (
+            f"{node.name} waits for {readers}; from another terminal: "
+            f"sparseskin monitor --graph {launch.name}, or sparseskin record --graph {launch.name}"
+        )
     if not node.endpoint:
         return f"{node.name} has not started: it imports, compiles, or opens its device"
     if not node.lacks:
@@ -32,23 +42,6 @@ def waits_for(node: NodeProcess, launch: LaunchFile) -> str:
         hosts.setdefault(f" on {spec.host}" if spec else "", []).append(reader)
     readers = ", ".join(", ".join(names) + host for host, names in hosts.items())
     return f"{node.name} waits for a subscription from {readers}"
-
-
-def _lacks_readers(node: NodeProcess, graph: str) -> str:
-    """The line for a player that waits for readers, with the remedy; "" for any other node."""
-    settings = node.spec.settings
-    waits = hasattr(settings, "lockstep")  # a player
-    if not waits or node.state.get("paused", True):
-        return ""
-    n_readers = settings.wait or int(settings.lockstep)
-    published = node.counts.get("published", {})
-    if not n_readers or any(n for topic, n in published.items() if not is_latched(topic)):
-        return ""
-    readers = "a reader" if n_readers == 1 else f"{n_readers} readers"
-    return (
-        f"{node.name} waits for {readers}; from another terminal: "
-        f"sparseskin monitor --graph {graph}, or sparseskin record --graph {graph}"
-    )
 
 
 def late_at_end(nodes: Iterable[NodeProcess], links: Sequence[Link]) -> list[str]:

@@ -24,6 +24,7 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
+from sparseskin.nodes.node_host import TopicCount
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.touch import MeasuredNoise, in_contact
 
@@ -78,37 +79,6 @@ def _trust_summary(trusted: Extent) -> dict[str, Any] | None:
 
 
 @dataclass
-class StreamCount:
-    """Number of messages of a topic, over all runs of its publisher.
-
-    A `late` subscriber counts from the first message it receives.
-    """
-
-    late: bool = False
-    run_id: str = ""
-    before: int = 0
-    in_run: int = 0
-
-    def add(self, message: Message) -> int:
-        """Count a message; return its number, from 1."""
-        if message.run_id != self.run_id:
-            self.before += self.in_run
-            if self.late and not self.run_id:
-                self.before = -message.seq
-            self.run_id, self.in_run = message.run_id, 0
-        self.in_run = max(self.in_run, message.seq + 1)
-        return self.before + message.seq + 1
-
-    def end(self, n_messages: int) -> None:
-        """Set the number of messages of the current run, as its publisher counted them."""
-        self.in_run = max(self.in_run, n_messages)
-
-    @property
-    def total(self) -> int:
-        return self.before + self.in_run
-
-
-@dataclass
 class FrameMetrics:
     """Messages of one frame, and its figures once it is complete; unknown ones are nan.
 
@@ -157,8 +127,8 @@ class PatchMetrics:
         self.noisy, self.reconstruction, self.trust = Quality(), Quality(), Quality()
         self.relative_error = Extent()
         self.latency, self.solve = Quantiles(), Quantiles()
-        self._sensed, self._reconstructed = StreamCount(late), StreamCount(late)
-        self._late, self._ended = late, False
+        self._sensed, self._reconstructed = TopicCount(late), TopicCount(late)
+        self._late = late
         self._n_before = 0  # frames sensed before the first that a late subscriber can compare
         self.bytes_in = self.bytes_out = 0
         self.bits: int | None = None
@@ -186,7 +156,7 @@ class PatchMetrics:
         """Number of frames that were sensed, and neither reconstructed nor skipped on purpose; for
         a late subscriber that stops before the stream ends, up to the newest one reconstructed.
         """
-        if self._late and not self._ended:
+        if self._late and not self._reconstructed.ended:
             return self.lost_so_far
         return max(0, self.sensed - self.reconstructed - self.skipped)
 
@@ -194,7 +164,8 @@ class PatchMetrics:
         """Add one message of the patch alone; return the frame that it completes, if any."""
         stamp_ns = message.stamp_ns
         if message.schema == self._sensed_schema:
-            self._pair(stamp_ns).n_sensed = self._sensed.add(message)
+            self._sensed.admit(message)
+            self._pair(stamp_ns).n_sensed = self._sensed.total
         match message:
             case SkinState():
                 self._note_changes(self.skin, message, "sigma_mid")
@@ -214,7 +185,11 @@ class PatchMetrics:
                 self._note_change("bits", self.bits, bits)
                 self.bits = bits
             case Taxels():
-                self.bytes_in += size_bytes(message) - self._absent_bytes(message)
+                self.bytes_in += size_bytes(message)
+                if self.skin is not None and self.skin.mask is not None:
+                    # A real skin has no wires in masked cells.
+                    n_absent = message.forces.size - self.skin.skin.n_taxels
+                    self.bytes_in -= n_absent * message.forces.itemsize
                 self._pair(stamp_ns).taxels = message
             case Truth():
                 self._pair(stamp_ns).truth = message
@@ -239,7 +214,8 @@ class PatchMetrics:
         if self.latency_ns is not None:
             self.latency.add(self.latency_ns)
             frame.latency_ms = self.latency_ns / 1e6
-        frame.n_answered = self._reconstructed.add(message) + self.skipped
+        self._reconstructed.admit(message)
+        frame.n_answered = self.reconstructed + self.skipped
 
     def _latency_ns(self, message: Reconstruction) -> int | None:
         """Time from acquisition to reconstruction; None where it is unknown."""
@@ -270,16 +246,9 @@ class PatchMetrics:
     def end(self, schema: str, n_messages: int) -> None:
         """End a topic after n_messages: the publisher's own count is the right one."""
         if schema == self._sensed_schema:
-            self._sensed.end(n_messages)
+            self._sensed.end(self._sensed.run_id, n_messages)
         elif schema == Reconstruction.schema:
-            self._reconstructed.end(n_messages)
-            self._ended = True
-
-    def _absent_bytes(self, taxels: Taxels) -> int:
-        """Bytes of masked cells: a real skin has no wires there."""
-        if self.skin is None or self.skin.mask is None:
-            return 0
-        return (taxels.forces.size - self.skin.skin.n_taxels) * taxels.forces.itemsize
+            self._reconstructed.end(self._reconstructed.run_id, n_messages)
 
     def _pair(self, stamp_ns: int) -> FrameMetrics:
         if stamp_ns not in self._pending:
@@ -339,6 +308,9 @@ class PatchMetrics:
         skin, phi = self.skin, self.phi
         n, m = (phi.n, phi.m) if phi else (0, 0)
         begun = self.compared > 0 or not self._late
+        reference = None
+        if skin is not None and (skin.has_truth or skin.has_taxels):
+            reference = "truth" if skin.has_truth else "taxels"
         return {
             "scene": skin.source if skin else None,
             "phi": phi.kind if phi else None,
@@ -359,7 +331,7 @@ class PatchMetrics:
             "unchanged": self.unchanged,
             "compared": self.compared,
             "since_ns": self.since_ns,
-            "reference": _reference(skin),
+            "reference": reference,
             "psnr_db": {
                 "noisy": self.noisy.summary(),
                 "reconstruction": self.reconstruction.summary(),
@@ -376,13 +348,6 @@ class PatchMetrics:
             "bytes_in": self.bytes_in,
             "bytes_out": self.bytes_out,
         }
-
-
-def _reference(skin: SkinState | None) -> str | None:
-    """What reconstructions are compared with; None where nothing is known."""
-    if skin is None or not (skin.has_truth or skin.has_taxels):
-        return None
-    return "truth" if skin.has_truth else "taxels"
 
 
 def _fields(state: Message | None, *names: str) -> dict[str, Any]:

@@ -91,10 +91,15 @@ class MonitorSettings(Settings):
             raise SettingsError("batches: a patch occurs twice")
 
     @property
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """Names of the patches of each batch, by its name; of a single patch its own."""
+        batches = {batch: tuple(names) for batch, names in (self.batches or {}).items()}
+        return {patch: (patch,) for patch in self.patches} | batches
+
+    @property
     def all_patches(self) -> tuple[str, ...]:
         """Names of all patches, those of batches too."""
-        batches = (self.batches or {}).values()
-        return (*self.patches, *(name for names in batches for name in names))
+        return tuple(name for names in self.groups.values() for name in names)
 
 
 class Monitor(Node[MonitorSettings]):
@@ -111,12 +116,12 @@ class Monitor(Node[MonitorSettings]):
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
         since_ns = context.clock.now_ns() if context.late else None
+        self._groups = settings.groups
         self._patches = {
-            patch: PatchMetrics(since_ns, context.clock_of) for patch in settings.patches
+            name: PatchMetrics(since_ns, partial(_clock_of, context, group))
+            for group, names in self._groups.items()
+            for name in names
         }
-        for batch, names in (settings.batches or {}).items():
-            clock_of = partial(_clock_of_batch, context, batch)
-            self._patches |= {name: PatchMetrics(since_ns, clock_of) for name in names}
         self._held: dict[str, Any] = {}
         self._feed: Feed | None = None
         self._page: PageServer | None = None
@@ -141,14 +146,12 @@ class Monitor(Node[MonitorSettings]):
         counts: Iterable[Any],
         again: bool,
     ) -> dict[str, Any]:
-        groups = {patch: patch for patch in settings.patches}
-        for batch, names in (settings.batches or {}).items():
-            groups |= dict.fromkeys(names, batch)
+        group_of = {name: group for group, names in settings.groups.items() for name in names}
         by = {topic: found for found in counts for topic in found["published"]}
         patches = dict(report.get("patches", {}))
         for name, patch in patches.items():
             taxels, measured, answered = (
-                topic_of(groups[name], kind.schema)
+                topic_of(group_of[name], kind.schema)
                 for kind in (Taxels, Measurements, Reconstruction)
             )
             sensed = taxels if taxels in by else measured
@@ -187,13 +190,9 @@ class Monitor(Node[MonitorSettings]):
             for part in message.split(self._held):
                 self._add(part)
         else:
-            for name in self._names_of(message.patch):
+            for name in self._groups.get(message.patch, (message.patch,)):
                 self._add(replace(message, patch=name) if name != message.patch else message)
         return ()
-
-    def _names_of(self, patch: str) -> tuple[str, ...]:
-        """Names of the patches of a batch; of a single patch its own."""
-        return tuple((self.settings.batches or {}).get(patch, (patch,)))
 
     def _add(self, message: Message) -> None:
         metrics = self._patches.get(message.patch)
@@ -205,7 +204,7 @@ class Monitor(Node[MonitorSettings]):
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
         patch, schema = split_topic(topic)
-        names = self._names_of(patch)
+        names = self._groups[patch]
         for name in names:
             self._patches[name].end(schema, n_messages)
         if self._feed is not None and schema == Reconstruction.schema:
@@ -286,10 +285,9 @@ def check_pose(place: str, pose: object) -> None:
 
 def _topics(settings: MonitorSettings, classes: tuple[type[Message], ...]) -> tuple[str, ...]:
     """Topics of all patches and batches, of some classes of messages."""
-    groups = (*settings.patches, *(settings.batches or {}))
-    return tuple(topic_of(group, cls.schema) for group in groups for cls in classes)
+    return tuple(topic_of(group, cls.schema) for group in settings.groups for cls in classes)
 
 
-def _clock_of_batch(context: Context, batch: str, topic: str) -> ClockEstimate | None:
-    """Clock of the publisher of a batch's topic, by that of one of its patches."""
-    return context.clock_of(topic_of(batch, split_topic(topic)[1]))
+def _clock_of(context: Context, group: str, topic: str) -> ClockEstimate | None:
+    """Clock of the publisher of a topic of a batch, or patch, by that of one of its patches."""
+    return context.clock_of(topic_of(group, split_topic(topic)[1]))

@@ -141,16 +141,21 @@ def patch_table(name: str, patch: Mapping[str, Any]) -> str:
     basis = f" in {patch['basis']}" if patch["basis"] else ""
     preset = f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""
     within = f" (± {ms:.2f})" if (ms := patch["latency_uncertainty_ms"]) else ""
+    full_ms, compared = patch["frame_ms"], ""
+    full = "" if full_ms in (NONE, 0) else f" ({full_ms:.2g} ms on a full skin)"
+    if patch["compared"] < frames["reconstructed"]:
+        why = _since(patch["since_ns"]) or " (the others came too late)"
+        compared = f";\n            figures of {patch['compared']}{why}"
     rows = [f" {printable(name)}: {patch['scene']} ".center(WIDTH, "=")]
     if patch["changes"]:
         rows.append(_changes(patch["changes"]))
     rows += [
         f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
-        f"{skipped}lost {frames['lost']}{_compared(patch)}",
+        f"{skipped}lost {frames['lost']}{compared}",
         f"measured    {patch['phi']}{rotating}: "
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range {shown(patch['f_min'], 'g')}..{shown(patch['f_max'], 'g')} {patch['unit']}{bits}",
-        f"solver      {patch['solver']}{basis}, {_iterations(patch)}{preset}",
+        f"solver      {patch['solver']}{basis}, {patch['iterations']} iterations{full}{preset}",
         f"bytes       {f'taxels {n_in:,}, ' if n_in else ''}measurements {n_out:,}"
         f"{f' (1/{n_in / n_out:.2f})' if n_in and n_out else ''}",
         f"time        latency {_times(patch['latency_ms'])}{within}; "
@@ -175,14 +180,6 @@ def patch_table(name: str, patch: Mapping[str, Any]) -> str:
                 form = ".3f" if label == "relative error" else ".1f"
                 rows.append(f"{label:<24}{frames_of[which]:<17}{_figures(extent, form)}")
     return "\n".join([*rows, "=" * WIDTH])
-
-
-def _compared(patch: Mapping[str, Any]) -> str:
-    """How many frames the figures are of, where they are not of all reconstructed ones."""
-    if patch["compared"] >= patch["frames"]["reconstructed"]:
-        return ""
-    why = _since(patch["since_ns"]) or " (the others came too late)"
-    return f";\n            figures of {patch['compared']}{why}"
 
 
 def _since(stamp_ns: Any) -> str:
@@ -223,24 +220,15 @@ def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
 def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
     """The settings that changed during the run, which the lines below state as they were last."""
     parts = [
-        f"{LABELS.get(change['setting'], change['setting'])} {_plain(change['from'])} -> "
-        f"{_plain(change['to'])} at frame {change['frame']}"
+        f"{LABELS.get(change['setting'], change['setting'])} "
+        + " -> ".join(shown(change[key], "g") for key in ("from", "to"))
+        + f" at frame {change['frame']}"
         for change in changes[:MAX_CHANGES]
     ]
     if len(changes) > MAX_CHANGES:
         parts.append(f"{len(changes) - MAX_CHANGES} more")
     text = f"settings changed during the run: {', '.join(parts)}; figures cover all of them"
     return textwrap.fill(text, WIDTH)
-
-
-def _plain(value: float | str) -> str:
-    return printable(value) if isinstance(value, str) else f"{value:g}"
-
-
-def _iterations(patch: Mapping[str, Any]) -> str:
-    """Iterations of a frame, and their time where every taxel is pressed and nothing else runs."""
-    text, full_ms = f"{patch['iterations']} iterations", patch["frame_ms"]
-    return text if full_ms in (NONE, 0) else f"{text} ({full_ms:.2g} ms on a full skin)"
 
 
 def _figures(extent: Mapping[str, float], form: str) -> str:
@@ -262,7 +250,7 @@ def shown(value: float | str | None, form: str) -> str:
     """A number in a format; "-" if unknown."""
     if value is None:
         return NONE
-    return value if isinstance(value, str) else format(value, form)
+    return printable(value) if isinstance(value, str) else format(value, form)
 
 
 def _times(quantiles: Mapping[str, float] | str) -> str:

@@ -113,11 +113,9 @@ class Gate:
         self._zap.send_multipart([version, request, status, refusal.encode(), b"", b""])
 
     def _note(self, event: int, value: int) -> None:
-        """Process one event of the socket; a disconnection follows each failed handshake at once.
-
-        A handshake that succeeds does not name its connection: a subscription does. Until then,
-        the end of a connection is logged unless an authentication of its address was decided.
-        """
+        """Process one event of the socket; a failed handshake disconnects at once."""
+        # A handshake that succeeds does not name its connection: a subscription does. Until then,
+        # the end of a connection is logged unless an authentication of its address was decided.
         if event == zmq.EVENT_ACCEPTED:
             self._open[value] = self._pending[value] = _address_of(value)
             if len(self._pending) > MAX_PENDING:

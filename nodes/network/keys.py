@@ -5,8 +5,9 @@ refused if any other user can read or write it.
 """
 
 import os
+import re
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,7 @@ SECRET_MODE = 0o600
 KEY_CHARACTERS = 40
 """Length of a CURVE key as text (Z85)."""
 MAX_KEY_FILE_BYTES = 4096
+_Z85 = re.compile(r"[0-9A-Za-z.\-:+=^!/*?&<>()\[\]{}@%$#]+")
 
 
 class KeyFileError(SparseskinError):
@@ -68,21 +70,18 @@ def read_key_pair(path: Path) -> KeyPair:
     KeyFileError if it cannot be read, belongs to another user, can be read or written by others
     (allowed: mode 0600 or less), or holds no secret key.
     """
-    try:
-        with path.open("rb") as file:
-            found = os.fstat(file.fileno())
-            if found.st_uid != os.geteuid():
-                raise KeyFileError(f"{path}: belongs to user {found.st_uid}, not to you")
-            mode = stat.S_IMODE(found.st_mode)
-            if mode & ~SECRET_MODE:
-                raise KeyFileError(
-                    f"{path}: mode {mode:04o} lets other users read the secret key "
-                    f"(allowed: {SECRET_MODE:04o}; chmod 600 {path})"
-                )
-            data = file.read(MAX_KEY_FILE_BYTES)
-    except OSError as error:
-        raise KeyFileError(f"{path}: {error.strerror}{_hint(path)}") from error
-    secret = _key_in(path, data)
+
+    def check(found: os.stat_result) -> None:
+        if found.st_uid != os.geteuid():
+            raise KeyFileError(f"{path}: belongs to user {found.st_uid}, not to you")
+        mode = stat.S_IMODE(found.st_mode)
+        if mode & ~SECRET_MODE:
+            raise KeyFileError(
+                f"{path}: mode {mode:04o} lets other users read the secret key "
+                f"(allowed: {SECRET_MODE:04o}; chmod 600 {path})"
+            )
+
+    secret = _key_in(path, check)
     try:
         return KeyPair(zmq.curve_public(secret.encode()).decode(), secret)
     except (zmq.ZMQError, ValueError) as error:
@@ -96,13 +95,12 @@ def read_public_key(path: Path) -> str:
     then read the graph: it and its folder belong to this user or to root, and are not writable by
     all (a folder may be with the sticky bit).
     """
-    try:
-        with path.open("rb") as file:
-            _check_owner(path, os.fstat(file.fileno()))
-            _check_owner(path.parent, path.parent.stat())
-            return _key_in(path, file.read(MAX_KEY_FILE_BYTES))
-    except OSError as error:
-        raise KeyFileError(f"{path}: {error.strerror}{_hint(path)}") from error
+
+    def check(found: os.stat_result) -> None:
+        _check_owner(path, found)
+        _check_owner(path.parent, path.parent.stat())
+
+    return _key_in(path, check)
 
 
 def known_names(folder: Path) -> Mapping[str, str]:
@@ -137,17 +135,17 @@ def _write(path: Path, mode: int, comment: str, key: str) -> None:
         file.write(f"{comment}\n{key}\n")
 
 
-def _key_in(path: Path, data: bytes) -> str:
-    lines = [line.strip() for line in data.decode(errors="replace").splitlines()]
-    keys = [line for line in lines if line and not line.startswith("# ")]
-    if len(keys) != 1 or len(keys[0]) != KEY_CHARACTERS or not _is_z85(keys[0]):
+def _key_in(path: Path, check: Callable[[os.stat_result], None]) -> str:
+    """The only key in a file that passes a check of its owner and mode."""
+    try:
+        with path.open("rb") as file:
+            check(os.fstat(file.fileno()))
+            lines = file.read(MAX_KEY_FILE_BYTES).decode(errors="replace").splitlines()
+    except OSError as error:
+        hint = "" if path.exists() else f" (make one: sparseskin keys make {path.stem})"
+        raise KeyFileError(f"{path}: {error.strerror}{hint}") from error
+    stripped = map(str.strip, lines)
+    keys = [line for line in stripped if line and not line.startswith("# ")]
+    if len(keys) != 1 or len(keys[0]) != KEY_CHARACTERS or not _Z85.fullmatch(keys[0]):
         raise KeyFileError(f"{path}: expected one key of {KEY_CHARACTERS} characters in it")
     return keys[0]
-
-
-def _is_z85(key: str) -> bool:
-    return all(c.isascii() and (c.isalnum() or c in ".-:+=^!/*?&<>()[]{}@%$#") for c in key)
-
-
-def _hint(path: Path) -> str:
-    return "" if path.exists() else f" (make one: sparseskin keys make {path.stem})"

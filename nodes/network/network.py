@@ -1,21 +1,21 @@
 """Network side of a node: its writer and reader and, in graphs of several hosts or with keys,
-access control, connections to other hosts, and the delivery of the end of its streams.
+access control, connections to other hosts, the offsets of their clocks, and the delivery of the end
+of its streams.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import zmq
 
-from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
+from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ClockOffset
 from sparseskin.nodes.files import check_private
 
 from .keys import KeyPair
-from .peers import Peers
-from .sockets import Peer, Reader, Writer
+from .sockets import MAX_EVENTS, Peer, Reader, Writer, events, read_times
 
 if TYPE_CHECKING:
     from .gate import Gate
@@ -24,9 +24,22 @@ END_RECEIVED_NS = 30_000_000_000
 """Time for which a node waits until readers on other hosts have the end of its streams."""
 
 
+ASK_NS = 250_000_000
+"""Period of the questions for the time of other hosts."""
+FIRST_NS, N_FIRST = 30_000_000, 10
+"""Period and number of the first questions: a single exchange may be a slow one."""
+RETRY_NS = 2_000_000_000
+"""Time after which a refused handshake is tried again."""
+_REFUSED: dict[int, str] = {
+    zmq.EVENT_HANDSHAKE_FAILED_AUTH: "it does not let this host in (the key is not on its list)",
+    zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL: "the handshake fails: it uses no key, or another one",
+}
+
+
 class Network:
     """Sockets of one node, for which `poller` waits; without other hosts and keys it adds nothing
-    to them.
+    to them. `heard` is True for each writer on another host that is connected, `awaits_time` if an
+    answer is expected whose arrival time matters.
 
     `config` has name, endpoint; public (endpoint for other hosts, "" for none), distant_readers
     (their names), distant_inputs (host of each topic of another host), security (own keys, allowed
@@ -44,7 +57,8 @@ class Network:
         log: Callable[[str], None],
     ) -> None:
         self.poller = zmq.Poller()
-        self.peers = Peers(log)
+        self.heard: dict[str, bool] = {}
+        self.awaits_time = False
         self._context = context
         self._name: str = config["name"]
         self._now_ns = now_ns
@@ -53,8 +67,16 @@ class Network:
         self._distant_readers = set(config.get("distant_readers", ()))
         self._end_ask: int | None = None
         self._end_due_ns = 0
+        self._reader: Reader | None = None
+        self._monitor: zmq.Socket[bytes] | None = None
+        self._by_endpoint: dict[str, Peer] = {}
+        self._retry_ns: dict[str, int] = {}
+        self._logged: set[tuple[str, str]] = set()
+        self._clocks: dict[str, ClockOffset] = {}
+        self._estimates: dict[str, ClockEstimate] = {}
+        self._next_ask_ns = self._n_times = 0
         security = config.get("security")
-        self._keys = KeyPair(*security["own"]) if security else None
+        self._keys = KeyPair(**security["own"]) if security else None
         public, endpoint = config.get("public", ""), config["endpoint"]
         self._gate: Gate | None = None
         if security or public or endpoint.startswith("tcp:"):
@@ -80,28 +102,88 @@ class Network:
         """Make the reader of the node's input topics; `connect` connects it. No source waits for
         one that observes.
         """
-        reader = Reader(self._context, self._name, (), topics, keys=self._keys, observes=observes)
-        self.poller.register(reader.socket, zmq.POLLIN)
-        if self._keys is not None or self._distant_inputs:
-            self.poller.register(self.peers.watch(reader), zmq.POLLIN)
-        return reader
+        name, keys = self._name, self._keys
+        self._reader = Reader(self._context, name, (), topics, keys=keys, observes=observes)
+        self.poller.register(self._reader.socket, zmq.POLLIN)
+        if keys is not None or self._distant_inputs:
+            self._monitor = self._reader.socket.get_monitor_socket()
+            self.poller.register(self._monitor, zmq.POLLIN)
+        return self._reader
 
-    def connect(self, reader: Reader, peers: Sequence[Peer]) -> None:
-        """Connect a reader to writers."""
+    def connect(self, peers: Iterable[Peer]) -> None:
+        """Connect the reader to writers."""
+        assert self._reader is not None
         for peer in peers:
-            self.peers.connect(reader, peer)
+            self._by_endpoint[peer.endpoint] = peer
+            if peer.host:
+                self.heard[peer.writer] = False
+                self._clocks.setdefault(peer.host, ClockOffset())
+            self._reader.connect(peer.endpoint, peer.key, bool(peer.host))
 
     def serve(self) -> None:
-        """Process events of the gate and of connections to other hosts."""
+        """Process events of the gate and of connections; connect again; ask for the time."""
         if self._gate is not None:
             self._gate.serve()
-        if self.peers.monitor is not None:
-            self.peers.serve(self._now_ns())
+        if self._monitor is None or self._reader is None:
+            return
+        now_ns = self._now_ns()
+        for event, _, endpoint in events(self._monitor, MAX_EVENTS):
+            peer = self._by_endpoint.get(endpoint)
+            if peer is None:
+                continue
+            if event in (zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_DISCONNECTED):
+                self._set_connected(peer, event == zmq.EVENT_HANDSHAKE_SUCCEEDED)
+            elif event in _REFUSED:
+                self._retry_ns[endpoint] = now_ns + RETRY_NS
+                self._log_refusal(peer, _REFUSED[event])
+        for endpoint in [e for e, due_ns in self._retry_ns.items() if due_ns <= now_ns]:
+            del self._retry_ns[endpoint]
+            # ZeroMQ does not connect again by itself after a refused handshake.
+            self._reader.socket.disconnect(endpoint)
+            self.connect([self._by_endpoint[endpoint]])
+        if self._clocks and now_ns >= self._next_ask_ns:
+            self._next_ask_ns = now_ns + (FIRST_NS if self._n_times < N_FIRST else ASK_NS)
+            self._reader.ask_time(now_ns)
+            self.awaits_time = any(self.heard.values())
+            estimates = {host: clock.estimate(now_ns) for host, clock in self._clocks.items()}
+            self._estimates |= {host: one for host, one in estimates.items() if one is not None}
+
+    def take_time(self, note: bytes) -> bool:
+        """Process the answer to a question for the time; False if the note is none."""
+        times = read_times(note)
+        if times is None:
+            return False
+        writer, t1_ns, t2_ns, t3_ns = times
+        for peer in self._by_endpoint.values():
+            if peer.writer == writer and peer.host:
+                self._clocks[peer.host].add(t1_ns, t2_ns, t3_ns, self._now_ns())
+                self._n_times += 1
+                self.awaits_time = False
+        return True
 
     def clock_of(self, topic: str) -> ClockEstimate | None:
         """Estimate of the clock of a topic's writer; None while there is none."""
         host = self._distant_inputs.get(topic)
-        return SAME_CLOCK if host is None else self.peers.clock_of(host)
+        return SAME_CLOCK if host is None else self._estimates.get(host)
+
+    def clocks(self) -> dict[str, tuple[int, int]]:
+        """Offset and uncertainty (ns) of the clock of each other host."""
+        return {h: (e.offset_ns, e.uncertainty_ns) for h, e in self._estimates.items()}
+
+    def _set_connected(self, peer: Peer, connected: bool) -> None:
+        if not peer.host or self.heard[peer.writer] == connected:
+            return
+        self.heard[peer.writer] = connected
+        if connected:
+            self._logged.clear()
+        self._log(f"{'' if connected else 'dis'}connected: {peer.writer} on {peer.host}")
+
+    def _log_refusal(self, peer: Peer, reason: str) -> None:
+        """Log it once, until the next connection."""
+        if (peer.endpoint, reason) not in self._logged:
+            self._logged.add((peer.endpoint, reason))
+            where = f" on {peer.host}" if peer.host else ""
+            self._log(f"cannot connect to {peer.writer}{where} ({peer.endpoint}): {reason}")
 
     def end_repeated(self) -> None:
         """Ask which readers have the end of the streams, after it was published once more."""

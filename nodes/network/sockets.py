@@ -16,18 +16,22 @@ and each writer publishes "WRITER!T1:T2:T3" on the tag of that reader.
 
 import contextlib
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import zmq
 
 from sparseskin.messages import MAX_MESSAGE_BYTES, Message
-from sparseskin.messages.wire import Payload, received, wire_bytes
+from sparseskin.messages.wire import Payload, is_end, received, wire_bytes
 from sparseskin.nodes.files import is_served
 
 from .keys import KeyPair
+
+if TYPE_CHECKING:
+    from .gate import Gate
 
 JOINS = b"\x01"
 """Begins a subscription; the end of one begins with b"\\0"."""
@@ -65,16 +69,6 @@ OVER_NETWORK_MS = {
 """Options of sockets whose links can break silently, for all later binds and connections."""
 
 _NOBLOCK, _EVENTS, _POLLIN = int(zmq.NOBLOCK), int(zmq.EVENTS), int(zmq.POLLIN)
-
-
-class Guard(Protocol):
-    """Access control of a writer's socket, e.g. a `gate.Gate`."""
-
-    def guard(self, writer: zmq.Socket[bytes]) -> None:
-        """Admit allowed readers only; called before the socket is bound."""
-
-    def subscribed(self, fd: int) -> None:
-        """Note that a subscription came by a connection, given by its file descriptor."""
 
 
 def make_context() -> zmq.Context[zmq.Socket[bytes]]:
@@ -132,7 +126,7 @@ class Writer:
         name: str = "writer",
         *,
         public: str = "",
-        gate: Guard | None = None,
+        gate: "Gate | None" = None,
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
@@ -285,6 +279,7 @@ class Reader:
         _set_options(self.socket, {zmq.RCVHWM: read_ahead, zmq.MAXMSGSIZE: MAX_MESSAGE_BYTES})
         self._topics = {topic.encode() for topic in topics}
         self._tag = PRESENCE + (OBSERVER if observes else "").encode() + name.encode()
+        self._queue: deque[tuple[bytes, Payload]] = deque()
         self._answers: dict[bytes, bytes] = {}
         self._time_tag = b""
         if keys is not None:
@@ -327,6 +322,27 @@ class Reader:
                 return topic, payload
             if topic == self._tag:
                 return topic, bytes(payload)
+
+    def take(self, depth: int, streams: Container[bytes]) -> tuple[bytes, Payload, bool] | None:
+        """Next waiting topic and payload, and True if `depth` newer ones of its stream, one of
+        `streams`, overtake it (0: none does); or None.
+
+        No message before an ask is overtaken, since its writer waits until all are processed. The
+        end of a stream overtakes none of its messages.
+        """
+        while depth and len(self._queue) < QUEUE_FRAMES and (parts := self.receive()) is not None:
+            self._queue.append(parts)
+        first = self._queue.popleft() if self._queue else self.receive()
+        if first is None:
+            return None
+        newer = 0
+        for topic, payload in self._queue if depth and first[0] in streams else ():
+            if topic == self._tag:
+                break
+            newer += topic == first[0] and not is_end(payload)
+            if newer == depth:
+                return *first, True
+        return *first, False
 
     def is_ask(self, topic: bytes) -> bool:
         """True if a topic is that of asks, to be answered by `answer`."""

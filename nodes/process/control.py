@@ -1,8 +1,7 @@
 """Control channels of a launcher: one JSON object a line.
 
-Commands to a node process arrive on its stdin, events leave on its stdout; everything else that it
-prints goes to stderr. Nodes that watch their graph, and other programs of the user, ask at the
-control socket of the launcher.
+The stdin of a node process is a socket, at which commands arrive and events leave. Nodes that watch
+their graph, and other programs of the user, ask at the control socket of the launcher.
 """
 
 import functools
@@ -13,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from typing import Any, TextIO
+from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
 
@@ -45,42 +44,6 @@ def watch_parent(parent: int) -> None:
     threading.Thread(target=watch, daemon=True, name="watch-parent").start()
 
 
-class Control:
-    """The node's side of the channel. The end of stdin means that the launcher has ended."""
-
-    def __init__(self) -> None:
-        # Prints of a driver must not mix with events: stdout becomes stderr for all others.
-        self._events: TextIO = os.fdopen(os.dup(1), "w", buffering=1)
-        os.dup2(2, 1)
-        sys.stdout = sys.stderr
-        self.fd = sys.stdin.fileno()
-        os.set_blocking(self.fd, False)
-        self.closed = False
-        self._rest = b""
-        self._lock = threading.Lock()
-
-    def emit(self, event: str, **fields: Any) -> None:
-        """Send an event; a launcher that has ended is noticed on stdin."""
-        line = json.dumps({"event": event, **fields}) + "\n"
-        try:
-            with self._lock:  # a node may have threads of its own
-                self._events.write(line)
-                self._events.flush()
-        except BrokenPipeError:
-            self.closed = True
-
-    def commands(self) -> list[dict[str, Any]]:
-        """Waiting commands, oldest first; sets `closed` if stdin has ended."""
-        try:
-            while chunk := os.read(self.fd, 65536):
-                self._rest += chunk
-            self.closed = True
-        except BlockingIOError:
-            pass
-        *lines, self._rest = self._rest.split(b"\n")
-        return [json.loads(line) for line in lines if line]
-
-
 MAX_QUEUED_BYTES = 1 << 20
 """A peer that does not read is dropped once this much is queued for it."""
 
@@ -88,8 +51,7 @@ MAX_QUEUED_BYTES = 1 << 20
 class Connection:
     """One connection, one JSON object a line; no method blocks."""
 
-    def __init__(self, connection: socket.socket, max_line_bytes: int) -> None:
-        connection.setblocking(False)
+    def __init__(self, connection: socket.socket, max_line_bytes: int = MAX_QUEUED_BYTES) -> None:
         self._max_line_bytes = max_line_bytes
         self.connection = connection
         self.watches = False
@@ -104,7 +66,7 @@ class Connection:
     def lines(self) -> list[bytes] | None:
         """Complete lines that have arrived; None once the connection has ended and all are read."""
         try:
-            chunk = self.connection.recv(65536)
+            chunk = self.connection.recv(65536, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return []
         except OSError:
@@ -121,12 +83,37 @@ class Connection:
         """Send what is queued; False once too much is queued, or the connection has ended."""
         try:
             while self._unsent:
-                self._unsent = self._unsent[self.connection.send(self._unsent) :]
+                n_sent = self.connection.send(self._unsent, socket.MSG_DONTWAIT)
+                self._unsent = self._unsent[n_sent:]
         except BlockingIOError:
             return len(self._unsent) < MAX_QUEUED_BYTES
         except OSError:
             return False
         return True
+
+
+class Control(Connection):
+    """The node's side of the channel, its stdin. Its end means that the launcher has ended."""
+
+    def __init__(self) -> None:
+        super().__init__(socket.socket(fileno=os.dup(0)))
+        sys.stdout = sys.stderr  # prints of a driver leave line by line
+        self.closed = False
+        self._lock = threading.Lock()
+
+    def emit(self, event: str, **fields: Any) -> None:
+        """Send an event, and wait until it is sent."""
+        try:
+            with self._lock:  # a node may have threads of its own
+                self.connection.sendall(json.dumps({"event": event, **fields}).encode() + b"\n")
+        except OSError:
+            self.closed = True
+
+    def commands(self) -> list[dict[str, Any]]:
+        """Waiting commands, oldest first; sets `closed` if the launcher has ended."""
+        lines = self.lines()
+        self.closed = self.closed or lines is None
+        return [json.loads(line) for line in lines or () if line]
 
 
 class ControlClient(Connection):
@@ -141,7 +128,7 @@ class ControlClient(Connection):
         except OSError as error:
             made.close()
             raise SparseskinError(f"{path}: no graph listens there: {error.strerror}") from error
-        super().__init__(made, MAX_QUEUED_BYTES)
+        super().__init__(made)
 
     def receive(self) -> list[dict[str, Any]] | None:
         """The objects that have arrived; None once the graph is gone."""

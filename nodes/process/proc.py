@@ -30,11 +30,6 @@ def age_s(pid: int) -> float:
     return max(1 / _TICK_HZ, up_s - int(_stat(pid)[_STARTTIME]) / _TICK_HZ)
 
 
-def state(pid: int) -> str:
-    """State of a process, one letter: R, S, D, Z, T ..."""
-    return _stat(pid)[0]
-
-
 def resident_bytes(pid: int) -> int:
     """Resident memory of a process, shared pages included."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES
@@ -44,12 +39,6 @@ def own_bytes(pid: int) -> int:
     """Resident memory of a process, each shared page divided by the number of its users (PSS)."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
-
-
-def command(pid: int) -> list[str]:
-    """Words of the command line of a process; none for a zombie."""
-    text = Path(f"/proc/{pid}/cmdline").read_bytes().rstrip(b"\0")
-    return [word.decode(errors="replace") for word in text.split(b"\0")] if text else []
 
 
 def host_busy_s() -> float:

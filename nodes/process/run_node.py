@@ -27,7 +27,7 @@ def main() -> int:
         while not (commands := control.commands()):
             if control.closed:
                 return 0
-            select.select([control.fd], [], [], POLL_MS / 1000)
+            select.select([control.connection], [], [], POLL_MS / 1000)
         Runner(control, commands[0]).run()
     except SparseskinError as error:
         control.emit("error", text=str(error), code=EXIT_USAGE, trace=trace_of(error))

@@ -14,7 +14,7 @@ from typing import Any
 import zmq
 
 from sparseskin.messages import Message
-from sparseskin.nodes.clock import ClockEstimate, SystemClock
+from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import one_line, search_in, trace_of
 from sparseskin.nodes.network.network import Network
@@ -23,7 +23,6 @@ from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.node_host import NodeHost
 from sparseskin.nodes.registry import node_class
 
-from .backlog import Backlog
 from .control import Control, ControlClient
 from .memory import FreeMemory
 from .scheduling import Scheduling
@@ -62,9 +61,9 @@ class Runner:
         cls = node_class(config["type"])
         settings = cls.Settings.from_mapping(config["settings"])
         late = bool(config.get("late"))
-        self.backlog: Backlog | None = None
         context = Context(
-            *(self.name, self.clock, self.log, self._ask, late, self._clock_of),
+            *(self.name, self.clock, self.log, self._ask, late),
+            clock_of=lambda topic: self.network.clock_of(topic),
             page_token=config.get("page_token", ""),
             page_file=config.get("page_file", ""),
         )
@@ -73,7 +72,8 @@ class Runner:
         self.host = NodeHost(
             node, run_id, self.log, config["inputs"], late, config.get("distant_inputs", ())
         )
-        self.host.raised = self._raised
+        self.streams = frozenset(topic.encode() for topic in self.host.streams)
+        self.host.raised = lambda error: control.emit("raised", trace=trace_of(error))
         if tally := config.get("tally"):
             self.host.published = Tally(*tally).set
         self.expected = set(config["readers"])
@@ -86,7 +86,7 @@ class Runner:
             self.network = Network(self.context, config, self.clock.now_ns, self.log)
         self.writer = self.network.writer
         self.reader: Reader | None = None
-        self.network.poller.register(control.fd, zmq.POLLIN)
+        self.network.poller.register(control.connection.fileno(), zmq.POLLIN)
         self.client: ControlClient | None = None
         self.client_lock = threading.Lock()  # a node may have threads of its own
         if path := config.get("control"):
@@ -107,9 +107,6 @@ class Runner:
     def log(self, line: str) -> None:
         """Print one line for the launcher's terminal."""
         print(line, file=sys.stderr, flush=True)
-
-    def _raised(self, error: Exception) -> None:
-        self.control.emit("raised", trace=trace_of(error))
 
     def _ask(self, request: dict[str, Any]) -> None:
         with self.client_lock:
@@ -145,7 +142,7 @@ class Runner:
                 self._receive(self.reader)
             if self.unanswered:
                 self._answer()
-            if self.control.fd in ready:
+            if self.control.connection.fileno() in ready:
                 self._execute_commands()
             if self.client is not None and self.client.connection.fileno() in ready:
                 self._hear(self.client)
@@ -154,7 +151,8 @@ class Runner:
             self.network.serve()
             if self.host.is_source:
                 for _ in _batch():
-                    if not self._tick_due():
+                    left_ns = self._left_ns()
+                    if left_ns is None or left_ns > 0:
                         break
                     self._tick()
             self.host.idle()
@@ -179,9 +177,8 @@ class Runner:
     @property
     def _source(self) -> SourceNode[Any] | None:
         """The node, if it is a source that may tick."""
-        node = self.host.node
-        ticks = self.started and isinstance(node, SourceNode) and not self.host.finished
-        return node if ticks and isinstance(node, SourceNode) else None
+        node, may_tick = self.host.node, self.started and not self.host.finished
+        return node if may_tick and isinstance(node, SourceNode) else None
 
     def _left_ns(self) -> int | None:
         """Time until the next tick; None if an event must come first."""
@@ -198,10 +195,6 @@ class Runner:
         due_ns = source.next_tick_ns()
         return None if due_ns is None else due_ns - self.clock.now_ns()
 
-    def _tick_due(self) -> bool:
-        left_ns = self._left_ns()
-        return left_ns is not None and left_ns <= 0
-
     def _wait(self) -> dict[Any, int]:
         """Wait for an event, a signal or the next tick; return sockets and files that are ready."""
         timeout_ms = POLL_MS if self.caught_up else 0
@@ -214,7 +207,7 @@ class Runner:
         patience_s = self.host.node.patience_s
         # Not while messages wait, and not if a source waits for answers.
         waits = patience_s and self.caught_up and ready
-        if waits and not (self.asked or self.network.peers.awaits_time):
+        if waits and not (self.asked or self.network.awaits_time):
             time.sleep(patience_s)
         return ready
 
@@ -224,7 +217,10 @@ class Runner:
                 case "connect":
                     self._connect([Peer(**peer) for peer in command["peers"]])
                 case "start":
-                    self._start()
+                    if self.host.is_source:
+                        # Its frames begin once the states are processed: solvers are made.
+                        self.asks.append(self.writer.ask())
+                    self.started = True
                 case "drain":
                     self.draining = True
                 case "stop":
@@ -260,30 +256,20 @@ class Runner:
         if peers and self.reader is None:
             host = self.host
             self.reader = self.network.make_reader(host.inputs, host.node.observes)
-            self.backlog = Backlog(self.reader, frozenset(t.encode() for t in host.streams))
         if self.reader is not None:
-            self.network.connect(self.reader, peers)
+            self.network.connect(peers)
         self.connected = True
 
-    def _clock_of(self, topic: str) -> ClockEstimate | None:
-        return self.network.clock_of(topic)
-
-    def _start(self) -> None:
-        if self.host.is_source:  # its frames begin once the states are processed: solvers are made
-            self.asks.append(self.writer.ask())
-        self.started = True
-
     def _receive(self, reader: Reader) -> None:
-        assert self.backlog is not None
         for _ in _batch():
-            waiting = self.backlog.take(self.host.node.depth)
+            waiting = reader.take(self.host.node.depth, self.streams)
             self.caught_up = waiting is None
             if waiting is None:
                 return
             topic, payload, overtaken = waiting
             if not reader.is_ask(topic):
                 self._publish(self.host.receive_bytes(topic, payload, overtaken))
-            elif not self.network.peers.take_time(note := bytes(payload), self.clock.now_ns()):
+            elif not self.network.take_time(note := bytes(payload)):
                 self.asked = True
                 self.unanswered.append((self.writer.ask(), note))
 
@@ -341,8 +327,8 @@ class Runner:
                 state=self.host.node.state(),
                 refusal=self.host.refusal,
                 counts=self.host.counts.as_dict(),
-                heard=self.network.peers.heard,
-                clocks=self.network.peers.clocks(),
+                heard=self.network.heard,
+                clocks=self.network.clocks(),
             )
         if self.host.failure and not self.failed:
             self.failed = True
@@ -358,7 +344,7 @@ class Runner:
             report=self.host.node.report(),
             counts=self.host.counts.as_dict(),
             failure=self.host.failure,
-            clocks=self.network.peers.clocks(),
+            clocks=self.network.clocks(),
         )
 
 

@@ -125,7 +125,12 @@ class Feed:
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
             if isinstance(message, Contacts):
-                self._add_contacts(feed, message, now_s)
+                feed.contacts = message
+                if message.events is not None:
+                    counts = np.bincount(message.events[:, 2], minlength=len(EVENTS))
+                    feed.events.add(now_s, *counts.tolist())
+                if message.stamp_ns == feed.stamp_ns:
+                    self._show(feed)
                 return
             if complete is None:
                 self._add_unpaired(feed, message, now_s)
@@ -163,14 +168,6 @@ class Feed:
                 feed.note(message, now_s)
             feed.resultant = None
             feed.came_s[message.schema] = now_s
-            self._show(feed)
-
-    def _add_contacts(self, feed: PatchFeed, message: Contacts, now_s: float) -> None:
-        feed.contacts = message
-        if message.events is not None:
-            counts = np.bincount(message.events[:, 2], minlength=len(EVENTS))
-            feed.events.add(now_s, *counts.tolist())
-        if message.stamp_ns == feed.stamp_ns:
             self._show(feed)
 
     def update(

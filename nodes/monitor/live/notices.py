@@ -128,17 +128,14 @@ def ago(seconds: float) -> str:
 
 def host_lines(graph: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A condition, "heard", "silent" or "unread", and a text for each other host of a graph."""
-    return [_host_line(name, host) for name, host in graph.get("hosts", {}).items()]
-
-
-def _host_line(name: str, host: Mapping[str, Any]) -> tuple[str, str]:
-    if host["silent"]:
-        return SILENT, f"host {name}: receives nothing from {', '.join(host['silent'])}"
-    if not host["heard"]:
-        return UNREAD, f"host {name}: nothing is read from it"
-    if host["clock_uncertainty_ms"] is None:
-        return HEARD, f"host {name}: connected"
-    return HEARD, (
-        f"host {name}: connected, clock {host['clock_offset_ms']:+.2f} "
-        f"± {host['clock_uncertainty_ms']:.2f} ms"
-    )
+    found = []
+    for name, host in graph.get("hosts", {}).items():
+        condition, text = HEARD, "connected"
+        if host["silent"]:
+            condition, text = SILENT, f"receives nothing from {', '.join(host['silent'])}"
+        elif not host["heard"]:
+            condition, text = UNREAD, "nothing is read from it"
+        elif (within_ms := host["clock_uncertainty_ms"]) is not None:
+            text += f", clock {host['clock_offset_ms']:+.2f} ± {within_ms:.2f} ms"
+        found.append((condition, f"host {name}: {text}"))
+    return found

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from sparseskin.nodes.errors import SparseskinError
@@ -56,7 +56,7 @@ POLICY = (
 Request = Callable[[dict[str, Any]], None]
 
 
-class PageServer:
+class PageServer(ThreadingHTTPServer):
     """Serves the pages of a feed on `port`, or on a free port if that is busy.
 
     `ask` takes requests {id, node, command, value} of pages. Whoever asks for anything shows
@@ -64,38 +64,6 @@ class PageServer:
     if no port is free.
     """
 
-    def __init__(
-        self, feed: Feed, notices: Notices, port: int, ask: Request, token: str = ""
-    ) -> None:
-        files = {
-            f"/{path.name}": (path.read_bytes(), TYPES[path.suffix])
-            for path in PAGE.iterdir()
-            if path.suffix in TYPES
-        }
-        files["/"] = files["/index.html"]
-        parts = {"feed": feed, "notices": notices, "ask": ask, "files": files, "token": token}
-        handler = type("Handler", (_Handler,), parts)
-        try:
-            self._server = _Server((ADDRESS, port), handler)
-        except OSError:
-            self._server = _free_server(handler)
-        self.port = int(self._server.server_address[1])
-        self.url = f"http://{ADDRESS}:{self.port}/" + (f"?token={token}" if token else "")
-        self._feed = feed
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, kwargs={"poll_interval": POLL_S}, daemon=True
-        )
-        self._thread.start()
-
-    def close(self) -> None:
-        """Send the end to the pages, wait at most 1 s for them, and stop."""
-        self._feed.update(closed=True)
-        self._server.wait_for_streams(1.0)
-        self._server.shutdown()
-        self._server.socket.close()
-
-
-class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
     # A busy port must be refused, not shared; and one just left may be taken again.
@@ -103,8 +71,26 @@ class _Server(ThreadingHTTPServer):
     allow_reuse_port = False
     request_queue_size = 128
 
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
+    def __init__(
+        self, feed: Feed, notices: Notices, port: int, ask: Request, token: str = ""
+    ) -> None:
+        try:
+            super().__init__((ADDRESS, port), _Handler)
+        except OSError:
+            try:
+                super().__init__((ADDRESS, 0), _Handler)
+            except OSError as error:
+                text = f"the page has no port on {ADDRESS}: {error.strerror}"
+                raise SparseskinError(text) from error
+        self.feed, self.notices, self.ask, self.token = feed, notices, ask, token
+        self.files = {
+            f"/{path.name}": (path.read_bytes(), TYPES[path.suffix])
+            for path in PAGE.iterdir()
+            if path.suffix in TYPES
+        }
+        self.files["/"] = self.files["/index.html"]
+        self.port = int(self.server_address[1])
+        self.url = f"http://{ADDRESS}:{self.port}/" + (f"?token={token}" if token else "")
         self._lock = threading.Condition()
         self._due_s: dict[socket.socket, float] = {}
         self.n_streams = 0
@@ -112,6 +98,17 @@ class _Server(ThreadingHTTPServer):
         free = resource.getrlimit(resource.RLIMIT_NOFILE)[0] - open_files
         self._max_connections = max(4, min(MAX_CONNECTIONS, free))
         self.max_pages = min(MAX_PAGES, self._max_connections // 2)
+        options = {"poll_interval": POLL_S}
+        self._thread = threading.Thread(target=self.serve_forever, kwargs=options, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Send the end to the pages, wait at most 1 s for them, and stop."""
+        self.feed.update(closed=True)
+        with self._lock:
+            self._lock.wait_for(lambda: not self.n_streams, 1.0)
+        self.shutdown()
+        self.socket.close()
 
     def get_request(self) -> tuple[socket.socket, Any]:
         try:
@@ -174,17 +171,6 @@ class _Server(ThreadingHTTPServer):
                 self.n_streams -= 1
                 self._lock.notify_all()
 
-    def wait_for_streams(self, limit_s: float) -> None:
-        with self._lock:
-            self._lock.wait_for(lambda: not self.n_streams, limit_s)
-
-
-def _free_server(handler: type[BaseHTTPRequestHandler]) -> _Server:
-    try:
-        return _Server((ADDRESS, 0), handler)
-    except OSError as error:
-        raise SparseskinError(f"the page has no port on {ADDRESS}: {error.strerror}") from error
-
 
 def _end(connection: socket.socket) -> None:
     """Wake the thread that reads from or writes to a connection; it closes the connection."""
@@ -199,12 +185,7 @@ class _RefusedError(Exception):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    feed: ClassVar[Feed]
-    notices: ClassVar[Notices]
-    ask: ClassVar[Request]
-    files: ClassVar[dict[str, tuple[bytes, str]]]
-    token: ClassVar[str]
-    server: _Server
+    server: PageServer
 
     protocol_version = "HTTP/1.1"
     _cookie = ""
@@ -240,8 +221,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _get(self, url: SplitResult) -> None:
         if url.path == "/stream":
             self._stream(parse_qs(url.query).get("patch", [None])[0])
-        elif url.path in self.files:
-            body, kind = self.files[url.path]
+        elif url.path in self.server.files:
+            body, kind = self.server.files[url.path]
             self._send(HTTPStatus.OK, body, kind)
         else:
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"nothing is at {url.path[:64]}")
@@ -273,7 +254,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(
                 HTTPStatus.BAD_REQUEST, "expected {id, node, command, value} as JSON"
             )
-        type(self).ask({key: request.get(key) for key in (*fields, "value")})
+        self.server.ask({key: request.get(key) for key in (*fields, "value")})
         self._send(HTTPStatus.ACCEPTED, b"", "text/plain")
 
     def log_message(self, *args: Any) -> None:
@@ -297,22 +278,22 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _check_token(self, url: SplitResult) -> None:
         """Refuse who shows the token neither in the address nor in the page's cookie."""
-        name = f"sparseskin-{self.server.server_address[1]}"
+        name = f"sparseskin-{self.server.port}"
         stated = parse_qs(url.query).get("token", [""])[0]
         pairs = [part.strip().partition("=") for part in self.headers.get("Cookie", "").split(";")]
         shown = [stated, *(value for key, _, value in pairs if key == name)]
-        if self.token and not any(self._is_token(text) for text in shown):
+        token = self.server.token
+        equal = [hmac.compare_digest(one.encode(errors="replace"), token.encode()) for one in shown]
+        if token and not any(equal):
             text = "this page asks for a token: open the address that the graph has printed"
             raise _RefusedError(HTTPStatus.FORBIDDEN, text)
-        if self.token and stated:
-            self._cookie = f"{name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-
-    def _is_token(self, text: str) -> bool:
-        return hmac.compare_digest(text.encode(errors="replace"), self.token.encode())
+        if token and stated:
+            self._cookie = f"{name}={token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _stream(self, patch: str | None) -> None:
-        if patch is not None and patch not in self.feed.patches:
-            known = ", ".join(self.feed.patches)
+        feed = self.server.feed
+        if patch is not None and patch not in feed.patches:
+            known = ", ".join(feed.patches)
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"no patch {patch[:64]!r} (known: {known})")
         with self.server.stream():
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
@@ -324,7 +305,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
             self.end_headers()
             with contextlib.suppress(OSError):
-                for data in StreamReader(self.feed, self.notices, patch).records():
+                for data in StreamReader(feed, self.server.notices, patch).records():
                     self.connection.sendall(data)
 
     def _send(self, status: HTTPStatus, body: bytes, kind: str) -> None:

@@ -31,6 +31,7 @@ CONTACT_FIELDS = (
     *("id", "total", "total_sd", "centre", "area", "velocity", "age_s", "over", "sliding"),
     *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
 )
+RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
@@ -132,7 +133,9 @@ class StreamReader:
                 is_new |= self._is_new(f"contacts {name}", touched)
                 if self._patch is None and not is_new:
                     continue  # an idle patch
-                shown = _resultant(patch) | _contacts(patch, now_s)
+                shown = _contacts(patch, now_s)
+                if patch.resultant is not None:
+                    shown["resultant"] = {key: getattr(patch.resultant, key) for key in RESULTANT}
                 yield {"kind": "maps", "patch": name, **shown}, dict(maps)
         if self._patch is None:
             return
@@ -165,10 +168,12 @@ class StreamReader:
 
     def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
         patch = self._feed.patches[name]
+        ended_with = self._feed.closed and patch.summary
         state: dict[str, Any] = {
             "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
             "stale_s": patch.stale_s,
-            "lost": self._lost(patch),
+            # At the end, of all frames.
+            "lost": patch.summary["frames"]["lost"] if ended_with else patch.lost,
             "ended": patch.ended,
             "trusted": patch.trusted(now_s),
             "reason": patch.reason,
@@ -178,24 +183,11 @@ class StreamReader:
             state["summary"] = patch.summary
         return state
 
-    def _lost(self, patch: PatchFeed) -> int:
-        """Number of frames lost up to the newest one; at the end, of all."""
-        at_the_end = self._feed.closed and "frames" in patch.summary
-        return int(patch.summary["frames"]["lost"]) if at_the_end else patch.lost
-
     def _is_new(self, key: str, value: Any) -> bool:
         """True if this object has not been sent yet."""
         is_new = self._sent.get(key) is not value
         self._sent[key] = value
         return is_new
-
-
-def _resultant(patch: PatchFeed) -> dict[str, Any]:
-    """Total force and centre of pressure of the frame shown, if they are published."""
-    if patch.resultant is None:
-        return {}
-    fields = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
-    return {"resultant": {name: getattr(patch.resultant, name) for name in fields}}
 
 
 def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from sparseskin.nodes.network.keys import (
     read_key_pair,
     read_public_key,
 )
-from sparseskin.nodes.network.peers import Peers
+from sparseskin.nodes.network.network import Network
 from sparseskin.nodes.network.sockets import Peer, Reader, Writer, make_context
 
 TAXELS = "/skin/taxels"
@@ -89,13 +89,14 @@ def half_open(station):
     return stranger
 
 
-def listen(context, station, keys, server_key):
+def listen(context, station, keys, server_key, now_ns=lambda: 0):
     lines = []
-    reader = Reader(context, "reader", (), [TAXELS], keys=keys)
-    peers = Peers(lines.append)
-    peers.watch(reader)
-    peers.connect(reader, Peer("writer", station.writer.endpoint, "edge", server_key))
-    return reader, peers, lines
+    security = keys and {"own": vars(keys), "allowed": {}, "known": {}}
+    config = {"name": "reader", "endpoint": "inproc://reader", "security": security}
+    node = Network(context, {**config, "distant_inputs": {TAXELS: "edge"}}, now_ns, lines.append)
+    reader = node.make_reader([TAXELS])
+    node.connect([Peer("writer", station.writer.endpoint, "edge", server_key)])
+    return reader, node, lines
 
 
 @pytest.mark.parametrize("endpoint", ["tcp://127.0.0.1:*", "ipc://{}/s"])
@@ -103,14 +104,14 @@ def listen(context, station, keys, server_key):
 def test_who_is_on_the_list_gets_every_message(context, endpoint, keys, tmp_path):
     with closing_station(keys, endpoint.format(tmp_path)) as station:
         theirs = (LISTED, SERVER.public) if keys else (None, "")
-        reader, peers, _ = listen(context, station, *theirs)
+        reader, node, _ = listen(context, station, *theirs)
         station.until(lambda: "reader" in station.writer.present, "the reader")
         forces = np.ones((2, 2), np.float32)
         station.writer.send(Taxels(stamp_ns=0, patch="skin", seq=7, forces=forces))
         wait_until(lambda: bool(reader.socket.poll(0)), "a message")
         assert decode(*reader.receive()).seq == 7
-        peers.serve(0)
-        assert (peers.heard, station.lines) == ({"writer": True}, [])
+        node.serve()
+        assert (node.heard, station.lines) == ({"writer": True}, [])
 
 
 @pytest.mark.parametrize(
@@ -124,13 +125,13 @@ def test_who_is_on_the_list_gets_every_message(context, endpoint, keys, tmp_path
     ids=["not listed", "unknown", "wrong server key", "no key"],
 )
 def test_who_is_not_let_in_gets_nothing_and_is_named(station, context, keys, server_key, words):
-    reader, peers, _ = listen(context, station, keys, server_key)
+    reader, node, _ = listen(context, station, keys, server_key)
     station.until(lambda: station.said(words), words)
     station.writer.send(Taxels(stamp_ns=0, patch="skin", forces=np.ones((2, 2), np.float32)))
     assert station.writer.present == set()
     assert reader.receive() is None
-    peers.serve(0)
-    assert peers.heard == {"writer": False}
+    node.serve()
+    assert node.heard == {"writer": False}
     line = next(line for line in station.lines if words in line)
     if "list" in words:  # who shows no key may be gone before its address can be asked for
         assert "turned away 127.0.0.1" in line
@@ -175,14 +176,14 @@ def test_more_connections_than_there_may_be_are_turned_away(station, context, mo
 
 
 def test_a_refused_reader_tries_again_by_itself(station, context):
-    _reader, peers, lines = listen(context, station, UNLISTED, SERVER.public)
-    station.until(lambda: station.said("mallory"), "the refusal")
     now_ns = 0
+    _reader, node, lines = listen(context, station, UNLISTED, SERVER.public, lambda: now_ns)
+    station.until(lambda: station.said("mallory"), "the refusal")
 
     def served_again():
         nonlocal now_ns
         now_ns += 100_000_000
-        peers.serve(now_ns)
+        node.serve()
         return "reader" in station.writer.present
 
     wait_until(lambda: bool(served_again() or lines), "the reader's own line")

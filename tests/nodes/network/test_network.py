@@ -10,12 +10,12 @@ from processes import wait_for_reader
 
 from sparseskin.messages import PhiState, Taxels, TruncatedError, decode
 from sparseskin.nodes.clock import SAME_CLOCK
-from sparseskin.nodes.network.network import END_RECEIVED_NS, Network
-from sparseskin.nodes.network.peers import ASK_NS, FIRST_NS, N_FIRST, Peers
+from sparseskin.nodes.network.network import ASK_NS, END_RECEIVED_NS, FIRST_NS, N_FIRST, Network
 from sparseskin.nodes.network.sockets import Peer, Reader, Writer
 
 LEFT, RIGHT, HERE = "/left/taxels", "/right/taxels", "/here/taxels"
-SECURITY = {"own": [k.decode() for k in zmq.curve_keypair()], "allowed": {}, "known": {}}
+PAIR = dict(zip(("public", "secret"), map(bytes.decode, zmq.curve_keypair()), strict=True))
+SECURITY = {"own": PAIR, "allowed": {}, "known": {}}
 AHEAD_NS = {"left": 7_000_000_000, "right": -3_000_000_000}
 
 
@@ -37,8 +37,8 @@ def test_each_topic_has_the_clock_of_its_writers_host(context):
     }
     assert (node.clock_of(LEFT), node.clock_of(HERE)) == (None, SAME_CLOCK)
     peers = [Peer(f"sensor_{host}", writer.endpoint, host) for host, writer in writers.items()]
-    node.connect(reader, peers)
-    assert node.peers.heard == {"sensor_left": False, "sensor_right": False}
+    node.connect(peers)
+    assert node.heard == {"sensor_left": False, "sensor_right": False}
 
     def known():
         for writer in writers.values():
@@ -46,21 +46,21 @@ def test_each_topic_has_the_clock_of_its_writers_host(context):
         node.serve()
         while (parts := reader.receive()) is not None:
             assert reader.is_ask(parts[0])
-            assert node.peers.take_time(bytes(parts[1]), time.monotonic_ns())
+            assert node.take_time(bytes(parts[1]))
         return node.clock_of(LEFT) is not None and node.clock_of(RIGHT) is not None
 
     wait_until(known, "the clocks of both hosts")
     for topic, host in ((LEFT, "left"), (RIGHT, "right")):
         estimate = node.clock_of(topic)
         assert abs(estimate.offset_ns - AHEAD_NS[host]) <= estimate.uncertainty_ns
-        assert node.peers.clocks()[host][0] == estimate.offset_ns
-    assert node.peers.heard == {"sensor_left": True, "sensor_right": True}
+        assert node.clocks()[host][0] == estimate.offset_ns
+    assert node.heard == {"sensor_left": True, "sensor_right": True}
     assert node.clock_of(HERE) == SAME_CLOCK
     writers["left"].socket.close()
 
     def is_silent():
         node.serve()
-        return not node.peers.heard["sensor_left"]
+        return not node.heard["sensor_left"]
 
     wait_until(is_silent, "its leaving")
     assert lines[-1] == "disconnected: sensor_left on left"
@@ -69,18 +69,17 @@ def test_each_topic_has_the_clock_of_its_writers_host(context):
 
 @pytest.mark.parametrize(("n_times", "period_ns"), [(N_FIRST - 1, FIRST_NS), (N_FIRST, ASK_NS)])
 def test_other_hosts_are_asked_for_the_time(context, monkeypatch, n_times, period_ns):
-    reader = Reader(context, "monitor", (), [LEFT])
+    node, _ = network(context, distant_inputs={LEFT: "edge"})
     asked = []
-    monkeypatch.setattr(reader, "ask_time", asked.append)
-    peers = Peers(lambda line: None)
-    peers.watch(reader)
-    peers.serve(0)
+    monkeypatch.setattr(node.make_reader([LEFT]), "ask_time", asked.append)
+    node.serve()
     assert asked == []  # there is no other host
-    peers.connect(reader, Peer("sensor", "inproc://nobody", "edge"))
+    node.connect([Peer("sensor", "inproc://nobody", "edge")])
     for k in range(n_times):
-        assert peers.take_time(b"sensor!%d:%d:%d" % (k, k, k), k)
+        assert node.take_time(b"sensor!%d:%d:%d" % (k, k, k))
     for now_ns in (0, 1, period_ns - 1, period_ns, 2 * period_ns):
-        peers.serve(now_ns)
+        monkeypatch.setattr(node, "_now_ns", lambda now_ns=now_ns: now_ns)
+        node.serve()
     assert asked == [0, period_ns, 2 * period_ns]
 
 

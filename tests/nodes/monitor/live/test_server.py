@@ -65,7 +65,7 @@ class Site:
         for client in self._clients:
             client.close()
         self.page.close()
-        self.page._server.shutdown()  # the process goes on, so the thread has to end
+        self.page.shutdown()  # the process goes on, so the thread has to end
 
 
 @pytest.fixture(scope="module")
