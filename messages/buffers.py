@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import msgpack
-import numpy as np
-import numpy.typing as npt
 
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, MalformedError, OversizedError, TruncatedError, VersionError
@@ -79,9 +77,7 @@ class _Stream:
     begin in the payload at `numbers_at`; `checks` has the field and check of each number, `each`
     those of fields that hold one for each of several patches; `values` holds all fields in their
     order, the texts set; `arrays` has the name, kind, dtype and shape of the arrays that are sent,
-    and where each begins and ends in the payload, which has `n_bytes`. `record` reads from it the
-    `plain` ones, all bytes of which are valid but for floats; `runs` has begin and length of floats
-    that follow each other.
+    and where each begins and ends in the payload, which has `n_bytes`.
     """
 
     form: _Form
@@ -94,9 +90,6 @@ class _Stream:
     each: tuple[_Check, ...]
     values: dict[str, Any]
     arrays: tuple[tuple[str, Array, str, tuple[int, ...], int, int], ...]
-    plain: frozenset[str]
-    record: np.dtype[Any]
-    runs: tuple[tuple[int, int], ...]
     n_bytes: int
 
 
@@ -164,18 +157,12 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
     for name, check in stream.each:
         begin, n_read = n_read, n_read + stream.n_patches
         values[name] = tuple([check(name, number) for number in numbers[begin:n_read]])
-    record: npt.NDArray[Any] = np.ndarray((), stream.record, payload)
-    runs = (np.ndarray(n, "<f4", payload, begin) for begin, n in stream.runs)
-    # The sum of squares is not finite if a value is not, or if values are huge.
-    finite = all(math.isfinite(np.vdot(run, run)) for run in runs)
+    data = memoryview(payload)
     for name, kind, dtype, shape, begin, end in stream.arrays:
-        if name in stream.plain:
-            values[name] = record[name] if finite else kind.check(name, record[name])
-            continue
         extra = None
         if dtype != kind.dtype:
             extra, n_read = numbers[n_read], n_read + 1
-        values[name] = kind.of_data(name, dtype, shape, extra, payload[begin:end])
+        values[name] = kind.of_data(name, dtype, shape, extra, data[begin:end])
     return form.cls.assembled(values)
 
 
@@ -292,17 +279,9 @@ def _learn(description: bytes) -> _Stream:
     n_zeros, at = -(len(begin) + n_numbers) % ALIGNMENT, len(begin) - len(topic) - 1
     end = at + n_numbers + n_zeros
     arrays: list[tuple[str, Array, str, tuple[int, ...], int, int]] = []
-    plain: Any = {}
-    runs: list[tuple[int, int]] = []
     for name, kind, dtype, shape, n_bytes in sent:
         first = end + -(len(topic) + 1 + end) % ALIGNMENT
         end = first + n_bytes
-        if dtype == kind.dtype and dtype != "|b1":
-            plain[name] = np.dtype((dtype, shape)), first
-        if dtype == "<f4" and runs and arrays[-1][2] == dtype:
-            runs[-1] = runs[-1][0], (end - runs[-1][0]) // 4
-        elif dtype == "<f4":
-            runs.append((first, n_bytes // 4))
         arrays.append((name, kind, dtype, shape, first, end))
     numbers = struct.Struct(f"<{''.join(codes)}{n_zeros}x")
     checks = tuple((name, kind.of_number) for name, kind in form.numbers)
@@ -320,9 +299,6 @@ def _learn(description: bytes) -> _Stream:
         each=tuple((name, kind.of_number) for name, kind in several),
         values=values,
         arrays=tuple(arrays),
-        plain=frozenset(plain),
-        record=np.dtype(plain),
-        runs=tuple(runs),
         n_bytes=end,
     )
     _remember(_STREAMS, description, stream)

@@ -146,7 +146,8 @@ def _in_time(
 
     def run() -> None:
         try:
-            action(*url_to_fs(address), late)
+            filesystem, place = url_to_fs(address)
+            action(filesystem, str(place), late)
         except BaseException as error:
             failures.append(error)
 
