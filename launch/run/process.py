@@ -79,7 +79,7 @@ class NodeProcess:
                 self._popen = subprocess.Popen(
                     [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", name],
                     bufsize=0,
-                    stdin=theirs,
+                    stdin=theirs.fileno(),
                     stdout=subprocess.PIPE,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
