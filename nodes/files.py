@@ -79,6 +79,12 @@ def check_link(path: Path) -> None:
             raise OSError(errno.EPERM, f"is a link of user {found.st_uid}")
 
 
+def overwrite(path: Path, data: bytes) -> None:
+    """Write a file in place of what it held, if `check_link` allows it. Raises OSError."""
+    check_link(path)
+    path.write_bytes(data)
+
+
 def place(part: Path, path: Path) -> None:
     """Rename a complete file, but never over another one: FileExistsError if `path` exists."""
     try:

@@ -19,6 +19,7 @@ from sparseskin.nodes.files import (
     OutputError,
     check_link,
     os_errors,
+    overwrite,
 )
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.remote import check_address, is_remote, shown
@@ -160,8 +161,7 @@ def write_summary(path: Path | None, name: str, summary: Mapping[str, Any]) -> N
     if path is not None:
         document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
         try:
-            check_link(path)
-            path.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
+            overwrite(path, (json.dumps(document, indent=2) + "\n").encode())
         except OSError as error:
             raise SettingsError(f"--summary {path}: {error.strerror}") from error
 
