@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import zmq
 
@@ -29,9 +29,6 @@ from sparseskin.messages.wire import Payload, is_end, received, wire_bytes
 from sparseskin.nodes.files import is_served
 
 from .keys import KeyPair
-
-if TYPE_CHECKING:
-    from .gate import Gate
 
 JOINS = b"\x01"
 """Begins a subscription; the end of one begins with b"\\0"."""
@@ -116,7 +113,7 @@ class Writer:
 
     It binds to `endpoint`, "ipc:///PATH", "tcp://127.0.0.1:*" or a stated port, and for readers on
     other hosts to `public`, "tcp://ADDRESS:PORT", or "" for none; `now_ns` is the graph's clock for
-    these. Raises ZMQError if an endpoint is in use or malformed.
+    these; a `gate.Gate` admits readers. Raises ZMQError if an endpoint is in use or malformed.
     """
 
     def __init__(
@@ -126,7 +123,7 @@ class Writer:
         name: str = "writer",
         *,
         public: str = "",
-        gate: "Gate | None" = None,
+        gate: Any = None,
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
