@@ -14,8 +14,7 @@ from sparseskin.launch.launchfile.hosts import Host
 from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
 from sparseskin.launch.run import controls
-from sparseskin.launch.run.controls import MAX_OPEN, PATIENCE_S, Requests
-from sparseskin.launch.run.live_recording import LiveRecording
+from sparseskin.launch.run.controls import MAX_OPEN, PATIENCE_S, LiveRecording, Requests
 from sparseskin.launch.run.state import hosts_state
 from sparseskin.launch.run.waiting import AFTER_S, AGAIN_S, LateLog, waits_for
 from sparseskin.nodes.errors import RefusedError

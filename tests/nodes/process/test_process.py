@@ -21,7 +21,6 @@ from sparseskin.nodes.network.sockets import Reader, Writer
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.node_host import NodeHost
 from sparseskin.nodes.process import proc, runner
-from sparseskin.nodes.process.backlog import Backlog
 from sparseskin.nodes.process.memory import EVERY, FreeMemory
 from sparseskin.nodes.process.scheduling import MAX_CPU, MAX_PRIORITY, Scheduling
 from sparseskin.nodes.process.tally import Tally
@@ -205,11 +204,10 @@ def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(context):
     writer.send(end)  # and so is 8
     node = Tap()
     host = NodeHost(node, "1" * 16, print)
-    backlog = Backlog(reader, frozenset([TAXELS.encode()]))
     kept = []
 
     def ended():
-        while (waiting := backlog.take(3)) is not None:
+        while (waiting := reader.take(3, [TAXELS.encode()])) is not None:
             kept.extend(host.receive_bytes(*waiting))
         return host.finished
 
