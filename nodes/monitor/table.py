@@ -121,7 +121,7 @@ def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
         rotate = "" if all(p["rows"] == "rotating" for p in every) else " or rotating rows"
         advice = f"; if that lasts, more measurements{rotate} may help"
     are = "is" if n == 1 else "are"
-    text = f"{n} of {total} frames {are} in doubt, and marked on the page: {reasons}{advice}."
+    text = f"{n} of {total} frames {are} in doubt: {reasons}{advice}."
     return textwrap.fill(text, WIDTH)
 
 
