@@ -313,8 +313,8 @@ def test_frames_that_the_solver_does_not_trust_are_counted():
         "contact frames 75.0 % (1 of 4 not)",
     ]
     assert " ".join(table.split("=\n")[-1].split()) == (
-        "2 of 6 frames are in doubt: the estimated error is a large part of the forces, as at first "
-        "touch; if that lasts, more measurements or rotating rows may help."
+        "2 of 6 frames are in doubt: the estimated error is a large part of the forces, as at "
+        "first touch; if that lasts, more measurements or rotating rows may help."
     )
 
 
