@@ -101,7 +101,7 @@ check: .venv/installed-dev
 	touch $@
 
 .venv/installed: pyproject.toml .venv/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[fast]'
+	$(call install,-e '.[fast]')
 	touch $@
 
 .venv/installed-charts: pyproject.toml .venv/python
