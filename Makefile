@@ -6,6 +6,8 @@ export PYTHONDONTWRITEBYTECODE =
 # Some tests wait for other processes: one test process more than cores.
 WORKERS := $(shell echo $$((1 + $$(nproc))))
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
+# A comma in an argument of `call` would end it.
+CHARTS := charts,fast,peers
 # uv takes an eighth of the time of pip, which installs where uv fails: it reads no pip.conf.
 # Neither compiles: modules are when they are first imported, and most of these packages' never are.
 install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(PIP) $(1)
@@ -105,7 +107,7 @@ check: .venv/installed-dev
 	touch $@
 
 .venv/installed-charts: pyproject.toml .venv/python
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[charts,fast,peers]'
+	$(call install,-e '.[$(CHARTS)]')
 	touch $@ .venv/installed
 
 .venv/installed-test: pyproject.toml .venv/python

@@ -31,7 +31,7 @@ class Bus:
         self.hosts: dict[str, NodeHost] = {}
         links = join(nodes)
         for name, (cls, settings) in nodes.items():
-            log = partial(self._log, name)
+            log = partial(_log, self.lines, name)
             node = cls(settings, Context(name, self.clock, log, live=False))
             inputs = [link.topic for link in links if link.reader == name]
             self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, log, inputs)
@@ -98,5 +98,6 @@ class Bus:
                     self._queue.extend(reader.receive(message))
         return delivered
 
-    def _log(self, name: str, line: str) -> None:
-        self.lines.append(f"[{name}] {line}")
+
+def _log(lines: list[str], name: str, line: str) -> None:
+    lines.append(f"[{name}] {line}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -87,8 +86,6 @@ class Recorder(Node[RecorderSettings]):
     def close(self, counts: dict[str, Any]) -> None:
         if (writer := self._writer) is not None:
             self._guard(lambda: writer.close(counts))
-            with suppress(BagError):  # of a recording that an error has ended
-                writer.close()
         self._closed = True
 
     def status(self) -> str:

@@ -292,7 +292,6 @@ def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:
     rows = runs.recordings()
     compared, packed = rows[rows["ratio"] > 1], rows[rows["ratio"] == 1]
     lines = [*geometric(rows), *beaten(rows), smaller(rows)]
-    flagged = compared[compared["flagged"].notna()]
     page.csv("recordings", rows.drop(columns=["path"]))
     keys = ["recording"]
     page.section(
@@ -312,7 +311,7 @@ def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:
         simple=", ".join(SIMPLE),
         least=LEAST_ERROR,
     )
-    page.section("Marks and estimated errors", *marks(flagged, keys))
+    page.section("Marks and estimated errors", *marks(rows, keys))
     failed = rows[rows["refused"] != ""].drop_duplicates(["recording", "method", "ratio"])
     page.section(
         "All taxels read",

@@ -85,9 +85,8 @@ class CompiledVectors(FrameVectors):
     def steps(self, first: int, floor: float, n_formula: int, n: int) -> Steps:
         tiles, total = self._tiles, n_formula + n
         assert isinstance(tiles, Tiles)
-        for number in range(first, first + min(total, len(SHIFTS))):
-            if not tiles.counts[number % len(SHIFTS)]:
-                tiles.tables(number % len(SHIFTS))
+        for k in range(min(total, len(SHIFTS))):
+            tiles.prepare((first + k) % len(SHIFTS))
         estimates = np.empty((min(n, self._t.averaged), self.z.size), dtype=np.float32)
         found = np.empty((total, 2))
         self._of_step[:2] = self.variance_of_read, floor

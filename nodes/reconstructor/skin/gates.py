@@ -271,6 +271,13 @@ class Tiles:
         self.share = np.empty((n_shifts, self.most), dtype=np.float32)
         self.counts = np.zeros(n_shifts, dtype=np.int64)
 
+    def prepare(self, number: int) -> None:
+        """Make the gathers of a shift, by its number, if they are missing."""
+        if not self.counts[number]:
+            windows, self.back[number], share = self._made(*SHIFTS[number])
+            self.counts[number] = n = len(share)
+            self.windows[number, :n], self.share[number, :n] = windows, share
+
     def tables(self, number: int) -> tuple[Places, Places, Floats]:
         """Return the gathers of a shift, by its number.
 
@@ -283,10 +290,7 @@ class Tiles:
         share : ndarray of float32, shape (t,)
             Part of the taxels that lie in each tile. Tiles without a taxel are left out.
         """
-        if not self.counts[number]:
-            windows, self.back[number], share = self._made(*SHIFTS[number])
-            self.counts[number] = n = len(share)
-            self.windows[number, :n], self.share[number, :n] = windows, share
+        self.prepare(number)
         n = self.counts[number]
         return self.windows[number, :n], self.back[number], self.share[number, :n]
 

@@ -271,6 +271,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             yield
         except OSError as error:
             self._failure = f"{self.part}: {error.strerror}; {KEPT}"
+            self._file.close(sync=False)
             raise BagError(self._failure) from error
 
     def _finish(self, counts: Mapping[str, Any] | None) -> None:
