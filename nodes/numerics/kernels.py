@@ -470,10 +470,11 @@ def skin_step(
     elif n_busy:
         product(w, filters, a)
         for b in range(n_busy):
+            size = levels[b, k:]
+            for j in range(k):  # by itself: a choice in it would keep its roots from being vectors
+                size[j] = four * (np.sqrt(np.sqrt(one + abs(a[b, j]))) - one)
             for j in range(k):
-                size = four * (np.sqrt(np.sqrt(one + abs(a[b, j]))) - one)
-                levels[b, k + j] = size
-                levels[b, j] = size if a[b, j] >= 0 else -size
+                levels[b, j] = size[j] if a[b, j] >= 0 else -size[j]
         product(levels, hidden, h)
         for b in range(n_busy):
             for j in range(h.shape[1]):
@@ -500,8 +501,10 @@ def skin_step(
     alpha, damping = np.float32(min(expected, numbers[3])), np.float32(numbers[4])
     more = one / (one - alpha)
     for p in range(n):
-        u, x[p] = x[p], flat[back[p]]
-        z[p] += damping * ((x[p] - alpha * u) * more - z[p])
+        v[p] = flat[back[p]]
+    for p in range(n):
+        z[p] += damping * ((v[p] - alpha * x[p]) * more - z[p])
+        x[p] = v[p]
     return expected * np.float64(s) ** 2
 
 
