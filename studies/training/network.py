@@ -24,6 +24,7 @@ from sparseskin.nodes.reconstructor.skin.gates import (
     TILE,
     WINDOW,
     Gates,
+    stored_gates,
 )
 
 from .presses import N_FRAMES, SIDE, masks, presses
@@ -185,6 +186,11 @@ def trained(
             mean += (error_db - mean) / min(k + 1, 2 * EVERY)
             if (k + 1) % EVERY == 0 or k + 1 == n_batches:
                 rows.append({"batch": k + 1, "error_db": mean})
-        return weights(network), rows, Drawn(seed + 1, presses(HELD_OUT, seed + 1)).score(network)
+        held_out = presses(HELD_OUT, seed + 1)
+        scores = Drawn(seed + 1, held_out).score(network)
+        if (shipped := stored_gates()) is not None:
+            others = {name: torch.tensor(getattr(shipped, name)) for name in network}
+            scores["error, shipped weights"] = Drawn(seed + 1, held_out).score(others)["error"]
+        return weights(network), rows, scores
     finally:
         torch.set_num_threads(before)
