@@ -15,7 +15,6 @@ from processes import COMMAND, PATIENCE_S, SENSOR, Program, note_of_graph, wait_
 
 from sparseskin.nodes import extensions
 from sparseskin.nodes.network.sockets import make_context
-from sparseskin.nodes.numerics.warm_up import compile_loops
 
 __all__ = ["COMMAND", "PATIENCE_S", "note_of_graph", "wait_until"]
 
@@ -46,14 +45,9 @@ COMPILE = "from sparseskin.nodes.numerics.warm_up import compile_loops as c; c('
 
 
 def pytest_sessionstart(session):
-    """Begin to compile all loops, where they are not yet, beside the collection of tests."""
+    """Begin to compile all loops, where they are not yet: tests that need one wait for it."""
     if not hasattr(session.config, "workerinput"):
         session.config.compiling = subprocess.Popen([sys.executable, "-c", COMPILE])
-
-
-def pytest_collection_finish():
-    """Wait until all loops are compiled: one process has the lock."""
-    compile_loops("skin", "auto", lambda line: None)
 
 
 def pytest_sessionfinish(session):

@@ -22,6 +22,7 @@ STATIONS = [
 EVERY_PHI = "[b.make_phi(kind, 64, 64, seed=0) for kind in b.KINDS]"
 
 
+@pytest.mark.slow
 def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
     source = tmp_path / "source"
     source.mkdir()

@@ -6,12 +6,14 @@ module that chooses between it and its numpy twin imports it only where `use_com
 
 from __future__ import annotations
 
+import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, TypeVar
 
 from sparseskin.nodes.errors import SettingsError
@@ -69,14 +71,26 @@ def use_compiled(fast: str) -> bool:
 def ready(*loops: Callable[..., Any], log: Callable[[str], None] | None = None) -> None:
     """Compile loops for their types, or read them from disk; they then accept no other types.
 
-    The loops are made by `compiled` with signatures; `log` is as in `compile_loops`.
+    Processes that do so at one time do it one after the other, and the first compiles. The loops
+    are made by `compiled` with signatures; `log` is as in `compile_loops`.
     """
-    with _progress(log) if log is not None else nullcontext():
+    if all(loop.signatures for loop in loops):  # type: ignore[attr-defined]
+        return
+    with _alone(loops[0]), _progress(log) if log is not None else nullcontext():
         for loop in loops:
             if not loop.signatures:  # type: ignore[attr-defined]
                 for signature in _SIGNATURES[loop]:
                     loop.compile(signature)  # type: ignore[attr-defined]
                 loop.disable_compile()  # type: ignore[attr-defined]
+
+
+@contextmanager
+def _alone(loop: Callable[..., Any]) -> Iterator[None]:
+    """Hold a lock on the file of a loop."""
+    with Path(loop.__code__.co_filename).open() as file:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 @contextmanager

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
 
 from . import compiled
 
@@ -14,8 +11,7 @@ from . import compiled
 def compile_loops(
     solver: str, fast: str, log: Callable[[str], None], contacts: bool = False
 ) -> None:
-    """Compile all loops now, or read them from disk, so that no frame waits for it; processes that
-    start together do so one after the other, and the first compiles.
+    """Compile all loops now, or read them from disk, so that no frame waits for it.
 
     Nothing is done where the solver has none and there are no contacts, or where `use_compiled` is
     False, with Raises as there. `log` receives a line of text before anything is compiled, and one
@@ -26,10 +22,7 @@ def compile_loops(
     if compiled.use_compiled(fast):
         from . import kernels  # needs numba
 
-        with Path(kernels.__file__).open() as file:
-            with suppress(OSError):  # a file system without locks
-                fcntl.flock(file, fcntl.LOCK_EX)
-            compiled.ready(*kernels.LOOPS, log=log)
+        compiled.ready(*kernels.LOOPS, log=log)
     elif "off" not in (fast, os.environ.get(compiled.ENVIRONMENT)):
         is_missing = compiled.check_fast(fast) == "off"
         log(compiled.NOT_INSTALLED if is_missing else compiled.NOT_IMPORTED)

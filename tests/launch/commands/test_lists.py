@@ -124,6 +124,7 @@ recorder = {{ type = "recorder", out = "desk.mcap", topics = ["/skin/taxels"], h
 N_BYTES = 50_000
 
 
+@pytest.mark.slow
 def test_every_tool_beside_a_secured_graph_is_served(tmp_path):
     for name in ("edge", "desk"):
         make_key_files(name, tmp_path / "keys")

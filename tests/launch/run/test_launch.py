@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from processes import SENSOR
 from sparseskin.launch.launchfile.load import BUNDLED
 from sparseskin.messages import Reconstruction
 
-slow = partial(pytest.param, marks=pytest.mark.slow)
 SLOWLY = ("--set", "sensor.rate_hz=20", "--set", "reconstructor.iterations=3")
 NONE_MISSING = {"skipped": 0, "lost": 0, "unpaired": 0}
 TAP = """
@@ -69,6 +67,7 @@ class Held(FistaSolver):
 """
 
 
+@pytest.mark.slow
 def test_not_one_frame_is_lost_from_the_first_on(start, tmp_path):
     # As fast as the sensor can: whatever is not joined at the start would be lost. More than a
     # queue holds: only a sensor that waits for its readers loses nothing.
@@ -103,7 +102,8 @@ def test_not_one_frame_is_lost_from_the_first_on(start, tmp_path):
     assert program.survivors() == {}
 
 
-@pytest.mark.parametrize("transport", ["ipc", slow("tcp")])
+@pytest.mark.parametrize("transport", ["ipc", "tcp"])
+@pytest.mark.slow
 def test_over_any_transport_the_forces_are_the_same_bits(start, tmp_path, transport):
     # The solver is made before the first frame is acquired.
     (tmp_path / "tap.py").write_text(TAP.replace('"recon', '"solver", "taxels", "recon'))
@@ -170,6 +170,7 @@ def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(start, sensor, 
     wait_until(lambda: not program.survivors(), "the nodes to notice")
 
 
+@pytest.mark.slow
 def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(start, tmp_path):
     # The first frame is solved when all have been sent: twice what the queues hold.
     (tmp_path / "fast.py").write_text(FAST)

@@ -102,6 +102,7 @@ def summary(folder, host):
     return json.loads((folder / f"{host}.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_end(start, tmp_path):
     write(tmp_path)
     edge = part(start, "edge", "--frames", "300")
@@ -143,6 +144,7 @@ def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(start, 
     edge.finish()
 
 
+@pytest.mark.slow
 def test_a_host_that_is_not_on_the_list_gets_nothing_and_is_named(start, tmp_path):
     write(tmp_path, allow='security.allow = ["edge"]')
     edge = part(start, "edge")

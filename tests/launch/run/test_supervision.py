@@ -130,6 +130,7 @@ def killed(program, node):
     program.wait_for(f"[launch] {node} ended too early: killed by SIGKILL")
 
 
+@pytest.mark.slow
 def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(start, tmp_path):
     (tmp_path / "counted.py").write_text(COUNTED)
     source = ("--set", "sensor.source=counted:frames", "--set", "reconstructor.preset=paper")

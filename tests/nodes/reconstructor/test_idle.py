@@ -34,6 +34,7 @@ def batches(skip_idle=True):
 
 
 @pytest.mark.parametrize("pressed", [False, True])
+@pytest.mark.slow
 def test_false_alarms_are_about_as_many_as_stated(pressed):
     truth = TiledScene("hug", SKIN, 1).forces(2.2)[0] if pressed else UNTOUCHED
     watched = Watched(16, truth)

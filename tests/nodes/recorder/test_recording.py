@@ -105,6 +105,7 @@ def test_the_end_names_the_file_that_a_killed_recorder_has_left(start, sensor, t
     assert f"recorder: {left}" in graph.finish()[1]
 
 
+@pytest.mark.slow
 def test_an_interrupted_recorder_completes_its_file(start, sensor, tmp_path):
     graph = start("launch", sensor)
     graph.wait_for("[launch] ready")

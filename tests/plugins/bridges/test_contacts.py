@@ -134,6 +134,7 @@ def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(
         context.destroy(linger=0)
 
 
+@pytest.mark.slow
 def test_a_stopped_bridge_holds_up_no_source_that_follows_its_readers(start, tmp_path, monkeypatch):
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     (tmp_path / "observed.toml").write_text(

@@ -96,6 +96,7 @@ def test_hostile_requests_end_neither_server_nor_bridge(bridge):
         wait_until(lambda: bridge._channels[TOPIC].has_sinks(), "the subscription")
 
 
+@pytest.mark.slow
 def test_a_client_reads_frames_of_a_running_graph(start):
     graph = start("launch", "path_40", "--set", "monitor.page=false", "--set", "sensor.rate_hz=20")
     graph.wait_for("ready")

@@ -340,6 +340,7 @@ def test_a_raster_has_the_error_of_clipped_noise_and_a_band_is_a_prediction_inte
     assert (low, high) == pytest.approx((12 - half, 12 + half), abs=0.01)
 
 
+@pytest.mark.slow
 def test_rows_are_simulated_in_processes_as_in_this_one():
     design = make_design({"rows": 6, "cols": 6, "rate": 50})
     rows = simulated(budget(design)[:2], design, n_scenes=2)

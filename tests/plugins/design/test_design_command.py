@@ -31,6 +31,7 @@ def test_it_prints_a_line_for_each_strategy(capsys):
     assert "bus: 95 bytes take 8.25 ms (UART at 115.2 kbaud): 121 Hz" in out
 
 
+@pytest.mark.slow
 def test_it_prints_the_accuracy(capsys, monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0})  # in this process
     monkeypatch.setattr(simulation, "TRIALS", 2)

@@ -142,6 +142,7 @@ def test_preset_paper_is_the_papers_method():
     np.testing.assert_allclose(solver.solve(y), expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_same_bits_with_any_number_of_blas_threads():
     code = (
         "import numpy as np, hashlib;"
