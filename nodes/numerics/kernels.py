@@ -165,7 +165,7 @@ def standing_out(w: A, numbers: A) -> Any:
 
 @compiled(sums_in_any_order=True)
 def product(w: A, matrix: A, out: A) -> None:
-    """Matrix product out = w matrix^T: of few rows w by loops, since BLAS copies the matrix first."""
+    """Matrix product out = w matrix^T: of few rows by loops, since BLAS copies the matrix first."""
     n, n_columns = w.shape[0], matrix.shape[0]
     if n > MOST_ROWS or n_columns < 4:
         np.dot(w, matrix.T, out)
@@ -475,11 +475,11 @@ def skin_step(
     elif n_busy:
         product(w, filters, a)
         for b in range(n_busy):
-            size = levels[b, k:]
-            for j in range(k):  # by itself: a choice in it would keep its roots from being vectors
-                size[j] = four * (np.sqrt(np.sqrt(one + abs(a[b, j]))) - one)
+            one_a, sizes = a[b], levels[b, k:]
+            for j in range(sizes.size):  # without a choice, so that its roots become vectors
+                sizes[j] = four * (np.sqrt(np.sqrt(one + abs(one_a[j]))) - one)
             for j in range(k):
-                levels[b, j] = size[j] if a[b, j] >= 0 else -size[j]
+                levels[b, j] = sizes[j] if one_a[j] >= 0 else -sizes[j]
         product(levels, hidden, h)
         for b in range(n_busy):
             for j in range(h.shape[1]):

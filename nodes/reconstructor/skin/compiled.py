@@ -40,7 +40,6 @@ class CompiledVectors(FrameVectors):
         of_tiles = QUIET, *stands_out, CLEARLY, STRICT, LEAST
         self._of_step = np.array([0.0, 0.0, *of_step, *of_tiles, 0.0, 0.0])
         self._scaled = np.zeros(n + 1, dtype=np.float32)
-
         matrices = weights.filters, weights.hidden, weights.hidden_0, weights.gates
         vectors = weights.gates_0, weights.synthesis, weights.error[0]
         self._weights = [np.ascontiguousarray(array) for array in (*matrices, *vectors)]
