@@ -55,6 +55,7 @@ CORE = (
     "nodes/reconstructor/estimates/uncertainty.py",
     "nodes/reconstructor/faults/rows.py",
     "nodes/reconstructor/faults/taxels.py",
+    "nodes/reconstructor/skin/estimator.py",
     "nodes/reconstructor/skin/gates.py",
     "nodes/reconstructor/skin/rows.py",
     "nodes/reconstructor/skin/solver.py",
@@ -66,7 +67,7 @@ CORE = (
     "plugins/vendors/emed.py",
     "plugins/vendors/tekscan.py",
     "nodes/sensor/scenes/contact.py",
-    "nodes/sensor/scenes/motion.py",
+    "nodes/sensor/scenes/bodies.py",
 )
 PER_MODULE = 8
 WANTED_PERCENT = 90
@@ -76,8 +77,10 @@ TESTS_OF = {
     "nodes/compressor/phi/sbhe.py": ("tests/nodes/compressor/phi",),
     "nodes/monitor/statistics.py": ("tests/nodes/monitor/test_metrics.py",),
     "nodes/network/network.py": ("tests/nodes/network",),
+    "nodes/reconstructor/skin/estimator.py": ("tests/nodes/reconstructor/skin/test_skin.py",),
     "nodes/reconstructor/skin/rows.py": ("tests/nodes/reconstructor/skin/test_skin.py",),
     "nodes/sensor/noise.py": ("tests/nodes/sensor/test_missing.py",),
+    "nodes/sensor/scenes/bodies.py": ("tests/nodes/sensor/scenes/test_scenes.py",),
     "nodes/sensor/scenes/contact.py": ("tests/nodes/sensor/scenes/test_scenes.py",),
 }
 #: Exit codes of the tests under a mutant: passed, or no test reached it.
