@@ -158,7 +158,7 @@ def _lay_out(tree: Path, modules: list[str]) -> None:
         "[tool.pytest.ini_options]",
         'addopts = ["--import-mode=importlib", "--strict-markers"]',
         f"markers = {json.dumps(CONFIG['pytest']['ini_options']['markers'])}",
-        'pythonpath = ["tests"]',
+        f"pythonpath = {json.dumps(CONFIG['pytest']['ini_options']['pythonpath'])}",
     ]
     (tree / "pyproject.toml").write_text("\n".join(lines) + "\n")
 

@@ -93,6 +93,8 @@ class Player(SourceNode[PlayerSettings]):
         self._names = {topic: new for topic, new in names.items() if topic in self._bag.topics}
         if self._bag.recovered:
             print(f"{settings.file}: {self._bag.recovered}")
+        if not any(info.n_messages for info in self._bag.topics.values()):
+            raise SettingsError(f"{settings.file}: holds no message, so there is nothing to play")
         self.min_readers = settings.wait or int(settings.lockstep)
         if settings.lockstep:
             self.window = 1

@@ -98,7 +98,9 @@ class TableRecording(Recording):
                 # A decimal comma stands where semicolons separate.
                 yield [c.strip().replace(",", "." if mark == ";" else ",") for c in cells]
         except csv.Error as error:
-            raise SourceError(f"{self._lines.where}: {error}") from error
+            raise SourceError(
+                f"{self._lines.where}: no line of a table of text: {error}"
+            ) from error
 
     def _check_width(self, cells: Sequence[str]) -> None:
         if len(cells) != self._width:

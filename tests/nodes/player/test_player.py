@@ -55,6 +55,13 @@ def play(node, n_ticks=1000):
     return frames
 
 
+def test_a_recording_that_is_cut_before_its_first_message_is_refused(recording, tmp_path):
+    cut = tmp_path / "holds_no_message.mcap"
+    cut.write_bytes(recording[0].read_bytes()[:3000])  # within the first chunk
+    with pytest.raises(SparseskinError, match="holds no message, so there is nothing to play"):
+        player(cut)
+
+
 def test_kept_stamps_are_those_of_what_was_recorded_to_the_bit(recording):
     path, seen = recording
     node = player(path, keep_stamps=True)

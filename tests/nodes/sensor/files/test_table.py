@@ -84,7 +84,7 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         ("a,b\n1,2\n", {"columns": "c*"}, "columns: 'c.' is none of 2 columns .'a', 'b', "),
         ("a,b\n1,2\n", {"columns": "2-9"}, "'2-9' is none of 2 columns"),
         ("name\nleft\n", {}, "no column holds numbers; state columns"),
-        ("1," + 140_000 * "2", {"n_rows": 1}, "line 1: field larger than field limit"),
+        ("1," + 140_000 * "2", {"n_rows": 1}, "line 1: no line of a table of text: field larger"),
     ],
 )
 def test_what_is_no_table_of_frames_is_refused_in_one_line(tmp_path, text, stated, message):
