@@ -12,9 +12,9 @@ import numpy as np
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.isolated import child_status
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.process.isolation import child_status
 from sparseskin.nodes.sensor.files.recording import check_stated_shape
 from sparseskin.nodes.sensor.source import Address, Source
 

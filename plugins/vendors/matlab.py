@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.isolated import child_status, output_of
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.process.isolation import child_status, output_of
 from sparseskin.nodes.sensor.files.arrays import as_frames, frames_name
 from sparseskin.nodes.sensor.files.recording import File, Parsed, Recording, unreadable
 

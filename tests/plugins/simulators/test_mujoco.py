@@ -24,7 +24,7 @@ MODELS = Path(__file__).parents[3] / "examples" / "models"
 PAD = f"{MODELS / 'pad.xml'}#pad"
 ARM = f"{MODELS / 'arm.xml'}#tip"
 G = 9.81
-ISOLATED = "sparseskin.nodes.isolated"
+ISOLATED = "sparseskin.nodes.process.isolation"
 
 
 @pytest.fixture(autouse=True)

@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from sparseskin.nodes import isolated
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.process import isolation
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.plugins.vendors import matlab
 
@@ -34,7 +34,7 @@ def direct(request, monkeypatch):
         np.save(out := io.BytesIO(), array)
         return f"{key}\n".encode() + out.getvalue()
 
-    monkeypatch.setattr(isolated, "START_S", PATIENCE_S)
+    monkeypatch.setattr(isolation, "START_S", PATIENCE_S)
     if "isolated" not in request.keywords:
         monkeypatch.setattr(matlab, "output_of", output_of)
 
@@ -111,7 +111,7 @@ def test_a_reader_that_is_ended_is_named_with_its_signal(tmp_path, monkeypatch):
     (tmp_path / "dying.py").write_text("import os; os.kill(os.getpid(), 11)")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(SourceError, match=r"^any\.mat: its reader was ended by SIGSEGV; a damaged"):
-        isolated.output_of("dying", "any.mat", n_bytes=1)
+        isolation.output_of("dying", "any.mat", n_bytes=1)
 
 
 @pytest.mark.isolated

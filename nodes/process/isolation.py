@@ -10,7 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 
-from .errors import SourceError
+from sparseskin.nodes.errors import SourceError
 
 START_S, BYTES_PER_S = 60.0, 1e7
 """Time that a child has, in s: to start, and by size; chosen, far above what it takes on an idle
