@@ -94,6 +94,7 @@ class Player(SourceNode[PlayerSettings]):
         if self._bag.recovered:
             print(f"{settings.file}: {self._bag.recovered}")
         if not any(info.n_messages for info in self._bag.topics.values()):
+            self._bag.close()
             raise SettingsError(f"{settings.file}: holds no message, so there is nothing to play")
         self.min_readers = settings.wait or int(settings.lockstep)
         if settings.lockstep:
