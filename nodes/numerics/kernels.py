@@ -418,8 +418,7 @@ def skin_step(
 ) -> float:  # fmt: skip
     """A step, as in `FrameVectors`: z and x become the next; return the expected squared error.
 
-    v has a place more than z. Rows of the gates' matrices come in fours, the last of them are 0;
-    the arrays of the last line are scratch.
+    v has a place more than z. Arrays of the last line are scratch.
     numbers: read noise, floor, least tau, most alpha, damping, the constant of the error, that of a
     tile in which nothing stands out, those of `standing_out` and `haar_shrink`, whether that is
     used; the last becomes the mean squared residual of z.

@@ -40,9 +40,9 @@ class CompiledVectors(FrameVectors):
         of_tiles = QUIET, *stands_out, CLEARLY, STRICT, LEAST
         self._of_step = np.array([0.0, 0.0, *of_step, *of_tiles, 0.0, 0.0])
         self._scaled = np.zeros(n + 1, dtype=np.float32)
-        matrices = weights.filters, weights.hidden, weights.hidden_0, weights.gates
-        vectors = weights.gates_0, weights.synthesis, weights.error[0]
-        self._weights = [np.ascontiguousarray(array) for array in (*matrices, *vectors)]
+        of_hidden = weights.filters, weights.hidden, weights.hidden_0
+        of_gates = weights.gates, weights.gates_0, weights.synthesis, weights.error[0]
+        self._weights = [np.ascontiguousarray(array) for array in (*of_hidden, *of_gates)]
         k, h = len(weights.filters), len(weights.hidden_0)
         widths = (WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE)
         self._scratch = [
