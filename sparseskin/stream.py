@@ -126,7 +126,7 @@ class Stream:
         edge.check()
         self._phis = edge.phis(self._skin)
         self.n, self.m = self._phis[0].n, self._phis[0].m
-        self._noise_of = None if sigmas is None else NoiseModel(f_max, *sigmas).variance
+        self._noise_model = None if sigmas is None else NoiseModel(f_max, *sigmas)
         noise_sd = noise_sd if sigmas is None else CLIP_SD * min(sigmas)
         self._noise_sd = newtons("stream", "noise_sd", noise_sd)
         options = {name: value for name, value in settings.items() if name not in _NAMED}
@@ -158,7 +158,7 @@ class Stream:
         options = options_for_range(name, chosen, skin.f_max, phi)
         fast = self._host.fast
         solver = make_rotating_solver(name, self._phis, basis, skin.mask, fast=fast, **options)
-        solver.noise_sd, solver.noise_of = self._noise_sd, self._noise_of
+        solver.noise_sd, solver.noise_model = self._noise_sd, self._noise_model
         return solver
 
     def compress(self, frame: Floats) -> Floats:

@@ -185,7 +185,7 @@ def make_method(
     if sigma_end:
         paper = NoiseModel()
         sigma_mid = min(f_max_n, sigma_end * paper.sigma_mid / paper.sigma_end)
-        solver.noise_of = NoiseModel(f_max_n, sigma_mid, sigma_end).variance
+        solver.noise_model = NoiseModel(f_max_n, sigma_mid, sigma_end)
     return Method(solver, phis)
 
 

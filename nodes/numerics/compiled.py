@@ -114,19 +114,20 @@ def _progress(log: Callable[[str], None]) -> Iterator[None]:
         log(f"compiled loops: ready after {time.perf_counter() - begins_s[0]:.0f} s")
 
 
-_SIGNATURES: dict[Callable[..., Any], tuple[str, ...]] = {}
+_SIGNATURES: dict[Callable[..., Any], tuple[Any, ...]] = {}
 
 
-def compiled(*signatures: str, sums_in_any_order: bool = False) -> Callable[[Function], Function]:
+def compiled(*signatures: Any, sums_in_any_order: bool = False) -> Callable[[Function], Function]:
     """Return the decorator of a loop that `ready` compiles for these signatures.
 
     The compiled code is stored beside the module, in the user's cache folder where that folder
     is read-only, or in NUMBA_CACHE_DIR where it is set. With none of these it is compiled anew in
     each process.
 
-    Signatures are as numba writes them, "void(float32[::1], int64)"; none: for use within compiled
-    functions of the same file. With `sums_in_any_order` a sum over a vector may be computed in the
-    fastest order: the same bits on one machine. Everything else is rounded as it is written.
+    Signatures are numba's, void(float32[::1], int64), or tuples of the arguments' types; none: for
+    use within compiled functions of the same file. With `sums_in_any_order` a sum over a vector may
+    be computed in the fastest order: the same bits on one machine. Everything else is rounded as it
+    is written.
     """
     numba = import_module("numba")
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}

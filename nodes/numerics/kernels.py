@@ -15,7 +15,9 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
+from numba import boolean, float32, float64, from_dtype, int32, int64, uint32, void
 
+from .arrays import TINY
 from .compiled import compiled
 
 A: TypeAlias = Any
@@ -25,11 +27,29 @@ MOST_ROWS = 32
 """Rows up to which loops are faster than BLAS. Measured: at 20 rows 1.25 times, at 40 0.9 times."""
 _ROOT_2 = np.float32(np.sqrt(2.0))
 
-# Types of signatures: vector, matrix, places and tables of them, groups, grid, numbers and tables
-# of them.
-V, M, P = "float32[::1]", "float32[:,::1]", "uint32[::1]"
-P2, P3 = "uint32[:,::1]", "uint32[:,:,::1]"
-G, L, D, DM = "int64[:,::1]", "int64[::1]", "float64[::1]", "float64[:,::1]"
+# Types of arguments: vector, matrix, places and tables of them, groups, list, numbers and tables of
+# them.
+V, M, P, P2 = float32[::1], float32[:, ::1], uint32[::1], uint32[:, ::1]
+G, L, D, DM = int64[:, ::1], int64[::1], float64[::1], float64[:, ::1]
+
+
+_CONSTANTS = """
+    damping averaged least_tau most_alpha motion ridge noise_rate noise_growth significant
+    signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
+    most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
+    untouched trusted
+    resolution repeated invisible dust negligible unknown
+    quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
+"""
+CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
+"""Constants of a `CompiledEstimator`: `SkinTuning`, and those of modules of the method."""
+_NUMBERS = """
+    noise bias error trusted least_noise trust signal n_seen n_frames stated_error noise_sd
+    f_max sigma_mid sigma_end clips of_touched
+"""
+NUMBERS = np.dtype([(name, np.float64) for name in _NUMBERS.split()])
+"""Numbers of a `CompiledEstimator`: those of `SkinEstimator`, and the noise that the skin states;
+f_max is 0 where it states none."""
 
 
 @compiled()
@@ -110,7 +130,7 @@ def haar_transposed(v: A, n_rows: int, n_cols: int, half: A) -> None:
                 a[j] = _ROOT_2 * s[j]
 
 
-@compiled(f"void({V}, {V}, {V}, {V}, {V}, {V}, {V}, {P}, {V}, {V}, {G}, {L}, {V})")
+@compiled(void(V, V, V, V, V, V, V, P, V, V, G, L, V))
 def fista(
     theta: A, before: A, betas: A, weights2: A, threshold: A, z: A, v: A, deal: A, keep: A,
     measured: A, groups: A, grid: A, half: A,
@@ -135,32 +155,33 @@ def fista(
         theta, before = before, theta
 
 
-@compiled(f"void({V}, {L}, {V})")
+@compiled(void(V, L, V))
 def haar_image(v: A, grid: A, half: A) -> None:
     """Replace Haar coefficients, of the scale of `haar`, by their image."""
     haar_transposed(v, grid[0], grid[1], half)
 
 
 @compiled()
-def standing_out(w: A, numbers: A) -> Any:
-    """Part of a window of 12 x 12 that counts, as in `gates`; numbers: from place 7 on."""
-    most, whole = np.float32(0), np.float32(0)
-    for top in range(0, 144, 72):
-        for left in range(0, 12, 6):
+def standing_out(image: A, begin: int, width: int, t: A) -> Any:
+    """Part of the window of 12 x 12 that begins at a place of a flat image, as in `gates`."""
+    highest = of_thirds = of_sixths = whole = np.float32(0)
+    for top in range(begin, begin + 12 * width, 6 * width):
+        for corner in range(top, top + 12, 6):
             sixth = np.float32(0)
-            for at in (top + left, top + left + 3, top + left + 36, top + left + 39):
-                third = np.float32(0)
-                for i in range(at, at + 36, 12):
-                    third += w[i] + w[i + 1] + w[i + 2]
-                    most = max(most, max(w[i], w[i + 1], w[i + 2]) / np.float32(numbers[7]))
-                most = max(most, third / np.float32(3 * numbers[8]))
-                sixth += third
-            most = max(most, sixth / np.float32(6 * numbers[9]))
+            for down in range(corner, corner + 6 * width, 3 * width):
+                for at in range(down, down + 6, 3):
+                    third = np.float32(0)
+                    for i in range(at, at + 3 * width, width):
+                        x, y, z = image[i], image[i + 1], image[i + 2]
+                        third += x + y + z
+                        highest = max(highest, max(x, y, z))
+                    of_thirds = max(of_thirds, third)
+                    sixth += third
+            of_sixths = max(of_sixths, sixth)
             whole += sixth
-    most = max(most, whole / np.float32(12 * numbers[10]))
-    return min(
-        max((most - np.float32(1)) / np.float32(numbers[11] - 1), np.float32(0)), np.float32(1)
-    )
+    most = max(highest / t.single, of_thirds / (3 * t.by_3))
+    most = max(most, of_sixths / (6 * t.by_6), whole / (12 * t.whole))
+    return np.float32(min(max((most - 1) / (t.clearly - 1), 0.0), 1.0))
 
 
 @compiled(sums_in_any_order=True)
@@ -185,13 +206,14 @@ def product(w: A, matrix: A, out: A) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def haar_shrink(w: A, numbers: A, s: A, d: A) -> None:
-    """Shrink the tiles of windows (t, 144), as in `formula`; numbers: from place 12 on.
+def haar_shrink(w: A, constants: A, s: A, d: A) -> None:
+    """Shrink the tiles of windows (t, 144), as in `formula`.
 
     Columns of s and d are tiles. s holds the taxels, and their sums at each level: its first 64
     rows are the result. d holds the details; its row 64 becomes the expected squared error.
     """
-    strict, least, half = np.float32(numbers[12]), np.float32(numbers[13]), np.float32(0.5)
+    strict, least = np.float32(constants.strict), np.float32(constants.least)
+    half, quiet = np.float32(0.5), np.float32(constants.quiet)
     one, four = np.float32(1), np.float32(4)
     n_tiles, begin, place, n = w.shape[0], 0, 0, 8
     for p in range(64):
@@ -226,7 +248,7 @@ def haar_shrink(w: A, numbers: A, s: A, d: A) -> None:
         lost = one - g
         total = error[t] + lost * lost * energy + (g + g) * (one + four * lost)
         expected = total / np.float32(64) - one
-        error[t] = min(max(expected, np.float32(numbers[6])), one)
+        error[t] = min(max(expected, quiet), one)
     while n < 8:
         n *= 2
         begin -= n * n
@@ -241,7 +263,7 @@ def haar_shrink(w: A, numbers: A, s: A, d: A) -> None:
                 c[t], e[t] = half * (down + right), half * (down - right)
 
 
-@compiled(f"void({V}, {G}, {V})")
+@compiled(void(V, G, V))
 def orthonormal(v: A, groups: A, scale: A) -> None:
     """Transform a dealt vector in place by W = W^T, orthonormal; scale: that of each place."""
     hadamard(v, groups)
@@ -249,14 +271,14 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
         v[p] *= scale[p]
 
 
-@compiled(f"void({V}, {V}, {V}, {L}, {P2}, {G}, {V}, {D}, {M}, {M}, {V}, {V}, {V}, {V})")
+@compiled()
 def skin_predict(
-    x: A, whole: A, values: A, read: A, neighbours: A, groups: A, scale: A, numbers: A,
+    x: A, whole: A, values: A, read: A, neighbours: A, groups: A, scale: A, noise: float, t: A,
     slopes: A, rows: A, correction: A, predicted: A, moved: A, innovation: A,
-) -> None:  # fmt: skip
+) -> tuple[float, float, float]:  # fmt: skip
     """Predict a frame, as in `FrameVectors`; slopes and rows are scratch, predicted, moved and
-    innovation the results. numbers: ridge, motion, noise; results: the sums of squares of the
-    innovation and of the last correction, and the sum of their products.
+    innovation results. Return the sums of squares of the innovation and of the last correction, and
+    of their products.
     """
     n, largest, energy = x.size, np.float32(0), 0.0
     for k in range(2):
@@ -277,10 +299,10 @@ def skin_predict(
             for k in range(3):
                 gram[j, k] += seen[j] * seen[k]
     unseen = max(0.0, energy * read.size / n - gram[0, 0])
-    gram[0, 0] += unseen * numbers[2] / (numbers[2] + gram[0, 0] / read.size)
-    least = numbers[0] ** 2 * gram[0, 0] + numbers[2]
+    gram[0, 0] += unseen * noise / (noise + gram[0, 0] / read.size)
+    least = t.ridge**2 * gram[0, 0] + noise
     for j in range(3):
-        gram[j, j] += numbers[0] * gram[j, j] + least
+        gram[j, j] += t.ridge * gram[j, j] + least
     a = right.copy()  # Gaussian elimination
     for j in range(3):
         for k in range(j + 1, 3):
@@ -292,7 +314,7 @@ def skin_predict(
             a[j] -= gram[j, k] * a[k]
         a[j] /= gram[j, j]
     explained = max(0.0, a[0] * right[0] + a[1] * right[1] + a[2] * right[2])
-    a *= explained / (explained + numbers[1] * numbers[2])
+    a *= explained / (explained + t.motion * noise)
     most = np.float32(largest * max(1.0, 1 + a[0]))
     grown, down, across = np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
     for p in range(n):
@@ -307,7 +329,7 @@ def skin_predict(
         power += now * now
         of_last += last * last
         of_both += now * last
-    numbers[3], numbers[4], numbers[5] = power, of_last, of_both
+    return power, of_last, of_both
 
 
 @compiled()
@@ -316,19 +338,25 @@ def loosened(variance: A, prior: float, doubt: float) -> Any:
     return min(prior * variance * (1 + doubt * variance), 1e34)
 
 
-@compiled(f"void({V}, {V}, {V}, {V}, {L}, {V}, {V}, {V}, {V}, {V}, {V}, {D}, {D})")
+@compiled()
+def surplus(seen: float, expected: float, count: int, t: A) -> Any:
+    """As `SkinTuning.surplus`."""
+    more = max(seen - expected, 0.0)
+    z2 = more * more * count / (2 * expected * expected + TINY)
+    return more * z2 / (z2 + t.significant**2)
+
+
+@compiled()
 def skin_filter(
     values: A, innovation: A, moved: A, whole: A, read: A, mean: A, left: A, change: A,
-    target: A, variance: A, off_target: A, recall: A, numbers: A,
-) -> None:  # fmt: skip
-    """Filter all rows, as in `FrameVectors`; left: variance that their measurements left.
-
-    numbers: noise, signal, error2, floor, significant, prior, doubt, recall memory and ridge; the
-    last becomes the mean variance of the targets of the rows read.
+    target: A, variance: A, off_target: A, recall: A,
+    noise: float, signal: float, error2: float, floor: float, t: A,
+) -> Any:  # fmt: skip
+    """Filter all rows, as in `FrameVectors`; left: variance that their measurements left. Return
+    the mean variance of the targets of the rows read.
     """
-    noise, signal, floor = numbers[0], numbers[1], numbers[3]
-    n, n_read, doubt = mean.size, read.size, numbers[6] / noise
-    unknown, n_known, seen, expected = np.float32(1e34), 0, 0.0, 0.0
+    n, n_read, doubt = mean.size, read.size, t.doubt / noise
+    unknown, n_known, seen, expected = np.float32(t.unknown), 0, 0.0, 0.0
     for p in range(n):
         mean[p] += moved[p] - whole[p]
     for i in range(n_read):
@@ -340,18 +368,15 @@ def skin_filter(
             expected += before
     changed = signal
     if 2 * n_known > n_read:
-        expected = noise + expected / n_known
-        more = max(0.0, seen / n_known - expected)
-        z2 = more * more * n_read / (2 * expected * expected + 1e-30)
-        changed = more * z2 / (z2 + numbers[4] ** 2)
+        changed = surplus(seen / n_known, noise + expected / n_known, n_read, t)
     grown = np.float32(changed)
-    prior = np.float32(loosened(np.float32(max(signal, numbers[2])), numbers[5], doubt))
+    prior = np.float32(loosened(np.float32(max(signal, error2)), t.prior, doubt))
     for p in range(n):
         change[p] = min(change[p] + grown, unknown)
-        wide = np.float32(loosened(change[p], numbers[5], doubt))
+        wide = np.float32(loosened(change[p], t.prior, doubt))
         variance[p] = prior / (prior + left[p] + wide)
         target[p] = variance[p] * (mean[p] - moved[p])
-    recall *= numbers[7]
+    recall *= t.recall_memory
     recall[2] += n_known
     for i in range(n_read):
         r = read[i]
@@ -359,8 +384,8 @@ def skin_filter(
             correction = np.float64(target[r])
             recall[0] += innovation[i] * correction
             recall[1] += correction * correction
-    ridge = numbers[8] * noise * recall[2]
-    recalled = np.float32(min(max((recall[0] + ridge) / (recall[1] + ridge + 1e-30), 0.0), 1.0))
+    ridge = t.recall_ridge * noise * recall[2]
+    recalled = np.float32(min(max((recall[0] + ridge) / (recall[1] + ridge + TINY), 0.0), 1.0))
     for p in range(n):
         variance[p] = prior * (1 - recalled * variance[p])
         target[p] = moved[p] + recalled * target[p]
@@ -377,53 +402,25 @@ def skin_filter(
         mean[r] += gain * (values[i] - mean[r])
         left[r] = max(gain * r_noise, least)
         change[r] = 0
-    numbers[9] = total / n_read
-
-
-@compiled(
-    f"void({V}, {M}, {V}, {V}, {L}, {V}, {G}, {V}, {V}, {P3}, {P2}, {M}, {L}, int64, int64, {DM}, "
-    f"{M}, {M}, {V}, {M}, {V}, {M}, {V}, {D}, "
-    f"{M}, {M}, {M}, {M}, {M}, {M}, {M}, {M}, {M}, {V}, {L})",
-    sums_in_any_order=True,
-)
-def skin_steps(
-    z: A, estimates: A, target: A, variance: A, read: A, off_target: A, groups: A, scale: A, v: A,
-    windows: A, back: A, share: A, counts: A, first: int, n_formula: int, found: A,
-    filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A, numbers: A,
-    w: A, a: A, levels: A, h: A, g: A, out: A, tiles: A, sums: A, details: A, parts: A, busy: A,
-) -> None:  # fmt: skip
-    """The steps of a frame, as in `FrameVectors`: found (steps, 2) gets expected squared error and
-    squared residual of each, estimates the last ones. windows, back and share are of each shift,
-    counts its tiles; others as of `skin_step`.
-    """
-    n, n_kept = found.shape[0], estimates.shape[0]
-    for k in range(n):
-        shift, x = (first + k) % counts.size, estimates[max(0, k - (n - n_kept))]
-        numbers[14] = 1.0 if k < n_formula else 0.0
-        found[k, 0] = skin_step(
-            z, x, target, variance, read, off_target, groups, scale, v,
-            windows[shift, : counts[shift]], back[shift], share[shift],
-            filters, hidden, hidden_0, gates, gates_0, synthesis, error, numbers,
-            w, a, levels, h, g, out, tiles, sums, details, parts, busy,
-        )  # fmt: skip
-        found[k, 1] = numbers[15]
+    return total / n_read
 
 
 @compiled(sums_in_any_order=True)
 def skin_step(
-    z: A, x: A, target: A, variance: A, read: A, off_target: A, groups: A, scale: A, v: A,
-    windows: A, back: A, share: A,
-    filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A, numbers: A,
-    w: A, a: A, levels: A, h: A, g: A, out: A, tiles: A, sums: A, details: A, parts: A, busy: A,
-) -> float:  # fmt: skip
-    """A step, as in `FrameVectors`: z and x become the next; return the expected squared error.
+    z: A, x: A, target: A, variance: A, read: A, off_target: A, read_noise: float, floor: float,
+    groups: A, scale: A, canvas: A, cells: A, width: int, begins: A, share: A, formula: bool, t: A,
+    filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A,
+    v: A, image: A, found: A, w: A, a: A, levels: A, h: A, g: A, out: A, sums: A, details: A,
+    parts: A, busy: A,
+) -> tuple[float, float]:  # fmt: skip
+    """A step, as in `FrameVectors`: z and x become the next; return the expected squared error and
+    the mean squared residual before it.
 
-    v has a place more than z. Arrays of the last line are scratch.
-    numbers: read noise, floor, least tau, most alpha, damping, the constant of the error, that of a
-    tile in which nothing stands out, those of `standing_out` and `haar_shrink`, whether that is
-    used; the last becomes the mean squared residual of z.
+    canvas, width and begins are the places that the cells read, the cells of a row, and the first
+    cell of each window; cells those of the taxels. Arrays of the last two lines are scratch; v has
+    a place more than z.
     """
-    n, n_tiles, k = z.size, windows.shape[0], filters.shape[0]
+    n, n_tiles, k = z.size, begins.size, filters.shape[0]
     one, none, four = np.float32(1), np.float32(0), np.float32(4)
     v[:n] = z
     hadamard(v[:n], groups)
@@ -435,8 +432,7 @@ def skin_step(
         rho += np.float64(r) ** 2
         residual2 += np.float64(r + off_target[i]) ** 2
     rho /= read.size
-    numbers[15] = residual2 / read.size
-    tau = np.float32(max(rho - numbers[0], numbers[2] * max(rho, numbers[0])) + numbers[1])
+    tau = np.float32(max(rho - read_noise, t.least_tau * max(rho, read_noise)) + floor)
     weight = 0.0
     for p in range(n):
         d = tau / (tau + variance[p])
@@ -444,33 +440,36 @@ def skin_step(
         v[p] = d * x[p] * scale[p]
     weight /= n
     hadamard(v[:n], groups)
-    s = np.float32(np.sqrt(tau * max(1 - weight, 0.0) / weight + numbers[1]))
+    s = np.float32(np.sqrt(tau * max(1 - weight, 0.0) / weight + floor))
     inverse, per_s = np.float32(1 / weight), one / s
     for p in range(n):
         u = z[p] + v[p] * inverse
         x[p] = u
         v[p] = u * per_s
     v[n] = 0
+    for q in range(canvas.size):
+        image[q] = v[canvas[q]]
+    found[:] = none
     expected, n_busy = 0.0, 0
-    for t in range(n_tiles):
-        for j in range(w.shape[1]):
-            w[n_busy, j] = v[windows[t, j]]
-        part = standing_out(w[n_busy], numbers)
+    for tile in range(n_tiles):
+        part = standing_out(image, begins[tile], width, t)
         if part > 0:
-            busy[n_busy], parts[n_busy] = t, part
+            for i in range(12):
+                w[n_busy, 12 * i : 12 * i + 12] = image[begins[tile] + i * width :][:12]
+            busy[n_busy], parts[n_busy] = tile, part
             n_busy += 1
         else:
-            tiles[t] = none
-            expected += share[t] * numbers[6]
+            expected += share[tile] * t.quiet
     w, a, levels = w[:n_busy], a[:n_busy], levels[:n_busy]
     h, g, out = h[:n_busy], g[:n_busy], out[:n_busy]
-    if n_busy and numbers[14] > 0:
-        haar_shrink(w, numbers, sums, details)
+    if n_busy and formula:
+        haar_shrink(w, t, sums, details)
         for b in range(n_busy):
-            e = np.float64(details[64, b])
-            expected += share[busy[b]] * (numbers[6] + parts[b] * (e - numbers[6]))
-            for p in range(64):
-                tiles[busy[b], p] = s * parts[b] * max(sums[p, b], none)
+            e, begin = np.float64(details[64, b]), begins[busy[b]] + 2 * width + 2
+            expected += share[busy[b]] * (t.quiet + parts[b] * (e - t.quiet))
+            for i in range(8):
+                for j in range(8):
+                    found[begin + i * width + j] = s * parts[b] * max(sums[8 * i + j, b], none)
     elif n_busy:
         product(w, filters, a)
         for b in range(n_busy):
@@ -485,46 +484,43 @@ def skin_step(
                 h[b, j] = max(h[b, j] + hidden_0[j], none)
         product(h, gates, g)
         for b in range(n_busy):
-            logarithm = numbers[5]
+            logarithm = t.error_0
             for j in range(h.shape[1]):
                 logarithm += h[b, j] * error[j]
             e = np.exp(min(max(logarithm, -12.0), 0.0))
-            expected += share[busy[b]] * (numbers[6] + parts[b] * (e - numbers[6]))
+            expected += share[busy[b]] * (t.quiet + parts[b] * (e - t.quiet))
             passed = min(max(g[b, k] + gates_0[k], none), one)
             g[b, k] = passed
             for j in range(k):
                 a[b, j] *= min(max(g[b, j] + gates_0[j], none), one) - passed
         product(a, synthesis, out)
         for b in range(n_busy):
+            begin = begins[busy[b]] + 2 * width + 2
             for i in range(8):
                 for j in range(8):
                     inner = g[b, k] * w[b, 12 * (i + 2) + j + 2]
-                    tile = max(out[b, 8 * i + j] + inner, none)
-                    tiles[busy[b], 8 * i + j] = s * parts[b] * tile
-    flat = tiles.reshape(-1)
-    alpha, damping = np.float32(min(expected, numbers[3])), np.float32(numbers[4])
+                    one_x = max(out[b, 8 * i + j] + inner, none)
+                    found[begin + i * width + j] = s * parts[b] * one_x
+    alpha, damping = np.float32(min(expected, t.most_alpha)), np.float32(t.damping)
     more = one / (one - alpha)
     for p in range(n):
-        v[p] = flat[back[p]]
+        v[p] = found[cells[p]]
     for p in range(n):
         z[p] += damping * ((v[p] - alpha * x[p]) * more - z[p])
         x[p] = v[p]
-    return expected * np.float64(s) ** 2
+    return expected * np.float64(s) ** 2, residual2 / read.size
 
 
-@compiled(
-    f"void({M}, {V}, {V}, {V}, {L}, {V}, {G}, {V}, {D}, {V}, {V}, {V}, {V})",
-    sums_in_any_order=True,
-)
+@compiled(sums_in_any_order=True)
 def skin_settle(
     estimates: A, predicted: A, values: A, ones: A, read: A, moved: A, groups: A, scale: A,
-    numbers: A, x: A, whole: A, correction: A, forces: A,
-) -> None:  # fmt: skip
-    """Settle a frame, as in `FrameVectors`. numbers: part, bias, twice the noise's deviation, least
-    force; results: power, residual2, along, unpressed.
-    """
-    part, bias, near = np.float32(numbers[0]), np.float32(numbers[1]), np.float32(numbers[2])
-    mean, least = np.float32((1 - numbers[0]) / len(estimates)), np.float32(numbers[3])
+    of_prediction: float, of_bias: float, noise_sd: float, least_force: float,
+    x: A, whole: A, correction: A, forces: A,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Settle a frame, as in `FrameVectors`; return power, residual2, along and unpressed."""
+    part, bias = np.float32(of_prediction), np.float32(of_bias)
+    near, least = np.float32(2 * noise_sd + np.sqrt(TINY)), np.float32(least_force)
+    mean = np.float32((1 - of_prediction) / len(estimates))
     x[:] = estimates[0]
     for k in range(1, len(estimates)):
         for p in range(x.size):
@@ -554,8 +550,154 @@ def skin_settle(
                 forces[p] = one + more
         else:
             forces[p] = one + bias
-    numbers[4], numbers[5] = power / x.size, residual2 / read.size
-    numbers[6], numbers[7] = along, unpressed
+    return np.float64(power / x.size), residual2 / read.size, along, np.float64(unpressed)
+
+
+@compiled(sums_in_any_order=True)
+def mean_variance(forces: A, s: A, t: A) -> Any:
+    """Mean variance of the readings of forces, as `NoiseModel.variance`."""
+    total, per_force, rise = (
+        np.float64(0),
+        np.float32(2 / s.f_max),
+        np.float32(s.sigma_end - s.sigma_mid),
+    )
+    one, slope, middle = np.float32(1), np.float32(0), np.float32(s.sigma_mid)
+    clipped = np.float32(1)
+    if s.clips > 0 and s.sigma_end > 0:
+        slope = np.float32((1 - t.clipped) / t.clipped_below / s.sigma_end)
+        clipped = np.float32(t.clipped)
+    for force in forces:
+        sigma = middle + rise * min(abs(per_force * force - one), one)
+        variance = sigma * sigma * min(clipped + slope * force, one)
+        total += variance if force > 0 or s.of_touched == 0 else np.float32(0)
+    return total / forces.size
+
+
+@compiled()
+def error2_of(own: float, residual2: float, noise: float, m: int, wide: float, t: A) -> Any:
+    """As `SkinEstimator._error2`; wide: how many sampling deviations are doubtful."""
+    seen = max(residual2 - noise, 0.0)
+    doubt = wide * (seen + noise) * np.sqrt(2 / m)
+    share = seen * seen / (seen * seen + doubt * doubt + TINY)
+    return share * seen + (1 - share) * own
+
+
+@compiled(
+    void(
+        *(V, L, V, M, boolean, M, M, D, P2, G, V),
+        *(P, P, int64, P2, M, L, int64, int64, int64, boolean),
+        *(M, M, V, M, V, M, V, M, M, V, V, V, M, M, M, M, M, M, M, M, V, L),
+        *(V, from_dtype(NUMBERS)[::1], from_dtype(CONSTANTS)[::1]),
+    )
+)
+def skin_frame(
+    y: A, read: A, ones: A, last: A, known: bool, vectors: A, of_read: A, recall: A,
+    neighbours: A, groups: A, scale: A,
+    canvas: A, cells: A, width: int, begins: A, shares: A, counts: A, first: int, n_formula: int,
+    n: int, gated: bool,
+    filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A,
+    estimates: A, slopes: A, v: A, image: A, found: A,
+    w: A, a: A, levels: A, h: A, g: A, out: A, sums: A, details: A, parts: A, busy: A,
+    forces: A, numbers: A, constants: A,
+) -> None:  # fmt: skip
+    """A frame, as in `SkinEstimator`, whose numbers are `numbers`; forces are the result.
+
+    y are the measurements in the order of the rows read; last those of this row subset before, and
+    their innovation, if known. Tables of tiles are of each shift. estimates are as many as are
+    averaged.
+    """
+    s, t, m, total, n_kept = numbers[0], constants[0], read.size, n_formula + n, len(estimates)
+    x, whole, correction, mean = vectors[0], vectors[1], vectors[2], vectors[3]
+    left, change, target, variance = vectors[4], vectors[5], vectors[6], vectors[7]
+    predicted, moved, z = vectors[8], vectors[9], vectors[10]
+    values, innovation, off_target = of_read[0], of_read[1], of_read[2]
+    power, ones2, repeats = 0.0, 0.0, known
+    for i in range(m):
+        power += np.float64(y[i]) ** 2
+        ones2 += np.float64(ones[i]) ** 2
+        repeats &= y[i] == last[0, i]
+        values[i] = y[i] - np.float32(s.bias) * ones[i]
+    floor = max(t.resolution**2 * power / m, TINY)
+    power, of_last, of_both = skin_predict(
+        x, whole, values, read, neighbours, groups, scale, max(s.noise, floor), t,
+        slopes[:2], slopes[2:], correction, predicted, moved, innovation,
+    )  # fmt: skip
+    e2 = power / m
+    alike = of_both / np.sqrt(power * (of_last + t.negligible**2 * power) + TINY)
+    noise = s.noise
+    if known and not repeats:
+        level, s.n_seen = 0.0, s.n_seen + 1
+        for i in range(m):
+            level += last[1, i] * (last[1, i] - innovation[i])
+        level = noise + max(1 / s.n_seen, t.noise_rate) * (max(level / m, 0.0) - noise)
+        least = level
+        if s.n_seen > 1 / t.noise_rate:
+            level = min(level, t.noise_growth * noise)
+            least = min(t.bias_forgotten * s.least_noise, level)
+        s.least_noise, noise = least, min(level, e2)
+    last[0], last[1] = y, innovation
+    s.noise = max(noise, floor, s.noise_sd**2)
+    trust = s.trust * np.exp(min(t.lagging / np.sqrt(m) - alike, t.trust_growth))
+    s.trust = min(max(trust, t.least_trust), 1.0)
+    noise = max(s.noise * s.trust, floor)
+    now = surplus(e2, noise, m, t)
+    signal = s.signal + t.signal_rate * (e2 - noise - s.signal)
+    most = max(e2 - noise, 0.0) + 2 * noise * np.sqrt(2 / m)
+    s.signal = max(min(signal, most), now / 2)
+    own, residual2, last_error2 = max(s.signal, now, 0.0), e2, s.error**2
+    doubt = t.repeated * noise if repeats else noise
+    read_noise = skin_filter(
+        values, innovation, moved, whole, read, mean, left, change, target, variance, off_target,
+        recall, doubt, own, max(last_error2, floor), floor, t,
+    )  # fmt: skip
+    if s.n_seen > 1 / t.noise_rate:
+        noise = min(noise, t.louder * s.least_noise)
+    z[:] = predicted
+    if n == 0:
+        estimates[0] = predicted
+    else:
+        own, residual2 = 0.0, 0.0
+        for k in range(total):
+            shift, kept = (first + k) % counts.size, k - (total - n_kept)
+            formula = k < n_formula or not gated
+            error2, before2 = skin_step(
+                z, estimates[max(0, kept)], target, variance, read, off_target, read_noise, floor,
+                groups, scale, canvas, cells, width, begins[shift, : counts[shift]], shares[shift],
+                formula, t,
+                filters, hidden, hidden_0, gates, gates_0, synthesis, error,
+                v, image, found, w, a, levels, h, g, out, sums, details, parts, busy,
+            )  # fmt: skip
+            if kept >= 0:
+                own += error2 / n_kept
+                residual2 += before2 / n_kept
+    error2 = error2_of(own, residual2, noise, m, 1.0, t)
+    part = error2 / (error2 + t.blend * max(s.signal, last_error2, floor))
+    power, left2, along, unpressed = skin_settle(
+        estimates, predicted, values, ones, read, moved, groups, scale, part, s.bias,
+        np.sqrt(s.least_noise), t.invisible * np.sqrt(noise), x, whole, correction, forces,
+    )  # fmt: skip
+    error2 = max((1 - part) * error2, min(last_error2, noise) if repeats else 0.0)
+    s.error = np.sqrt(error2)
+    excess, knows_bias = t.unexplained, s.n_frames > t.bias_known
+    if s.f_max > 0:
+        stated = min(mean_variance(forces, s, t), s.noise)
+        few = (1 + 1 / np.sqrt(m)) ** 2
+        error2 = error2_of(t.optimism * own, residual2, stated, m, t.significant, t)
+        error2 = max(few * (1 - part) * error2, stated - left2)
+        if knows_bias:
+            excess = min(excess, t.unresolved * np.sqrt(2 / m))
+    s.stated_error = np.sqrt(max(error2, 0.0))
+    of_skin, most = noise / s.trust, t.untouched if knows_bias else t.most_bias**2
+    untouched = power <= most * of_skin and left2 <= (1 + excess) * of_skin
+    s.trusted = untouched or error2 <= t.trusted**2 * power
+    if not repeats:
+        sd = np.sqrt(s.least_noise)
+        more = (along / (ones2 + TINY) if ones2 > t.dust * x.size else 0.0) + unpressed / x.size
+        s.n_frames += 1
+        rate = max(t.bias_begins / (s.n_frames + t.bias_begins), t.bias_rate)
+        bias = s.bias + rate * min(max(more, -sd / 2), sd / 2)
+        bias = min(max(bias, 0.0), t.most_bias * sd)
+        s.bias = 0.0 if bias < 1e-3 * sd else bias
 
 
 @compiled()
@@ -566,9 +708,7 @@ def root_of(parents: A, k: int) -> int:
     return k
 
 
-@compiled(
-    f"Tuple(({L}, {L}, {DM}, {G}, int64))({M}, float32, float64, {V}, {DM}, int32[::1], int64)"
-)
+@compiled((M, float32, float64, V, DM, int32[::1], int64))
 def components(
     forces: A, low: float, high: float, variances: A, places: A, regions: A, n_regions: int
 ) -> tuple[A, A, A, A, int]:
@@ -650,8 +790,5 @@ def components(
     return index[:n_kept], labels[:n_kept], sums, overlap, n_pressed
 
 
-LOOPS: tuple[Callable[..., Any], ...] = (
-    *(orthonormal, skin_predict, skin_filter, skin_steps, skin_settle),
-    *(fista, haar_image, components),
-)
+LOOPS: tuple[Callable[..., Any], ...] = (*(orthonormal, skin_frame, fista, haar_image, components),)
 """All loops that Python calls."""

@@ -6,7 +6,6 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -175,8 +174,9 @@ class Patch:
         if isinstance(self.solver, Solver):
             self.solver.noise_sd = skin.least_sd
             if skin.sigma_mid:
-                model = NoiseModel(skin.f_max, skin.sigma_mid, skin.sigma_end)
-                self.solver.noise_of = partial(model.variance, clips=skin.clips_noise)
+                sigmas = skin.sigma_mid, skin.sigma_end
+                model = NoiseModel(skin.f_max, *sigmas, clips=skin.clips_noise)
+                self.solver.noise_model = model
         if self._tracker is not None:
             self._tracker.set_noise(skin)
 

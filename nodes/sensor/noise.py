@@ -12,7 +12,7 @@ both ends, then clipped. The shape of the taper and its end value are not in the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,9 @@ class NoiseModel:
     f_max: float = PAPER_F_MAX_N  # upper end of the range, in the unit of the forces, above 0
     sigma_mid: float = PAPER_SIGMA_MID_N  # standard deviation at mid-range, in [0, f_max]
     sigma_end: float = PAPER_SIGMA_END_N  # the same at both ends
+    clips: bool = field(
+        default=True, kw_only=True
+    )  # readings are clipped at 0; those of `apply` always are
 
     def __post_init__(self) -> None:
         most = f"0 to f_max = {self.f_max!r}, both included"
@@ -71,14 +74,14 @@ class NoiseModel:
         sigma += np.float32(self.sigma_mid)
         return sigma
 
-    def variance(self, forces: Any, clips: bool = True) -> Any:
-        """Return the variance of the readings of some forces: of those clipped at 0, if `clips`.
+    def variance(self, forces: Any) -> Any:
+        """Return the variance of the readings of some forces.
 
         Arguments and result as in `sigma`, squared; arrays of any library.
         """
         apart = abs(2 / self.f_max * forces - 1).clip(None, 1)
         sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * apart
-        if not clips or not self.sigma_end:
+        if not self.clips or not self.sigma_end:
             return sigma * sigma
         slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end
         return sigma * sigma * (CLIPPED + slope * forces).clip(None, 1)

@@ -90,6 +90,7 @@ class AdaptiveSkinSolver(Solver):
         self._rows_of: AdaptivePhi = phi
         self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
         self._filter = SkinSolver(self._whole, basis, self.mask, iterations=iterations, fast=fast)
+        self._filter.of_touched = True
         self.n_steps = self.iterations = self._filter.iterations
         self._held = HeldRows(phi)
         self._age, self._drift = np.zeros((2, phi.tree.n_nodes))
@@ -122,7 +123,7 @@ class AdaptiveSkinSolver(Solver):
         held.end()
         # Rows that are not read again show no noise.
         self._filter.noise_sd = max(self.noise_sd, math.sqrt(self._rows_of.variance))
-        self._filter.noise_of = self._noise_of_touched if self.noise_of else None
+        self._filter.noise_model = self.noise_model
         self._filter.setup(self._whole.forward(self._x), warm)
         self._steps_left = self.n_steps
 
@@ -156,12 +157,6 @@ class AdaptiveSkinSolver(Solver):
         expected[held.sums <= self._rows_of.untouched] = 0
         return expected
 
-    def _noise_of_touched(self, forces: Floats) -> Floats:
-        """Variance of the readings of forces; 0 of untouched taxels, whose rows are not read."""
-        assert self.noise_of is not None
-        noise: Floats = np.where(forces > 0, self.noise_of(forces), 0)
-        return noise
-
     def _learn(self, expected: Doubles, before: Doubles) -> None:
         """Compare the expected changes of the nodes that are read with the ones they had."""
         nodes, held = self._rows_of.chosen, self._held
@@ -186,7 +181,9 @@ class AdaptiveSkinSolver(Solver):
         missed = self._changed * float(self._expected().sum()) / n
         assert self._filter.error is not None
         # Frames after each other hold the same noise where they hold the same reading.
-        held = KEPT * float(self._noise_of_touched(x).sum()) / n if self.noise_of else 0.0
+        held = 0.0
+        if self.noise_model is not None:
+            held = KEPT * float((self.noise_model.variance(x) * (x > 0)).sum()) / n
         error2 = max(missed, self._filter.error**2, held)
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)

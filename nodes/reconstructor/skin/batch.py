@@ -16,7 +16,7 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 
 from .backend import Array, ManyPatches
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
-from .gates import SHIFTS, Gates, TilesOfDevice, gates_of, places_of
+from .gates import SHIFTS, Gates, Tiles, TilesOfDevice, gates_of, places_of
 from .rows import HadamardRows
 from .solver import SkinSolver
 from .tuning import SkinTuning
@@ -78,7 +78,7 @@ class SkinBatch:
         self._rows = HadamardRows(phi, o)
         cells = one.taxels[self._rows.taxel]
         places = places_of(one.mask.shape, cells)
-        self._tiles = TilesOfDevice(one.mask, places, phi.n, o)
+        self._tiles = TilesOfDevice(Tiles(one.mask, places, phi.n), o)
         of_device = self._tiles, weights and weights.on(o), places, tuning, o
         self._vectors = FrameVectors(self._rows, *of_device)
         self._estimator = SkinEstimator(self._rows, self._vectors, tuning, o)
@@ -130,7 +130,7 @@ class SkinBatch:
         """Reconstruct the frames of all patches that have one, in steps as of `SkinEstimator`."""
         if not self._active.any():
             return
-        self._estimator.noise_of = self.patches[0].noise_of
+        self._estimator.noise_model = self.patches[0].noise_model
         sd = np.array([[patch.noise_sd] for patch in self.patches])
         given = self._y, self._active[:, None], sd
         for here, numbers in zip(self._inputs, given, strict=True):

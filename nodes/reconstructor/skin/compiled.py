@@ -1,112 +1,167 @@
-"""The work on the vectors of a frame in compiled loops, in the order of `HadamardRows`."""
+"""The method of the default solver as one compiled function of a frame, for `sbhe`."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
+from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.numerics.compiled import ready
-from sparseskin.nodes.numerics.kernels import skin_filter, skin_predict, skin_settle, skin_steps
+from sparseskin.nodes.numerics.kernels import CONSTANTS, NUMBERS, skin_frame
+from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
 
+from .estimator import DUST, INVISIBLE, REPEATED, RESOLUTION
 from .formula import LEAST, STRICT
 from .gates import CLEARLY, QUIET, SHIFTS, STANDS_OUT, TILE, WINDOW, Gates, Tiles
-from .rows import CompiledRows, Rows
+from .rows import CompiledRows
 from .tuning import SkinTuning
-from .vectors import FrameVectors, Settled, Steps
+from .vectors import NEGLIGIBLE, UNKNOWN, neighbours_of
 
 
-class CompiledVectors(FrameVectors):
-    """The same as `FrameVectors` but for rounding; the rows are compiled ones, too."""
+class CompiledEstimator:
+    """The same as `SkinEstimator` of one patch but for rounding; it needs numba.
+
+    Parameters
+    ----------
+    rows : CompiledRows
+    tiles, gates, places, tuning
+        As of `FrameVectors`.
+    """
 
     def __init__(
-        self, rows: Rows, tiles: Tiles, gates: Gates | None, places: Indices, tuning: SkinTuning
+        self,
+        rows: CompiledRows,
+        tiles: Tiles,
+        gates: Gates | None,
+        places: Indices,
+        tuning: SkinTuning,
     ) -> None:
-        super().__init__(rows, tiles, gates, places, tuning)
-        ready(skin_predict, skin_filter, skin_steps, skin_settle)
-        assert isinstance(rows, CompiledRows)
-        t, n = tuning, rows.n
-        self._order = rows.groups, rows.scale
-        self._next = self._neighbours.reshape(4, n).astype(np.uint32)
-        self._slopes, self._rows_of_slopes = np.zeros((2, 2, n), dtype=np.float32)
-        self._of_predict = np.array([t.ridge, t.motion, 0.0, 0.0, 0.0, 0.0])
-        self._of_settle = np.zeros(8)
-        of_filter = t.significant, t.prior, t.doubt, t.recall_memory, t.recall_ridge
-        self._of_filter = np.array([0.0] * 4 + [*of_filter, 0.0])
-        stands_out = tiles.strictness * np.array(STANDS_OUT)
-        weights = gates or Gates.zero()
-        of_step = t.least_tau, t.most_alpha, t.damping, weights.error_0[0]
-        of_tiles = QUIET, *stands_out, CLEARLY, STRICT, LEAST
-        self._of_step = np.array([0.0, 0.0, *of_step, *of_tiles, 0.0, 0.0])
-        self._scaled = np.zeros(n + 1, dtype=np.float32)
+        ready(skin_frame)
+        self._rows, self._averaged = rows, tuning.averaged
+        self.noise_sd, self.of_touched = 0.0, False
+        self.noise_model: NoiseModel | None = None
+        n, weights = rows.n, gates or Gates.zero()
+        of_modules = {
+            "resolution": RESOLUTION,
+            "repeated": REPEATED,
+            "invisible": INVISIBLE,
+            "dust": DUST,
+            "negligible": NEGLIGIBLE,
+            "unknown": UNKNOWN,
+            "quiet": QUIET,
+            "single": tiles.strictness * STANDS_OUT[0],
+            "by_3": tiles.strictness * STANDS_OUT[1],
+            "by_6": tiles.strictness * STANDS_OUT[2],
+            "whole": tiles.strictness * STANDS_OUT[3],
+            "clearly": CLEARLY,
+            "strict": STRICT,
+            "least": LEAST,
+            "error_0": weights.error_0[0],
+            "clipped": CLIPPED,
+            "clipped_below": CLIPPED_BELOW,
+        }
+        constants = asdict(tuning) | of_modules
+        self._constants = np.array(
+            [tuple(constants[name] for name in CONSTANTS.names or ())], CONSTANTS
+        )
+        self._numbers = np.zeros(1, NUMBERS)
+        self._vectors, self._recall = np.zeros((11, n), dtype=np.float32), np.zeros(3)
+        self._of_skin = (
+            neighbours_of(places, n).reshape(4, n).astype(np.uint32),
+            *(rows.groups, rows.scale, *_tables(tiles)),
+        )
         of_hidden = weights.filters, weights.hidden, weights.hidden_0
         of_gates = weights.gates, weights.gates_0, weights.synthesis, weights.error[0]
         self._weights = [np.ascontiguousarray(array) for array in (*of_hidden, *of_gates)]
-        k, h = len(weights.filters), len(weights.hidden_0)
-        widths = (WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE)
+        self._gated = gates is not None
+        most, k, h = max(map(len, tiles.shares)), len(weights.filters), len(weights.hidden_0)
+        widths = WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE
+        self._estimates = np.zeros((max(1, self._averaged), n), dtype=np.float32)
         self._scratch = [
-            *(np.zeros((tiles.most, width), dtype=np.float32) for width in widths),
-            np.zeros((tiles.most, TILE * TILE), dtype=np.float32),
-            *(np.zeros((height, tiles.most), dtype=np.float32) for height in (85, 65)),
-            np.zeros(tiles.most, dtype=np.float32),
-            np.zeros(tiles.most, dtype=np.intp),
+            np.zeros((4, n), dtype=np.float32),
+            np.zeros(n + 1, dtype=np.float32),
+            *np.zeros((2, tiles.canvas.size), dtype=np.float32),
+            *(np.zeros((most, width), dtype=np.float32) for width in widths),
+            *(np.zeros((height, most), dtype=np.float32) for height in (85, 65)),
+            np.zeros(most, dtype=np.float32),
+            np.zeros(most, dtype=np.intp),
         ]
+        #: By row subset: the last measurements and innovation; Phi 1.
+        self._last: dict[str, tuple[Floats, Floats]] = {}
+        self._known: set[str] = set()
+        self.forget()
 
-    def predict(self, values: Floats, noise: float) -> None:
-        self.predicted, self.innovation = np.empty_like(self.x), np.empty_like(values)
-        self._of_predict[2] = noise
-        skin_predict(
-            *(self.x, self._whole, values, self._rows.read, self._next, *self._order),
-            *(self._of_predict, self._slopes, self._rows_of_slopes, self._correction),
-            *(self.predicted, self._moved, self.innovation),
-        )
-        self.z = self.predicted.copy()
-        self._compare(*self._of_predict[3:].tolist())
+    def forget(self) -> None:
+        """As in `SkinEstimator`."""
+        self._vectors[:], self._recall[:], self._numbers[:] = 0, 0, 0
+        self._vectors[4] = UNKNOWN
+        self._numbers["trust"] = self._numbers["trusted"] = 1
+        self._known.clear()
+        self.n_shifts = 0
 
-    def filter_rows(
-        self, values: Floats, noise: float, signal: float, error2: float, floor: float
-    ) -> None:
-        self._of_filter[:4] = noise, signal, error2, floor
-        self.off_target = np.empty_like(values)
-        skin_filter(
-            *(values, self.innovation, self._moved, self._whole, self._rows.read),
-            *(self._mean, self._noise, self._change, self._target, self._variance),
-            *(self.off_target, self._recall, self._of_filter),
-        )
-        self.variance_of_read = float(self._of_filter[-1])
+    def start_from(self, x: Floats) -> None:
+        """As in `SkinEstimator`."""
+        self._vectors[0], self._vectors[1] = x, self._rows.forward(x)
 
-    def steps(self, first: int, floor: float, n_formula: int, n: int) -> Steps:
-        tiles, total = self._tiles, n_formula + n
-        assert isinstance(tiles, Tiles)
-        for k in range(min(total, len(SHIFTS))):
-            tiles.prepare((first + k) % len(SHIFTS))
-        estimates = np.empty((min(n, self._t.averaged), self.z.size), dtype=np.float32)
-        found = np.empty((total, 2))
-        self._of_step[:2] = self.variance_of_read, floor
-        skin_steps(
-            *(self.z, estimates, self._target, self._variance, self._rows.read, self.off_target),
-            *(*self._order, self._scaled, tiles.windows, tiles.back, tiles.share, tiles.counts),
-            *(first, n_formula if self._gates else total, found),
-            *(*self._weights, self._of_step, *self._scratch),
-        )
-        errors, residuals = found[n_formula:].T.tolist()
-        return Steps(estimates, errors, residuals)
+    def begin(self, subset: str, y: Floats) -> None:
+        """As in `SkinEstimator`; `finish` does all the work."""
+        rows = self._rows
+        if subset not in self._last:
+            ones = rows.forward(np.ones(rows.n, dtype=np.float32))[rows.read]
+            self._last[subset] = np.zeros((2, y.size), dtype=np.float32), ones
+        last, ones = self._last[subset]
+        self._frame = rows.values(y), rows.read, ones, last, subset in self._known
+        self._known.add(subset)
 
-    def settle(
-        self,
-        estimates: Floats,
-        part: float,
-        values: Floats,
-        ones: Floats,
-        bias: float,
-        noise_sd: float,
-        least: float,
-    ) -> Settled:
-        forces = np.empty_like(self.x)
-        self._of_settle[:4] = part, bias, 2 * noise_sd + math.sqrt(TINY), least
-        skin_settle(
-            *(estimates, self.predicted, values, ones, self._rows.read, self._moved),
-            *(*self._order, self._of_settle, self.x, self._whole, self._correction, forces),
+    def finish(self, n: int, n_formula: int) -> Floats:
+        """As in `SkinEstimator`."""
+        numbers, model = self._numbers[0], self.noise_model
+        numbers["noise_sd"], numbers["of_touched"] = self.noise_sd, self.of_touched
+        numbers["f_max"] = 0.0 if model is None else model.f_max
+        if model is not None:
+            numbers["sigma_mid"], numbers["sigma_end"] = model.sigma_mid, model.sigma_end
+            numbers["clips"] = model.clips
+        forces = np.empty(self._rows.n, dtype=np.float32)
+        of_read = np.empty((3, self._rows.read.size), dtype=np.float32)
+        steps = self.n_shifts, n_formula if n else 0, n, self._gated
+        estimates = self._estimates[: max(1, min(n, self._averaged))]
+        skin_frame(
+            *(*self._frame, self._vectors, of_read, self._recall, *self._of_skin, *steps),
+            *(*self._weights, estimates, *self._scratch, forces, self._numbers, self._constants),
         )
-        return Settled(forces, *self._of_settle[4:].tolist())
+        self.n_shifts = (self.n_shifts + (n_formula + n if n else 0)) % len(SHIFTS)
+        return forces
+
+    @property
+    def noise(self) -> float:
+        """As of `SkinEstimator`; so are the others."""
+        return float(self._numbers["noise"][0])
+
+    @property
+    def bias(self) -> float:
+        return float(self._numbers["bias"][0])
+
+    @property
+    def stated_error(self) -> float:
+        return float(self._numbers["stated_error"][0])
+
+    @property
+    def trusted(self) -> bool:
+        return bool(self._numbers["trusted"][0])
+
+
+def _tables(tiles: Tiles) -> tuple[Any, ...]:
+    """Canvas and cells of the taxels; cells of a row; of each shift first cells of the windows with
+    a taxel, their shares and number.
+    """
+    n_shifts, most = len(SHIFTS), max(map(len, tiles.shares))
+    begins, shares = np.zeros((n_shifts, most), np.uint32), np.zeros((n_shifts, most), np.float32)
+    counts, places = np.zeros(n_shifts, np.int64), np.arange(tiles.canvas.size)
+    for k, share in enumerate(tiles.shares):
+        kept, first = share > 0, tiles.cut(places.reshape(tiles.canvas.shape), k)[:, 0]
+        counts[k] = n = np.count_nonzero(kept)
+        begins[k, :n], shares[k, :n] = first[kept], share[kept]
+    canvas, width = tiles.canvas.reshape(-1).astype(np.uint32), tiles.canvas.shape[1]
+    return canvas, tiles.cells.astype(np.uint32), width, begins, shares, counts

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY
+from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .backend import ONE, Array, Backend, Number
 from .gates import SHIFTS
@@ -70,9 +71,10 @@ class SkinEstimator:
     noise_sd : number
         Least standard deviation of the noise of a taxel that the skin states; 0: none. The caller
         sets it.
-    noise_of : callable or None
-        Variance of the readings of some forces, as `NoiseModel.variance`; None: not stated. The
-        caller sets it.
+    noise_model : NoiseModel or None
+        Noise of the readings; None: not stated. The caller sets it.
+    of_touched : bool
+        True where taxels that nothing touches are not read, and have no noise. The caller sets it.
     noise, bias : number
         Noise variance of a measurement, and mean reading of an untouched taxel, as known so far.
     error, stated_error, trusted : number
@@ -98,7 +100,8 @@ class SkinEstimator:
         self._rows, self._vectors, self._t = rows, vectors, tuning
         self._o: Any = backend
         self.noise_sd: Number = backend.zero
-        self.noise_of: Callable[[Array], Array] | None = None
+        self.noise_model: NoiseModel | None = None
+        self.of_touched = False
         #: By row subset: the last measurements and innovation, and whether there were any; Phi 1,
         #: and its squared length.
         self.last: dict[str, tuple[Array, Array, Number]] = {}
@@ -115,6 +118,14 @@ class SkinEstimator:
         self._n_seen, self._n_frames, self._trust = zero, zero, zero + 1
         self.trusted = self._o.false == self._o.false
         self.n_shifts = 0
+
+    def start_from(self, x: Array) -> None:
+        """Take x, float32 (n,), for the last estimate."""
+        self._vectors.start_from(x)
+
+    def forget_rows(self) -> None:
+        """Keep the estimate alone: the rows are those of another W."""
+        self._vectors.forget_rows()
 
     def begin(self, subset: str, y: Array) -> None:
         """Begin a frame of measurements y, float32 (m,), of the row subset that the rows are for;
@@ -204,8 +215,11 @@ class SkinEstimator:
         left = o.where(self._repeats, o.minimum(last_error2, noise), o.zero)
         error2 = o.maximum((1 - part) * error2, left)
         self.error = o.sqrt(error2)
-        if self.noise_of is not None:
-            stated = o.total(self.noise_of(settled.forces)) / self._rows.n
+        if self.noise_model is not None:
+            variance = self.noise_model.variance(settled.forces)
+            if self.of_touched:
+                variance = variance * (settled.forces > 0)
+            stated = o.total(variance) / self._rows.n
             stated = o.minimum(stated, self.noise)
             # Gates keep or drop: the noise that the residual lacks is in the estimate.
             few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2
@@ -217,7 +231,7 @@ class SkinEstimator:
         most = o.where(known, o.zero + t.untouched, o.zero + t.most_bias**2)
         of_skin = noise / self._trust  # whatever passes for it in motion
         excess = t.unexplained
-        if self.noise_of is not None:
+        if self.noise_model is not None:
             excess = min(excess, t.unresolved * math.sqrt(2 / self._values.shape[-1]))
         excess = o.where(known, o.zero + excess, o.zero + t.unexplained)
         untouched = (power <= most * of_skin) & (settled.residual2 <= (1 + excess) * of_skin)

@@ -21,10 +21,8 @@ from functools import cache
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
@@ -32,6 +30,9 @@ from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 from .backend import ONE, Array, Backend, ManyPatches
 
 TILE, WINDOW = 8, 12
+WINDOW_MARGIN = (WINDOW - TILE) // 2
+MARGIN = WINDOW_MARGIN + TILE - 1
+"""Cells around the skin, of the windows at any shift."""
 N_FILTERS, N_HIDDEN = 128, 64
 SHIFTS = tuple((5 * i % TILE, (3 * i + i // TILE * 5) % TILE) for i in range(TILE * TILE))
 """Shifts of the tiles, rows and columns, in the order of iterations: each once in 64."""
@@ -46,7 +47,6 @@ QUIET = 0.01
 """Expected squared error of a tile in which nothing stands out. Measured: 0.003 to 0.01."""
 FILE = "gates.npz"
 FORMULA = "formula"
-Places: TypeAlias = npt.NDArray[np.uint32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ class Gates:
 
 def inner(windows: Array) -> Array:
     """The tile of each window: (..., 144) to (..., 64)."""
-    lead, side = windows.shape[:-1], slice((WINDOW - TILE) // 2, (WINDOW + TILE) // 2)
+    lead, side = windows.shape[:-1], slice(WINDOW_MARGIN, WINDOW_MARGIN + TILE)
     return windows.reshape(*lead, WINDOW, WINDOW)[..., side, side].reshape(*lead, -1)
 
 
@@ -232,10 +232,10 @@ def gates_of(setting: Gates | str | None) -> Gates | None:
 
 
 class Tiles:
-    """Windows and tiles of a skin at each of `SHIFTS`, as gathers.
+    """Windows and tiles of a skin at each of `SHIFTS`, cut from a canvas with a margin around it.
 
-    A cell of a window without a taxel reads the nearest one among its eight neighbours. A vector of
-    taxels ends with a 0, which it reads where there is none.
+    A cell of the canvas without a taxel reads the nearest one among its eight neighbours. A vector
+    of taxels ends with a 0, which it reads where there is none.
 
     Parameters
     ----------
@@ -248,88 +248,67 @@ class Tiles:
 
     Attributes
     ----------
-    most : int
-        Largest number of tiles at any shift.
-    windows, back, share : ndarray
-        What `tables` returns, of all shifts; not set before it was called.
-    counts : ndarray of int64, shape (len(SHIFTS),)
-        Tiles of each shift; 0 before `tables` was called.
+    canvas : ndarray of intp, shape (n_rows + 2 MARGIN, n_cols + 2 MARGIN)
+        Place in the vector of taxels that each cell reads.
+    cells : ndarray of intp, shape (n,)
+        Flat cell of the canvas of each place in the vector of taxels.
+    shares : tuple of ndarray of float32, shape (t,)
+        Part of the taxels that lie in each tile, of each shift.
     strictness : float
         Factor of `STANDS_OUT`, above 0 to 1: of fewer windows, noise exceeds less in any case.
         Derived: the largest of n normal numbers grows with the root of log n.
     """
 
     def __init__(self, mask: Mask, places: Indices, n: int) -> None:
-        self._places, self._n = places, n
-        self._read = np.append(places.reshape(-1), n)[nearest_taxels(mask)]
-        n_rows, n_cols = mask.shape
-        self.most = (-(-n_rows // TILE) + 1) * (-(-n_cols // TILE) + 1)
-        self.strictness = min(max(math.sqrt(math.log(self.most) / math.log(MANY)), 1e-6), 1.0)
-        n_shifts = len(SHIFTS)
-        self.windows = np.empty((n_shifts, self.most, WINDOW * WINDOW), dtype=np.uint32)
-        self.back = np.empty((n_shifts, n), dtype=np.uint32)
-        self.share = np.empty((n_shifts, self.most), dtype=np.float32)
-        self.counts = np.zeros(n_shifts, dtype=np.int64)
+        self._shape = mask.shape
+        read = np.append(places.reshape(-1), n)[nearest_taxels(mask)]
+        self.canvas = np.pad(read, MARGIN, constant_values=n)
+        exists = np.pad(mask, MARGIN).astype(np.float32)
+        self.cells = np.empty(n, dtype=np.intp)
+        self.cells[places[mask]] = np.flatnonzero(exists)
+        self._cells = np.empty(n, dtype=np.intp)
+        self._cells[places[mask]] = np.flatnonzero(mask)
+        self.shares = tuple(
+            inner(self.cut(exists, number)).sum(axis=1) / np.float32(n)
+            for number in range(len(SHIFTS))
+        )
+        most = math.prod(-(-side // TILE) + 1 for side in mask.shape)
+        self.strictness = min(max(math.sqrt(math.log(most) / math.log(MANY)), 1e-6), 1.0)
 
-    def prepare(self, number: int) -> None:
-        """Make the gathers of a shift, by its number, if they are missing."""
-        if not self.counts[number]:
-            windows, self.back[number], share = self._made(*SHIFTS[number])
-            self.counts[number] = n = len(share)
-            self.windows[number, :n], self.share[number, :n] = windows, share
+    def cut(self, canvas: Array, number: int) -> Array:
+        """Windows of a canvas at a shift, by its number: (..., rows, columns) to (..., t, 144)."""
+        row, col = (MARGIN - WINDOW_MARGIN - shift for shift in SHIFTS[number])
+        views = np.lib.stride_tricks.sliding_window_view(
+            canvas[..., row:, col:], (WINDOW, WINDOW), axis=(-2, -1)
+        )[..., ::TILE, ::TILE, :, :]
+        return views.reshape(*canvas.shape[:-2], -1, WINDOW * WINDOW)
 
-    def tables(self, number: int) -> tuple[Places, Places, Floats]:
-        """Return the gathers of a shift, by its number.
+    def windows(self, taxels: Array, number: int) -> Array:
+        """Windows of a vector of taxels, (..., n + 1), at a shift: (..., t, 144)."""
+        return self.cut(taxels[..., self.canvas], number)
 
-        Returns
-        -------
-        windows : ndarray of uint32, shape (t, 144)
-            Place in the vector of taxels of each cell of each window.
-        back : ndarray of uint32, shape (n,)
-            Place in the tiles, flat, of each taxel.
-        share : ndarray of float32, shape (t,)
-            Part of the taxels that lie in each tile. Tiles without a taxel are left out.
-        """
-        self.prepare(number)
-        n = self.counts[number]
-        return self.windows[number, :n], self.back[number], self.share[number, :n]
-
-    def _made(self, row: int, col: int) -> tuple[Places, Places, Floats]:
-        n_rows, n_cols = self._places.shape
-        down, right = -(-(n_rows + row) // TILE), -(-(n_cols + col) // TILE)
-        margin = (WINDOW - TILE) // 2
-
-        def views(places: Indices) -> Indices:
-            """Places of the cells of each window: (t, WINDOW, WINDOW)."""
-            sides = (margin + row, margin + (down * TILE - n_rows - row))
-            across = (margin + col, margin + (right * TILE - n_cols - col))
-            canvas = np.pad(places, (sides, across), constant_values=self._n)
-            found = np.lib.stride_tricks.sliding_window_view(canvas, (WINDOW, WINDOW))
-            return found[::TILE, ::TILE].reshape(down * right, WINDOW, WINDOW)
-
-        inner = views(self._places)[:, margin:-margin, margin:-margin].reshape(down * right, -1)
-        windows = views(self._read)
-        counts = np.count_nonzero(inner < self._n, axis=1)
-        windows, inner = windows[counts > 0], inner[counts > 0].reshape(-1)
-        back = np.empty(self._n, dtype=np.uint32)
-        exists = inner < self._n
-        back[inner[exists]] = np.flatnonzero(exists)
-        share = (counts[counts > 0] / self._n).astype(np.float32)
-        return windows.reshape(len(windows), -1), back, share
+    def taxels(self, tiles: Array, number: int) -> Array:
+        """The vector of taxels, (..., n), of the tiles of a shift, (..., t, 64)."""
+        (n_rows, n_cols), (row, col) = self._shape, SHIFTS[number]
+        lead, across = tiles.shape[:-2], -(-(n_cols + col) // TILE)
+        image = tiles.reshape(*lead, -1, across, TILE, TILE).swapaxes(-3, -2)
+        image = image.reshape(*lead, -1, across * TILE)[..., row : row + n_rows, col : col + n_cols]
+        return image.reshape(*lead, -1)[..., self._cells]
 
 
 class TilesOfDevice:
-    """`Tiles` where the vectors are: the tables of one frame at a time, all of one size."""
+    """`Tiles` where the vectors are, as gathers: those of one frame at a time, all of one size."""
 
-    def __init__(self, mask: Mask, places: Indices, n: int, backend: ManyPatches) -> None:
-        tiles = Tiles(mask, places, n)
-        for number in range(len(SHIFTS)):
-            found, _, share = tiles.tables(number)
-            tiles.windows[number, len(found) :] = n
-            tiles.share[number, len(share) :] = 0
-        self.strictness = tiles.strictness
-        tables = tiles.windows.astype(np.int64), tiles.back.astype(np.int64), tiles.share
-        self._all = [backend.array(table) for table in tables]
+    def __init__(self, tiles: Tiles, backend: ManyPatches) -> None:
+        self.strictness, n = tiles.strictness, len(tiles.cells)
+        n_shifts, most = len(SHIFTS), max(map(len, tiles.shares))
+        windows = np.full((n_shifts, most, WINDOW * WINDOW), n)
+        back, share = np.empty((n_shifts, n), np.intp), np.zeros((n_shifts, most), np.float32)
+        for k, shares in enumerate(tiles.shares):
+            t = len(shares)
+            windows[k, :t], share[k, :t] = tiles.cut(tiles.canvas, k), shares
+            back[k] = tiles.taxels(np.arange(t * TILE * TILE).reshape(t, -1), k)
+        self._all = [backend.array(table) for table in (windows, back, share)]
         self._now = [backend.copy(table) for table in self._all]
 
     def load(self, first: int, n: int) -> None:
@@ -338,10 +317,18 @@ class TilesOfDevice:
             for now, every in zip(self._now, self._all, strict=True):
                 now[k] = every[(first + k) % len(SHIFTS)]
 
-    def tables(self, number: int) -> tuple[Array, Array, Array]:
+    @property
+    def shares(self) -> Array:
+        """As in `Tiles`, float32 (len(SHIFTS), t)."""
+        return self._now[2]
+
+    def windows(self, taxels: Array, number: int) -> Array:
         """As in `Tiles`."""
-        windows, back, share = (now[number] for now in self._now)
-        return windows, back, share
+        return taxels[..., self._now[0][number]]
+
+    def taxels(self, tiles: Array, number: int) -> Array:
+        """As in `Tiles`."""
+        return tiles.reshape(*tiles.shape[:-2], -1)[..., self._now[1][number]]
 
 
 def places_of(shape: tuple[int, ...], cells: Indices) -> Indices:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
@@ -15,9 +17,12 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
 from .gates import Gates, Tiles, gates_of, places_of
-from .rows import rows_of
+from .rows import CompiledRows, rows_of
 from .tuning import SkinTuning
 from .vectors import FrameVectors
+
+if TYPE_CHECKING:
+    from .compiled import CompiledEstimator
 
 
 class SkinSolver(Solver):
@@ -56,6 +61,8 @@ class SkinSolver(Solver):
     paces = (1, 3, 5, 8)
     #: The sum of squares of larger ones could overflow float32.
     y_max = 1e14
+    #: As of `SkinEstimator`.
+    of_touched = False
 
     def __init__(
         self,
@@ -80,14 +87,16 @@ class SkinSolver(Solver):
         self._rows = rows_of(phi, compiled)
         self._cells = self.taxels[self._rows.taxel]
         places = places_of(self.mask.shape, self._cells)
-        made = self._rows, Tiles(self.mask, places, phi.n), gates_of(gates)
-        if compiled:
-            from .compiled import CompiledVectors  # needs numba
+        of_skin = Tiles(self.mask, places, phi.n), gates_of(gates), places, tuning
+        if isinstance(self._rows, CompiledRows):
+            from .compiled import CompiledEstimator  # needs numba
 
-            self._vectors: FrameVectors = CompiledVectors(*made, places, tuning)
+            self._estimator: SkinEstimator | CompiledEstimator = CompiledEstimator(
+                self._rows, *of_skin
+            )
         else:
-            self._vectors = FrameVectors(*made, places, tuning)
-        self._estimator = SkinEstimator(self._rows, self._vectors, tuning)
+            vectors = FrameVectors(self._rows, *of_skin)
+            self._estimator = SkinEstimator(self._rows, vectors, tuning)
         self.reset()
 
     def reset(self) -> None:
@@ -104,7 +113,8 @@ class SkinSolver(Solver):
         super().use(phi)
         self.phi = phi
         if not self._rows.use(phi):
-            self._vectors.forget_rows()
+            assert isinstance(self._estimator, SkinEstimator)
+            self._estimator.forget_rows()
 
     @property
     def bias(self) -> float:
@@ -120,8 +130,10 @@ class SkinSolver(Solver):
         y = self._checked_y(y)
         if warm is not None:
             forces = self._checked_warm(warm).reshape(-1)[self._cells]
-            self._vectors.start_from(np.maximum(forces, 0))
-        self._estimator.noise_sd, self._estimator.noise_of = self.noise_sd, self.noise_of
+            self._estimator.start_from(np.maximum(forces, 0))
+        estimator = self._estimator
+        estimator.noise_sd, estimator.noise_model = self.noise_sd, self.noise_model
+        estimator.of_touched = self.of_touched
         self._estimator.begin(self.phi.fingerprint, y)
         self._steps_left = self.n_steps
 

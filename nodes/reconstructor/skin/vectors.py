@@ -259,12 +259,11 @@ class FrameVectors:
         mean_d = o.total(d) / rows.n
         s = o.f32(o.sqrt(tau * o.maximum(1 - mean_d, o.zero) / mean_d + floor))
         u = z + rows.adjoint(d * r) / o.f32(mean_d)
-        windows, back, share = self._tiles.tables(shift)
-        scaled = o.xp.concatenate([u / s, self._nothing], axis=-1)
+        windows = self._tiles.windows(o.xp.concatenate([u / s, self._nothing], axis=-1), shift)
         denoise = shrink if formula or self._gates is None else self._gates.denoise
-        tiles, error = denoise(scaled[..., windows], self._tiles.strictness, o)
-        x = tiles.reshape(*z.shape[:-1], -1)[..., back] * s
-        expected = o.dot(error, share)
+        tiles, error = denoise(windows, self._tiles.strictness, o)
+        x = self._tiles.taxels(tiles, shift) * s
+        expected = o.dot(error, self._tiles.shares[shift])
         alpha = o.f32(o.minimum(expected, o.zero + t.most_alpha))
         self.z = z + t.damping * ((x - alpha * u) / (1 - alpha) - z)
         return x, expected * o.f64(s) ** 2, residual2

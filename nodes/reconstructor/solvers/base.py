@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, real_floats
 from sparseskin.nodes.numerics.compiled import check_fast
 from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.sensor.noise import NoiseModel
 
 SOLVERS = {
     "skin": "sparseskin.nodes.reconstructor.skin.solver:SkinSolver",
@@ -89,8 +90,8 @@ class Solver(ABC):
     #: forces.
     trusted: bool = True
     noise_sd: float = 0.0
-    #: Variance of the readings of some forces, as the skin states; None where it does not.
-    noise_of: Callable[[Floats], Floats] | None = None
+    #: Noise of the readings, as the skin states it; None where it does not.
+    noise_model: NoiseModel | None = None
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         shape = (basis.n_rows, basis.n_cols)

@@ -85,12 +85,12 @@ def test_errors_are_relative_to_the_range():
 
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-@pytest.mark.parametrize(("noise_of", "factor"), [(None, 2.5), (NoiseModel().variance, 2.0)])
-def test_the_estimated_error_is_near_the_true_one(rows, noise_of, factor):
+@pytest.mark.parametrize(("noise_model", "factor"), [(None, 2.5), (NoiseModel(), 2.0)])
+def test_the_estimated_error_is_near_the_true_one(rows, noise_model, factor):
     """Nearer where the noise is stated, which changes no force."""
     truth, phis = sliding_disc(SHAPE, 60), phis_of(rows)
     solver = solver_of(phis)
-    solver.noise_of = noise_of
+    solver.noise_model = noise_model
     found, errors = reconstructed(solver, phis, noisy(truth))
     np.testing.assert_array_equal(found, reconstructed(solver_of(phis), phis, noisy(truth))[0])
     true = np.sqrt(np.mean(np.square(found - truth), axis=(1, 2)))

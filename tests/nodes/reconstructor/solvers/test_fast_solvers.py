@@ -14,7 +14,7 @@ from sparseskin.nodes.reconstructor.solvers.base import make_solver
 if importlib.util.find_spec("numba") is None:
     pytest.skip("numba is not installed (extra fast)", allow_module_level=True)
 
-from sparseskin.nodes.reconstructor.skin.compiled import CompiledVectors
+from sparseskin.nodes.reconstructor.skin.compiled import CompiledEstimator
 from sparseskin.nodes.reconstructor.solvers.fast import CompiledFista
 
 
@@ -56,7 +56,7 @@ def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name):
         solver = make_solver(name, phi, basis, fast="on")
         off = make_solver(name, phi, basis, fast="off")
         parts = [*vars(solver).values()]
-        assert not any(isinstance(p, (CompiledFista, CompiledVectors)) for p in parts)
+        assert not any(isinstance(p, (CompiledFista, CompiledEstimator)) for p in parts)
         y = phi.forward(np.abs(phi.dense()[0]).astype(np.float32))
         np.testing.assert_array_equal(solver.solve(y), off.solve(y))
 
@@ -74,7 +74,7 @@ def test_a_skin_beyond_16_bits_is_compiled_too_and_finds_the_forces_of_numpy(nam
     phi = SbhePhi(n, n // 3, 0)
     on, off = (made(name, phi, mask, how, iterations=3) for how in ("on", "off"))
     parts = vars(on).values()
-    assert any(isinstance(p, (CompiledFista, CompiledVectors)) for p in parts)
+    assert any(isinstance(p, (CompiledFista, CompiledEstimator)) for p in parts)
     for frame in noisy(sliding_disc(mask.shape, 2, touch_at=0)) * mask:
         y = phi.forward(frame[mask])
         np.testing.assert_allclose(on.solve(y), off.solve(y), rtol=0, atol=1e-5)
