@@ -162,25 +162,30 @@ def haar_image(v: A, grid: A, half: A) -> None:
 
 
 @compiled()
-def standing_out(image: A, begin: int, width: int, t: A) -> Any:
-    """Part of the window of 12 x 12 that begins at a place of a flat image, as in `gates`."""
-    highest = of_thirds = of_sixths = whole = np.float32(0)
-    for top in range(begin, begin + 12 * width, 6 * width):
-        for corner in range(top, top + 12, 6):
-            sixth = np.float32(0)
-            for down in range(corner, corner + 6 * width, 3 * width):
-                for at in range(down, down + 6, 3):
-                    third = np.float32(0)
-                    for i in range(at, at + 3 * width, width):
-                        x, y, z = image[i], image[i + 1], image[i + 2]
-                        third += x + y + z
-                        highest = max(highest, max(x, y, z))
-                    of_thirds = max(of_thirds, third)
-                    sixth += third
-            of_sixths = max(of_sixths, sixth)
-            whole += sixth
+def standing_out(image: A, begin: int, width: int, t: A, sums: A, peaks: A) -> Any:
+    """Part of the window of 12 x 12 that begins at a place of a flat image, as in `gates`; sums and
+    peaks are scratch, 12 columns each.
+    """
+    highest = of_thirds = of_sixths = whole = left = right = np.float32(0)
+    peaks[:] = highest
+    for band in range(4):
+        at = begin + 3 * band * width
+        one, two, three = image[at:][:12], image[at + width :][:12], image[at + 2 * width :][:12]
+        for j in range(12):
+            sums[j] = one[j] + two[j] + three[j]
+            peaks[j] = max(peaks[j], max(one[j], max(two[j], three[j])))
+        a, b = sums[0] + sums[1] + sums[2], sums[3] + sums[4] + sums[5]
+        c, d = sums[6] + sums[7] + sums[8], sums[9] + sums[10] + sums[11]
+        of_thirds = max(max(of_thirds, max(a, b)), max(c, d))
+        left, right = left + (a + b), right + (c + d)
+        if band % 2:
+            of_sixths = max(of_sixths, max(left, right))
+            whole += left + right
+            left = right = np.float32(0)
+    for j in range(12):
+        highest = max(highest, peaks[j])
     most = max(highest / t.single, of_thirds / (3 * t.by_3))
-    most = max(most, of_sixths / (6 * t.by_6), whole / (12 * t.whole))
+    most = max(most, max(of_sixths / (6 * t.by_6), whole / (12 * t.whole)))
     return np.float32(min(max((most - 1) / (t.clearly - 1), 0.0), 1.0))
 
 
@@ -271,7 +276,7 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
         v[p] *= scale[p]
 
 
-@compiled()
+@compiled(sums_in_any_order=True)
 def skin_predict(
     x: A, whole: A, values: A, read: A, neighbours: A, groups: A, scale: A, noise: float, t: A,
     slopes: A, rows: A, correction: A, predicted: A, moved: A, innovation: A,
@@ -282,22 +287,26 @@ def skin_predict(
     """
     n, largest, energy = x.size, np.float32(0), 0.0
     for k in range(2):
+        slope, following, last = slopes[k], neighbours[k], neighbours[2 + k]
         for p in range(n):
-            slopes[k, p] = x[neighbours[k, p]] - x[neighbours[2 + k, p]]
-        rows[k] = slopes[k]
+            slope[p] = x[following[p]] - x[last[p]]
+        rows[k] = slope
         orthonormal(rows[k], groups, scale)
     for p in range(n):
         largest = max(largest, x[p])
+    for p in range(n):
         energy += np.float64(x[p]) * np.float64(x[p])
-    gram, right = np.zeros((3, 3)), np.zeros(3)
+    by_down, by_across = rows[0], rows[1]
+    a_e = b_e = c_e = aa = ab = ac = bb = bc = cc = 0.0
     for i in range(read.size):
         r = read[i]
+        a_i, b_i, c_i = np.float64(whole[r]), np.float64(by_down[r]), np.float64(by_across[r])
         e = np.float64(values[i] - whole[r])
-        seen = (np.float64(whole[r]), np.float64(rows[0, r]), np.float64(rows[1, r]))
-        for j in range(3):
-            right[j] += seen[j] * e
-            for k in range(3):
-                gram[j, k] += seen[j] * seen[k]
+        a_e, b_e, c_e = a_e + a_i * e, b_e + b_i * e, c_e + c_i * e
+        aa, ab, ac = aa + a_i * a_i, ab + a_i * b_i, ac + a_i * c_i
+        bb, bc, cc = bb + b_i * b_i, bc + b_i * c_i, cc + c_i * c_i
+    gram = np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]])
+    right = np.array([a_e, b_e, c_e])
     unseen = max(0.0, energy * read.size / n - gram[0, 0])
     gram[0, 0] += unseen * noise / (noise + gram[0, 0] / read.size)
     least = t.ridge**2 * gram[0, 0] + noise
@@ -333,9 +342,9 @@ def skin_predict(
 
 
 @compiled()
-def loosened(variance: A, prior: float, doubt: float) -> Any:
+def loosened(variance: A, prior: A, doubt: A, most: A) -> Any:
     """Variance of errors that are not independent of each other; doubt: in noise variances."""
-    return min(prior * variance * (1 + doubt * variance), 1e34)
+    return min(prior * variance * (np.float32(1) + doubt * variance), most)
 
 
 @compiled()
@@ -346,7 +355,7 @@ def surplus(seen: float, expected: float, count: int, t: A) -> Any:
     return more * z2 / (z2 + t.significant**2)
 
 
-@compiled()
+@compiled(sums_in_any_order=True)
 def skin_filter(
     values: A, innovation: A, moved: A, whole: A, read: A, mean: A, left: A, change: A,
     target: A, variance: A, off_target: A, recall: A,
@@ -355,7 +364,8 @@ def skin_filter(
     """Filter all rows, as in `FrameVectors`; left: variance that their measurements left. Return
     the mean variance of the targets of the rows read.
     """
-    n, n_read, doubt = mean.size, read.size, t.doubt / noise
+    n, n_read = mean.size, read.size
+    loose, doubt, one = np.float32(t.prior), np.float32(t.doubt / noise), np.float32(1)
     unknown, n_known, seen, expected = np.float32(t.unknown), 0, 0.0, 0.0
     for p in range(n):
         mean[p] += moved[p] - whole[p]
@@ -370,11 +380,13 @@ def skin_filter(
     if 2 * n_known > n_read:
         changed = surplus(seen / n_known, noise + expected / n_known, n_read, t)
     grown = np.float32(changed)
-    prior = np.float32(loosened(np.float32(max(signal, error2)), t.prior, doubt))
+    prior = loosened(np.float32(max(signal, error2)), loose, doubt, unknown)
+    # Each loop has few vectors: of many, it would not be computed on several numbers at once.
     for p in range(n):
         change[p] = min(change[p] + grown, unknown)
-        wide = np.float32(loosened(change[p], t.prior, doubt))
-        variance[p] = prior / (prior + left[p] + wide)
+    for p in range(n):
+        variance[p] = prior / (prior + left[p] + loosened(change[p], loose, doubt, unknown))
+    for p in range(n):
         target[p] = variance[p] * (mean[p] - moved[p])
     recall *= t.recall_memory
     recall[2] += n_known
@@ -387,7 +399,8 @@ def skin_filter(
     ridge = t.recall_ridge * noise * recall[2]
     recalled = np.float32(min(max((recall[0] + ridge) / (recall[1] + ridge + TINY), 0.0), 1.0))
     for p in range(n):
-        variance[p] = prior * (1 - recalled * variance[p])
+        variance[p] = prior * (one - recalled * variance[p])
+    for p in range(n):
         target[p] = moved[p] + recalled * target[p]
     r_noise, least, total = np.float32(noise), np.float32(floor), 0.0
     for i in range(n_read):
@@ -452,7 +465,7 @@ def skin_step(
     found[:] = none
     expected, n_busy = 0.0, 0
     for tile in range(n_tiles):
-        part = standing_out(image, begins[tile], width, t)
+        part = standing_out(image, begins[tile], width, t, w[-1][:12], w[-1][12:24])
         if part > 0:
             for i in range(12):
                 w[n_busy, 12 * i : 12 * i + 12] = image[begins[tile] + i * width :][:12]
@@ -556,21 +569,19 @@ def skin_settle(
 @compiled(sums_in_any_order=True)
 def mean_variance(forces: A, s: A, t: A) -> Any:
     """Mean variance of the readings of forces, as `NoiseModel.variance`."""
-    total, per_force, rise = (
-        np.float64(0),
-        np.float32(2 / s.f_max),
-        np.float32(s.sigma_end - s.sigma_mid),
-    )
+    total, per_force = np.float32(0), np.float32(2 / s.f_max)
+    rise = np.float32(s.sigma_end - s.sigma_mid)
     one, slope, middle = np.float32(1), np.float32(0), np.float32(s.sigma_mid)
-    clipped = np.float32(1)
+    clipped, least = one, np.float32(0 if s.of_touched > 0 else -1)
     if s.clips > 0 and s.sigma_end > 0:
         slope = np.float32((1 - t.clipped) / t.clipped_below / s.sigma_end)
         clipped = np.float32(t.clipped)
-    for force in forces:
+    for p in range(forces.size):
+        force = forces[p]
         sigma = middle + rise * min(abs(per_force * force - one), one)
         variance = sigma * sigma * min(clipped + slope * force, one)
-        total += variance if force > 0 or s.of_touched == 0 else np.float32(0)
-    return total / forces.size
+        total += variance if force > least else np.float32(0)
+    return np.float64(total) / forces.size
 
 
 @compiled()
