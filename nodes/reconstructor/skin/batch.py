@@ -16,7 +16,7 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 
 from .backend import Array, ManyPatches
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
-from .gates import SHIFTS, Gates, Tiles, TilesOfDevice, gates_of, places_of
+from .gates import SHIFTS, Gates, TilesOfDevice, gates_of, tiles_of
 from .rows import HadamardRows
 from .solver import SkinSolver
 from .tuning import SkinTuning
@@ -77,9 +77,9 @@ class SkinBatch:
         one = self.patches[0]
         self._rows = HadamardRows(phi, o)
         cells = one.taxels[self._rows.taxel]
-        places = places_of(one.mask.shape, cells)
-        self._tiles = TilesOfDevice(Tiles(one.mask, places, phi.n), o)
-        of_device = self._tiles, weights and weights.on(o), places, tuning, o
+        tiles = tiles_of(one.mask, cells)
+        self._tiles = TilesOfDevice(tiles, o)
+        of_device = self._tiles, weights and weights.on(o), tiles.places, tuning, o
         self._vectors = FrameVectors(self._rows, *of_device)
         self._estimator = SkinEstimator(self._rows, self._vectors, tuning, o)
         self._cells, self._image = o.array(cells), o.zeros(one.mask.size)

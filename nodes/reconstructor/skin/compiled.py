@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import asdict
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.kernels import CONSTANTS, NUMBERS, skin_frame
 from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
@@ -26,17 +28,12 @@ class CompiledEstimator:
     Parameters
     ----------
     rows : CompiledRows
-    tiles, gates, places, tuning
+    tiles, gates, tuning
         As of `FrameVectors`.
     """
 
     def __init__(
-        self,
-        rows: CompiledRows,
-        tiles: Tiles,
-        gates: Gates | None,
-        places: Indices,
-        tuning: SkinTuning,
+        self, rows: CompiledRows, tiles: Tiles, gates: Gates | None, tuning: SkinTuning
     ) -> None:
         ready(skin_frame)
         self._rows, self._averaged = rows, tuning.averaged
@@ -68,26 +65,14 @@ class CompiledEstimator:
         )
         self._numbers = np.zeros(1, NUMBERS)
         self._vectors, self._recall = np.zeros((11, n), dtype=np.float32), np.zeros(3)
-        self._of_skin = (
-            neighbours_of(places, n).reshape(4, n).astype(np.uint32),
-            *(rows.groups, rows.scale, *_tables(tiles)),
-        )
+        neighbours, *others = _tables(tiles)
+        self._of_skin = neighbours, rows.groups, rows.scale, *others
         of_hidden = weights.filters, weights.hidden, weights.hidden_0
         of_gates = weights.gates, weights.gates_0, weights.synthesis, weights.error[0]
         self._weights = [np.ascontiguousarray(array) for array in (*of_hidden, *of_gates)]
         self._gated = gates is not None
-        most, k, h = max(map(len, tiles.shares)), len(weights.filters), len(weights.hidden_0)
-        widths = WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE
-        self._estimates = np.zeros((max(1, self._averaged), n), dtype=np.float32)
-        self._scratch = [
-            np.zeros((4, n), dtype=np.float32),
-            np.zeros(n + 1, dtype=np.float32),
-            *np.zeros((2, tiles.canvas.size), dtype=np.float32),
-            *(np.zeros((most, width), dtype=np.float32) for width in widths),
-            *(np.zeros((height, most), dtype=np.float32) for height in (85, 65)),
-            np.zeros(most, dtype=np.float32),
-            np.zeros(most, dtype=np.intp),
-        ]
+        of_net = len(weights.filters), len(weights.hidden_0)
+        self._sizes = n, tiles.canvas.size, max(map(len, tiles.shares)), *of_net
         #: By row subset: the last measurements and innovation; Phi 1.
         self._last: dict[str, tuple[Floats, Floats]] = {}
         self._known: set[str] = set()
@@ -126,10 +111,11 @@ class CompiledEstimator:
         forces = np.empty(self._rows.n, dtype=np.float32)
         of_read = np.empty((3, self._rows.read.size), dtype=np.float32)
         steps = self.n_shifts, n_formula if n else 0, n, self._gated
-        estimates = self._estimates[: max(1, min(n, self._averaged))]
+        estimates, *scratch = _scratch(self._averaged, *self._sizes)
+        estimates = estimates[: max(1, min(n, self._averaged))]
         skin_frame(
             *(*self._frame, self._vectors, of_read, self._recall, *self._of_skin, *steps),
-            *(*self._weights, estimates, *self._scratch, forces, self._numbers, self._constants),
+            *(*self._weights, estimates, *scratch, forces, self._numbers, self._constants),
         )
         self.n_shifts = (self.n_shifts + (n_formula + n if n else 0)) % len(SHIFTS)
         return forces
@@ -152,16 +138,39 @@ class CompiledEstimator:
         return bool(self._numbers["trusted"][0])
 
 
+@lru_cache(maxsize=16)
 def _tables(tiles: Tiles) -> tuple[Any, ...]:
-    """Canvas and cells of the taxels; cells of a row; of each shift first cells of the windows with
-    a taxel, their shares and number.
+    """Neighbours; canvas and cells of the taxels; cells of a row; of each shift first cells of the
+    windows with a taxel, their shares and number.
     """
-    n_shifts, most = len(SHIFTS), max(map(len, tiles.shares))
+    n_shifts, most, n = len(SHIFTS), max(map(len, tiles.shares)), tiles.cells.size
     begins, shares = np.zeros((n_shifts, most), np.uint32), np.zeros((n_shifts, most), np.float32)
     counts, places = np.zeros(n_shifts, np.int64), np.arange(tiles.canvas.size)
     for k, share in enumerate(tiles.shares):
         kept, first = share > 0, tiles.cut(places.reshape(tiles.canvas.shape), k)[:, 0]
-        counts[k] = n = np.count_nonzero(kept)
-        begins[k, :n], shares[k, :n] = first[kept], share[kept]
+        counts[k] = count = np.count_nonzero(kept)
+        begins[k, :count], shares[k, :count] = first[kept], share[kept]
+    neighbours = neighbours_of(tiles.places, n).reshape(4, n).astype(np.uint32)
     canvas, width = tiles.canvas.reshape(-1).astype(np.uint32), tiles.canvas.shape[1]
-    return canvas, tiles.cells.astype(np.uint32), width, begins, shares, counts
+    return neighbours, canvas, tiles.cells.astype(np.uint32), width, begins, shares, counts
+
+
+_OF_THREAD = threading.local()
+
+
+def _scratch(averaged: int, n: int, cells: int, most: int, k: int, h: int) -> list[Any]:
+    """Estimates and scratch of a frame, shared by the solvers of a thread: they stay in its cache.
+
+    Sizes: estimates that are averaged; taxels; cells of the canvas; tiles; filters; hidden units.
+    """
+    key = averaged, n, cells, most, k, h
+    if getattr(_OF_THREAD, "key", None) != key:
+        widths = WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE
+        shapes = [(max(1, averaged), n), (4, n), n + 1, cells, cells]
+        shapes += [(most, width) for width in widths]
+        shapes += [(85, most), (65, most), most]
+        _OF_THREAD.arrays = [np.zeros(shape, dtype=np.float32) for shape in shapes]
+        _OF_THREAD.arrays.append(np.zeros(most, dtype=np.intp))
+        _OF_THREAD.key = key
+    found: list[Any] = _OF_THREAD.arrays
+    return found

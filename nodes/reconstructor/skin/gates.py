@@ -17,7 +17,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
@@ -248,6 +248,8 @@ class Tiles:
 
     Attributes
     ----------
+    places
+        As given.
     canvas : ndarray of intp, shape (n_rows + 2 MARGIN, n_cols + 2 MARGIN)
         Place in the vector of taxels that each cell reads.
     cells : ndarray of intp, shape (n,)
@@ -260,7 +262,7 @@ class Tiles:
     """
 
     def __init__(self, mask: Mask, places: Indices, n: int) -> None:
-        self._shape = mask.shape
+        self.places, self._shape = places, mask.shape
         read = np.append(places.reshape(-1), n)[nearest_taxels(mask)]
         self.canvas = np.pad(read, MARGIN, constant_values=n)
         exists = np.pad(mask, MARGIN).astype(np.float32)
@@ -331,14 +333,20 @@ class TilesOfDevice:
         return tiles.reshape(*tiles.shape[:-2], -1)[..., self._now[1][number]]
 
 
-def places_of(shape: tuple[int, ...], cells: Indices) -> Indices:
-    """Return the place in a vector of taxels of each cell, intp `shape`: that of cells[p] is p.
+def tiles_of(mask: Mask, cells: Indices) -> Tiles:
+    """Return the tiles of a skin: the same ones for skins that are alike.
 
-    cells are flat, intp (n,). Where no taxel exists it is n.
+    mask is as of `Tiles`, cells, flat, intp (n,), are those of each place in a vector of taxels.
     """
-    places = np.full(shape, len(cells), dtype=np.intp)
-    places.reshape(-1)[cells] = np.arange(len(cells))
-    return places
+    return _tiles(mask.shape, np.asarray(cells, dtype=np.intp).tobytes())
+
+
+@lru_cache(maxsize=16)
+def _tiles(shape: tuple[int, int], cells_of_taxels: bytes) -> Tiles:
+    cells = np.frombuffer(cells_of_taxels, dtype=np.intp)
+    places = np.full(shape, cells.size, dtype=np.intp)
+    places.reshape(-1)[cells] = np.arange(cells.size)
+    return Tiles(places < cells.size, places, cells.size)
 
 
 def nearest_taxels(mask: Mask) -> Indices:

@@ -16,7 +16,7 @@ from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
 
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
-from .gates import Gates, Tiles, gates_of, places_of
+from .gates import Gates, gates_of, tiles_of
 from .rows import CompiledRows, rows_of
 from .tuning import SkinTuning
 from .vectors import FrameVectors
@@ -86,16 +86,15 @@ class SkinSolver(Solver):
         compiled = use_compiled(fast) and is_sbhe(phi)
         self._rows = rows_of(phi, compiled)
         self._cells = self.taxels[self._rows.taxel]
-        places = places_of(self.mask.shape, self._cells)
-        of_skin = Tiles(self.mask, places, phi.n), gates_of(gates), places, tuning
+        tiles, weights = tiles_of(self.mask, self._cells), gates_of(gates)
         if isinstance(self._rows, CompiledRows):
             from .compiled import CompiledEstimator  # needs numba
 
             self._estimator: SkinEstimator | CompiledEstimator = CompiledEstimator(
-                self._rows, *of_skin
+                self._rows, tiles, weights, tuning
             )
         else:
-            vectors = FrameVectors(self._rows, *of_skin)
+            vectors = FrameVectors(self._rows, tiles, weights, tiles.places, tuning)
             self._estimator = SkinEstimator(self._rows, vectors, tuning)
         self.reset()
 
