@@ -89,7 +89,7 @@ class FrozenWatch:
         if not self._sigma:
             return False
         last = self._last.get(subset)
-        repeats = last is not None and np.array_equal(last, y)
+        repeats = last is not None and last[0] == y[0] and np.array_equal(last, y)
         if not repeats:
             self._last[subset] = np.array(y, dtype=np.float32)
         counts = repeats and self._sigma > LEAST_NOISE * step_of(y)
@@ -212,7 +212,7 @@ class FrameWatch:
         m, offset = innovation.size, np.float32(self.offset)
         if rows.like > MOST_LIKE:
             return
-        change = float(innovation.mean()) - self.offset
+        change = float(innovation.sum()) / m - self.offset
         if m * change**2 <= (SIGNIFICANT * self._sd) ** 2 / 2:
             return
         # The sums of blocks show any contact more than an offset.

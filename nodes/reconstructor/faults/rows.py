@@ -156,11 +156,12 @@ class RowWatch:
         """Note residuals and changes; True if a row asks for a full comparison."""
         self._before, self._residual = self._residual, y - fitted
         self._change, self._last = y - self._last, y.copy()
-        changed = self._change != 0
-        self._changed_at[changed | self._coarse] = self._n_frames
+        n_changed = np.count_nonzero(self._change)
+        all_changed = self._coarse or n_changed == y.size  # as in most frames, for which it is fast
+        self._changed_at[... if all_changed else self._change != 0] = self._n_frames
         rate = max(LIVELY_RATE, 1 / self._n_frames)
-        self._lively += rate * (np.count_nonzero(changed) / changed.size - self._lively)
-        self._n_constant = int(np.count_nonzero(self._constant()))
+        self._lively += rate * (n_changed / y.size - self._lively)
+        self._n_constant = 0 if all_changed else int(np.count_nonzero(self._constant()))
         return self._n_constant > 0 or bool((np.square(self._residual) > self._bound).any())
 
     def _look(self, y: Floats) -> bool:

@@ -82,6 +82,8 @@ class HadamardRows(Rows):
         self.taxel = phi.permutation[taxels]
         self._place_of_row = np.argsort(rows)
         self._known: dict[str, tuple[Array, Array]] = {}
+        #: Place in W x of each measurement, by row subset.
+        self._places: dict[str, Indices] = {}
         self.use(phi)
 
     def _transform_of(self, phi: SbhePhi) -> tuple[Indices, Indices]:
@@ -91,8 +93,7 @@ class HadamardRows(Rows):
 
     def use(self, phi: Phi) -> bool:
         if phi.fingerprint not in self._known:
-            assert isinstance(phi, SbhePhi)
-            places = self._place_of_row[phi.rows]
+            places = self._places_of(phi)
             order = np.argsort(places)
             self._known[phi.fingerprint] = self._array(places[order]), self._array(order)
         self.read, self._order = self._known[phi.fingerprint]
@@ -109,7 +110,13 @@ class HadamardRows(Rows):
 
     def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
         rows = self.forward(x)
-        return [rows[self._place_of_row[phi.rows]] for phi in phis if isinstance(phi, SbhePhi)]
+        return [rows[self._places_of(phi)] for phi in phis]
+
+    def _places_of(self, phi: Phi) -> Indices:
+        if phi.fingerprint not in self._places:
+            assert isinstance(phi, SbhePhi)
+            self._places[phi.fingerprint] = self._place_of_row[phi.rows]
+        return self._places[phi.fingerprint]
 
 
 class CompiledRows(HadamardRows):
