@@ -656,7 +656,7 @@ def skin_frame(
     most = max(e2 - noise, 0.0) + 2 * noise * np.sqrt(2 / m)
     s.signal = max(min(signal, most), now / 2)
     own, residual2, last_error2 = max(s.signal, now, 0.0), e2, s.error**2
-    doubt = t.repeated * noise if repeats else noise
+    doubt = noise * (1 + t.repeated * (noise / (noise + now)) ** 2 if repeats else 1.0)
     read_noise = skin_filter(
         values, innovation, moved, whole, read, mean, left, change, target, variance, off_target,
         recall, doubt, own, max(last_error2, floor), floor, t,

@@ -26,7 +26,7 @@ from sparseskin.studies.harness import unrefused
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
 
-from . import contacts
+from . import contacts, rounding
 from .constants import LEAST_ERROR, candidates, table
 from .experiments import (
     ALL,
@@ -81,6 +81,7 @@ def run(
     of_contacts = [*contacts.sources(quick), *runs.recorded_frames()]
     rows = contacts.rows(out, executor, of_contacts, range(seed, seed + seeds))
     lines.append(touched(page, rows))
+    lines.append(rounding.section(page, rounding.rows(out, executor, of_contacts, seed)))
     if constants:
         varied(page, runs)
     lines += [single(page, runs)] if alone else []

@@ -23,7 +23,7 @@ CONVERGED, N_FORMULA = 8, 3
 """Steps of a frame that need no others before them; steps by the formula before fewer. Measured on
 five recordings and on presses at N/3: 3 and 1 have less error than 3 alone, in less time."""
 REPEATED = 1e6
-"""Noise variance of a measurement that repeats exactly, in that of others."""
+"""Noise variance of a measurement that repeats exactly and was predicted, in that of others."""
 INVISIBLE = 1e-3
 """Force that is returned as 0, in deviations of the noise: what earlier contacts leave."""
 DUST = 1e-6
@@ -146,8 +146,10 @@ class SkinEstimator:
         signal = self._follow_signal(e2, noise)
         # Of rows that are never read, the innovation says nothing: the last estimate's own error.
         least = o.maximum(self.error**2, self._floor)
-        # A measurement that repeats exactly is not another one.
-        doubt = o.where(self._repeats, REPEATED * noise, noise)
+        # A measurement that repeats exactly is not another one, but where the forces have changed
+        # since, and have come back.
+        explained = noise / (noise + t.surplus(e2, noise, y.shape[-1], o))
+        doubt = o.where(self._repeats, (1 + REPEATED * explained**2) * noise, noise)
         vectors.filter_rows(values, doubt, signal, least, self._floor)
         self._steps = Steps(vectors.predicted[None], [signal], [e2])
         # Noise grows with the forces, but not without bound: what exceeds it, no force explains.

@@ -66,6 +66,20 @@ def test_a_change_of_rounding_stays_one(rows, settings):
     assert np.abs(changed - plain).max() < 1e-4 * plain.max()
 
 
+def test_measurements_that_repeat_after_others_are_followed():
+    """Without noise a row subset measures the same, to the last bit, when a taxel is back."""
+    phis, rng = phis_of(ROTATING), np.random.default_rng(0)
+    off = np.zeros(SHAPE, dtype=np.float32)
+    off[3, 3] = 1
+    on = off.copy()
+    on[10, 10] = 1
+    pressed = np.concatenate([rng.random(60) < 0.5, np.zeros(9, bool), rng.random(18) < 0.3])
+    frames = np.where(pressed[:, None, None], on, off)
+    found, _ = reconstructed(solver_of(phis), phis, frames)
+    errors = np.linalg.norm(found - frames, axis=(1, 2))[pressed] / np.linalg.norm(on)
+    assert errors[5:].mean() < 0.065
+
+
 @pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}])
 def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings):
     pytest.importorskip("numba")
