@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.numerics.arrays import TINY
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.frames import Frames, UntouchedFrames, opened, stated
 from sparseskin.studies.harness import Candidate, Measurement, method_rows
@@ -23,22 +22,11 @@ WITHIN = 1e-4
 CHANGED, READABLE = "measurements + 1e-7", "readable form"
 
 
-def rows(out: Path, executor: str, frames: Sequence[Frames], seed: int) -> pd.DataFrame:
-    """A row a source, ratio, kind of rows and figure of `amplified`."""
-    points = [
-        {"frames": of, "ratio": ratio, "rows": kind, "seed": seed}
-        for of, ratio, kind in product(map(stated, frames), (3, 8), (ROTATING, FIXED))
-        if of["kind"] != UntouchedFrames.__name__
-    ]
-    keys = [{**p["frames"], "ratio": p["ratio"], "rows": p["rows"]} for p in points]
-    return method_rows(keys, compute(amplified, points, out, executor, "rounding"), "cause")
-
-
 def amplified(point: Mapping[str, Any]) -> dict[str, Any]:
     """Largest change of a force over the frames of a point, in the largest force: by a change of
     the measurements, and by the readable form in place of the compiled one.
     """
-    take, of_rows = opened(point), Measurement(point["ratio"], point["rows"])
+    take, of_rows = opened(point), Measurement(point["N /"], point["rows"])
     settings: dict[str, dict[str, str]] = {"as it is": {}, CHANGED: {}, READABLE: {"fast": "off"}}
     made: dict[str, Any] = {
         name: Candidate({**PRESETS["skin"], **more}).make(of_rows, take, point["seed"])
@@ -56,22 +44,26 @@ def amplified(point: Mapping[str, Any]) -> dict[str, Any]:
             largest = max(largest, float(forces["as it is"].max()))
             for name, found in forces.items():
                 changes[name] = max(changes[name], float(np.abs(found - forces["as it is"]).max()))
-    of_force = {name: change / largest for name, change in changes.items() if largest}
-    return {"methods": {name: {"change": of_force[name]} for name in (CHANGED, READABLE)}}
+    largest = max(largest, TINY)
+    return {"methods": {name: {"change": changes[name] / largest} for name in (CHANGED, READABLE)}}
 
 
-def section(page: Page, rows: pd.DataFrame) -> str:
-    """Add the section; return its line of the conclusion."""
-    names = {"RecordedFrames": "recordings", "SceneFrames": "scenes"}
-    rows["frames"] = rows["kind"].map(names).fillna("presses")
-    page.csv("rounding", rows.drop(columns=["path"], errors="ignore"))
-    rows["N /"] = rows["ratio"].map("{:g}".format)
-    by = rows.groupby(["frames", "N /", "rows", "cause"], sort=False)["change"]
-    shown = by.agg(lambda some: f"{some.median():.0e}, {some.max():.0e}").unstack("cause")
+def section(page: Page, executor: str, frames: Sequence[Frames], seed: int) -> str:
+    """Compute and add the section: `amplified` by source, ratio and rows; return its line."""
+    kinds = product(map(stated, frames), (3, 8), (ROTATING, FIXED))
+    points = [{"frames": of, "N /": ratio, "rows": rows, "seed": seed} for of, ratio, rows in kinds]
+    points = [point for point in points if point["frames"]["kind"] != UntouchedFrames.__name__]
+    found = compute(amplified, points, page.out, executor, "rounding")
+    named = {"RecordedFrames": "recordings", "SceneFrames": "scenes"}
+    keys = [{**p, "frames": named.get(p["frames"]["kind"], "presses")} for p in points]
+    every = method_rows(keys, found, "by")
+    page.csv("rounding", every)
+    by = every.groupby(["frames", "N /", "rows", "by"], sort=False)["change"]
+    shown = by.agg(lambda some: f"{some.median():.0e}, {some.max():.0e}").unstack("by")
     page.section("Rounding", shown.reset_index(), change=CHANGE)
     parts = [
-        f"{cause}: {np.count_nonzero(some < WITHIN)} of {len(some)} streams within {WITHIN:g} of "
-        f"the largest force, median {some.median():.0e}, largest {some.max():.0e}"
-        for cause, some in rows.groupby("cause", sort=False)["change"]
+        f"{name}: {np.count_nonzero(some < WITHIN)} of {len(some)} streams change by less than "
+        f"{WITHIN:g} of the largest force, at most {some.max():.0e}, median {some.median():.0e}"
+        for name, some in every.groupby("by", sort=False)["change"]
     ]
     return f"Rounding: {'; '.join(parts)}."

@@ -81,7 +81,7 @@ def run(
     of_contacts = [*contacts.sources(quick), *runs.recorded_frames()]
     rows = contacts.rows(out, executor, of_contacts, range(seed, seed + seeds))
     lines.append(touched(page, rows))
-    lines.append(rounding.section(page, rounding.rows(out, executor, of_contacts, seed)))
+    lines.append(rounding.section(page, executor, of_contacts, seed))
     if constants:
         varied(page, runs)
     lines += [single(page, runs)] if alone else []

@@ -96,9 +96,7 @@ class CompiledEstimator:
         if subset not in self._last:
             ones = rows.forward(np.ones(rows.n, dtype=np.float32))[rows.read]
             self._last[subset] = np.zeros((2, y.size), dtype=np.float32), ones
-        last, ones = self._last[subset]
-        self._frame = rows.values(y), rows.read, ones, last, subset in self._known
-        self._known.add(subset)
+        self._subset, self._read = subset, (rows.values(y), rows.read)
 
     def finish(self, n: int, n_formula: int) -> Floats:
         """As in `SkinEstimator`."""
@@ -108,13 +106,16 @@ class CompiledEstimator:
         if model is not None:
             numbers["sigma_mid"], numbers["sigma_end"] = model.sigma_mid, model.sigma_end
             numbers["clips"] = model.clips
+        last, ones = self._last[self._subset]
+        frame = *self._read, ones, last, self._subset in self._known
+        self._known.add(self._subset)
         forces = np.empty(self._rows.n, dtype=np.float32)
-        of_read = np.empty((3, self._rows.read.size), dtype=np.float32)
+        of_read = np.empty((3, ones.size), dtype=np.float32)
         steps = self.n_shifts, n_formula if n else 0, n, self._gated
         estimates, *scratch = _scratch(self._averaged, *self._sizes)
         estimates = estimates[: max(1, min(n, self._averaged))]
         skin_frame(
-            *(*self._frame, self._vectors, of_read, self._recall, *self._of_skin, *steps),
+            *(*frame, self._vectors, of_read, self._recall, *self._of_skin, *steps),
             *(*self._weights, estimates, *scratch, forces, self._numbers, self._constants),
         )
         self.n_shifts = (self.n_shifts + (n_formula + n if n else 0)) % len(SHIFTS)
