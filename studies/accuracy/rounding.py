@@ -27,6 +27,8 @@ def amplified(point: Mapping[str, Any]) -> dict[str, Any]:
     the measurements, and by the readable form in place of the compiled one.
     """
     take, of_rows = opened(point), Measurement(point["N /"], point["rows"])
+    if take.n < point["N /"]:
+        return {"methods": {}}
     settings: dict[str, dict[str, str]] = {"as it is": {}, CHANGED: {}, READABLE: {"fast": "off"}}
     made: dict[str, Any] = {
         name: Candidate({**PRESETS["skin"], **more}).make(of_rows, take, point["seed"])
