@@ -1,5 +1,7 @@
 """Solver `skin`: accuracy, constant work, no amplified rounding, an error that means something."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from matrices import Stretched
@@ -64,6 +66,19 @@ def test_a_change_of_rounding_stays_one(rows, settings):
     plain, _ = reconstructed(solver_of(phis, **settings), phis, frames)
     changed, _ = reconstructed(solver_of(phis, **settings), phis, frames, change=1e-7)
     assert np.abs(changed - plain).max() < 1e-4 * plain.max()
+
+
+def test_solvers_in_threads_find_what_one_finds_alone():
+    """The solvers of a thread share their scratch."""
+    pytest.importorskip("numba")
+    frames = noisy(sliding_disc(SHAPE, 40))
+
+    def found(_=0):
+        phis = phis_of(FIXED)
+        return reconstructed(solver_of(phis, fast="on"), phis, frames)[0]
+
+    with ThreadPoolExecutor(4) as pool:
+        np.testing.assert_array_equal([*pool.map(found, range(4))], 4 * [found()])
 
 
 def test_measurements_that_repeat_after_others_are_followed():
