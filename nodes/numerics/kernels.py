@@ -37,7 +37,7 @@ _CONSTANTS = """
     damping averaged least_tau most_alpha motion ridge noise_rate noise_growth significant
     signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
     most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
-    untouched trusted
+    untouched trusted least_read
     resolution repeated invisible dust negligible unknown
     quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
 """
@@ -323,7 +323,7 @@ def skin_predict(
             a[j] -= gram[j, k] * a[k]
         a[j] /= gram[j, j]
     explained = max(0.0, a[0] * right[0] + a[1] * right[1] + a[2] * right[2])
-    a *= explained / (explained + t.motion * noise)
+    a *= explained / (explained + t.motion * noise) if read.size >= t.least_read else 0.0
     most = np.float32(largest * max(1.0, 1 + a[0]))
     grown, down, across = np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
     for p in range(n):

@@ -26,6 +26,8 @@ class SkinTuning:
     #: Reduction of the squared innovation, in noise variances, at which half of a motion is used.
     #: Derived: three free parameters explain 3 of noise, and 12 in one frame of a hundred.
     motion: float = 12.0
+    #: Least number of measurements of a frame that show a motion, which has three parameters.
+    least_read: int = 16
     #: Ridge of the motion, as a part of each energy.
     ridge: float = 1e-3
     #: Rate of the noise level per frame, and its largest growth.

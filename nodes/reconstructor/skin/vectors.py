@@ -143,7 +143,8 @@ class FrameVectors:
             gram[k][k] = (1 + t.ridge) * gram[k][k] + least
         a = solved(gram, right)
         explained = o.maximum(sum(one * r for one, r in zip(a, right, strict=True)), o.zero)
-        a = [one * explained / (explained + t.motion * noise) for one in a]
+        used = explained / (explained + t.motion * noise) if size >= t.least_read else o.zero
+        a = [one * used for one in a]
         # What no row observes must not grow without bound, frame after frame.
         most = o.f32(o.largest(x) * o.maximum(1 + a[0], o.zero + 1))
         moved = x + sum(o.f32(one) * term for one, term in zip(a, terms, strict=True))
