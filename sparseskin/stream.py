@@ -117,6 +117,9 @@ class Stream:
             self._skin = Skin(*shape, f_max, mask=None if mask is None else np.array(mask))
         except MessageError as error:
             raise SparseskinError(f"stream: {error}") from error
+        if sigmas is not None and np.shape(sigmas) != (2,):
+            allowed = "allowed: standard deviations at mid-range and at the ends"
+            raise SparseskinError(f"stream: sigmas = {sigmas!r} is not allowed; {allowed}")
         if phi in CHOSEN_ANEW:
             raise PhiError(
                 f'stream: phi "{phi}" chooses rows by what it reads, and measurements alone do not '

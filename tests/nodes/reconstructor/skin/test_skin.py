@@ -59,6 +59,13 @@ def test_few_measurements_in_small_blocks_do_not_make_it_diverge(block):
         assert solver.solve(y).max() < 10
 
 
+def test_forces_of_three_measurements_stay_within_those_that_press():
+    phis = row_subsets(make_phi("sbhe", 9, 3, seed=0), ROTATING)
+    walk = np.cumsum(np.random.default_rng(0).normal(0, 0.1, (200, 3, 3)), axis=0).clip(0, 1)
+    solver = make_rotating_solver("skin", phis, HaarBasis(3, 3))
+    assert reconstructed(solver, phis, noisy(walk.astype(np.float32)))[0].max() < 1.5
+
+
 @pytest.mark.parametrize(("rows", "settings"), [(FIXED, {"iterations": 3}), (ROTATING, {})])
 def test_a_change_of_rounding_stays_one(rows, settings):
     truth = np.concatenate([np.zeros((15, *SHAPE), np.float32), sliding_disc(SHAPE, 45)])
