@@ -34,7 +34,7 @@ G, L, D, DM = int64[:, ::1], int64[::1], float64[::1], float64[:, ::1]
 
 
 _CONSTANTS = """
-    damping averaged least_tau most_alpha motion ridge noise_rate noise_growth significant
+    damping least_tau most_alpha motion ridge noise_rate noise_growth significant
     signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
     most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
     untouched trusted least_read

@@ -12,7 +12,7 @@ both ends, then clipped. The shape of the taper and its end value are not in the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -44,9 +44,9 @@ class NoiseModel:
     f_max: float = PAPER_F_MAX_N  # upper end of the range, in the unit of the forces, above 0
     sigma_mid: float = PAPER_SIGMA_MID_N  # standard deviation at mid-range, in [0, f_max]
     sigma_end: float = PAPER_SIGMA_END_N  # the same at both ends
-    clips: bool = field(
-        default=True, kw_only=True
-    )  # readings are clipped at 0; those of `apply` always are
+    _: KW_ONLY
+    clips: bool = True  # readings are clipped at 0; those of `apply` always are
+    of_touched: bool = False  # taxels that nothing touches are not read: `variance` is 0 there
 
     def __post_init__(self) -> None:
         most = f"0 to f_max = {self.f_max!r}, both included"
@@ -81,10 +81,11 @@ class NoiseModel:
         """
         apart = abs(2 / self.f_max * forces - 1).clip(None, 1)
         sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * apart
-        if not self.clips or not self.sigma_end:
-            return sigma * sigma
-        slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end
-        return sigma * sigma * (CLIPPED + slope * forces).clip(None, 1)
+        found = sigma * sigma
+        if self.clips and self.sigma_end:
+            slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end
+            found = found * (CLIPPED + slope * forces).clip(None, 1)
+        return found * (forces > 0) if self.of_touched else found
 
     def apply(self, truth: Floats, rng: np.random.Generator) -> Floats:
         """Readings of a noisy skin, a fresh array in [0, f_max], of true forces in that range,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import Solver, check_reads
+from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .solver import SkinSolver
 from .tuning import SkinTuning
@@ -90,7 +92,6 @@ class AdaptiveSkinSolver(Solver):
         self._rows_of: AdaptivePhi = phi
         self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
         self._filter = SkinSolver(self._whole, basis, self.mask, iterations=iterations, fast=fast)
-        self._filter.of_touched = True
         self.n_steps = self.iterations = self._filter.iterations
         self._held = HeldRows(phi)
         self._age, self._drift = np.zeros((2, phi.tree.n_nodes))
@@ -123,7 +124,7 @@ class AdaptiveSkinSolver(Solver):
         held.end()
         # Rows that are not read again show no noise.
         self._filter.noise_sd = max(self.noise_sd, math.sqrt(self._rows_of.variance))
-        self._filter.noise_model = self.noise_model
+        self._filter.noise_model = self._noise_of_touched
         self._filter.setup(self._whole.forward(self._x), warm)
         self._steps_left = self.n_steps
 
@@ -157,6 +158,10 @@ class AdaptiveSkinSolver(Solver):
         expected[held.sums <= self._rows_of.untouched] = 0
         return expected
 
+    @property
+    def _noise_of_touched(self) -> NoiseModel | None:
+        return self.noise_model and replace(self.noise_model, of_touched=True)
+
     def _learn(self, expected: Doubles, before: Doubles) -> None:
         """Compare the expected changes of the nodes that are read with the ones they had."""
         nodes, held = self._rows_of.chosen, self._held
@@ -181,12 +186,11 @@ class AdaptiveSkinSolver(Solver):
         missed = self._changed * float(self._expected().sum()) / n
         assert self._filter.error is not None
         # Frames after each other hold the same noise where they hold the same reading.
-        held = 0.0
-        if self.noise_model is not None:
-            held = KEPT * float((self.noise_model.variance(x) * (x > 0)).sum()) / n
+        noise = self._noise_of_touched
+        held = 0.0 if noise is None else KEPT * float(noise.variance(x).sum()) / n
         error2 = max(missed, self._filter.error**2, held)
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
-        noise = max(self._filter.noise2, self._rows_of.variance)
-        untouched = max(power, missed) <= UNTOUCHED * noise
+        noise2 = max(self._filter.noise2, self._rows_of.variance)
+        untouched = max(power, missed) <= UNTOUCHED * noise2
         self.trusted = bool(untouched or error2 <= SkinTuning.trusted**2 * power + TINY)

@@ -77,9 +77,8 @@ class SkinBatch:
         one = self.patches[0]
         self._rows = HadamardRows(phi, o)
         cells = one.taxels[self._rows.taxel]
-        tiles = tiles_of(one.mask, cells)
-        self._tiles = TilesOfDevice(tiles, o)
-        of_device = self._tiles, weights and weights.on(o), tiles.places, tuning, o
+        self._tiles = TilesOfDevice(tiles_of(one.mask.shape, cells), o)
+        of_device = self._tiles, weights and weights.on(o), tuning, o
         self._vectors = FrameVectors(self._rows, *of_device)
         self._estimator = SkinEstimator(self._rows, self._vectors, tuning, o)
         self._cells, self._image = o.array(cells), o.zeros(one.mask.size)

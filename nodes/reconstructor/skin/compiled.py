@@ -16,7 +16,7 @@ from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
 
 from .estimator import DUST, INVISIBLE, REPEATED, RESOLUTION
 from .formula import LEAST, STRICT
-from .gates import CLEARLY, QUIET, SHIFTS, STANDS_OUT, TILE, WINDOW, Gates, Tiles
+from .gates import CLEARLY, MARGIN, QUIET, SHIFTS, STANDS_OUT, TILE, WINDOW, Gates, Tiles
 from .rows import CompiledRows
 from .tuning import SkinTuning
 from .vectors import NEGLIGIBLE, UNKNOWN, neighbours_of
@@ -37,7 +37,7 @@ class CompiledEstimator:
     ) -> None:
         ready(skin_frame)
         self._rows, self._averaged = rows, tuning.averaged
-        self.noise_sd, self.of_touched = 0.0, False
+        self.noise_sd = 0.0
         self.noise_model: NoiseModel | None = None
         n, weights = rows.n, gates or Gates.zero()
         of_modules = {
@@ -72,7 +72,7 @@ class CompiledEstimator:
         self._weights = [np.ascontiguousarray(array) for array in (*of_hidden, *of_gates)]
         self._gated = gates is not None
         of_net = len(weights.filters), len(weights.hidden_0)
-        self._sizes = n, tiles.canvas.size, max(map(len, tiles.shares)), *of_net
+        self._sizes = n, tiles.canvas.size, tiles.most, *of_net
         #: By row subset: the last measurements and innovation; Phi 1.
         self._last: dict[str, tuple[Floats, Floats]] = {}
         self._known: set[str] = set()
@@ -101,11 +101,11 @@ class CompiledEstimator:
     def finish(self, n: int, n_formula: int) -> Floats:
         """As in `SkinEstimator`."""
         numbers, model = self._numbers[0], self.noise_model
-        numbers["noise_sd"], numbers["of_touched"] = self.noise_sd, self.of_touched
+        numbers["noise_sd"] = self.noise_sd
         numbers["f_max"] = 0.0 if model is None else model.f_max
         if model is not None:
             numbers["sigma_mid"], numbers["sigma_end"] = model.sigma_mid, model.sigma_end
-            numbers["clips"] = model.clips
+            numbers["clips"], numbers["of_touched"] = model.clips, model.of_touched
         last, ones = self._last[self._subset]
         frame = *self._read, ones, last, self._subset in self._known
         self._known.add(self._subset)
@@ -144,7 +144,7 @@ def _tables(tiles: Tiles) -> tuple[Any, ...]:
     """Neighbours; canvas and cells of the taxels; cells of a row; of each shift first cells of the
     windows with a taxel, their shares and number.
     """
-    n_shifts, most, n = len(SHIFTS), max(map(len, tiles.shares)), tiles.cells.size
+    n_shifts, most, n = len(SHIFTS), tiles.most, tiles.cells.size
     begins, shares = np.zeros((n_shifts, most), np.uint32), np.zeros((n_shifts, most), np.float32)
     counts, places = np.zeros(n_shifts, np.int64), np.arange(tiles.canvas.size)
     for k, share in enumerate(tiles.shares):
@@ -153,7 +153,9 @@ def _tables(tiles: Tiles) -> tuple[Any, ...]:
         begins[k, :count], shares[k, :count] = first[kept], share[kept]
     neighbours = neighbours_of(tiles.places, n).reshape(4, n).astype(np.uint32)
     canvas, width = tiles.canvas.reshape(-1).astype(np.uint32), tiles.canvas.shape[1]
-    return neighbours, canvas, tiles.cells.astype(np.uint32), width, begins, shares, counts
+    row, col = np.divmod(tiles.cells, tiles.shape[1])
+    cells = ((row + MARGIN) * width + col + MARGIN).astype(np.uint32)
+    return neighbours, canvas, cells, width, begins, shares, counts
 
 
 _OF_THREAD = threading.local()

@@ -73,8 +73,6 @@ class SkinEstimator:
         sets it.
     noise_model : NoiseModel or None
         Noise of the readings; None: not stated. The caller sets it.
-    of_touched : bool
-        True where taxels that nothing touches are not read, and have no noise. The caller sets it.
     noise, bias : number
         Noise variance of a measurement, and mean reading of an untouched taxel, as known so far.
     error, stated_error, trusted : number
@@ -101,7 +99,6 @@ class SkinEstimator:
         self._o: Any = backend
         self.noise_sd: Number = backend.zero
         self.noise_model: NoiseModel | None = None
-        self.of_touched = False
         #: By row subset: the last measurements and innovation, and whether there were any; Phi 1,
         #: and its squared length.
         self.last: dict[str, tuple[Array, Array, Number]] = {}
@@ -143,12 +140,13 @@ class SkinEstimator:
         self._repeats = known & o.same(y, last_y)
         noise = self._follow_noise(last, o.where(self._repeats, o.false, known), e2)
         self.last[subset] = y, vectors.innovation, o.false == o.false
-        signal = self._follow_signal(e2, noise)
+        now = t.surplus(e2, noise, values.shape[-1], o)
+        signal = self._follow_signal(e2, noise, now)
         # Of rows that are never read, the innovation says nothing: the last estimate's own error.
         least = o.maximum(self.error**2, self._floor)
         # A measurement that repeats exactly is not another one, but where the forces have changed
         # since, and have come back.
-        explained = noise / (noise + t.surplus(e2, noise, y.shape[-1], o))
+        explained = noise / (noise + now)
         doubt = o.where(self._repeats, (1 + REPEATED * explained**2) * noise, noise)
         vectors.filter_rows(values, doubt, signal, least, self._floor)
         self._steps = Steps(vectors.predicted[None], [signal], [e2])
@@ -188,10 +186,11 @@ class SkinEstimator:
         self._trust = o.minimum(o.maximum(trust, o.zero + t.least_trust), o.zero + 1)
         return o.maximum(self.noise * self._trust, self._floor)
 
-    def _follow_signal(self, e2: Number, noise: Number) -> Number:
-        """Mean squared error of the prediction: the excess of e2 over the noise, averaged."""
+    def _follow_signal(self, e2: Number, noise: Number, now: Number) -> Number:
+        """Mean squared error of the prediction: the excess of e2 over the noise, averaged; `now` is
+        what of it is significant.
+        """
         o, n_read = self._o, self._values.shape[-1]
-        now = self._t.surplus(e2, noise, n_read, o)
         signal = self._signal + self._t.signal_rate * (e2 - noise - self._signal)
         most = o.maximum(e2 - noise, o.zero) + 2 * noise * math.sqrt(2 / n_read)
         self._signal = o.maximum(o.minimum(signal, most), now / 2)
@@ -218,10 +217,7 @@ class SkinEstimator:
         error2 = o.maximum((1 - part) * error2, left)
         self.error = o.sqrt(error2)
         if self.noise_model is not None:
-            variance = self.noise_model.variance(settled.forces)
-            if self.of_touched:
-                variance = variance * (settled.forces > 0)
-            stated = o.total(variance) / self._rows.n
+            stated = o.total(self.noise_model.variance(settled.forces)) / self._rows.n
             stated = o.minimum(stated, self.noise)
             # Gates keep or drop: the noise that the residual lacks is in the estimate.
             few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2

@@ -239,43 +239,43 @@ class Tiles:
 
     Parameters
     ----------
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        True where a taxel exists.
-    places : ndarray of intp, shape (n_rows, n_cols)
-        Place in the vector of taxels of each cell; n where none exists.
-    n : int
-        Number of taxels.
+    shape : tuple of int
+        Rows and columns.
+    cells : ndarray of intp, shape (n,)
+        Flat cell of each place in the vector of taxels.
 
     Attributes
     ----------
-    places
+    shape, cells
         As given.
+    places : ndarray of intp, shape (n_rows, n_cols)
+        Place in the vector of taxels of each cell; n where none exists.
     canvas : ndarray of intp, shape (n_rows + 2 MARGIN, n_cols + 2 MARGIN)
         Place in the vector of taxels that each cell reads.
-    cells : ndarray of intp, shape (n,)
-        Flat cell of the canvas of each place in the vector of taxels.
     shares : tuple of ndarray of float32, shape (t,)
         Part of the taxels that lie in each tile, of each shift.
+    most : int
+        Largest number of tiles at any shift.
     strictness : float
         Factor of `STANDS_OUT`, above 0 to 1: of fewer windows, noise exceeds less in any case.
         Derived: the largest of n normal numbers grows with the root of log n.
     """
 
-    def __init__(self, mask: Mask, places: Indices, n: int) -> None:
-        self.places, self._shape = places, mask.shape
+    def __init__(self, shape: tuple[int, ...], cells: Indices) -> None:
+        n, self.shape, self.cells = len(cells), shape, cells
+        self.places = places = np.full(shape, n, dtype=np.intp)
+        places.reshape(-1)[cells] = np.arange(n)
+        mask = places < n
         read = np.append(places.reshape(-1), n)[nearest_taxels(mask)]
         self.canvas = np.pad(read, MARGIN, constant_values=n)
         exists = np.pad(mask, MARGIN).astype(np.float32)
-        self.cells = np.empty(n, dtype=np.intp)
-        self.cells[places[mask]] = np.flatnonzero(exists)
-        self._cells = np.empty(n, dtype=np.intp)
-        self._cells[places[mask]] = np.flatnonzero(mask)
         self.shares = tuple(
             inner(self.cut(exists, number)).sum(axis=1) / np.float32(n)
             for number in range(len(SHIFTS))
         )
-        most = math.prod(-(-side // TILE) + 1 for side in mask.shape)
-        self.strictness = min(max(math.sqrt(math.log(most) / math.log(MANY)), 1e-6), 1.0)
+        self.most = max(map(len, self.shares))
+        n_windows = math.prod(-(-side // TILE) + 1 for side in shape)
+        self.strictness = min(max(math.sqrt(math.log(n_windows) / math.log(MANY)), 1e-6), 1.0)
 
     def cut(self, canvas: Array, number: int) -> Array:
         """Windows of a canvas at a shift, by its number: (..., rows, columns) to (..., t, 144)."""
@@ -291,19 +291,19 @@ class Tiles:
 
     def taxels(self, tiles: Array, number: int) -> Array:
         """The vector of taxels, (..., n), of the tiles of a shift, (..., t, 64)."""
-        (n_rows, n_cols), (row, col) = self._shape, SHIFTS[number]
+        (n_rows, n_cols), (row, col) = self.shape, SHIFTS[number]
         lead, across = tiles.shape[:-2], -(-(n_cols + col) // TILE)
         image = tiles.reshape(*lead, -1, across, TILE, TILE).swapaxes(-3, -2)
         image = image.reshape(*lead, -1, across * TILE)[..., row : row + n_rows, col : col + n_cols]
-        return image.reshape(*lead, -1)[..., self._cells]
+        return image.reshape(*lead, -1)[..., self.cells]
 
 
 class TilesOfDevice:
     """`Tiles` where the vectors are, as gathers: those of one frame at a time, all of one size."""
 
     def __init__(self, tiles: Tiles, backend: ManyPatches) -> None:
-        self.strictness, n = tiles.strictness, len(tiles.cells)
-        n_shifts, most = len(SHIFTS), max(map(len, tiles.shares))
+        self.places, self.strictness = tiles.places, tiles.strictness
+        n_shifts, most, n = len(SHIFTS), tiles.most, len(tiles.cells)
         windows = np.full((n_shifts, most, WINDOW * WINDOW), n)
         back, share = np.empty((n_shifts, n), np.intp), np.zeros((n_shifts, most), np.float32)
         for k, shares in enumerate(tiles.shares):
@@ -333,20 +333,14 @@ class TilesOfDevice:
         return tiles.reshape(*tiles.shape[:-2], -1)[..., self._now[1][number]]
 
 
-def tiles_of(mask: Mask, cells: Indices) -> Tiles:
-    """Return the tiles of a skin: the same ones for skins that are alike.
-
-    mask is as of `Tiles`, cells, flat, intp (n,), are those of each place in a vector of taxels.
-    """
-    return _tiles(mask.shape, np.asarray(cells, dtype=np.intp).tobytes())
+def tiles_of(shape: tuple[int, ...], cells: Indices) -> Tiles:
+    """Return the tiles of a skin, as of `Tiles`: the same ones for skins that are alike."""
+    return _tiles(shape, np.asarray(cells, dtype=np.intp).tobytes())
 
 
 @lru_cache(maxsize=16)
-def _tiles(shape: tuple[int, int], cells_of_taxels: bytes) -> Tiles:
-    cells = np.frombuffer(cells_of_taxels, dtype=np.intp)
-    places = np.full(shape, cells.size, dtype=np.intp)
-    places.reshape(-1)[cells] = np.arange(cells.size)
-    return Tiles(places < cells.size, places, cells.size)
+def _tiles(shape: tuple[int, ...], cells: bytes) -> Tiles:
+    return Tiles(shape, np.frombuffer(cells, dtype=np.intp))
 
 
 def nearest_taxels(mask: Mask) -> Indices:

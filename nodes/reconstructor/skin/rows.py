@@ -81,9 +81,8 @@ class HadamardRows(Rows):
         taxels, rows = self._transform_of(phi)
         self.taxel = phi.permutation[taxels]
         self._place_of_row = np.argsort(rows)
-        self._known: dict[str, tuple[Array, Array]] = {}
-        #: Place in W x of each measurement, by row subset.
-        self._places: dict[str, Indices] = {}
+        #: By row subset: the rows read; the order of their measurements; the row of each of these.
+        self._known: dict[str, tuple[Array, Array, Indices]] = {}
         self.use(phi)
 
     def _transform_of(self, phi: SbhePhi) -> tuple[Indices, Indices]:
@@ -92,12 +91,17 @@ class HadamardRows(Rows):
         return self._hadamard.order_in, self._hadamard.order_out
 
     def use(self, phi: Phi) -> bool:
-        if phi.fingerprint not in self._known:
-            places = self._places_of(phi)
-            order = np.argsort(places)
-            self._known[phi.fingerprint] = self._array(places[order]), self._array(order)
-        self.read, self._order = self._known[phi.fingerprint]
+        self.read, self._order, _ = self._of(phi)
         return True
+
+    def _of(self, phi: Phi) -> tuple[Array, Array, Indices]:
+        if phi.fingerprint not in self._known:
+            assert isinstance(phi, SbhePhi)
+            places = self._place_of_row[phi.rows]
+            order = np.argsort(places)
+            known = self._array(places[order]), self._array(order), places
+            self._known[phi.fingerprint] = known
+        return self._known[phi.fingerprint]
 
     def values(self, y: Array) -> Array:
         return y[..., self._order]
@@ -110,13 +114,7 @@ class HadamardRows(Rows):
 
     def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
         rows = self.forward(x)
-        return [rows[self._places_of(phi)] for phi in phis]
-
-    def _places_of(self, phi: Phi) -> Indices:
-        if phi.fingerprint not in self._places:
-            assert isinstance(phi, SbhePhi)
-            self._places[phi.fingerprint] = self._place_of_row[phi.rows]
-        return self._places[phi.fingerprint]
+        return [rows[self._of(phi)[2]] for phi in phis]
 
 
 class CompiledRows(HadamardRows):

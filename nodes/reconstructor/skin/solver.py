@@ -61,8 +61,6 @@ class SkinSolver(Solver):
     paces = (1, 3, 5, 8)
     #: The sum of squares of larger ones could overflow float32.
     y_max = 1e14
-    #: As of `SkinEstimator`.
-    of_touched = False
 
     def __init__(
         self,
@@ -86,7 +84,7 @@ class SkinSolver(Solver):
         compiled = use_compiled(fast) and is_sbhe(phi)
         self._rows = rows_of(phi, compiled)
         self._cells = self.taxels[self._rows.taxel]
-        tiles, weights = tiles_of(self.mask, self._cells), gates_of(gates)
+        tiles, weights = tiles_of(self.mask.shape, self._cells), gates_of(gates)
         if isinstance(self._rows, CompiledRows):
             from .compiled import CompiledEstimator  # needs numba
 
@@ -94,7 +92,7 @@ class SkinSolver(Solver):
                 self._rows, tiles, weights, tuning
             )
         else:
-            vectors = FrameVectors(self._rows, tiles, weights, tiles.places, tuning)
+            vectors = FrameVectors(self._rows, tiles, weights, tuning)
             self._estimator = SkinEstimator(self._rows, vectors, tuning)
         self.reset()
 
@@ -130,9 +128,7 @@ class SkinSolver(Solver):
         if warm is not None:
             forces = self._checked_warm(warm).reshape(-1)[self._cells]
             self._estimator.start_from(np.maximum(forces, 0))
-        estimator = self._estimator
-        estimator.noise_sd, estimator.noise_model = self.noise_sd, self.noise_model
-        estimator.of_touched = self.of_touched
+        self._estimator.noise_sd, self._estimator.noise_model = self.noise_sd, self.noise_model
         self._estimator.begin(self.phi.fingerprint, y)
         self._steps_left = self.n_steps
 

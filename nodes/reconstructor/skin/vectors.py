@@ -57,8 +57,6 @@ class FrameVectors:
     ----------
     rows, tiles, gates
         W; the windows of the skin; the weights of the denoiser: None for none.
-    places : ndarray of intp, shape (n_rows, n_cols)
-        As in `Tiles`.
     tuning : SkinTuning
     backend : OnePatch or ManyPatches
         Where vectors and numbers, rows, tiles and weights are.
@@ -85,13 +83,12 @@ class FrameVectors:
         rows: Rows,
         tiles: Tiles | TilesOfDevice,
         gates: Gates | None,
-        places: Indices,
         tuning: SkinTuning,
         backend: Backend = ONE,
     ) -> None:
         self._rows, self._tiles, self._gates, self._t = rows, tiles, gates, tuning
         self._o: Any = backend
-        self._neighbours = backend.array(neighbours_of(places, rows.n))
+        self._neighbours = backend.array(neighbours_of(tiles.places, rows.n))
         self._nothing = backend.zeros(1)
         self.forget()
 
@@ -152,12 +149,9 @@ class FrameVectors:
         self._moved = rows.forward(self.predicted)
         self.innovation = now = values - self._moved[..., rows.read]
         last = self._correction[..., rows.read]
-        self._compare(o.dot(now, now), o.dot(last, last), o.dot(now, last))
-
-    def _compare(self, power: Number, of_last: Number, product: Number) -> None:
-        """Set `innovation2` and `alike`: innovation and last correction, squares and product."""
-        self.innovation2 = power / self.innovation.shape[-1]
-        self.alike = product / self._o.sqrt(power * (of_last + NEGLIGIBLE**2 * power) + TINY)
+        power, of_last = o.dot(now, now), o.dot(last, last)
+        self.innovation2 = power / size
+        self.alike = o.dot(now, last) / o.sqrt(power * (of_last + NEGLIGIBLE**2 * power) + TINY)
 
     def filter_rows(
         self, values: Array, noise: Number, signal: Number, error2: Number, floor: Number
