@@ -661,8 +661,10 @@ def skin_frame(
         values, innovation, moved, whole, read, mean, left, change, target, variance, off_target,
         recall, doubt, own, max(last_error2, floor), floor, t,
     )  # fmt: skip
+    stated, lacking = s.noise, 0.0
     if s.n_seen > 1 / t.noise_rate:
-        noise = min(noise, t.louder * s.least_noise)
+        most = t.louder * s.least_noise
+        stated, noise = min(stated, most), min(noise, most)
     z[:] = predicted
     if n == 0:
         estimates[0] = predicted
@@ -687,17 +689,18 @@ def skin_frame(
         estimates, predicted, values, ones, read, moved, groups, scale, part, s.bias,
         np.sqrt(s.least_noise), t.invisible * np.sqrt(noise), x, whole, correction, forces,
     )  # fmt: skip
-    error2 = max((1 - part) * error2, min(last_error2, noise) if repeats else 0.0)
-    s.error = np.sqrt(error2)
+    repeated = min(last_error2, noise) if repeats else 0.0
+    s.error = np.sqrt(max((1 - part) * error2, repeated))
     excess, knows_bias = t.unexplained, s.n_frames > t.bias_known
     if s.f_max > 0:
         stated = min(mean_variance(forces, s, t), s.noise)
-        few = (1 + 1 / np.sqrt(m)) ** 2
-        error2 = error2_of(t.optimism * own, residual2, stated, m, t.significant, t)
-        error2 = max(few * (1 - part) * error2, stated - left2)
+        lacking = stated - left2
         if knows_bias:
             excess = min(excess, t.unresolved * np.sqrt(2 / m))
-    s.stated_error = np.sqrt(max(error2, 0.0))
+    error2 = (1 - part) * error2_of(t.optimism * own, residual2, stated, m, t.significant / 2, t)
+    fitted = np.sqrt(np.sqrt(residual2**3 * left2))
+    error2 = max((1 + 1 / np.sqrt(m)) ** 2 * min(error2, fitted), repeated, lacking)
+    s.stated_error = np.sqrt(error2)
     of_skin, most = noise / s.trust, t.untouched if knows_bias else t.most_bias**2
     untouched = power <= most * of_skin and left2 <= (1 + excess) * of_skin
     s.trusted = untouched or error2 <= t.trusted**2 * power

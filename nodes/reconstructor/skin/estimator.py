@@ -76,8 +76,8 @@ class SkinEstimator:
     noise, bias : number
         Noise variance of a measurement, and mean reading of an untouched taxel, as known so far.
     error, stated_error, trusted : number
-        Estimated RMS error of a taxel of the last frame; the same by the noise that is stated, for
-        others; whether it is trusted.
+        Estimated RMS error of a taxel of the last frame, by which the next one is predicted; the
+        same for others, by the noise that is stated, if any; whether it is trusted.
 
     Notes
     -----
@@ -151,8 +151,9 @@ class SkinEstimator:
         vectors.filter_rows(values, doubt, signal, least, self._floor)
         self._steps = Steps(vectors.predicted[None], [signal], [e2])
         # Noise grows with the forces, but not without bound: what exceeds it, no force explains.
-        most = o.where(self._n_seen > 1 / t.noise_rate, t.louder * self._least_noise, noise)
-        self._judged_noise = o.minimum(noise, most)
+        known = self._n_seen > 1 / t.noise_rate
+        most = o.where(known, t.louder * self._least_noise, self.noise)
+        self._judged_noise, self._known_noise = o.minimum(noise, most), o.minimum(self.noise, most)
 
     def _ones_of(self, subset: str) -> tuple[Array, Number]:
         """Phi 1 of the row subset, float32 (n_read,), and its squared length."""
@@ -216,14 +217,20 @@ class SkinEstimator:
         left = o.where(self._repeats, o.minimum(last_error2, noise), o.zero)
         error2 = o.maximum((1 - part) * error2, left)
         self.error = o.sqrt(error2)
+        stated = self._known_noise
         if self.noise_model is not None:
             stated = o.total(self.noise_model.variance(settled.forces)) / self._rows.n
             stated = o.minimum(stated, self.noise)
+        error2 = (1 - part) * self._error2(stated, t.significant / 2, t.optimism)
+        # Without noise, the errors are between the residuals before a fit and after it.
+        before_fit = _mean(self._steps.residuals[-t.averaged :])
+        fitted = o.sqrt(o.sqrt(before_fit**3 * settled.residual2))
+        few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2
+        error2 = o.maximum(few * o.minimum(error2, fitted), left)
+        if self.noise_model is not None:
             # Gates keep or drop: the noise that the residual lacks is in the estimate.
-            few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2
-            error2 = few * (1 - part) * self._error2(stated, t.significant, t.optimism)
             error2 = o.maximum(error2, stated - settled.residual2)
-        self.stated_error = o.sqrt(o.maximum(error2, o.zero))
+        self.stated_error = o.sqrt(error2)
         # Until it is known, the bias passes for forces on all taxels.
         known = self._n_frames > t.bias_known
         most = o.where(known, o.zero + t.untouched, o.zero + t.most_bias**2)

@@ -74,8 +74,12 @@ class TableRecording(Recording):
             if self._time is not None:
                 times.append(self._instant(cells[self._time]))
         forces = stack_frames(frames, self._lines.name).reshape(-1, *self._shape)
+        read = {*self._taxels, self._time}
+        others = [self._label(k) for k in range(self._width) if k not in read]
+        more = ", ..." if len(others) > 8 else ""
+        left_out = (f"left out: column {', '.join(others[:8])}{more}",) if others else ()
         if self._time is None:
-            return Parsed(forces)
+            return Parsed(forces, notes=left_out)
         unit = self._unit or _unit_of(times)
         if not (self._names or self._unit) and set(np.diff(times)) == {1}:
             return Parsed(forces, notes=("column 1 counts lines, and is left out",))
@@ -84,7 +88,7 @@ class TableRecording(Recording):
         note = f"times: column {self._label(self._time)} in {unit}; {len(self._taxels)} taxels: "
         note += f"{self._label(self._taxels[0])} to {self._label(self._taxels[-1])}"
         rate_hz = (len(stamps) - 1) * 1e9 / stamps[-1] if stamps[-1] else None
-        return Parsed(forces, rate_hz=rate_hz, stamp_ns=found, notes=(note,))
+        return Parsed(forces, rate_hz=rate_hz, stamp_ns=found, notes=(note, *left_out))
 
     def _cells(self) -> Iterator[list[str]]:
         """The cells of the lines that are neither blank nor comments."""
