@@ -38,7 +38,7 @@ _CONSTANTS = """
     signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
     most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
     untouched trusted least_read
-    resolution repeated invisible dust negligible unknown
+    resolution repeated same invisible dust negligible unknown
     quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
 """
 CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
@@ -622,11 +622,12 @@ def skin_frame(
     left, change, target, variance = vectors[4], vectors[5], vectors[6], vectors[7]
     predicted, moved, z = vectors[8], vectors[9], vectors[10]
     values, innovation, off_target = of_read[0], of_read[1], of_read[2]
-    power, ones2, repeats = 0.0, 0.0, known
+    power, ones2, off, largest = 0.0, 0.0, 0.0, 0.0
     for i in range(m):
         power += np.float64(y[i]) ** 2
         ones2 += np.float64(ones[i]) ** 2
-        repeats &= y[i] == last[0, i]
+        off = max(off, abs(np.float64(y[i]) - last[0, i]))
+        largest = max(largest, abs(y[i]))
         values[i] = y[i] - np.float32(s.bias) * ones[i]
     floor = max(t.resolution**2 * power / m, TINY)
     power, of_last, of_both = skin_predict(
@@ -635,17 +636,20 @@ def skin_frame(
     )  # fmt: skip
     e2 = power / m
     alike = of_both / np.sqrt(power * (of_last + t.negligible**2 * power) + TINY)
-    noise = s.noise
-    if known and not repeats:
-        level, s.n_seen = 0.0, s.n_seen + 1
+    noise, repeated = s.noise, 0.0
+    if known:
+        repeated = 1 / (1 + min(off / (t.same * largest + TINY), 1e3) ** 8)
+        level, n_seen, new = 0.0, s.n_seen + 1, 1 - repeated
         for i in range(m):
             level += last[1, i] * (last[1, i] - innovation[i])
-        level = noise + max(1 / s.n_seen, t.noise_rate) * (max(level / m, 0.0) - noise)
+        level = noise + max(1 / n_seen, t.noise_rate) * (max(level / m, 0.0) - noise)
         least = level
-        if s.n_seen > 1 / t.noise_rate:
+        if n_seen > 1 / t.noise_rate + 0.5:
             level = min(level, t.noise_growth * noise)
             least = min(t.bias_forgotten * s.least_noise, level)
-        s.least_noise, noise = least, min(level, e2)
+        s.n_seen += new
+        s.least_noise = new * least + repeated * s.least_noise
+        noise = new * min(level, e2) + repeated * noise
     last[0], last[1] = y, innovation
     s.noise = max(noise, floor, s.noise_sd**2)
     trust = s.trust * np.exp(min(t.lagging / np.sqrt(m) - alike, t.trust_growth))
@@ -656,13 +660,13 @@ def skin_frame(
     most = max(e2 - noise, 0.0) + 2 * noise * np.sqrt(2 / m)
     s.signal = max(min(signal, most), now / 2)
     own, residual2, last_error2 = max(s.signal, now, 0.0), e2, s.error**2
-    doubt = noise * (1 + t.repeated * (noise / (noise + now)) ** 2 if repeats else 1.0)
+    doubt = noise * (1 + repeated * t.repeated * (noise / (noise + now)) ** 2)
     read_noise = skin_filter(
         values, innovation, moved, whole, read, mean, left, change, target, variance, off_target,
         recall, doubt, own, max(last_error2, floor), floor, t,
     )  # fmt: skip
     stated, lacking = s.noise, 0.0
-    if s.n_seen > 1 / t.noise_rate:
+    if s.n_seen > 1 / t.noise_rate + 0.5:
         most = t.louder * s.least_noise
         stated, noise = min(stated, most), min(noise, most)
     z[:] = predicted
@@ -689,9 +693,9 @@ def skin_frame(
         estimates, predicted, values, ones, read, moved, groups, scale, part, s.bias,
         np.sqrt(s.least_noise), t.invisible * np.sqrt(noise), x, whole, correction, forces,
     )  # fmt: skip
-    repeated = min(last_error2, noise) if repeats else 0.0
-    s.error = np.sqrt(max((1 - part) * error2, repeated))
-    excess, knows_bias = t.unexplained, s.n_frames > t.bias_known
+    kept2 = repeated * min(last_error2, noise)
+    s.error = np.sqrt(max((1 - part) * error2, kept2))
+    excess, knows_bias = t.unexplained, s.n_frames > t.bias_known + 0.5
     if s.f_max > 0:
         stated = min(mean_variance(forces, s, t), s.noise)
         lacking = stated - left2
@@ -699,19 +703,19 @@ def skin_frame(
             excess = min(excess, t.unresolved * np.sqrt(2 / m))
     error2 = (1 - part) * error2_of(t.optimism * own, residual2, stated, m, t.significant / 2, t)
     fitted = np.sqrt(np.sqrt(residual2**3 * left2))
-    error2 = max((1 + 1 / np.sqrt(m)) ** 2 * min(error2, fitted), repeated, lacking)
+    error2 = max((1 + 1 / np.sqrt(m)) ** 2 * min(error2, fitted), kept2, lacking)
     s.stated_error = np.sqrt(error2)
     of_skin, most = noise / s.trust, t.untouched if knows_bias else t.most_bias**2
     untouched = power <= most * of_skin and left2 <= (1 + excess) * of_skin
     s.trusted = untouched or error2 <= t.trusted**2 * power
-    if not repeats:
-        sd = np.sqrt(s.least_noise)
-        more = (along / (ones2 + TINY) if ones2 > t.dust * x.size else 0.0) + unpressed / x.size
-        s.n_frames += 1
-        rate = max(t.bias_begins / (s.n_frames + t.bias_begins), t.bias_rate)
-        bias = s.bias + rate * min(max(more, -sd / 2), sd / 2)
-        bias = min(max(bias, 0.0), t.most_bias * sd)
-        s.bias = 0.0 if bias < 1e-3 * sd else bias
+    sd = np.sqrt(s.least_noise)
+    more = (along / (ones2 + TINY) if ones2 > t.dust * x.size else 0.0) + unpressed / x.size
+    n_frames = s.n_frames + 1
+    rate = max(t.bias_begins / (n_frames + t.bias_begins), t.bias_rate)
+    bias = s.bias + rate * min(max(more, -sd / 2), sd / 2)
+    bias = min(max(bias, 0.0), t.most_bias * sd)
+    bias = (1 - repeated) * bias + repeated * s.bias
+    s.n_frames, s.bias = n_frames - repeated, 0.0 if bias < 1e-3 * sd else bias
 
 
 @compiled()

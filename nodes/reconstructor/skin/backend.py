@@ -71,11 +71,6 @@ class OnePatch:
         """Largest number of a vector."""
         return float(a.max())
 
-    @staticmethod
-    def same(a: Array, b: Array) -> Number:
-        """True where all numbers of two vectors are equal."""
-        return bool((a == b).all())
-
     def array(self, numbers: Any) -> Array:
         """The same numbers as an array here."""
         return numbers
@@ -143,10 +138,6 @@ class ManyPatches:
     def largest(self, a: Array) -> Number:
         """Largest number of a vector."""
         return self.f64(self.xp.amax(a, axis=-1, keepdims=True))
-
-    def same(self, a: Array, b: Array) -> Number:
-        """True where all numbers of two vectors are equal."""
-        return self.total(a != b) == 0
 
     def array(self, numbers: Any) -> Array:
         """The same numbers as an array here."""

@@ -14,7 +14,7 @@ from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.kernels import CONSTANTS, NUMBERS, skin_frame
 from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
 
-from .estimator import DUST, INVISIBLE, REPEATED, RESOLUTION
+from .estimator import DUST, INVISIBLE, REPEATED, RESOLUTION, SAME
 from .formula import LEAST, STRICT
 from .gates import CLEARLY, MARGIN, QUIET, SHIFTS, STANDS_OUT, TILE, WINDOW, Gates, Tiles
 from .rows import CompiledRows
@@ -43,6 +43,7 @@ class CompiledEstimator:
         of_modules = {
             "resolution": RESOLUTION,
             "repeated": REPEATED,
+            "same": SAME,
             "invisible": INVISIBLE,
             "dust": DUST,
             "negligible": NEGLIGIBLE,

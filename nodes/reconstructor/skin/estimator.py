@@ -24,6 +24,9 @@ CONVERGED, N_FORMULA = 8, 3
 five recordings and on presses at N/3: 3 and 1 have less error than 3 alone, in less time."""
 REPEATED = 1e6
 """Noise variance of a measurement that repeats exactly and was predicted, in that of others."""
+SAME = 1e-6
+"""Largest change of measurements, in the largest one, at which half of them counts as repeated:
+above the resolution of float32, below that of any converter."""
 INVISIBLE = 1e-3
 """Force that is returned as 0, in deviations of the noise: what earlier contacts leave."""
 DUST = 1e-6
@@ -137,8 +140,9 @@ class SkinEstimator:
         vectors.predict(values, o.maximum(self.noise, self._floor))
         e2 = vectors.innovation2
         last_y, last, known = self.last.get(subset) or (y, vectors.innovation, o.false)
-        self._repeats = known & o.same(y, last_y)
-        noise = self._follow_noise(last, o.where(self._repeats, o.false, known), e2)
+        change = o.largest(o.xp.abs(y - last_y)) / (SAME * o.largest(o.xp.abs(y)) + TINY)
+        self._repeated = known / (1 + o.minimum(change, o.zero + 1e3) ** 8)
+        noise = self._follow_noise(last, known * (1 - self._repeated), e2)
         self.last[subset] = y, vectors.innovation, o.false == o.false
         now = t.surplus(e2, noise, values.shape[-1], o)
         signal = self._follow_signal(e2, noise, now)
@@ -147,11 +151,11 @@ class SkinEstimator:
         # A measurement that repeats exactly is not another one, but where the forces have changed
         # since, and have come back.
         explained = noise / (noise + now)
-        doubt = o.where(self._repeats, (1 + REPEATED * explained**2) * noise, noise)
+        doubt = (1 + self._repeated * REPEATED * explained**2) * noise
         vectors.filter_rows(values, doubt, signal, least, self._floor)
         self._steps = Steps(vectors.predicted[None], [signal], [e2])
         # Noise grows with the forces, but not without bound: what exceeds it, no force explains.
-        known = self._n_seen > 1 / t.noise_rate
+        known = self._n_seen > 1 / t.noise_rate + 0.5
         most = o.where(known, t.louder * self._least_noise, self.noise)
         self._judged_noise, self._known_noise = o.minimum(noise, most), o.minimum(self.noise, most)
 
@@ -166,7 +170,7 @@ class SkinEstimator:
         """Update the noise level; return it times the trust in it.
 
         e2 is the mean square of the innovation, `last` the innovation when these rows were read
-        before, which `counts` where it shows noise. Where an innovation points along the last
+        before, `counts` the part of it that shows noise. Where an innovation points along the last
         correction, that was too small: what seems noise is motion.
         """
         o, t = self._o, self._t
@@ -174,13 +178,13 @@ class SkinEstimator:
         seen = o.maximum(o.dot(last, last - self._vectors.innovation) / size, o.zero)
         n_seen = self._n_seen + 1
         rate = o.maximum(1 / n_seen, o.zero + t.noise_rate)
-        known = n_seen > 1 / t.noise_rate
+        known = n_seen > 1 / t.noise_rate + 0.5  # parts of 1 that do not count add up to less
         level = self.noise + rate * (seen - self.noise)
         level = o.where(known, o.minimum(level, t.noise_growth * self.noise), level)
         least = o.where(known, o.minimum(t.bias_forgotten * self._least_noise, level), level)
-        self._n_seen = o.where(counts, n_seen, self._n_seen)
-        self._least_noise = o.where(counts, least, self._least_noise)
-        noise = o.where(counts, o.minimum(level, e2), self.noise)
+        self._n_seen = self._n_seen + counts
+        self._least_noise = counts * least + (1 - counts) * self._least_noise
+        noise = counts * o.minimum(level, e2) + (1 - counts) * self.noise
         self.noise = o.maximum(o.maximum(noise, self._floor), self.noise_sd**2)
         off = t.lagging / math.sqrt(size) - self._vectors.alike
         trust = self._trust * o.exp(o.minimum(off, o.zero + t.trust_growth))
@@ -214,7 +218,7 @@ class SkinEstimator:
         )
         power = settled.power
         # What the noise of measurements left in the last estimate, the same measurements leave.
-        left = o.where(self._repeats, o.minimum(last_error2, noise), o.zero)
+        left = self._repeated * o.minimum(last_error2, noise)
         error2 = o.maximum((1 - part) * error2, left)
         self.error = o.sqrt(error2)
         stated = self._known_noise
@@ -232,7 +236,7 @@ class SkinEstimator:
             error2 = o.maximum(error2, stated - settled.residual2)
         self.stated_error = o.sqrt(error2)
         # Until it is known, the bias passes for forces on all taxels.
-        known = self._n_frames > t.bias_known
+        known = self._n_frames > t.bias_known + 0.5
         most = o.where(known, o.zero + t.untouched, o.zero + t.most_bias**2)
         of_skin = noise / self._trust  # whatever passes for it in motion
         excess = t.unexplained
@@ -270,10 +274,10 @@ class SkinEstimator:
         rate = o.maximum(t.bias_begins / (n_frames + t.bias_begins), o.zero + t.bias_rate)
         bias = self.bias + rate * o.minimum(o.maximum(more, -noise / 2), noise / 2)
         bias = o.minimum(o.maximum(bias, o.zero), t.most_bias * noise)
-        bias = o.where(bias < 1e-3 * noise, o.zero, bias)  # its reciprocal could overflow float32
         # The same measurements are no others.
-        self._n_frames = o.where(self._repeats, self._n_frames, n_frames)
-        self.bias = o.where(self._repeats, self.bias, bias)
+        self._n_frames = n_frames - self._repeated
+        bias = (1 - self._repeated) * bias + self._repeated * self.bias
+        self.bias = o.where(bias < 1e-3 * noise, o.zero, bias)  # or 1 / b could overflow float32
 
 
 def _mean(numbers: Sequence[Number]) -> Number:
