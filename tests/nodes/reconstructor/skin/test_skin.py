@@ -70,6 +70,7 @@ def test_forces_of_three_measurements_stay_within_those_that_press():
 def test_a_change_of_rounding_stays_one(rows, settings):
     truth = np.concatenate([np.zeros((15, *SHAPE), np.float32), sliding_disc(SHAPE, 45)])
     frames, phis = noisy(truth), phis_of(rows)
+    frames = np.concatenate([frames, frames[-1:].repeat(9, axis=0), frames[-9:-1]])  # some repeat
     plain, _ = reconstructed(solver_of(phis, **settings), phis, frames)
     changed, _ = reconstructed(solver_of(phis, **settings), phis, frames, change=1e-7)
     assert np.abs(changed - plain).max() < 1e-4 * plain.max()
@@ -121,9 +122,9 @@ def test_errors_are_relative_to_the_range():
 
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-@pytest.mark.parametrize(("noise_model", "factor"), [(None, 2.5), (NoiseModel(), 2.0)])
-def test_the_estimated_error_is_near_the_true_one(rows, noise_model, factor):
-    """Nearer where the noise is stated, which changes no force."""
+@pytest.mark.parametrize("noise_model", [None, NoiseModel()])
+def test_the_estimated_error_is_near_the_true_one(rows, noise_model):
+    """A noise that is stated changes no force."""
     truth, phis = sliding_disc(SHAPE, 60), phis_of(rows)
     solver = solver_of(phis)
     solver.noise_model = noise_model
@@ -131,8 +132,7 @@ def test_the_estimated_error_is_near_the_true_one(rows, noise_model, factor):
     np.testing.assert_array_equal(found, reconstructed(solver_of(phis), phis, noisy(truth))[0])
     true = np.sqrt(np.mean(np.square(found - truth), axis=(1, 2)))
     quotient = np.array(errors)[20:] / true[20:]
-    assert 0.5 < np.median(quotient) < 2
-    assert np.mean((quotient > 1 / factor) & (quotient < factor)) >= 0.9
+    assert np.mean((quotient > 1 / 1.5) & (quotient < 1.5)) >= 0.8
 
 
 def test_rows_of_any_length_give_the_same_forces():
