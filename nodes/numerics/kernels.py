@@ -278,7 +278,8 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
 
 @compiled(sums_in_any_order=True)
 def skin_predict(
-    x: A, whole: A, values: A, read: A, neighbours: A, groups: A, scale: A, noise: float, t: A,
+    x: A, whole: A, values: A, read: A, neighbours: A, groups: A, scale: A,
+    noise: float, error2: float, t: A,
     slopes: A, rows: A, correction: A, predicted: A, moved: A, innovation: A,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Predict a frame, as in `FrameVectors`; slopes and rows are scratch, predicted, moved and
@@ -308,7 +309,8 @@ def skin_predict(
     gram = np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]])
     right = np.array([a_e, b_e, c_e])
     unseen = max(0.0, energy * read.size / n - gram[0, 0])
-    gram[0, 0] += unseen * noise / (noise + gram[0, 0] / read.size)
+    doubt = noise + error2
+    gram[0, 0] += unseen * doubt / (doubt + gram[0, 0] / read.size)
     least = t.ridge**2 * gram[0, 0] + noise
     for j in range(3):
         gram[j, j] += t.ridge * gram[j, j] + least
@@ -631,8 +633,8 @@ def skin_frame(
         values[i] = y[i] - np.float32(s.bias) * ones[i]
     floor = max(t.resolution**2 * power / m, TINY)
     power, of_last, of_both = skin_predict(
-        x, whole, values, read, neighbours, groups, scale, max(s.noise, floor), t,
-        slopes[:2], slopes[2:], correction, predicted, moved, innovation,
+        x, whole, values, read, neighbours, groups, scale, max(s.noise, floor), s.error**2,
+        t, slopes[:2], slopes[2:], correction, predicted, moved, innovation,
     )  # fmt: skip
     e2 = power / m
     alike = of_both / np.sqrt(power * (of_last + t.negligible**2 * power) + TINY)
