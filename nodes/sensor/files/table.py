@@ -77,6 +77,7 @@ class TableRecording(Recording):
         read = {*self._taxels, self._time}
         others = [self._label(k) for k in range(self._width) if k not in read]
         more = ", ..." if len(others) > 8 else ""
+        more += "; the first line is read as a header" if self._names else ""
         left_out = (f"left out: column {', '.join(others[:8])}{more}",) if others else ()
         if self._time is None:
             return Parsed(forces, notes=left_out)
