@@ -309,7 +309,7 @@ def skin_predict(
     gram = np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]])
     right = np.array([a_e, b_e, c_e])
     unseen = max(0.0, energy * read.size / n - gram[0, 0])
-    doubt = noise + error2
+    doubt = max(noise, error2)
     gram[0, 0] += unseen * doubt / (doubt + gram[0, 0] / read.size)
     least = t.ridge**2 * gram[0, 0] + noise
     for j in range(3):

@@ -131,9 +131,9 @@ class FrameVectors:
         off = values - seen[0]
         gram = [[o.dot(one, other) for other in seen] for one in seen]
         right = [o.dot(one, off) for one in seen]
-        # Even forces, of which these rows see no more than noise and error, they do not contradict.
+        # Even forces, of which these rows see no more than noise or error, they do not contradict.
         unseen = o.maximum(o.dot(x, x) * size / rows.n - gram[0][0], o.zero)
-        doubt = noise + error2
+        doubt = o.maximum(noise, error2)
         gram[0][0] = gram[0][0] + unseen * doubt / (doubt + gram[0][0] / size)
         # A force grows by its own size at most: what is hardly there must not grow to anything.
         least = t.ridge**2 * gram[0][0] + noise
