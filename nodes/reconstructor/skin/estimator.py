@@ -209,7 +209,10 @@ class SkinEstimator:
         if n:
             self._steps = self._vectors.steps(self.n_shifts, self._floor, n_formula, n)
             self.n_shifts = (self.n_shifts + n_formula + n) % len(SHIFTS)
-        last_error2, error2 = self.error**2, self._error2(noise)
+        own, residual2 = (
+            _mean(numbers[-t.averaged :]) for numbers in (self._steps.errors, self._steps.residuals)
+        )
+        last_error2, error2 = self.error**2, self._error2(own, residual2, noise)
         prior = t.blend * o.maximum(o.maximum(self._signal, last_error2), self._floor)
         part = error2 / (error2 + prior)
         settled = self._vectors.settle(
@@ -221,48 +224,43 @@ class SkinEstimator:
         left = self._repeated * o.minimum(last_error2, noise)
         error2 = o.maximum((1 - part) * error2, left)
         self.error = o.sqrt(error2)
-        stated = self._known_noise
+        stated, lacking, excess = self._known_noise, o.zero, t.unexplained
         if self.noise_model is not None:
             stated = o.total(self.noise_model.variance(settled.forces)) / self._rows.n
             stated = o.minimum(stated, self.noise)
-        error2 = (1 - part) * self._error2(stated, t.significant / 2, t.optimism)
-        # Without noise, the errors are between the residuals before a fit and after it.
-        before_fit = _mean(self._steps.residuals[-t.averaged :])
-        fitted = o.sqrt(o.sqrt(before_fit**3 * settled.residual2))
-        few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2
-        error2 = o.maximum(few * o.minimum(error2, fitted), left)
-        if self.noise_model is not None:
             # Gates keep or drop: the noise that the residual lacks is in the estimate.
-            error2 = o.maximum(error2, stated - settled.residual2)
+            lacking = stated - settled.residual2
+            excess = min(excess, t.unresolved * math.sqrt(2 / self._values.shape[-1]))
+        error2 = self._error2(t.optimism * own, residual2, stated, t.significant / 2)
+        # Without noise, the errors are between the residuals before a fit and after it.
+        fitted = o.sqrt(o.sqrt(residual2**3 * settled.residual2))
+        few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2
+        error2 = few * o.minimum((1 - part) * error2, fitted)
+        error2 = o.maximum(o.maximum(error2, left), lacking)
         self.stated_error = o.sqrt(error2)
         # Until it is known, the bias passes for forces on all taxels.
         known = self._n_frames > t.bias_known + 0.5
         most = o.where(known, o.zero + t.untouched, o.zero + t.most_bias**2)
         of_skin = noise / self._trust  # whatever passes for it in motion
-        excess = t.unexplained
-        if self.noise_model is not None:
-            excess = min(excess, t.unresolved * math.sqrt(2 / self._values.shape[-1]))
         excess = o.where(known, o.zero + excess, o.zero + t.unexplained)
         untouched = (power <= most * of_skin) & (settled.residual2 <= (1 + excess) * of_skin)
         self.trusted = untouched | (error2 <= t.trusted**2 * power)
         self._follow_bias(settled)
         return settled.forces
 
-    def _error2(self, noise: Number, doubtful: float = 1.0, optimism: float = 1.0) -> Number:
+    def _error2(
+        self, own: Number, residual2: Number, noise: Number, doubtful: float = 1.0
+    ) -> Number:
         """Mean squared error of the mean of the last estimates, where measurements have a noise.
 
-        The errors of z do not depend on the noise of the measurements: the residuals exceed the
-        noise by them. Where that is not significant, within `doubtful` sampling deviations, the
-        gates' own expectation counts, times `optimism`.
+        The errors of z do not depend on the noise of the measurements: their mean squared residual
+        exceeds the noise by them. Where that is not significant, within `doubtful` sampling
+        deviations, the expectation `own` counts.
         """
-        o, t = self._o, self._t
-        own, residual2 = (
-            _mean(numbers[-t.averaged :]) for numbers in (self._steps.errors, self._steps.residuals)
-        )
-        seen = o.maximum(residual2 - noise, o.zero)
+        seen = self._o.maximum(residual2 - noise, self._o.zero)
         doubt = doubtful * (seen + noise) * math.sqrt(2 / self._values.shape[-1])
         share = seen * seen / (seen * seen + doubt * doubt + TINY)
-        return share * seen + (1 - share) * optimism * own
+        return share * seen + (1 - share) * own
 
     def _follow_bias(self, settled: Settled) -> None:
         """Update the mean reading of an untouched taxel: by residual along Phi 1, and taxels."""

@@ -83,7 +83,7 @@ class TableRecording(Recording):
             return Parsed(forces, notes=left_out)
         unit = self._unit or _unit_of(times)
         if not (self._names or self._unit) and set(np.diff(times)) == {1}:
-            return Parsed(forces, notes=("column 1 counts lines, and is left out",))
+            return Parsed(forces, notes=("column 1 counts lines, and is left out", *left_out))
         stamps = [(time - times[0]) * _NS[unit] for time in times]
         found = rising([round(stamp) for stamp in stamps], self._lines.name)
         note = f"times: column {self._label(self._time)} in {unit}; {len(self._taxels)} taxels: "
