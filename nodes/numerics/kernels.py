@@ -44,8 +44,8 @@ _CONSTANTS = """
 CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
 """Constants of a `CompiledEstimator`: `SkinTuning`, and those of modules of the method."""
 _NUMBERS = """
-    noise bias error trusted least_noise trust signal n_seen n_frames stated_error noise_sd
-    f_max sigma_mid sigma_end clips of_touched
+    noise bias error trusted least_noise trust signal n_seen n_frames n_repeats stated_error
+    noise_sd f_max sigma_mid sigma_end clips of_touched
 """
 NUMBERS = np.dtype([(name, np.float64) for name in _NUMBERS.split()])
 """Numbers of a `CompiledEstimator`: those of `SkinEstimator`, and the noise that the skin states;
@@ -705,7 +705,13 @@ def skin_frame(
             excess = min(excess, t.unresolved * np.sqrt(2 / m))
     error2 = (1 - part) * error2_of(t.optimism * own, residual2, stated, m, t.significant / 2, t)
     fitted = np.sqrt(np.sqrt(residual2**3 * left2))
-    error2 = max((1 + 1 / np.sqrt(m)) ** 2 * min(error2, fitted), kept2, lacking)
+    unknown, n_known = np.float32(t.unknown), 0
+    for p in range(left.size):
+        n_known += left[p] < unknown
+    again = repeated if n_known < left.size else 0.0
+    s.n_repeats = again * (s.n_repeats + 1)
+    least = again * s.stated_error**2 * s.n_repeats / (s.n_repeats + 1)
+    error2 = max((1 + 1 / np.sqrt(m)) ** 2 * min(error2, fitted), kept2, lacking, least)
     s.stated_error = np.sqrt(error2)
     of_skin, most = noise / s.trust, t.untouched if knows_bias else t.most_bias**2
     untouched = power <= most * of_skin and left2 <= (1 + excess) * of_skin

@@ -92,7 +92,7 @@ class SkinEstimator:
     #: Numbers that a frame leaves to the next one.
     STATE = (
         *("noise", "bias", "error", "trusted", "_least_noise", "_trust", "_signal"),
-        *("_n_seen", "_n_frames"),
+        *("_n_seen", "_n_frames", "_n_repeats", "stated_error"),
     )
 
     def __init__(
@@ -115,7 +115,8 @@ class SkinEstimator:
         self.last.clear()
         self.noise = self.bias = self._least_noise = self._signal = zero
         self.error = self.stated_error = zero
-        self._n_seen, self._n_frames, self._trust = zero, zero, zero + 1
+        self._n_seen = self._n_frames = self._n_repeats = zero
+        self._trust = zero + 1
         self.trusted = self._o.false == self._o.false
         self.n_shifts = 0
 
@@ -236,7 +237,13 @@ class SkinEstimator:
         fitted = o.sqrt(o.sqrt(residual2**3 * settled.residual2))
         few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2
         error2 = few * o.minimum((1 - part) * error2, fitted)
-        error2 = o.maximum(o.maximum(error2, left), lacking)
+        # Of rows that are never read, the same measurements leave the same errors: repeats lower
+        # them at most as other measurements would.
+        some = self._vectors.n_known < self._rows.n
+        again = o.where(some, self._repeated, o.zero)
+        self._n_repeats = again * (self._n_repeats + 1)
+        least = again * self.stated_error**2 * self._n_repeats / (self._n_repeats + 1)
+        error2 = o.maximum(o.maximum(error2, left), o.maximum(lacking, least))
         self.stated_error = o.sqrt(error2)
         # Until it is known, the bias passes for forces on all taxels.
         known = self._n_frames > t.bias_known + 0.5

@@ -73,6 +73,8 @@ class FrameVectors:
         Correlation of the innovation with what the last measurements changed, -1 to 1.
     variance_of_read : number
         Mean variance of the targets of the rows read.
+    n_known : number
+        Number of the rows that were read so far.
     """
 
     #: What a frame leaves to the next one.
@@ -192,6 +194,7 @@ class FrameVectors:
         left[..., read] = largest(gain * noise_32, floor_32)
         change[..., read] *= 0
         self._mean, self._noise, self._change = mean, left, change
+        self.n_known = o.total(left < UNKNOWN)
         self.off_target = values - self._target[..., read]
         self.variance_of_read = o.total(variance) / size
 
