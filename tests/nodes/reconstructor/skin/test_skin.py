@@ -103,6 +103,17 @@ def test_measurements_that_repeat_after_others_are_followed():
     assert errors[5:].mean() < 0.065
 
 
+def test_repeats_of_fixed_rows_lower_the_estimated_error_as_independent_frames_at_most():
+    rows, cols = np.indices(SHAPE)
+    bumps = (
+        np.exp(-((rows - 12) ** 2 + (cols - 12) ** 2) / 8)
+        + np.exp(-((rows - 5) ** 2 + (cols - 17) ** 2) / 6) / 2
+    )
+    still = bumps.astype(np.float32)[None].repeat(60, axis=0)
+    _, errors = reconstructed(solver_of(phis_of(FIXED)), phis_of(FIXED), still)
+    assert (np.array(errors) * np.sqrt(np.arange(1, 61)) >= 0.999 * errors[0]).all()
+
+
 @pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}])
 def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings):
     pytest.importorskip("numba")
