@@ -223,6 +223,7 @@ class Reconstruction(Sensed):
     its forces are those of the frame before."""
     reason: tuple[str, ...] = wire(Words(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
     """Why a patch is not trusted: "error" (the estimated error is a large part of the forces),
+    "weak" (so it is, but both are within the noise of the skin: a contact that is not resolved),
     "constant" (all measurements are equal: the frame was left out), "frozen" (frames repeat
     exactly), "missing" (readings are missing next to each other, see `Sensed`), "range" (a force
     beyond f_max), "uniform" (all taxels rose together), "rows" (measurements contradict each

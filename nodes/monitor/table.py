@@ -18,6 +18,7 @@ MAX_CHANGES = 4
 """Changes of settings that the table lists."""
 DOUBTS = {
     "error": "the estimated error is a large part of the forces, as at first touch",
+    "weak": "the forces are within the noise of the skin",
     "constant": "all measurements are equal, as of a dead link or converter",
     "frozen": "frames repeat exactly, as of a board that hangs",
     "missing": "readings are missing over an area",
@@ -115,7 +116,10 @@ def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     counts: Counter[str] = Counter()
     for patch in every:
         counts.update(patch["doubts"])
-    reasons = "; ".join(DOUBTS.get(word, word) for word, _ in counts.most_common())
+    reasons = "; ".join(
+        (f"in {count} " if len(counts) > 1 else "") + DOUBTS.get(word, word)
+        for word, count in counts.most_common()
+    )
     advice = ""
     if counts["error"]:
         rotate = "" if all(p["rows"] == "rotating" for p in every) else " or rotating rows"

@@ -25,6 +25,7 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     measured,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.touch import in_contact
 
 from .budget import SHARE, steps_within
 from .limits import (
@@ -261,11 +262,19 @@ class Patch:
             ("constant", self._constant),
             ("frozen", self.faults.frozen),
             ("missing", self._blind),
-            ("error", not self._trusted),
+            ("weak" if self._is_weak else "error", not self._trusted),
             ("rows", self.faults.swamped),
             ("stuck", self.faults.doubts_taxels),
         )
         return next((reason for reason, applies in reasons if applies), of_forces)
+
+    @property
+    def _is_weak(self) -> bool:
+        """True if neither a force nor the estimated error stands out of the noise of the skin."""
+        noise, error, forces = getattr(self.solver, "noise_sd", 0.0), self._error, self._last
+        if error is None or forces is None or error > noise:
+            return False
+        return not in_contact(forces, self._f_max, noise)
 
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""

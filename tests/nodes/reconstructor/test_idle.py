@@ -1,10 +1,12 @@
 """Idle patches: false alarms as stated, contacts noticed, forces as if all had been solved."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from bags import chain, skin_state
+from pressed import noisy, sliding_disc
 from stress.test_contacts import SKIN, Watched, missed
 
 from sparseskin.messages import Measurements, PhiState, Reconstruction, Taxels, Truth
@@ -100,21 +102,30 @@ def test_the_skip_adds_no_error_and_can_be_switched():
     assert "idle" not in node.state()
 
 
+def served(frames, **settings):
+    """Reconstructions of the readings of one patch, which states its noise."""
+    skin = skin_state(n_rows=8, n_cols=8, mask=None, sigma_mid=0.0628, sigma_end=0.0141)
+    skin = replace(skin, n_rows=frames.shape[1], n_cols=frames.shape[2])
+    edge = Compressor(Compressor.Settings(), Context("edge", ManualClock(1)))
+    host = Reconstructor(Reconstructor.Settings(**settings), Context("host", ManualClock(1)))
+    messages = [skin, *edge.step(skin)]
+    for k, forces in enumerate(frames):
+        messages += edge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces))
+    found = [one for message in messages for one in host.step(message)]
+    return [one for one in found if isinstance(one, Reconstruction)]
+
+
 def test_a_patch_that_is_served_alone_is_skipped_too():
     rest = np.random.default_rng(0).normal(0, 0.0141, (40, 8, 8)).clip(0).astype(np.float32)
-    skin = skin_state(n_rows=8, n_cols=8, mask=None, sigma_mid=0.0628, sigma_end=0.0141)
-    edge = Compressor(Compressor.Settings(), Context("edge", ManualClock(1)))
-    host = Reconstructor(Reconstructor.Settings(skip_idle=True), Context("host", ManualClock(1)))
-    (phi,) = edge.step(skin)
-    list(host.step(skin))
-    list(host.step(phi))
-    found = []
-    for k, forces in enumerate(rest):
-        (y,) = edge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces))
-        found += host.step(y)
-    sent = [len(one.forces) for one in found if isinstance(one, Reconstruction)]
+    sent = [len(one.forces) for one in served(rest, skip_idle=True)]
     assert (len(sent), sum(sent[:12])) == (40, 12)
     assert sum(sent) < 20
+
+
+@pytest.mark.parametrize(("peak_n", "reasons"), [(0.03, {"weak"}), (1.0, set())])
+def test_a_contact_within_the_noise_is_weak(peak_n, reasons):
+    found = served(noisy(sliding_disc((24, 24), 40, peak_n=peak_n)))[20:]
+    assert {reason for one in found for reason in one.reason if reason} == reasons
 
 
 def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes():
