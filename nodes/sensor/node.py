@@ -25,7 +25,7 @@ from .noise import NoiseModel
 from .points import point_skins
 from .rest import Rest
 from .saturation import clipped_text
-from .settings import SensorSettings
+from .settings import NO_TRUTH, SensorSettings
 from .source import DEFAULT_RATE_HZ, Skin
 
 WAIT_S = 0.05
@@ -127,9 +127,7 @@ class Sensor(SourceNode[SensorSettings]):
 
     def change(self, settings: SensorSettings) -> Iterable[Message]:
         if settings.noise != self.settings.noise and self._source.delivers != "truth":
-            raise SettingsError(
-                "noise: this source delivers noisy taxels; there is no truth to add noise to"
-            )
+            raise SettingsError(NO_TRUTH)
         new_pace = settings.rate_hz != self.settings.rate_hz
         self.settings = settings
         self._noise = self._chosen_noise()

@@ -17,6 +17,7 @@ from .sources import find_address
 
 WITH_END = ("scene", "file", "example")
 """Kinds of sources that have an end, at which they can begin again."""
+NO_TRUTH = "noise: is added to true forces alone; state that of readings in the file of sensor.skin"
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,8 @@ class SensorSettings(PatchesSettings):
         if self.loop and address.kind not in WITH_END:
             allowed = ", ".join(f"{kind}:" for kind in WITH_END)
             raise SettingsError(f"loop: {self.source} has no beginning; allowed: {allowed}")
+        if self.noise != 1 and address.delivers == "taxels":
+            raise SettingsError(NO_TRUTH)
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")

@@ -39,9 +39,7 @@ def folder(tmp_path, monkeypatch):
         noise_mid=0.03,
     )
     save_skin(tmp_path / "palm.toml", described)
-    raw = np.concatenate(
-        [np.tile(BASELINE, (40, 1, 1)), np.tile(BASELINE + 100 * TRUTH, (60, 1, 1))]
-    )
+    raw = np.concatenate([[BASELINE] * 40, [BASELINE + 100 * TRUTH] * 60])
     np.save(tmp_path / "counts.npy", raw)
     np.save(tmp_path / "signed.npy", raw - 105)
     monkeypatch.chdir(tmp_path)
@@ -147,6 +145,7 @@ def test_a_recording_that_ends_before_its_tare_says_so():
         ({"unit": "N\n"}, "expected 1 to 32 printable"),
         ({"skin": "palm.toml", "n_rows": 4}, "n_rows = 4 is stated, but the frames have 3"),
         ({"f_min": 0.1}, "f_min: 0.1 is outside"),
+        ({"noise": 0.5}, "noise: is added to true forces alone; state that of readings in"),
     ],
 )
 @pytest.mark.usefixtures("folder")
