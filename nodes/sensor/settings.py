@@ -110,6 +110,7 @@ class SensorSettings(PatchesSettings):
         "",
         "file skin.toml with shape, pitch, unit, range, mask, calibration and noise of the skin, "
         "whose source delivers raw readings",
+        decides=True,
     )
     points: str = setting(
         "",

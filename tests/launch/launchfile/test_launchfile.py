@@ -206,22 +206,21 @@ def test_a_recording_in_a_read_only_folder_is_refused(capsys, tmp_path, monkeypa
     assert capsys.readouterr() == ("", f"--record: {out}: cannot be written to\n")
 
 
-@pytest.mark.parametrize(
-    ("name", "hint"),
-    [
-        ("replay", "--set sensor.source=file:PATH"),
-        ("replay_measurements", "--set player.file=PATH.mcap"),
-    ],
-)
+REPLAYED = {"replay": "sensor.source=file:PATH", "replay_measurements": "player.file=PATH.mcap"}
+
+
+@pytest.mark.parametrize(("name", "hint"), REPLAYED.items())
 def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name, hint):
     (line,) = launch_faults(name)
-    assert line.endswith(f"no such file; name yours: {hint}")
-    place = hint.removeprefix("--set ").partition("=")[0]
+    assert line.endswith(f"no such file; name yours: --set {hint}")
+    place = hint.partition("=")[0]
     assert f": nodes.{place}: " in line
     missing = f"{place}={'file:' if 'sensor' in place else ''}missing.mcap"
     (line,) = launch_faults(name, [missing])
     assert line.startswith(f"--set {missing}: missing.mcap: ")
     assert line.endswith("no such file")
+    (line,) = launch_faults("replay", ["sensor.skin=a.toml"])  # one of the recording follows
+    assert line == "--set sensor.skin=a.toml: a.toml: there is no such file"
 
 
 @pytest.mark.parametrize("name", ["launch", "live_recorder_1"])
