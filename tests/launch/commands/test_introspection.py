@@ -112,10 +112,8 @@ def test_node_list_reports_condition_and_process_of_every_node(graph, run, run_j
 
 def test_node_info_reports_topics_counts_settings_and_what_it_costs(run, run_json):
     node = run_json("node", "info", "compressor")
-    assert [(one["topic"], one["publisher"]) for one in node["inputs"]] == [
-        ("/skin/skin", "sensor"),
-        ("/skin/taxels", "sensor"),
-    ]
+    inputs = [(one["topic"], one["publisher"]) for one in node["inputs"]]
+    assert inputs == [("/skin/skin", "sensor"), ("/skin/taxels", "sensor")]
     assert node["outputs"][1]["topic"] == "/skin/measurements"
     assert node["outputs"][1]["subscribers"] == ["reconstructor", "monitor", "recorder"]
     assert {one["key"]: one["live"] for one in node["settings"]}["ratio"] is True
@@ -145,6 +143,7 @@ def test_param_list_reports_value_range_meaning_and_what_is_in_force(run, run_js
 def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(run, folder, run_json):
     assert run("param", "set", "compressor", "ratio", "5") == "compressor: ratio = 5\n"
     assert run("param", "get", "compressor", "ratio") == "5.0\n"
+    assert run("param", "get", "compressor", "rows") == "none (in force: rotating)\n"
     assert run_json("param", "get", "compressor", "ratio")["value"] == 5
 
     def recorded():
