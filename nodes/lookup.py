@@ -49,8 +49,12 @@ def _is_installed(package: str) -> bool:
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Hint for a word that is like a known one: ' (did you mean 'iterations'?)'; "" for others."""
-    near = difflib.get_close_matches(word, sorted(known, reverse=True), n=1)
-    return f" (did you mean '{near[0]}'?)" if near else ""
+
+    def likeness(name: str) -> tuple[float, int]:  # then the number of letters in place
+        return difflib.SequenceMatcher(None, name, word).ratio(), sum(map(str.__eq__, name, word))
+
+    near = max(difflib.get_close_matches(word, known), key=likeness, default="")
+    return f" (did you mean '{near}'?)" if near else ""
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

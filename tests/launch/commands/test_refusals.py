@@ -32,7 +32,7 @@ LINES = {
     "topic hz /skin/taxels -n 0": "-n: '0': expected a whole number, 1 or more",
     "tropic": "argument COMMAND: invalid choice: 'tropic' (did you mean 'topic'?)",
     "help lanch": "(did you mean 'launch'?)",
-    "scope scene:path_41": "did you mean 'path_40'?",
+    "scope scene:drag_wrench_41": "did you mean 'drag_wrench_40'?",
     "scope scene:path_40 --set n_row=3": "did you mean 'n_rows'?",
     "scope scene:path_40 --set n_rows": "--set n_rows: expected KEY=VALUE",
     "scope scene:path_40 --set n_rows=x": "--set n_rows: expected a whole number",
