@@ -61,6 +61,8 @@ def recording_of(file: File) -> Recording:
     if suffix in (".csv", ".mcap") or not fitting:
         begin = file.file.read(HEAD_BYTES)
         file.file.seek(0)
+        if suffix == ".csv" and b"\0" in begin:
+            raise SourceError(f"{file.name}: not a text table in UTF-8: holds bytes of value 0")
         fitting = [one for one in (*fitting, *loaded(FILES).values()) if suffix in one.suffixes]
         sure = [one for one in fitting if one.recognises is not None and one.recognises(begin)]
         fitting = sure or [one for one in fitting if one.recognises is None] or fitting
