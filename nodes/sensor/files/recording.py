@@ -134,7 +134,7 @@ def shown(text: object, limit: int = 40) -> str:
 def spelled(text: str, option: Callable[[str], str]) -> str:
     """An error whose missing settings, KEY=VALUE behind `ADD`, are spelled as options."""
     what, add, settings = text.partition(ADD)
-    return what + add + re.sub(r"\b([a-z_]+)=", lambda found: option(found[1]), settings)
+    return what + add + re.sub(r"(?<!\S)([a-z_]+)=", lambda found: option(found[1]), settings)
 
 
 def choose(

@@ -15,6 +15,7 @@ import numpy as np
 from sparseskin.nodes.errors import SourceError
 
 from .recording import (
+    ADD,
     NAN_HINT,
     REFUSE,
     File,
@@ -53,6 +54,10 @@ class TableRecording(Recording):
 
     def __init__(self, file: File) -> None:
         self._file, self._lines = file, file.lines
+        self._n_stated = (file.n_rows or 0) * (file.n_cols or 0)
+        parts = [part.strip() for part in (file.columns or "").split(",") if part.strip()]
+        self._times = [part for part in parts if re.match("time(_.s|_s)?=", part)]
+        self._parts = [part for part in parts if part not in self._times]
         self._rows = self._cells()
         first = next(self._rows, [])
         self._width, self._names = len(first), first if _is_header(first) else []
@@ -102,10 +107,9 @@ class TableRecording(Recording):
                 cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True))
                 # A decimal comma stands where semicolons separate.
                 yield [c.strip().replace(",", "." if mark == ";" else ",") for c in cells]
-        except csv.Error as error:
-            raise SourceError(
-                f"{self._lines.where}: no line of a table of text: {error}"
-            ) from error
+        except csv.Error:
+            what = f"field larger than {csv.field_size_limit()} characters, or a line end within"
+            raise SourceError(f"{self._lines.where}: no line of a table of text: {what}") from None
 
     def _check_width(self, cells: Sequence[str]) -> None:
         if len(cells) != self._width:
@@ -130,15 +134,9 @@ class TableRecording(Recording):
             raise SourceError(f"{place} ({held}); allowed: {_COLUMNS}")
         return found
 
-    def _stated(self) -> tuple[list[str], list[str]]:
-        """The parts of `columns` that state the time, and taxels."""
-        parts = [part.strip() for part in (self._file.columns or "").split(",") if part.strip()]
-        times = [part for part in parts if re.match("time(_.s|_s)?=", part)]
-        return times, [part for part in parts if part not in times]
-
     def _stated_time(self) -> tuple[int | None, str | None]:
         """The column of times, and its unit where that is stated."""
-        for part in self._stated()[0]:
+        for part in self._times:
             key, _, name = part.partition("=")
             unit, place = key.removeprefix("time").removeprefix("_"), self._lines.name
             if unit and unit not in _NS:
@@ -151,9 +149,8 @@ class TableRecording(Recording):
         for k, cell in enumerate(self._first):
             if _iso(cell) is not None:
                 return k, "ISO 8601"
-        stated = (self._file.n_rows or 0) * (self._file.n_cols or 0)
-        more = not self._names and not self._stated()[1] and self._width == stated + 1
-        return (0, None) if stated and more else (None, None)
+        more = not self._names and not self._parts and self._width == self._n_stated + 1
+        return (0, None) if self._n_stated and more else (None, None)
 
     def _named_unit(self, k: int) -> str | None:
         if _iso(self._first[k]) is not None:
@@ -162,8 +159,8 @@ class TableRecording(Recording):
         return None if found is None else found[1] or {"m": "ms", "s": "s"}[found[2][0]]
 
     def _found_taxels(self) -> list[int]:
-        if parts := self._stated()[1]:
-            found = list(dict.fromkeys(k for part in parts for k in self._matching(part)))
+        if self._parts:
+            found = list(dict.fromkeys(k for part in self._parts for k in self._matching(part)))
             return [k for k in found if k != self._time]
         named = [k for k in range(self._width) if not self._names or self._names[k]]
         found = [k for k in named if k != self._time and _is_value(self._first[k])]
@@ -172,8 +169,16 @@ class TableRecording(Recording):
             found = [k for k in found if self._kind(k) == alike[0][0]]
         if not found:
             place = f"{self._lines.where}: no column holds numbers"
-            raise SourceError(f"{place}; state columns: {_COLUMNS}")
+            raise SourceError(f"{place}; state columns: {_COLUMNS}; begin a line of units with #")
+        if 0 < self._n_stated < len(filled := [k for k in found if self._first[k]]):
+            what = f"{len(filled)} columns hold numbers, but n_rows x n_cols = {self._n_stated}"
+            raise SourceError(f"{self._lines.name}: {what}{ADD}{self._to_state(filled[-1])}")
         return found
+
+    def _to_state(self, last: int) -> str:
+        """Setting with the taxels up to the column `last`, and a time where there are more."""
+        first = last + 2 - self._n_stated if self._n_stated else 1
+        return f"columns={'time=1,' * (first > 1 and self._time is None)}{first}-{last + 1}"
 
     def _kind(self, k: int) -> str:
         """The name of a column with # for its numbers."""
@@ -202,7 +207,10 @@ class TableRecording(Recording):
             if not is_missing(cell):
                 found[k] = parse_number(cell, place)
             elif refused:
-                raise SourceError(f"{place}: {shown(cell)} is not a number{NAN_HINT}")
+                last = self._width - 1
+                is_end = self._taxels[k] == last >= self._n_stated and not self._first[last]
+                hint = f", or {self._to_state(last - 1)}" if is_end else ""
+                raise SourceError(f"{place}: {shown(cell)} is not a number{NAN_HINT}{hint}")
         return found
 
     def _instant(self, cell: str) -> float:

@@ -20,6 +20,7 @@ from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 
 GRID = np.arange(12.0).reshape(2, 2, 3)
+ROW = {"n_rows": 1, "n_cols": 2}
 
 
 def read(folder, text, **stated):
@@ -60,6 +61,7 @@ def read(folder, text, **stated):
             None,
         ),
         ("9,0,1,2,3,4,5\n9,6,7,8,9,10,11\n", {"n_rows": 2, "columns": "2-7"}, None),
+        ("9,0,1,2,3,4,5,\n99,6,7,8,9,10,11,\n", {"n_rows": 2, "columns": "time_s=1,2-7"}, 1 / 90),
     ],
 )
 def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
@@ -84,7 +86,12 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         ("t,a\n2,1\nsoon,1\n", {"n_rows": 1}, "line 3, time: 'soon' is not a number"),
         ("a,b\n1,2\n", {"columns": "c*"}, "columns: 'c.' is none of 2 columns .'a', 'b', "),
         ("a,b\n1,2\n", {"columns": "2-9"}, "'2-9' is none of 2 columns"),
-        ("name\nleft\n", {}, "no column holds numbers; state columns"),
+        ("name\nleft\n", {}, "no column holds numbers; state columns.*a line of units with #$"),
+        ("5,a,1,2\n6,a,1,2\n", ROW, "3 columns hold numbers, .* = 2; add columns=time=1,3-4$"),
+        ("5,1,2,\n", ROW, "3 columns hold numbers, .* = 2; add columns=time=1,2-3$"),
+        ("1,2,\n", ROW, "line 1, column 3: '' is not .*, or zero or mask, or columns=1-2$"),
+        ("1,\0", ROW, "not a text table in UTF-8"),
+        ("1,2\r3,4", ROW, "line 1: no line of a table of text: .* a line end within"),
         ("1," + 140_000 * "2", {"n_rows": 1}, "line 1: no line of a table of text: field larger"),
     ],
 )
@@ -127,12 +134,8 @@ def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path):
     source = open_file(tmp_path / "a.csv", **options, policy=Policy("zero", "offset"))
     found = np.nan_to_num(source.frames, nan=-1).reshape(2, 4)
     assert found.tolist() == [[3, -1, -1, 6], [0, 7, 8, 9]]
-    assert source.treated.counts() == {
-        "not_finite": 2,
-        "negative": 1,
-        "masked_taxels": 0,
-        "offset": -2.0,
-    }
+    counts = {"not_finite": 2, "negative": 1, "masked_taxels": 0, "offset": -2.0}
+    assert source.treated.counts() == counts
     with pytest.raises(SourceError, match="line 1, column 2: '' is not a number"):
         open_file(tmp_path / "a.csv", **options)
 
