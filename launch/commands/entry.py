@@ -17,6 +17,14 @@ def main() -> int:
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
             os.environ.setdefault(name, "1")
         # Imported here, so that a Ctrl-C during the import is handled like any other.
+        import signal
+
+        def end(number: int, _: object) -> None:
+            """Exit by an exception, which ends workers and removes unfinished files."""
+            signal.signal(number, signal.SIG_IGN)  # the command timeout sends it twice
+            sys.exit(128 + number)
+
+        signal.signal(signal.SIGTERM, end)
         from .cli import complete
         from .cli import main as run
 

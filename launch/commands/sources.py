@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import os
 import shutil
-import signal
 import sys
 import time
 from collections import deque
@@ -107,9 +106,8 @@ def _scope(arguments: argparse.Namespace) -> int:
     lively = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
     begin_s = time.monotonic()
     next_s = begin_s if lively else begin_s + TEXT_S
-    handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with contextlib.suppress(KeyboardInterrupt), terminal.keyboard(lively):
+        with contextlib.suppress(KeyboardInterrupt, SystemExit), terminal.keyboard(lively):
             if lively:
                 sys.stdout.write("\x1b[?1049h\x1b[?25l")
             for frame in _frames(source):
@@ -129,7 +127,6 @@ def _scope(arguments: argparse.Namespace) -> int:
     finally:
         if lively:
             sys.stdout.write("\x1b[0m\x1b[?25h\x1b[?1049l")
-        signal.signal(signal.SIGTERM, handler)
         source.close()
     print(view.summary())
     return 0 if view.n_frames else 1
