@@ -6,7 +6,7 @@ import importlib.util
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -63,10 +63,9 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return suggestion(word, names) or (f" (known: {', '.join(names)})" if names else "")
 
 
-def nearest_of(word: str, allowed: Iterable[str]) -> str:
+def nearest_of(word: str, allowed: Collection[str]) -> str:
     """Hint for a value: ' (did you mean 'skin'?); allowed: paper, skin'."""
-    words = list(allowed)
-    return f"{suggestion(word, words)}; allowed: {', '.join(words)}"
+    return f"{suggestion(word, allowed)}; allowed: {', '.join(allowed)}"
 
 
 MAX_TEXT = 400
@@ -120,8 +119,7 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
         raise error(f"{target}: importing it failed: {one_line(cause)}") from cause
     for part in attribute.split("."):
         if not hasattr(found, part):
-            near = difflib.get_close_matches(part, dir(found), n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
+            hint = suggestion(part, dir(found))
             raise error(f"{target}: {module_name} has no {attribute!r}{hint}")
         found = getattr(found, part)
     if not callable(found):

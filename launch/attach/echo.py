@@ -203,10 +203,8 @@ class Echo(Display):
     def text(self, message: Message) -> str:
         """A message as it is printed."""
         if self._field is not None:
-            value = self._field.of(message)
-            return (
-                json.dumps(plain(value, self._full)) if self._in_json else text(value, self._full)
-            )
+            value, full = self._field.of(message), self._full
+            return json.dumps(plain(value, full)) if self._in_json else text(value, full)
         values = values_of(message)
         if self._in_json:
             found = {name: plain(value, self._full) for name, value in values.items()}

@@ -173,10 +173,8 @@ def _list_settings(arguments: argparse.Namespace) -> int:
     live can be set while the graph runs.
     """
     graph = choose_graph(arguments.graph)
-    if arguments.node is not None:
-        names = [arguments.node]
-    else:
-        names = [node["name"] for node in describe(graph)["nodes"]]
+    named = arguments.node
+    names = [node["name"] for node in describe(graph)["nodes"]] if named is None else [named]
     settings = {name: describe_node(graph, name)["settings"] for name in names}
     lines = "\n\n".join("\n".join(_node_lines(name, settings[name])) for name in names)
     return show(arguments, "param-list", {"graph": graph.label, "nodes": settings}, [lines])

@@ -75,11 +75,8 @@ def _lines(found: Iterable[Listing]) -> Iterator[str]:
 def drivers() -> list[dict[str, str]]:
     """Drivers that installed packages offer as entry points."""
     return [
-        {
-            "source": point.value,
-            "about": f"{point.name}, of {point.dist.name}" if point.dist else point.name,
-        }
-        for point in offered(DRIVERS).values()
+        {"source": one.value, "about": one.name + (f", of {one.dist.name}" if one.dist else "")}
+        for one in offered(DRIVERS).values()
     ]
 
 

@@ -12,7 +12,7 @@ from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import is_built_in, phi_class
 from sparseskin.nodes.errors import SettingsError, SolverError
-from sparseskin.nodes.lookup import did_you_mean, find_class, nearest_of
+from sparseskin.nodes.lookup import find_class, nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
 from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import RESULTANT_SOLVERS
@@ -211,33 +211,27 @@ class ReconstructorSettings(PatchesSettings):
             with naming("phi"):
                 phi_class(self.phi)
         if self.preset not in PRESETS:
-            raise SettingsError(
-                f"preset: '{self.preset}' is not known{did_you_mean(self.preset, PRESETS)}; "
-                f"allowed: {', '.join(PRESETS)}"
-            )
+            hint = nearest_of(self.preset, PRESETS)
+            raise SettingsError(f"preset: '{self.preset}' is not known{hint}")
         chosen = self.chosen()
+        name = chosen["solver"]
         with naming("basis"):
             find_basis(chosen["basis"])
         with naming("solver"):
-            solver = find_class("solver", chosen["solver"], SOLVERS, SolverError)
-        if self.device and chosen["solver"] != "skin":
-            raise SettingsError(
-                f"device: is not available with solver {chosen['solver']}; allowed: skin"
-            )
+            solver = find_class("solver", name, SOLVERS, SolverError)
+        if self.device and name != "skin":
+            raise SettingsError(f"device: is not available with solver {name}; allowed: skin")
         check_device(self.device or NUMPY)
-        self._check_known_to(solver)
+        self._check_known_to(name, solver)
         for key, why, known in (
             ("resultant", "frames are biased", RESULTANT_SOLVERS),
             ("uncertainty", "error is not known", CALIBRATED),
         ):
-            if getattr(self, key) and chosen["solver"] not in known:
-                raise SettingsError(
-                    f"{key}: is not available with solver {chosen['solver']}, whose {why}; "
-                    f"allowed: {', '.join(known)}"
-                )
+            if getattr(self, key) and name not in known:
+                fault = f"is not available with solver {name}, whose {why}"
+                raise SettingsError(f"{key}: {fault}; allowed: {', '.join(known)}")
 
-    def _check_known_to(self, solver: Callable[..., Any]) -> None:
-        name = self.chosen()["solver"]
+    def _check_known_to(self, name: str, solver: Callable[..., Any]) -> None:
         parameters = inspect.signature(solver).parameters
         takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
         for key in ("iterations", "lambda_n"):
@@ -299,12 +293,7 @@ class ReconstructorSettings(PatchesSettings):
 
     def chosen(self) -> dict[str, Any]:
         """Return the preset with the settings that are stated in place of its own."""
-        stated = {
-            "solver": self.solver,
-            "basis": self.basis,
-            "iterations": self.iterations,
-            "lambda_n": self.lambda_n,
-        }
+        stated = {key: getattr(self, key) for key in ("solver", "basis", "iterations", "lambda_n")}
         preset = PRESETS[self.preset]
         if self.solver not in (None, preset["solver"]):
             # The numbers of a preset belong to its solver.

@@ -180,7 +180,7 @@ class TestName:
     @pytest.mark.parametrize(
         ("body", "message"),
         [
-            ("def frame():\n    yield 0, [[1.0]]", "has no 'frames'; did you mean 'frame'"),
+            ("def frame():\n    yield 0, [[1.0]]", r"has no 'frames' \(did you mean 'frame'\?"),
             ("frames = 3", "is int, which cannot be called"),
             ("def frames():\n    yield 0, np.zeros((0, 3))", "0 rows x 3 columns"),
             ("def frames():\n    yield 0, np.ones((1, 2), int)", "whole numbers, .*; add unit=c"),
