@@ -27,7 +27,7 @@ import numpy as np
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .backend import ONE, Array, Backend, ManyPatches
+from .backend import ONE, Array, Backend, ManyPatches, on_device
 
 TILE, WINDOW = 8, 12
 WINDOW_MARGIN = (WINDOW - TILE) // 2
@@ -173,16 +173,23 @@ def standing_out(windows: Array, strictness: float = 1.0, backend: Backend = ONE
     By how far a taxel, a square of 3 x 3 or 6 x 6, or the whole window exceeds `STANDS_OUT` times
     `strictness` deviations of its sum: from there to `CLEARLY` times as much it grows to 1.
     """
-    xp, lead = backend.xp, windows.shape[:-1]
+    xp, (of_thirds, of_sixths) = backend.xp, _squares(backend.device)
     single, by_3, by_6, whole = (strictness * limit for limit in STANDS_OUT)
-    thirds = windows.reshape(*lead, 4, 3, 4, 3).sum(axis=(-3, -1))
-    sixths = thirds.reshape(*lead, 2, 2, 2, 2).sum(axis=(-3, -1))
+    thirds = windows @ of_thirds
+    sixths = thirds @ of_sixths
     most = [
-        *(xp.amax(windows, axis=-1) / single, xp.amax(thirds, axis=(-2, -1)) / (3 * by_3)),
-        *(xp.amax(sixths, axis=(-2, -1)) / (6 * by_6), sixths.sum(axis=(-2, -1)) / (12 * whole)),
+        *(xp.amax(windows, axis=-1) / single, xp.amax(thirds, axis=-1) / (3 * by_3)),
+        *(xp.amax(sixths, axis=-1) / (6 * by_6), sixths.sum(axis=-1) / (12 * whole)),
     ]
     found: Array = ((xp.amax(xp.stack(most), axis=0) - 1) / (CLEARLY - 1)).clip(0, 1)
     return found
+
+
+@cache
+def _squares(device: str) -> list[Array]:
+    """Matrices that sum a window over its squares of 3 x 3, and these over squares of 2 x 2."""
+    sides = np.eye(4).repeat(3, axis=0), np.eye(2).repeat(2, axis=0)
+    return [on_device(np.kron(side, side).astype(np.float32), device) for side in sides]
 
 
 def _shapes(k: int, h: int) -> dict[str, tuple[int, ...]]:
@@ -280,10 +287,12 @@ class Tiles:
     def cut(self, canvas: Array, number: int) -> Array:
         """Windows of a canvas at a shift, by its number: (..., rows, columns) to (..., t, 144)."""
         row, col = (MARGIN - WINDOW_MARGIN - shift for shift in SHIFTS[number])
-        views = np.lib.stride_tricks.sliding_window_view(
-            canvas[..., row:, col:], (WINDOW, WINDOW), axis=(-2, -1)
-        )[..., ::TILE, ::TILE, :, :]
-        return views.reshape(*canvas.shape[:-2], -1, WINDOW * WINDOW)
+        part, (*lead, down, across) = canvas[..., row:, col:], canvas.strides
+        n_down, n_across = ((side - WINDOW) // TILE + 1 for side in part.shape[-2:])
+        shape = *part.shape[:-2], n_down, n_across, WINDOW, WINDOW
+        strides = *lead, TILE * down, TILE * across, down, across
+        views = np.lib.stride_tricks.as_strided(part, shape, strides, writeable=False)
+        return views.reshape(*part.shape[:-2], n_down * n_across, WINDOW * WINDOW)
 
     def windows(self, taxels: Array, number: int) -> Array:
         """Windows of a vector of taxels, (..., n + 1), at a shift: (..., t, 144)."""
