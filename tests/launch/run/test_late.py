@@ -3,9 +3,7 @@
 import os
 import re
 import signal
-from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from conftest import wait_until
@@ -23,31 +21,20 @@ from sparseskin.nodes.node import Node
 from sparseskin.nodes.player.node import PlayerSettings
 
 
-@dataclass
-class FakeNode:
+class FakeNode(SimpleNamespace):
     """Stands in for a `NodeProcess`; `told` are the commands to it, each with its fields."""
 
-    name: str = ""
-    spec: Any = None
-    endpoint: str = "tcp://127.0.0.1:1"
-    ready: bool = False
-    ended: bool = False
-    failed: bool = False
-    code: int | None = None
-    refusal: str = ""
-    heard_s: float = 0.0
-    lacks: list[str] = field(default_factory=list)
-    state: dict[str, Any] = field(default_factory=lambda: {"paused": False})
-    counts: dict[str, Any] = field(default_factory=dict)
-    report: dict[str, Any] = field(default_factory=dict)
-    heard: dict[str, bool] = field(default_factory=dict)
-    clocks: dict[str, tuple[int, int]] = field(default_factory=dict)
-    told: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+    def __init__(self, name="", spec=None, **fields):
+        known = {"endpoint": "tcp://127.0.0.1:1", "refusal": "", "code": None, "heard_s": 0.0}
+        known |= dict.fromkeys(("ready", "ended", "failed"), False)
+        known |= {key: {} for key in ("counts", "report", "heard", "clocks")}
+        known |= {"state": {"paused": False}, "lacks": [], "told": []}
+        super().__init__(name=name, spec=spec, **known | fields)
 
-    def exit_code(self) -> int | None:
+    def exit_code(self):
         return self.code
 
-    def command(self, command: str, **fields: Any) -> None:
+    def command(self, command, **fields):
         self.told.append((command, fields))
 
 
@@ -56,8 +43,6 @@ LINKS = [
     Link("/skin/taxels", "sensor", "monitor"),
     Link("/skin/measurements", "compressor", "monitor"),
 ]
-
-
 PART = LaunchFile(
     *("drag", "", "ipc", {}, []),
     hosts={name: Host("127.0.0.1") for name in ("edge", "desk", "wall")},

@@ -1,7 +1,6 @@
 """Idle patches: false alarms as stated, contacts noticed, forces as if all had been solved."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,8 +103,8 @@ def test_the_skip_adds_no_error_and_can_be_switched():
 
 def served(frames, **settings):
     """Reconstructions of the readings of one patch, which states its noise."""
-    skin = skin_state(n_rows=8, n_cols=8, mask=None, sigma_mid=0.0628, sigma_end=0.0141)
-    skin = replace(skin, n_rows=frames.shape[1], n_cols=frames.shape[2])
+    (_, n_rows, n_cols), sigmas = frames.shape, {"sigma_mid": 0.0628, "sigma_end": 0.0141}
+    skin = skin_state(n_rows=n_rows, n_cols=n_cols, mask=None, **sigmas)
     edge = Compressor(Compressor.Settings(), Context("edge", ManualClock(1)))
     host = Reconstructor(Reconstructor.Settings(**settings), Context("host", ManualClock(1)))
     messages = [skin, *edge.step(skin)]

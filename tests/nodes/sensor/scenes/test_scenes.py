@@ -2,11 +2,10 @@
 
 import itertools
 import math
-from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N, Skin
@@ -28,20 +27,12 @@ TABLE = {
 }
 
 
-@dataclass
-class Played:
-    """Largest force and sum of each frame of a scene, and one frame of the body at rest."""
-
-    peak: npt.NDArray[np.float64]
-    total: npt.NDArray[np.float64]
-    at_rest: npt.NDArray[np.float32]
-
-
 REST = {"lift_box_40": 670, "lift_box_64": 7500, "path_40": 990}
 
 
 @cache
 def played(name):
+    """Largest force and sum of each frame of a scene, and one frame of the body at rest."""
     side, n_steps, _ = TABLE[name]
     peak, total, at_rest = np.empty(n_steps), np.empty(n_steps), np.empty(0, np.float32)
     for step, (_, forces) in enumerate(open_scene(name, 0)):
@@ -51,7 +42,7 @@ def played(name):
         if step == REST.get(name):
             at_rest = forces
     assert step == n_steps - 1
-    return Played(peak, total, at_rest)
+    return SimpleNamespace(peak=peak, total=total, at_rest=at_rest)
 
 
 @pytest.mark.parametrize(
