@@ -61,11 +61,20 @@ def each_frame(
     return out
 
 
+def edged(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A field, (n_rows, n_cols), within an edge of zeros: (n_rows + 2, n_cols + 2)."""
+    n_rows, n_cols = field.shape
+    # A tenth of the time of np.pad.
+    padded = np.zeros((n_rows + 2, n_cols + 2), dtype=field.dtype)
+    padded[1:-1, 1:-1] = field
+    return padded
+
+
 def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
     """Each cell and its eight neighbours, combined: an array as `field`, (n_rows, n_cols); beyond
     the edge is 0.
     """
-    padded = np.pad(field, 1)
+    padded = edged(field)
     rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
     found: npt.NDArray[Any] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
     return found

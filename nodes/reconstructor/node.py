@@ -235,10 +235,13 @@ class Reconstructor(Node[ReconstructorSettings]):
         try:
             patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
             follow(phi, measurements.places, measurements.nodes)
+            all_y = measurements.y
+            if all_y.flags.writeable:  # of a sender in this process, which may write to it again
+                all_y = all_y.copy()
             if self._idle is not None:
-                wanted = self._idle.to_solve(phi.fingerprint, measurements.y)
+                wanted = self._idle.to_solve(phi.fingerprint, all_y)
                 unchanged = [not wanted[k] and patches[k].solved is not None for k in range(n)]
-            for patch, same, y in zip(patches, unchanged, measurements.y, strict=True):
+            for patch, same, y in zip(patches, unchanged, all_y, strict=True):
                 if same:
                     patch.keep(phi, y)
                 else:

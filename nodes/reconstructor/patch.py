@@ -258,15 +258,17 @@ class Patch:
 
     def _reason(self, of_forces: str) -> str:
         """Why the frame is not to be trusted; "" if it is. `of_forces` is that of its forces."""
-        reasons = (
-            ("constant", self._constant),
-            ("frozen", self.faults.frozen),
-            ("missing", self._blind),
-            ("weak" if self._is_weak else "error", not self._trusted),
-            ("rows", self.faults.swamped),
-            ("stuck", self.faults.doubts_taxels),
-        )
-        return next((reason for reason, applies in reasons if applies), of_forces)
+        if self._constant:
+            return "constant"
+        if self.faults.frozen:
+            return "frozen"
+        if self._blind:
+            return "missing"
+        if not self._trusted:
+            return "weak" if self._is_weak else "error"
+        if self.faults.swamped:
+            return "rows"
+        return "stuck" if self.faults.doubts_taxels else of_forces
 
     @property
     def _is_weak(self) -> bool:

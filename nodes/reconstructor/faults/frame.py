@@ -82,20 +82,19 @@ class FrozenWatch:
         self.frozen = False
 
     def update(self, subset: str, y: Floats) -> bool:
-        """Process the measurements of a row subset, float32 (m,); return True if `frozen` changes.
-
-        `subset` is the fingerprint of its Phi.
+        """Process the measurements of a row subset, float32 (m,), which are kept, not copied;
+        return True if `frozen` changes. `subset` is the fingerprint of its Phi.
         """
         if not self._sigma:
             return False
-        last = self._last.get(subset)
-        repeats = last is not None and last[0] == y[0] and np.array_equal(last, y)
-        if not repeats:
-            self._last[subset] = np.array(y, dtype=np.float32)
-        counts = repeats and self._sigma > LEAST_NOISE * step_of(y)
-        self._n_equal = self._n_equal + 1 if counts else 0
-        before = self.frozen
-        self.frozen = self._n_equal >= max(FRAMES, MEASUREMENTS / y.size)
+        last, before = self._last.get(subset), self.frozen
+        if last is None or last[0] != y[0] or not np.array_equal(last, y):
+            self._last[subset] = y
+            self._n_equal, self.frozen = 0, False
+        else:
+            counts = self._sigma > LEAST_NOISE * step_of(y)
+            self._n_equal = self._n_equal + 1 if counts else 0
+            self.frozen = self._n_equal >= max(FRAMES, MEASUREMENTS / y.size)
         return self.frozen != before
 
 
@@ -138,9 +137,9 @@ class FrameWatch:
         """True if all measurements, float32 (m,), are equal, on a skin with noise: those of a link
         or converter that delivers nothing.
         """
-        if y.size < LEAST_EQUAL or self._least_sd <= LEAST_NOISE * step_of(y):
+        if y[0] != y[-1] or y.size < LEAST_EQUAL or self._least_sd <= LEAST_NOISE * step_of(y):
             return False
-        return bool(y[0] == y[-1] and np.all(y == y[0]))
+        return bool(np.all(y == y[0]))
 
     def cleaned(self, rows: Subset, y: Floats, expected: Floats) -> tuple[Floats, Floats]:
         """Return y without the offset, and the same with outliers replaced by their expectation.
@@ -212,7 +211,7 @@ class FrameWatch:
         m, offset = innovation.size, np.float32(self.offset)
         if rows.like > MOST_LIKE:
             return
-        change = float(innovation.sum()) / m - self.offset
+        change = float(np.add.reduce(innovation)) / m - self.offset
         if m * change**2 <= (SIGNIFICANT * self._sd) ** 2 / 2:
             return
         # The sums of blocks show any contact more than an offset.

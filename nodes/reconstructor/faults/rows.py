@@ -113,6 +113,8 @@ class RowWatch:
         What does not change of them.
     left_out : ndarray of bool, shape (m,)
         Rows that are faulty now.
+    n_out : int
+        Their number.
     swamped : bool
         True if so many rows disagree that no more of them are excluded.
 
@@ -126,43 +128,47 @@ class RowWatch:
         self._ones, self._heavy = self.rows.ones, self.rows.heavy
         self._starts, self._block = self.rows.starts, self.rows.block
         self._heavy_ones = self._ones[self._heavy]
-        self._heavy_ones2 = np.square(self._heavy_ones)
+        self._heavy_ones2, self._heavy_size = np.square(self._heavy_ones), np.abs(self._heavy_ones)
         self._last, self._change, self._evidence, self._oddity = np.zeros((4, m), dtype=np.float32)
         self._residual, self._before, self._left, self._bound = np.zeros((4, m), dtype=np.float32)
         self._changed_at, self._agreed = np.zeros((2, m), dtype=np.int32)
         self._coarse = self._suspects = False
         self._to_heal = np.full(m, HEALED, dtype=np.int32)
-        self._n_frames = self._n_constant = self._n_out = 0
+        self._n_frames = self._n_constant = self._all_changed_at = self.n_out = 0
         self._lively = 0.0
         self.left_out: Mask = np.zeros(m, dtype=np.bool_)
         self.swamped = False
         self._count_peers()
 
-    def update(self, y: Floats, fitted: Floats) -> bool:
+    def update(self, y: Floats, fitted: Floats, residual: Floats | None = None) -> bool:
         """Process measurements as received, and Phi times the frame, `fitted`; float32 (m,).
 
-        Return True if `left_out` has changed.
+        `residual` is y - fitted, where it is known already. The arrays are kept, not copied. Return
+        True if `left_out` has changed.
         """
         if not self.rows.comparable:
             return False
         self._n_frames += 1
-        look = self._glance(y, fitted)
+        look = self._glance(y, y - fitted if residual is None else residual)
         if self._n_frames == 1:
             return False  # no change from frame to frame is known yet
         due = self._n_frames % EVERY == 0 or self._suspects or look
         return due and self._look(y)
 
-    def _glance(self, y: Floats, fitted: Floats) -> bool:
+    def _glance(self, y: Floats, residual: Floats) -> bool:
         """Note residuals and changes; True if a row asks for a full comparison."""
-        self._before, self._residual = self._residual, y - fitted
-        self._change, self._last = y - self._last, y.copy()
+        self._before, self._residual = self._residual, residual
+        self._change, self._last = y - self._last, y
         n_changed = np.count_nonzero(self._change)
         all_changed = self._coarse or n_changed == y.size  # as in most frames, for which it is fast
-        self._changed_at[... if all_changed else self._change != 0] = self._n_frames
+        if all_changed:
+            self._all_changed_at = self._n_frames
+        else:
+            self._changed_at[self._change != 0] = self._n_frames
         rate = max(LIVELY_RATE, 1 / self._n_frames)
         self._lively += rate * (n_changed / y.size - self._lively)
         self._n_constant = 0 if all_changed else int(np.count_nonzero(self._constant()))
-        return self._n_constant > 0 or bool((np.square(self._residual) > self._bound).any())
+        return self._n_constant > 0 or np.count_nonzero(np.square(residual) > self._bound) > 0
 
     def _look(self, y: Floats) -> bool:
         """Compare all rows with their peers; return True if `left_out` has changed."""
@@ -173,14 +179,17 @@ class RowWatch:
         # A force below a step is read as 0 or as a step, in turn.
         noise2 += step * step / 4
         evidence, odd = self._evidence, self._oddness(noise2)
+        if not (self._suspects or self._n_constant or np.count_nonzero(odd > ODD)):
+            self.swamped = False
+            return False
         evidence[:] = np.where((evidence > 0) | (odd > ODD), evidence + odd - ALLOWED, 0)
         np.clip(evidence, 0, 2 * ENOUGH, out=evidence)
-        if not evidence.any() and not self._n_constant and not self._n_out:
+        if not evidence.any() and not self._n_constant and not self.n_out:
             self._suspects = self.swamped = False
             return False
         faulty = (evidence >= ENOUGH) | self._constant()
         changed = self._leave_out(faulty) | self._heal(odd, faulty)
-        self._suspects = bool(evidence.any() or self._n_out)
+        self._suspects = bool(evidence.any() or self.n_out)
         return changed
 
     def _oddness(self, noise2: float) -> Floats:
@@ -193,8 +202,9 @@ class RowWatch:
         typical = np.float32(max(_middle(squared) / MEDIAN_SQUARE, noise2) + TINY)
         # One huge row must not hide another in its own block.
         peers = np.minimum(squared, LARGEST * typical)
-        peers *= self._kept
-        peers = np.add.reduceat(peers, self._starts)[self._block] - peers
+        if self.n_out:
+            peers *= self._kept
+        peers = np.add.reduceat(peers, self._starts).take(self._block, mode="clip") - peers
         peers *= self._per_peer
         np.maximum(peers, typical, out=peers)
         # The bias differs from block to block, and adds up in sums.
@@ -204,18 +214,20 @@ class RowWatch:
             peers[heavy] = np.maximum(peers[heavy], np.float32(per_one) * self._heavy_ones2)
         np.multiply(peers, ODD, out=self._bound)
         # The quick check of `update` does not subtract the bias of its frame.
-        shown = abs(bias) * np.abs(self._heavy_ones)
+        shown = abs(bias) * self._heavy_size
         self._bound[heavy] = np.square(np.sqrt(self._bound[heavy]) + shown)
         # With few peers, a row may be the only one that measures a contact at all. That lasts: in
         # such blocks only the change from frame to frame counts.
-        change = self._residual[few] - self._before[few]
-        squared[few] = np.minimum(squared[few], np.square(change, out=change))
+        if few.size:
+            change = self._residual[few] - self._before[few]
+            squared[few] = np.minimum(squared[few], np.square(change, out=change))
         squared /= peers
         return np.minimum(squared, LARGEST, out=squared)
 
     def _constant(self) -> Mask:
         """Return the rows that are constant, on a skin whose rows are not."""
-        return (self._changed_at <= self._n_frames - CONSTANT) & (self._lively >= LIVELY)
+        changed_at = np.maximum(self._changed_at, self._all_changed_at)
+        return (changed_at <= self._n_frames - CONSTANT) & (self._lively >= LIVELY)
 
     def _leave_out(self, faulty: Mask) -> bool:
         """Exclude faulty rows; return True if there are new ones."""
@@ -229,7 +241,7 @@ class RowWatch:
         # A faulty row makes its peers look odd: the oddest of a block is excluded first.
         amounts = np.where(new, np.abs(self._left), 0)
         new &= amounts >= 0.5 * np.maximum.reduceat(amounts, self._starts)[self._block]
-        self.left_out |= new
+        self.left_out = self.left_out | new
         self._oddity[new] = LARGEST
         self._agreed[new] = 0
         beside = np.isin(self._block, self._block[new])
@@ -238,7 +250,7 @@ class RowWatch:
         return True
 
     def _count_peers(self) -> None:
-        self._n_out = int(np.count_nonzero(self.left_out))
+        self.n_out = int(np.count_nonzero(self.left_out))
         self._kept = (~self.left_out).astype(np.float32)
         n_peers = np.add.reduceat(self._kept, self._starts)[self._block] - self._kept
         self._per_peer = 1 / np.maximum(n_peers, 1)
@@ -264,8 +276,9 @@ class RowWatch:
 
 def _middle(x: Floats) -> float:
     """Return the median, or the upper one of an even number."""
-    middle = x.size // 2
-    return float(np.partition(x, middle)[middle])
+    middle, x = x.size // 2, x.copy()
+    x.partition(middle)
+    return float(x[middle])
 
 
 def mixed_taxels(phi: Phi) -> float:

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, of_nine
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, edged, of_nine
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 #: Frames between two searches for dead or saturated taxels, and for taxels that stand alone: with
@@ -103,11 +103,13 @@ class EndWatch:
         around = of_nine(pressed.astype(np.int8), np.add) - pressed
         inside = self._mask & (around >= INSIDE)
         holes = np.flatnonzero(inside & ~pressed).tolist()
-        # Most frames have neither holes nor watched taxels.
         watched = [place for place in (*self._low, *self._alive) if inside.flat[place]]
+        looked_at = dict.fromkeys([*holes, *watched])
+        if not looked_at:  # as in most frames
+            return [], []
         found, believed = [], []
         held = np.where(pressed, forces, 0)
-        for place in dict.fromkeys([*holes, *watched]):
+        for place in looked_at:
             row, col = divmod(place, self._n_cols)
             nine = held[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2]
             force = float(forces[row, col])
@@ -207,8 +209,7 @@ class TaxelWatch:
         self._least = LEAST_FORCE * noise.f_max
         self._suspects: dict[tuple[int, ...], _Suspect] = {}
         self._groups = _groups(mask)
-        self._grouped = np.concatenate([places for places, _ in self._groups] or [self._taxels])
-        self._begins = np.cumsum([0, *(places.size for places, _ in self._groups)])[:-1]
+        self._probes = np.array([places[:: places.size // 4][:4] for places, _ in self._groups])
         self._last: dict[str, Floats] = {}
         self._columns: dict[tuple[str, int], Floats] = {}
         self._n_frames = 0
@@ -263,7 +264,7 @@ class TaxelWatch:
         """
         last = self._last.get(phi.fingerprint)
         self._last[phi.fingerprint] = residual
-        if last is not None:
+        if last is not None and (self._suspects or self.stuck):
             self._measure(phi, forces, residual, residual - last)
         self.search(forces)
         if self._n_frames % EVERY == 1:
@@ -357,15 +358,16 @@ class TaxelWatch:
         """Return the groups whose taxels are pressed alike, and stand alone together."""
         if not self._groups:
             return []
-        flat = forces.reshape(-1)
-        least = np.minimum.reduceat(flat[self._grouped], self._begins)
+        flat, bound = forces.reshape(-1), np.float32(self._least)
         found = []
-        for group in np.flatnonzero(least > self._least).tolist():
+        for group in np.flatnonzero((flat[self._probes] > bound).all(axis=1)).tolist():
             places, beside = self._groups[group]
-            middle = float(np.median(flat[places]))
-            n_low = np.count_nonzero(flat[beside] < ALONE * middle)
-            if least[group] > EVEN * middle and n_low >= MOSTLY * beside.size:
-                found.append(tuple(places.tolist()))
+            least, around, most = flat[places].min(), flat[beside], MOSTLY * beside.size
+            # The median, which takes longest, is below least / EVEN in a group that is found.
+            if least > bound and np.count_nonzero(around < ALONE / EVEN * least) >= most:
+                middle = float(np.median(flat[places]))
+                if least > EVEN * middle and np.count_nonzero(around < ALONE * middle) >= most:
+                    found.append(tuple(places.tolist()))
         return found
 
     def _column(self, phi: Phi, place: int) -> Floats:
@@ -386,11 +388,13 @@ def alone(forces: Floats, mask: Mask, least: float) -> Mask:
 
     forces, float32, mask and result, bool, have shape (n_rows, n_cols).
     """
-    edged = np.pad(forces, 1)
-    beside = np.maximum(edged[:-2], edged[2:])
-    three = np.maximum(beside, edged[1:-1])
-    most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
-    found: Mask = mask & (forces > np.float32(least)) & (most < ALONE * forces)
+    found: Mask = mask & (forces > np.float32(least))
+    if found.any():
+        padded = edged(forces)
+        beside = np.maximum(padded[:-2], padded[2:])
+        three = np.maximum(beside, padded[1:-1])
+        most = np.maximum(np.maximum(three[:, :-2], three[:, 2:]), beside[:, 1:-1])
+        found &= most < ALONE * forces
     return found
 
 

@@ -145,7 +145,7 @@ class FaultWatch:
         else:
             watch = self._rows[phi.fingerprint]
             given, believed = self._frame.cleaned(watch.rows, given, expected)
-            if watch.left_out.any():
+            if watch.n_out:
                 believed = np.where(watch.left_out, expected, believed).astype(np.float32)
         self._log_frame(was_off)
         return given, believed
@@ -185,17 +185,23 @@ class FaultWatch:
             self._taxels.search(forces)
         if self._chosen:
             return False
+        residual = believed - fitted
         if self._taxels is not None:
-            self._taxels.update(phi, forces, believed - fitted)
-        return self._looks_at_rows and self._update_rows(self._rows[phi.fingerprint], given, fitted)
+            self._taxels.update(phi, forces, residual)
+        if not self._looks_at_rows:
+            return False
+        known = residual if given is believed else None
+        return self._update_rows(self._rows[phi.fingerprint], given, fitted, known)
 
     @property
     def _looks_at_rows(self) -> bool:
         return self._watch_rows and self._noisy
 
-    def _update_rows(self, watch: RowWatch, y: Floats, fitted: Floats) -> bool:
-        before, was_swamped = watch.left_out.copy(), watch.swamped
-        if watch.update(y, fitted):
+    def _update_rows(
+        self, watch: RowWatch, y: Floats, fitted: Floats, residual: Floats | None
+    ) -> bool:
+        before, was_swamped = watch.left_out, watch.swamped
+        if watch.update(y, fitted, residual):
             self._describe_rows()
             new, healed = watch.left_out & ~before, before & ~watch.left_out
             for rows, what in ((new, "left out, faulty"), (healed, "used again")):
