@@ -21,6 +21,8 @@ from .rows import CompiledRows
 from .tuning import SkinTuning
 from .vectors import NEGLIGIBLE, UNKNOWN, neighbours_of
 
+_PLACE = {name: k for k, name in enumerate(NUMBERS.names or ())}
+
 
 class CompiledEstimator:
     """The same as `SkinEstimator` of one patch but for rounding; it needs numba.
@@ -39,6 +41,7 @@ class CompiledEstimator:
         self._rows, self._averaged = rows, tuning.averaged
         self.noise_sd = 0.0
         self.noise_model: NoiseModel | None = None
+        self._stated: tuple[float, NoiseModel | None] | None = None
         n, weights = rows.n, gates or Gates.zero()
         of_modules = {
             "resolution": RESOLUTION,
@@ -65,6 +68,7 @@ class CompiledEstimator:
             [tuple(constants[name] for name in CONSTANTS.names or ())], CONSTANTS
         )
         self._numbers = np.zeros(1, NUMBERS)
+        self._number = self._numbers.view(np.float64)  # a field of a record takes far longer
         self._vectors, self._recall = np.zeros((11, n), dtype=np.float32), np.zeros(3)
         neighbours, *others = _tables(tiles)
         self._of_skin = neighbours, rows.groups, rows.scale, *others
@@ -85,6 +89,7 @@ class CompiledEstimator:
         self._vectors[4] = UNKNOWN
         self._numbers["trust"] = self._numbers["trusted"] = 1
         self._known.clear()
+        self._stated = None
         self.n_shifts = 0
 
     def start_from(self, x: Floats) -> None:
@@ -101,12 +106,10 @@ class CompiledEstimator:
 
     def finish(self, n: int, n_formula: int) -> Floats:
         """As in `SkinEstimator`."""
-        numbers, model = self._numbers[0], self.noise_model
-        numbers["noise_sd"] = self.noise_sd
-        numbers["f_max"] = 0.0 if model is None else model.f_max
-        if model is not None:
-            numbers["sigma_mid"], numbers["sigma_end"] = model.sigma_mid, model.sigma_end
-            numbers["clips"], numbers["of_touched"] = model.clips, model.of_touched
+        stated = self.noise_sd, self.noise_model
+        if stated != self._stated:
+            self._stated = stated
+            self._state(*stated)
         last, ones = self._last[self._subset]
         frame = *self._read, ones, last, self._subset in self._known
         self._known.add(self._subset)
@@ -122,22 +125,31 @@ class CompiledEstimator:
         self.n_shifts = (self.n_shifts + (n_formula + n if n else 0)) % len(SHIFTS)
         return forces
 
+    def _state(self, noise_sd: float, model: NoiseModel | None) -> None:
+        """Note the noise that the skin states."""
+        numbers = self._numbers[0]
+        numbers["noise_sd"] = noise_sd
+        numbers["f_max"] = 0.0 if model is None else model.f_max
+        if model is not None:
+            numbers["sigma_mid"], numbers["sigma_end"] = model.sigma_mid, model.sigma_end
+            numbers["clips"], numbers["of_touched"] = model.clips, model.of_touched
+
     @property
     def noise(self) -> float:
         """As of `SkinEstimator`; so are the others."""
-        return float(self._numbers["noise"][0])
+        return self._number.item(_PLACE["noise"])
 
     @property
     def bias(self) -> float:
-        return float(self._numbers["bias"][0])
+        return self._number.item(_PLACE["bias"])
 
     @property
     def stated_error(self) -> float:
-        return float(self._numbers["stated_error"][0])
+        return self._number.item(_PLACE["stated_error"])
 
     @property
     def trusted(self) -> bool:
-        return bool(self._numbers["trusted"][0])
+        return bool(self._number.item(_PLACE["trusted"]))
 
 
 @lru_cache(maxsize=16)

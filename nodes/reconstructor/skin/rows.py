@@ -114,7 +114,7 @@ class HadamardRows(Rows):
 
     def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
         rows = self.forward(x)
-        return [rows[self._of(phi)[2]] for phi in phis]
+        return [rows.take(self._of(phi)[2], mode="clip") for phi in phis]
 
 
 class CompiledRows(HadamardRows):
@@ -137,6 +137,9 @@ class CompiledRows(HadamardRows):
         sizes = np.repeat(phi.sizes, phi.sizes)[columns]
         self.scale: Floats = np.reciprocal(np.sqrt(sizes)).astype(np.float32)
         return columns, columns
+
+    def values(self, y: Floats) -> Floats:
+        return y.take(self._order, mode="clip")
 
     def forward(self, x: Floats) -> Floats:
         rows = x.copy()

@@ -84,6 +84,9 @@ class SkinSolver(Solver):
         compiled = use_compiled(fast) and is_sbhe(phi)
         self._rows = rows_of(phi, compiled)
         self._cells = self.taxels[self._rows.taxel]
+        self._place = np.zeros(self.mask.shape, dtype=np.intp)  # of each taxel, as in `Rows.taxel`
+        self._place.flat[self._cells] = np.arange(phi.n)
+        self._holes = None if phi.n == self.mask.size else ~self.mask
         tiles, weights = tiles_of(self.mask.shape, self._cells), gates_of(gates)
         if isinstance(self._rows, CompiledRows):
             from .compiled import CompiledEstimator  # needs numba
@@ -134,7 +137,7 @@ class SkinSolver(Solver):
 
     def measured(self, forces: Floats, *phis: Phi) -> list[Floats]:
         """As the function `measured`, by one transform."""
-        return self._rows.measured(forces.reshape(-1)[self._cells], *phis)
+        return self._rows.measured(forces.take(self._cells, mode="clip"), *phis)
 
     def step(self) -> None:
         self._count_step()  # `finish` does all of them in one call
@@ -145,6 +148,7 @@ class SkinSolver(Solver):
         self.error, self.trusted = self._estimator.stated_error, self._estimator.trusted
         if isinstance(self.phi, SubsamplePhi):  # its residuals show no error between its taxels
             self.error, self.trusted = None, True
-        image = np.zeros(self.mask.size, dtype=np.float32)
-        image[self._cells] = forces
-        return self._finite(image.reshape(self.mask.shape))
+        image = forces.take(self._place, mode="clip")
+        if self._holes is not None:
+            image[self._holes] = 0
+        return self._finite(image)

@@ -216,8 +216,8 @@ class Solver(ABC):
 
     def _finite(self, forces: Floats) -> Floats:
         """Return forces that are finite; or forget all frames, and raise SolverError."""
-        # Forces are 0 or more: their sum is finite if all of them are, unless it overflows.
-        if not (math.isfinite(float(forces.sum())) or np.isfinite(forces).all()):
+        # The sum of squares is finite if all of them are, unless it overflows.
+        if not (math.isfinite(np.vdot(forces, forces)) or np.isfinite(forces).all()):
             self.reset()
             raise SolverError(
                 f"{self.name}: the iteration diverged, and starts anew with the next frame: is "
@@ -227,26 +227,14 @@ class Solver(ABC):
 
     def _checked_y(self, y: Floats) -> Floats:
         """Return y as contiguous float32, or raise SolverError."""
-        y = self._shaped_y(y)
-        self._power_of(y)
-        return y
-
-    def _shaped_y(self, y: Floats) -> Floats:
-        """Return y as contiguous float32, or raise SolverError if its shape is another."""
         y = real_floats(y, "solver: y", SolverError)
         if y.shape != (self.phi.m,):
             raise SolverError(
                 f"solver: y has shape {y.shape}; expected ({self.phi.m},): m = {self.phi.m}"
             )
-        return y
-
-    def _power_of(self, y: Floats) -> float:
-        """Return the squared length of y, float32 (m,); SolverError if it is not finite or huge."""
         # The sum of squares is found far sooner than the extremes, and is hardly ever as large.
-        wide = y.astype(np.float64)
-        power = float(wide @ wide)
-        if power < self.y_max**2:
-            return power
+        if np.vdot(y, y) < self.y_max:
+            return y
         if not np.isfinite(y).all():
             bad = int(np.flatnonzero(~np.isfinite(y))[0])
             raise SolverError(f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers")
@@ -254,7 +242,7 @@ class Solver(ABC):
             raise SolverError(
                 f"solver: a measurement is beyond +-{self.y_max:g}: too large for float32"
             )
-        return power
+        return y
 
     def _checked_warm(self, warm: Floats) -> Floats:
         """Return a warm start as contiguous float32, or raise SolverError."""
