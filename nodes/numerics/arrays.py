@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
+from weakref import WeakValueDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -59,6 +61,19 @@ def each_frame(
     else:
         apply(given, out)
     return out
+
+
+_Table = TypeVar("_Table", bound=npt.NDArray[Any])
+_TABLES: WeakValueDictionary[tuple[Any, ...], Any] = WeakValueDictionary()
+
+
+def shared(table: _Table) -> _Table:
+    """The one array that stands for all equal ones, while it is used: the tables of patches that
+    are alike take memory, and cache, once. It must not be modified.
+    """
+    key = table.dtype, table.shape, hashlib.sha256(table.tobytes()).digest()
+    found: _Table = _TABLES.setdefault(key, table)
+    return found
 
 
 def edged(field: npt.NDArray[Any]) -> npt.NDArray[Any]:

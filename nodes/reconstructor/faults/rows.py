@@ -9,7 +9,7 @@ import numpy as np
 from sparseskin.messages.quantised import step_of
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask, shared
 
 #: Least participation ratio of rows that can be compared, and rows that are probed for it.
 LEAST_MIXED, N_PROBED = 8.0, 8
@@ -67,20 +67,20 @@ class Subset:
 
     def __init__(self, phi: Phi) -> None:
         self.comparable = mixed_taxels(phi) >= LEAST_MIXED
-        self.ones = phi.forward(np.ones(phi.n, dtype=np.float32))
+        self.ones = shared(phi.forward(np.ones(phi.n, dtype=np.float32)))
         size = np.abs(self.ones)
         heavy = size > HEAVY * size.max()
         self.heavy: Indices = np.flatnonzero(heavy)
-        self.light: Mask = ~heavy
-        kept, self.starts, self.block = np.unique(
-            blocks_of(phi), return_index=True, return_inverse=True
-        )
+        self.light: Mask = shared(~heavy)
+        kept, self.starts, block = np.unique(blocks_of(phi), return_index=True, return_inverse=True)
+        self.block = shared(block)
         n_light = np.add.reduceat(self.light.astype(np.float32), self.starts)
         self.n_light: Floats = np.maximum(n_light, 1)
-        self.bound = np.full(phi.m, 2 * phi.n, dtype=np.float32)
+        bound = np.full(phi.m, 2 * phi.n, dtype=np.float32)
         if is_sbhe(phi):  # all rows but the sums of blocks have random signs
             sizes = np.array(phi.sizes, dtype=np.float32)[kept][self.block]
-            self.bound = np.where(heavy, 2 * sizes, np.float32(OUTLYING))
+            bound = np.where(heavy, 2 * sizes, np.float32(OUTLYING))
+        self.bound = shared(bound)
         sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
         self.like = phi.n / phi.m**2 * float(np.square(sums).max())
         self.offset_like: Indices = np.flatnonzero(sums > 0.9 * sums.max())
@@ -168,7 +168,7 @@ class RowWatch:
         rate = max(LIVELY_RATE, 1 / self._n_frames)
         self._lively += rate * (n_changed / y.size - self._lively)
         self._n_constant = 0 if all_changed else int(np.count_nonzero(self._constant()))
-        return self._n_constant > 0 or np.count_nonzero(np.square(residual) > self._bound) > 0
+        return self._n_constant > 0 or bool((np.square(residual) > self._bound).any())
 
     def _look(self, y: Floats) -> bool:
         """Compare all rows with their peers; return True if `left_out` has changed."""

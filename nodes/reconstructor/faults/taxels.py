@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, edged, of_nine
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, edged, of_nine, shared
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 #: Frames between two searches for dead or saturated taxels, and for taxels that stand alone: with
@@ -204,12 +205,13 @@ class TaxelWatch:
 
     def __init__(self, mask: Mask, noise: NoiseModel, log: Callable[[str], None]) -> None:
         self._mask, self._noise, self._log = mask, noise, log
-        self._taxels = np.flatnonzero(mask)
-        self._number = np.cumsum(mask.reshape(-1)) - 1
+        self._taxels = shared(np.flatnonzero(mask))
+        self._number = shared(np.cumsum(mask.reshape(-1)) - 1)
         self._least = LEAST_FORCE * noise.f_max
         self._suspects: dict[tuple[int, ...], _Suspect] = {}
-        self._groups = _groups(mask)
-        self._probes = np.array([places[:: places.size // 4][:4] for places, _ in self._groups])
+        self._groups = _groups(mask.shape, mask.tobytes())
+        probes = [places[:: places.size // 4][:4] for places, _ in self._groups]
+        self._probes = shared(np.array(probes))
         self._last: dict[str, Floats] = {}
         self._columns: dict[tuple[str, int], Floats] = {}
         self._n_frames = 0
@@ -398,9 +400,13 @@ def alone(forces: Floats, mask: Mask, least: float) -> Mask:
     return found
 
 
-def _groups(mask: Mask) -> list[tuple[Indices, Indices]]:
-    """Return rows, columns and squares of taxels, and those beside each, as places in the grid."""
-    n_rows, n_cols = mask.shape
+@lru_cache(maxsize=8)
+def _groups(shape: tuple[int, int], exists: bytes) -> list[tuple[Indices, Indices]]:
+    """Return rows, columns and squares of taxels, and those beside each, as places in the grid;
+    `exists` are the bytes of the mask.
+    """
+    n_rows, n_cols = shape
+    mask = np.frombuffer(exists, dtype=np.bool_).reshape(shape)
     cells = np.arange(mask.size).reshape(mask.shape)
     boxes = [(row, row + 1, 0, n_cols) for row in range(n_rows)]
     boxes += [(0, n_rows, col, col + 1) for col in range(n_cols)]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, shared
 from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.kernels import CONSTANTS, NUMBERS, skin_frame
 from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
@@ -101,7 +101,7 @@ class CompiledEstimator:
         rows = self._rows
         if subset not in self._last:
             ones = rows.forward(np.ones(rows.n, dtype=np.float32))[rows.read]
-            self._last[subset] = np.zeros((2, y.size), dtype=np.float32), ones
+            self._last[subset] = np.zeros((2, y.size), dtype=np.float32), shared(ones)
         self._subset, self._read = subset, (rows.values(y), rows.read)
 
     def finish(self, n: int, n_formula: int) -> Floats:

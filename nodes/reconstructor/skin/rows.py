@@ -9,7 +9,7 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts, side_by_side
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, shared
 from sparseskin.nodes.numerics.compiled import ready
 
 from .backend import ONE, Array, Backend
@@ -79,8 +79,8 @@ class HadamardRows(Rows):
         self.n = self.n_rows = phi.n
         self._array, self._joined = backend.array, backend.xp.concatenate
         taxels, rows = self._transform_of(phi)
-        self.taxel = phi.permutation[taxels]
-        self._place_of_row = np.argsort(rows)
+        self.taxel = shared(phi.permutation[taxels])
+        self._place_of_row = shared(np.argsort(rows))
         #: By row subset: the rows read; the order of their measurements; the row of each of these.
         self._known: dict[str, tuple[Array, Array, Indices]] = {}
         self.use(phi)
@@ -99,8 +99,8 @@ class HadamardRows(Rows):
             assert isinstance(phi, SbhePhi)
             places = self._place_of_row[phi.rows]
             order = np.argsort(places)
-            known = self._array(places[order]), self._array(order), places
-            self._known[phi.fingerprint] = known
+            read, order, places = map(shared, (places[order], order, places))
+            self._known[phi.fingerprint] = self._array(read), self._array(order), places
         return self._known[phi.fingerprint]
 
     def values(self, y: Array) -> Array:
@@ -135,11 +135,12 @@ class CompiledRows(HadamardRows):
         self._loop = orthonormal
         columns, self.groups = side_by_side(phi.sizes)
         sizes = np.repeat(phi.sizes, phi.sizes)[columns]
-        self.scale: Floats = np.reciprocal(np.sqrt(sizes)).astype(np.float32)
+        self.scale: Floats = shared(np.reciprocal(np.sqrt(sizes)).astype(np.float32))
         return columns, columns
 
     def values(self, y: Floats) -> Floats:
-        return y.take(self._order, mode="clip")
+        order: Indices = self._order
+        return y.take(order, mode="clip")
 
     def forward(self, x: Floats) -> Floats:
         rows = x.copy()

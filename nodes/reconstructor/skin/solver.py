@@ -10,7 +10,7 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
@@ -83,9 +83,10 @@ class SkinSolver(Solver):
         tuning = tuning or SkinTuning()
         compiled = use_compiled(fast) and is_sbhe(phi)
         self._rows = rows_of(phi, compiled)
-        self._cells = self.taxels[self._rows.taxel]
-        self._place = np.zeros(self.mask.shape, dtype=np.intp)  # of each taxel, as in `Rows.taxel`
-        self._place.flat[self._cells] = np.arange(phi.n)
+        self._cells = shared(self.taxels[self._rows.taxel])
+        place = np.zeros(self.mask.shape, dtype=np.intp)
+        place.flat[self._cells] = np.arange(phi.n)
+        self._place = shared(place)  # of each taxel, as in `Rows.taxel`
         self._holes = None if phi.n == self.mask.size else ~self.mask
         tiles, weights = tiles_of(self.mask.shape, self._cells), gates_of(gates)
         if isinstance(self._rows, CompiledRows):

@@ -16,7 +16,7 @@ from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, real_floats
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, real_floats, shared
 from sparseskin.nodes.numerics.compiled import check_fast
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -105,9 +105,9 @@ class Solver(ABC):
             )
         self.phi = phi
         self.basis = basis
-        self.mask: Mask = mask.copy()
-        self.taxels: Indices = np.flatnonzero(mask)
-        self._inside: Floats = mask.astype(np.float32)
+        self.mask: Mask = shared(mask.copy())
+        self.taxels: Indices = shared(np.flatnonzero(mask))
+        self._inside: Floats = shared(mask.astype(np.float32))
         #: True between `use` and the frame that it is for.
         self._subset_stated = False
         #: Steps left in the current frame; `setup` sets it, `finish` clears it.
