@@ -76,11 +76,10 @@ class Subset:
         self.block = shared(block)
         n_light = np.add.reduceat(self.light.astype(np.float32), self.starts)
         self.n_light: Floats = np.maximum(n_light, 1)
-        bound = np.full(phi.m, 2 * phi.n, dtype=np.float32)
+        self.bound = np.full(phi.m, 2 * phi.n, dtype=np.float32)
         if is_sbhe(phi):  # all rows but the sums of blocks have random signs
             sizes = np.array(phi.sizes, dtype=np.float32)[kept][self.block]
-            bound = np.where(heavy, 2 * sizes, np.float32(OUTLYING))
-        self.bound = shared(bound)
+            self.bound = np.where(heavy, 2 * sizes, np.float32(OUTLYING))
         sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
         self.like = phi.n / phi.m**2 * float(np.square(sums).max())
         self.offset_like: Indices = np.flatnonzero(sums > 0.9 * sums.max())
@@ -168,7 +167,7 @@ class RowWatch:
         rate = max(LIVELY_RATE, 1 / self._n_frames)
         self._lively += rate * (n_changed / y.size - self._lively)
         self._n_constant = 0 if all_changed else int(np.count_nonzero(self._constant()))
-        return self._n_constant > 0 or bool((np.square(residual) > self._bound).any())
+        return bool(self._n_constant or np.count_nonzero(np.square(residual) > self._bound))
 
     def _look(self, y: Floats) -> bool:
         """Compare all rows with their peers; return True if `left_out` has changed."""
@@ -179,11 +178,9 @@ class RowWatch:
         # A force below a step is read as 0 or as a step, in turn.
         noise2 += step * step / 4
         evidence, odd = self._evidence, self._oddness(noise2)
-        if not (self._suspects or self._n_constant or np.count_nonzero(odd > ODD)):
-            self.swamped = False
-            return False
-        evidence[:] = np.where((evidence > 0) | (odd > ODD), evidence + odd - ALLOWED, 0)
-        np.clip(evidence, 0, 2 * ENOUGH, out=evidence)
+        if self._suspects or np.count_nonzero(odd > ODD):  # else it is 0, and stays so
+            evidence[:] = np.where((evidence > 0) | (odd > ODD), evidence + odd - ALLOWED, 0)
+            np.clip(evidence, 0, 2 * ENOUGH, out=evidence)
         if not evidence.any() and not self._n_constant and not self.n_out:
             self._suspects = self.swamped = False
             return False

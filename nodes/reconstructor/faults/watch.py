@@ -188,20 +188,16 @@ class FaultWatch:
         residual = believed - fitted
         if self._taxels is not None:
             self._taxels.update(phi, forces, residual)
-        if not self._looks_at_rows:
-            return False
-        known = residual if given is believed else None
-        return self._update_rows(self._rows[phi.fingerprint], given, fitted, known)
+        watch, left = self._rows[phi.fingerprint], residual if given is believed else None
+        return self._looks_at_rows and self._update_rows(watch, given, fitted, left)
 
     @property
     def _looks_at_rows(self) -> bool:
         return self._watch_rows and self._noisy
 
-    def _update_rows(
-        self, watch: RowWatch, y: Floats, fitted: Floats, residual: Floats | None
-    ) -> bool:
+    def _update_rows(self, watch: RowWatch, y: Floats, fitted: Floats, left: Floats | None) -> bool:
         before, was_swamped = watch.left_out, watch.swamped
-        if watch.update(y, fitted, residual):
+        if watch.update(y, fitted, left):
             self._describe_rows()
             new, healed = watch.left_out & ~before, before & ~watch.left_out
             for rows, what in ((new, "left out, faulty"), (healed, "used again")):

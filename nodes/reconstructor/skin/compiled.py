@@ -21,8 +21,6 @@ from .rows import CompiledRows
 from .tuning import SkinTuning
 from .vectors import NEGLIGIBLE, UNKNOWN, neighbours_of
 
-_PLACE = {name: k for k, name in enumerate(NUMBERS.names or ())}
-
 
 class CompiledEstimator:
     """The same as `SkinEstimator` of one patch but for rounding; it needs numba.
@@ -68,7 +66,6 @@ class CompiledEstimator:
             [tuple(constants[name] for name in CONSTANTS.names or ())], CONSTANTS
         )
         self._numbers = np.zeros(1, NUMBERS)
-        self._number = self._numbers.view(np.float64)  # a field of a record takes far longer
         self._vectors, self._recall = np.zeros((11, n), dtype=np.float32), np.zeros(3)
         neighbours, *others = _tables(tiles)
         self._of_skin = neighbours, rows.groups, rows.scale, *others
@@ -77,7 +74,7 @@ class CompiledEstimator:
         self._weights = [np.ascontiguousarray(array) for array in (*of_hidden, *of_gates)]
         self._gated = gates is not None
         of_net = len(weights.filters), len(weights.hidden_0)
-        self._sizes = n, tiles.canvas.size, tiles.most, *of_net
+        self._sizes = tuning.averaged, n, rows.read.size, tiles.canvas.size, tiles.most, *of_net
         #: By row subset: the last measurements and innovation; Phi 1.
         self._last: dict[str, tuple[Floats, Floats]] = {}
         self._known: set[str] = set()
@@ -106,17 +103,14 @@ class CompiledEstimator:
 
     def finish(self, n: int, n_formula: int) -> Floats:
         """As in `SkinEstimator`."""
-        stated = self.noise_sd, self.noise_model
-        if stated != self._stated:
-            self._stated = stated
+        if (stated := (self.noise_sd, self.noise_model)) != self._stated:
             self._state(*stated)
         last, ones = self._last[self._subset]
         frame = *self._read, ones, last, self._subset in self._known
         self._known.add(self._subset)
         forces = np.empty(self._rows.n, dtype=np.float32)
-        of_read = np.empty((3, ones.size), dtype=np.float32)
         steps = self.n_shifts, n_formula if n else 0, n, self._gated
-        estimates, *scratch = _scratch(self._averaged, *self._sizes)
+        of_read, estimates, *scratch = _scratch(self._sizes)
         estimates = estimates[: max(1, min(n, self._averaged))]
         skin_frame(
             *(*frame, self._vectors, of_read, self._recall, *self._of_skin, *steps),
@@ -127,7 +121,7 @@ class CompiledEstimator:
 
     def _state(self, noise_sd: float, model: NoiseModel | None) -> None:
         """Note the noise that the skin states."""
-        numbers = self._numbers[0]
+        self._stated, numbers = (noise_sd, model), self._numbers[0]
         numbers["noise_sd"] = noise_sd
         numbers["f_max"] = 0.0 if model is None else model.f_max
         if model is not None:
@@ -137,19 +131,19 @@ class CompiledEstimator:
     @property
     def noise(self) -> float:
         """As of `SkinEstimator`; so are the others."""
-        return self._number.item(_PLACE["noise"])
+        return float(self._numbers["noise"][0])
 
     @property
     def bias(self) -> float:
-        return self._number.item(_PLACE["bias"])
+        return float(self._numbers["bias"][0])
 
     @property
     def stated_error(self) -> float:
-        return self._number.item(_PLACE["stated_error"])
+        return float(self._numbers["stated_error"][0])
 
     @property
     def trusted(self) -> bool:
-        return bool(self._number.item(_PLACE["trusted"]))
+        return bool(self._numbers["trusted"][0])
 
 
 @lru_cache(maxsize=16)
@@ -174,19 +168,20 @@ def _tables(tiles: Tiles) -> tuple[Any, ...]:
 _OF_THREAD = threading.local()
 
 
-def _scratch(averaged: int, n: int, cells: int, most: int, k: int, h: int) -> list[Any]:
+def _scratch(sizes: tuple[int, ...]) -> list[Any]:
     """Estimates and scratch of a frame, shared by the solvers of a thread: they stay in its cache.
 
-    Sizes: estimates that are averaged; taxels; cells of the canvas; tiles; filters; hidden units.
+    Sizes: estimates that are averaged; taxels; rows read; cells of the canvas; tiles; filters;
+    hidden units.
     """
-    key = averaged, n, cells, most, k, h
-    if getattr(_OF_THREAD, "key", None) != key:
+    if getattr(_OF_THREAD, "sizes", None) != sizes:
+        averaged, n, m, cells, most, k, h = sizes
         widths = WINDOW * WINDOW, k, 2 * k, h, k + 1, TILE * TILE
-        shapes = [(max(1, averaged), n), (4, n), n + 1, cells, cells]
+        shapes = [(3, m), (max(1, averaged), n), (4, n), n + 1, cells, cells]
         shapes += [(most, width) for width in widths]
         shapes += [(85, most), (65, most), most]
         _OF_THREAD.arrays = [np.zeros(shape, dtype=np.float32) for shape in shapes]
         _OF_THREAD.arrays.append(np.zeros(most, dtype=np.intp))
-        _OF_THREAD.key = key
+        _OF_THREAD.sizes = sizes
     found: list[Any] = _OF_THREAD.arrays
     return found

@@ -105,7 +105,7 @@ class Solver(ABC):
             )
         self.phi = phi
         self.basis = basis
-        self.mask: Mask = shared(mask.copy())
+        self.mask: Mask = mask.copy()
         self.taxels: Indices = shared(np.flatnonzero(mask))
         self._inside: Floats = shared(mask.astype(np.float32))
         #: True between `use` and the frame that it is for.
