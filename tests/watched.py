@@ -61,10 +61,10 @@ class Desk:
     def _published(self, y: Iterable[Floats | Quantised]) -> Iterator[Message]:
         for k, one in enumerate(y):
             phi = self.subsets[k % len(self.subsets)]
-            measurements = Measurements(
-                stamp_ns=next(self._stamps), patch="skin", y=one, phi=phi.fingerprint
-            )
-            yield from self.node.step(measurements)
+            sent = one.copy()
+            head = {"stamp_ns": next(self._stamps), "patch": "skin", "phi": phi.fingerprint}
+            yield from self.node.step(Measurements(y=sent, **head))
+            sent.fill(0)  # a sender may write to its array again
 
     def restore(self, y: Iterable[Floats | Quantised]) -> Floats:
         """Forces of the frames of measurements y."""

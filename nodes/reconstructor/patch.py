@@ -258,23 +258,23 @@ class Patch:
 
     def _reason(self, of_forces: str) -> str:
         """Why the frame is not to be trusted; "" if it is. `of_forces` is that of its forces."""
-        if self._constant:
-            return "constant"
-        if self.faults.frozen:
-            return "frozen"
-        if self._blind:
-            return "missing"
-        if not self._trusted:
-            return "weak" if self._is_weak else "error"
-        if self.faults.swamped:
-            return "rows"
-        return "stuck" if self.faults.doubts_taxels else of_forces
+        reasons = (
+            ("constant", self._constant),
+            ("frozen", self.faults.frozen),
+            ("missing", self._blind),
+            ("weak" if self._is_weak else "error", not self._trusted),
+            ("rows", self.faults.swamped),
+            ("stuck", self.faults.doubts_taxels),
+        )
+        return next((reason for reason, applies in reasons if applies), of_forces)
 
     @property
     def _is_weak(self) -> bool:
-        """True if neither a force nor the estimated error stands out of the noise of the skin."""
+        """True if a frame is not trusted, though neither its forces nor its estimated error stand
+        out of the noise of the skin.
+        """
         noise, error, forces = getattr(self.solver, "noise_sd", 0.0), self._error, self._last
-        if error is None or forces is None or error > noise:
+        if self._trusted or error is None or forces is None or error > noise:
             return False
         return not in_contact(forces, self._f_max, noise)
 

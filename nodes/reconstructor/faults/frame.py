@@ -127,7 +127,6 @@ class FrameWatch:
         self._f_max = np.float32(state.f_max)
         self._mask = mask
         self._n_taxels = int(np.count_nonzero(mask))
-        self._n_unsampled = self._n_taxels - int(np.count_nonzero(mask[::4]))
         self._since_uniform = SWINGS
         self._rows: Subset | None = None
         self.offset = 0.0
@@ -264,13 +263,11 @@ class FrameWatch:
 
     def _is_uniform(self, forces: Floats, error: float) -> bool:
         """True if all taxels have risen together, by more than the error or clearly."""
-        level, least = np.float32(LEVEL * self._sd), 0.9 * self._n_taxels
+        level = LEVEL * self._sd
         if not self._sd or self._n_taxels < LEAST_UNIFORM:
             return False
-        if np.count_nonzero(forces[::4] > level) + self._n_unsampled < least:
-            return False  # a quarter of the rows shows that of most frames
-        if np.count_nonzero(forces > level) < least:
-            return False  # a quantile takes a sort
+        if np.count_nonzero(forces > np.float32(level)) < 0.9 * self._n_taxels:
+            return False  # so are most frames, and a quantile takes a sort
         low, middle = np.quantile(forces[self._mask], (0.1, 0.5))
         risen = middle > error or low > ALIKE * self._sd
         return bool(risen and middle - low < ALIKE * self._sd)
