@@ -123,7 +123,7 @@ def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     advice = ""
     if counts["error"]:
         rotate = "" if all(p["rows"] == "rotating" for p in every) else " or rotating rows"
-        advice = f"; if that lasts, more measurements{rotate} may help"
+        advice = f"; if the error lasts, more measurements{rotate} may help"
     are = "is" if n == 1 else "are"
     text = f"{n} of {total} frames {are} in doubt: {reasons}{advice}."
     return textwrap.fill(text, WIDTH)

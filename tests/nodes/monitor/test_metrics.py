@@ -314,7 +314,7 @@ def test_frames_that_the_solver_does_not_trust_are_counted():
     ]
     assert " ".join(table.split("=\n")[-1].split()) == (
         "2 of 6 frames are in doubt: the estimated error is a large part of the forces, as at "
-        "first touch; if that lasts, more measurements or rotating rows may help."
+        "first touch; if the error lasts, more measurements or rotating rows may help."
     )
 
 
