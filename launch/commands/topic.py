@@ -60,9 +60,13 @@ def _list(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
     topics = list(topics_of(describe(graph)).values())
     rows = [
-        [topic["topic"], "latched" * topic["latched"], topic["publisher"] or ELSEWHERE, readers]
+        [
+            topic["topic"],
+            "latched" if topic["latched"] else "",
+            topic["publisher"] or ELSEWHERE,
+            ", ".join(reader["node"] for reader in topic["subscribers"]),
+        ]
         for topic in topics
-        for readers in (", ".join(reader["node"] for reader in topic["subscribers"]),)
     ]
     head = ["TOPIC (/PATCH/SCHEMA)", "", "PUBLISHER", "SUBSCRIBERS"]
     document = {"graph": graph.label, "topics": topics}

@@ -139,16 +139,14 @@ class RowWatch:
         self.swamped = False
         self._count_peers()
 
-    def update(self, y: Floats, fitted: Floats, residual: Floats | None = None) -> bool:
-        """Process measurements as received, and Phi times the frame, `fitted`; float32 (m,).
-
-        `residual` is y - fitted, where it is known already. The arrays are kept, not copied. Return
-        True if `left_out` has changed.
+    def update(self, y: Floats, residual: Floats) -> bool:
+        """Process measurements as received, and what they exceed Phi times the frame by; float32
+        (m,), kept, not copied. Return True if `left_out` has changed.
         """
         if not self.rows.comparable:
             return False
         self._n_frames += 1
-        look = self._glance(y, y - fitted if residual is None else residual)
+        look = self._glance(y, residual)
         if self._n_frames == 1:
             return False  # no change from frame to frame is known yet
         due = self._n_frames % EVERY == 0 or self._suspects or look

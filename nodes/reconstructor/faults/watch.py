@@ -129,7 +129,7 @@ class FaultWatch:
         it, float32 (n_rows, n_cols), or None.
         """
         given = y if self._taxels is None else self._taxels.cleaned(phi, y)
-        if not self._looks_at_rows or isinstance(phi, ActsPhi):
+        if not (self._watch_rows and self._noisy) or isinstance(phi, ActsPhi):
             return given, given
         assert self._frame is not None
         known, self._expected = self._expected, None
@@ -183,21 +183,19 @@ class FaultWatch:
         """
         if self._taxels is not None and isinstance(phi, AdaptivePhi):
             self._taxels.search(forces)
-        if self._chosen:
+        if self._chosen or not self._noisy:
             return False
         residual = believed - fitted
         if self._taxels is not None:
             self._taxels.update(phi, forces, residual)
-        watch, left = self._rows[phi.fingerprint], residual if given is believed else None
-        return self._looks_at_rows and self._update_rows(watch, given, fitted, left)
+        if not self._watch_rows:
+            return False
+        left = residual if given is believed else given - fitted
+        return self._update_rows(self._rows[phi.fingerprint], given, left)
 
-    @property
-    def _looks_at_rows(self) -> bool:
-        return self._watch_rows and self._noisy
-
-    def _update_rows(self, watch: RowWatch, y: Floats, fitted: Floats, left: Floats | None) -> bool:
+    def _update_rows(self, watch: RowWatch, y: Floats, residual: Floats) -> bool:
         before, was_swamped = watch.left_out, watch.swamped
-        if watch.update(y, fitted, left):
+        if watch.update(y, residual):
             self._describe_rows()
             new, healed = watch.left_out & ~before, before & ~watch.left_out
             for rows, what in ((new, "left out, faulty"), (healed, "used again")):

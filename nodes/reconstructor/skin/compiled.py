@@ -36,7 +36,7 @@ class CompiledEstimator:
         self, rows: CompiledRows, tiles: Tiles, gates: Gates | None, tuning: SkinTuning
     ) -> None:
         ready(skin_frame)
-        self._rows, self._averaged = rows, tuning.averaged
+        self._rows = rows
         self.noise_sd = 0.0
         self.noise_model: NoiseModel | None = None
         self._stated: tuple[float, NoiseModel | None] | None = None
@@ -104,14 +104,14 @@ class CompiledEstimator:
     def finish(self, n: int, n_formula: int) -> Floats:
         """As in `SkinEstimator`."""
         if (stated := (self.noise_sd, self.noise_model)) != self._stated:
-            self._state(*stated)
+            self._note_noise(*stated)
         last, ones = self._last[self._subset]
         frame = *self._read, ones, last, self._subset in self._known
         self._known.add(self._subset)
         forces = np.empty(self._rows.n, dtype=np.float32)
         steps = self.n_shifts, n_formula if n else 0, n, self._gated
         of_read, estimates, *scratch = _scratch(self._sizes)
-        estimates = estimates[: max(1, min(n, self._averaged))]
+        estimates = estimates[: max(1, n)]
         skin_frame(
             *(*frame, self._vectors, of_read, self._recall, *self._of_skin, *steps),
             *(*self._weights, estimates, *scratch, forces, self._numbers, self._constants),
@@ -119,7 +119,7 @@ class CompiledEstimator:
         self.n_shifts = (self.n_shifts + (n_formula + n if n else 0)) % len(SHIFTS)
         return forces
 
-    def _state(self, noise_sd: float, model: NoiseModel | None) -> None:
+    def _note_noise(self, noise_sd: float, model: NoiseModel | None) -> None:
         """Note the noise that the skin states."""
         self._stated, numbers = (noise_sd, model), self._numbers[0]
         numbers["noise_sd"] = noise_sd
