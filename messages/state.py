@@ -127,7 +127,7 @@ class PhiState(Message):
     seed: int = wire(Integer())
     fingerprint: str = wire(Text(16, FINGERPRINT_PATTERN))
     rows: str = wire(Text(8, "fixed|rotating"), default="fixed", omitted=True)
-    rule: int = wire(Integer(1, 2), default=1, omitted=True)
+    rule: int = wire(Integer(1, 3), default=1, omitted=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,8 +15,8 @@ from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import (
     KINDS,
     RANDOM,
-    SPREAD,
     STORED,
+    SUMS,
     Phi,
     block_of,
     check_parameters,
@@ -144,7 +144,7 @@ class CompressorSettings(PatchesSettings):
         """
         if self.rows == PAPER:
             return self.block or PAPER_BLOCK, RANDOM
-        return block_of(self.phi, self.block), SPREAD
+        return block_of(self.phi, self.block), SUMS
 
     def phis(self, skin: Skin, sigma_end: float = 0.0, clips_noise: bool = True) -> list[Phi]:
         """Return the matrices that measure frames of a skin in turn: one where rows are fixed.

@@ -38,7 +38,7 @@ _CONSTANTS = """
     signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
     most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
     untouched trusted least_read
-    resolution repeated same invisible dust negligible unknown
+    resolution repeated same invisible dust negligible unknown unread
     quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
 """
 CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
@@ -708,7 +708,7 @@ def skin_frame(
     unknown, n_known = np.float32(t.unknown), 0
     for p in range(left.size):
         n_known += left[p] < unknown
-    again = repeated if n_known < left.size else 0.0
+    again = repeated if n_known < (1 - t.unread) * left.size else 0.0
     s.n_repeats = again * (s.n_repeats + 1)
     least = again * s.stated_error**2 * s.n_repeats / (s.n_repeats + 1)
     error2 = max((1 + 1 / np.sqrt(m)) ** 2 * min(error2, fitted), kept2, lacking, least)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.quantised import Quantised, largest_code, n_bytes, packed, unpacked
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SPREAD
+from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SUMS
 from sparseskin.nodes.compressor.phi.rotation import (
     FIXED,
     ROTATING,
@@ -61,7 +61,7 @@ class EdgeDescription(Settings):
         BLOCK, "size of the Hadamard blocks, a power of two", low=1, high=MAX_BLOCK
     )
     seed: int = setting(0, "seed of the matrix", low=0, high=2**32 - 1)
-    rule: int = setting(SPREAD, "rule by which its rows are chosen", low=RANDOM, high=SPREAD)
+    rule: int = setting(SUMS, "rule by which its rows are chosen", low=RANDOM, high=SUMS)
     adc_bits: int = setting(12, "bits of a reading: counts are 0 .. 2^adc_bits - 1", low=1, high=16)
     mask: tuple[str, ...] | None = setting(
         None, "a text a row, 1 where a taxel exists and 0 where none does; all do by default"

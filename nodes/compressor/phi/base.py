@@ -29,6 +29,9 @@ KINDS = {
 MAX_SUBSETS = 64
 """Largest number of row subsets. Chosen: a row that is measured less often than every 64 frames
 adds as good as nothing."""
+UNREAD = 0.01
+"""Largest part of the rows that is in none of the row subsets. Chosen: with one more subset, each
+row waits longer, and errors are larger."""
 LOCAL, STORED = "local:", "file:"
 """Prefixes of kinds with a parameter: the side of a neighbourhood, and a path."""
 _WITH_PARAMETER = {
@@ -38,7 +41,7 @@ _WITH_PARAMETER = {
 BLOCK = 256
 """Size of the Hadamard blocks where none is stated: of sums in software, which need no wires.
 Fitted on five recordings (`sparseskin study accuracy`); 1024 is no better."""
-RANDOM, SPREAD = 1, 2
+RULES = RANDOM, SPREAD, SUMS = 1, 2, 3
 """Rules by which the rows of "sbhe" are chosen, see `SbhePhi`; a message states which."""
 _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
@@ -69,7 +72,7 @@ class Phi(ABC):
     default_block : int
         `block` where none is stated, of a kind.
     rule : int
-        Rule by which the rows were chosen; 2 for a kind that has only one.
+        Rule by which the rows were chosen; 3 for a kind that has only one.
     has_rules : bool
         True if the constructor takes `rule`.
     fingerprint : str
@@ -83,7 +86,7 @@ class Phi(ABC):
 
     kind: str
     default_block: ClassVar[int] = BLOCK
-    rule: int = SPREAD
+    rule: int = SUMS
     #: Rows and columns of the frames that it measures, where they are known.
     grid: tuple[int, int] | None = None
     has_rules: ClassVar[bool] = False
@@ -200,7 +203,7 @@ def block_of(kind: str, block: int | None) -> int:
 
 
 def make_phi(
-    kind: str, n: int, m: int, seed: int, block: int | None = None, rule: int = SPREAD
+    kind: str, n: int, m: int, seed: int, block: int | None = None, rule: int = SUMS
 ) -> Phi:
     """Make a measurement matrix by name.
 
@@ -228,10 +231,12 @@ def make_phi(
     """
     cls, block = phi_class(kind), block_of(kind, block)
     check_parameters(n, m, seed, block)
-    if rule not in (RANDOM, SPREAD):
-        raise PhiError(f"phi: rule = {rule!r} is not allowed; allowed: {RANDOM}, {SPREAD}")
+    if rule not in RULES:
+        raise PhiError(
+            f"phi: rule = {rule!r} is not allowed; allowed: {', '.join(map(str, RULES))}"
+        )
     # The rule of a class is the last one, unless another is stated.
-    chosen = {"rule": rule} if rule != SPREAD and getattr(cls, "has_rules", False) else {}
+    chosen = {"rule": rule} if rule != SUMS and getattr(cls, "has_rules", False) else {}
     try:
         made = cls(n=n, m=m, seed=seed, block=block, **chosen)
     except TypeError as cause:

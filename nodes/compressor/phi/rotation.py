@@ -54,14 +54,14 @@ def split_rows(order: Indices, m: int) -> list[Indices]:
     return [np.sort(np.roll(order, -start)[:m]) for start in starts]
 
 
-def split_evenly(order: Indices, m: int) -> list[Indices]:
-    """Split n rows into P = ceil(n / m) systematic samples of m rows each, ascending.
+def split_evenly(order: Indices, m: int, n_subsets: int | None = None) -> list[Indices]:
+    """Split n rows into P systematic samples of m rows each, ascending; by default ceil(n / m).
 
     `order`, intp, shape (n,), are all rows. Of any k that follow one another, each sample holds
-    k m / n, to less than one; together they hold every row, and where m does not divide n some rows
-    twice.
+    k m / n, to less than one. Together they hold P m rows, or all and some of them twice.
     """
-    n, n_subsets = order.size, -(-order.size // m)
+    n = order.size
+    n_subsets = n_subsets or -(-n // m)
     steps = np.arange(n + 1, dtype=np.int64) * m * n_subsets
     passed = [(steps + subset * n) // (n * n_subsets) for subset in range(n_subsets)]
     return [np.sort(order[np.diff(one) > 0]) for one in passed]
@@ -85,7 +85,7 @@ class RotatingPhi(Phi):
 
     def row_subsets(self) -> list[Phi]:
         """P = ceil(n / m) matrices of m rows, which together hold every row, the first like this
-        one; they share its arrays.
+        one; they share its arrays. A subclass may have more.
         """
         return self._twins(split_rows(self._order, self.m))
 
@@ -100,8 +100,8 @@ class RotatingPhi(Phi):
 def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
     """The matrices that successive frames are measured by.
 
-    `rows` is "fixed": phi alone; or "rotating": P = ceil(n / m) matrices of m rows each, or those
-    of a file; or None: as of `default_rows`. They share their work
+    `rows` is "fixed": phi alone; or "rotating": its `row_subsets`, of m rows each, about n / m, or
+    those of a file; or None: as of `default_rows`. They share their work
     arrays: use all of them in one thread. Raises PhiError if `rows` is neither, the rows of phi
     cannot rotate, or there were more than 64 subsets.
     """

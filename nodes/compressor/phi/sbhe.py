@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .base import BLOCK, RANDOM, SPREAD, Phi
+from .base import BLOCK, MAX_SUBSETS, RANDOM, SPREAD, SUMS, UNREAD, Phi
 from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
@@ -31,11 +31,11 @@ class SbhePhi(RotatingPhi):
     divided by sqrt(B), Q_M keeps m of its rows. Where B does not divide n, the remainder gets
     smaller blocks (16 + 8 + 4 + 2 + 1).
 
-    By rule 2, Q_M keeps the sum of each block, the largest blocks first where m is too small for
-    all, and other rows, in number proportional to those of the blocks. A row subset of rotating
-    rows (`row_subsets`) holds as many rows of each block, whether sums or not, to less than one. By
-    rule 1, the paper's, rows and row subsets are drawn at random from all. With one seed and rule,
-    a smaller m keeps a subset of the rows of a larger one.
+    By rule 3, Q_M keeps the sum of each block, the largest blocks first where m is too small for
+    all, and other rows, in number proportional to those of the blocks. Row subsets of rotating rows
+    (`row_subsets`) are those of `split_with_sums`; by rule 2, of earlier recordings, those of
+    `split_evenly`. By rule 1, the paper's, rows and row subsets are drawn at random from all. With
+    one seed and rule, a smaller m keeps a subset of the rows of a larger one.
 
     Column j of W sees taxel `permutation[j]`, intp (n,); measurement i is its row `rows[i]`, intp
     (m,), ascending, of a block whose 1 / sqrt(B) is `scale[i]`, float32 (m,). `sizes` are those of
@@ -51,7 +51,7 @@ class SbhePhi(RotatingPhi):
     has_rules = True
     by_blocks = True  # of this class itself; a subclass has to state it anew
 
-    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK, rule: int = SPREAD) -> None:
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK, rule: int = SUMS) -> None:
         super().__init__(n, m, seed, block)
         rng = np.random.default_rng(seed)
         permutation = rng.permutation(n).astype(np.intp)
@@ -84,10 +84,12 @@ class SbhePhi(RotatingPhi):
         self.scale: Floats = np.reciprocal(np.sqrt(size))
 
     def row_subsets(self) -> list[Phi]:
-        """As in `RotatingPhi`; by rule 2, the first one is not this matrix."""
+        """As in `RotatingPhi`; but by rule 1, the first one is not this matrix."""
         if self.rule == RANDOM:
             return super().row_subsets()
-        return self._twins(split_evenly(self._by_block, self.m))
+        if self.rule == SPREAD:
+            return self._twins(split_evenly(self._by_block, self.m))
+        return self._twins(split_with_sums(self.sizes, self._by_block, self.m))
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n), built from its definition."""
@@ -131,6 +133,26 @@ def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indice
     turns = blocks[in_proportion((np.array(sizes)[blocks] - 1).tolist())]
     spread[np.argsort(turns, kind="stable")] = others
     return np.concatenate([sums, spread]), by_block
+
+
+def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Indices]:
+    """Split the rows of W into subsets of m rows each, ascending, so that each holds the sum of one
+    of the largest blocks: a random part of the skin, where it is seen what all taxels share.
+
+    Blocks of `sizes` have the rows `by_block`, intp (n,), block after block. Of the other rows each
+    subset holds as many of each block, to less than one, and together they hold every row. Where
+    sums are too few for the ceil(n / m) subsets, some are in several, and up to `UNREAD` of the
+    other rows in none, or else there are more subsets; where these were more than 64, some have no
+    sum. Rows in two subsets are half the subsets apart.
+    """
+    sums = (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
+    others = by_block[~np.isin(by_block, sums)]
+    if sums.size * m < by_block.size and others.size <= MAX_SUBSETS * (m - 1):
+        parts = split_evenly(others, m - 1, math.ceil((1 - UNREAD) * others.size / (m - 1)))
+        parts = [np.sort(np.append(part, sums[k % sums.size])) for k, part in enumerate(parts)]
+    else:
+        parts = split_evenly(np.concatenate([sums, others]), m)
+    return parts[::2] + parts[1::2]
 
 
 def in_proportion(numbers: Sequence[int]) -> Indices:
@@ -180,7 +202,7 @@ class LocalSbhePhi(SbhePhi):
     side: ClassVar[int] = MAX_SIDE
 
     def __init__(
-        self, n: int, m: int, seed: int, block: int = WIRED_BLOCK, rule: int = SPREAD
+        self, n: int, m: int, seed: int, block: int = WIRED_BLOCK, rule: int = SUMS
     ) -> None:
         super().__init__(n, m, seed, block, rule)
         root = math.isqrt(n)

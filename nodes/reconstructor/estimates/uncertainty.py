@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import RANDOM, SPREAD
+from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 
@@ -21,11 +21,11 @@ CHANGE_FLOOR, FORCE_FLOOR = np.float32(0.03), np.float32(0.3)
 #: of the touched taxels, by the geometric mean over the scenes.
 CALIBRATED = {
     "skin": {
-        SPREAD: {FIXED: (1.19, 0.24), ROTATING: (1.29, 0.26)},
+        SUMS: {FIXED: (1.19, 0.24), ROTATING: (1.29, 0.26)},
         RANDOM: {FIXED: (0.77, 0.73), ROTATING: (1.29, 0.28)},
     },
     "fista": {
-        SPREAD: {FIXED: (1.58, 0.72), ROTATING: (1.87, 0.5)},
+        SUMS: {FIXED: (1.58, 0.72), ROTATING: (1.87, 0.5)},
         RANDOM: {FIXED: (1.55, 0.8), ROTATING: (1.55, 0.8)},
     },
 }
@@ -61,9 +61,9 @@ class Uncertainty:
     """
 
     def __init__(
-        self, mask: Mask, ratio: float, solver: str, rows: str = FIXED, rule: int = SPREAD
+        self, mask: Mask, ratio: float, solver: str, rows: str = FIXED, rule: int = SUMS
     ) -> None:
-        factor, power = CALIBRATED[solver][rule][rows]
+        factor, power = CALIBRATED[solver][RANDOM if rule == RANDOM else SUMS][rows]
         self._factor = np.float32(factor * ratio**power)
         self._mask = mask
         self._mean, self._changes = np.zeros((2, *mask.shape), dtype=np.float32)

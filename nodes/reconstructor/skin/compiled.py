@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sparseskin.nodes.compressor.phi.base import UNREAD
 from sparseskin.nodes.numerics.arrays import Floats, shared
 from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.kernels import CONSTANTS, NUMBERS, skin_frame
@@ -49,6 +50,7 @@ class CompiledEstimator:
             "dust": DUST,
             "negligible": NEGLIGIBLE,
             "unknown": UNKNOWN,
+            "unread": UNREAD,
             "quiet": QUIET,
             "single": tiles.strictness * STANDS_OUT[0],
             "by_3": tiles.strictness * STANDS_OUT[1],

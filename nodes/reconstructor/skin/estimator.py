@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sparseskin.nodes.compressor.phi.base import UNREAD
 from sparseskin.nodes.numerics.arrays import TINY
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -237,9 +238,9 @@ class SkinEstimator:
         fitted = o.sqrt(o.sqrt(residual2**3 * settled.residual2))
         few = (1 + 1 / math.sqrt(self._values.shape[-1])) ** 2
         error2 = few * o.minimum((1 - part) * error2, fitted)
-        # Of rows that are never read, the same measurements leave the same errors: repeats lower
+        # Where many rows are never read, the same measurements leave the same errors: repeats lower
         # them at most as other measurements would.
-        some = self._vectors.n_known < self._rows.n
+        some = self._vectors.n_known < (1 - UNREAD) * self._rows.n
         again = o.where(some, self._repeated, o.zero)
         self._n_repeats = again * (self._n_repeats + 1)
         least = again * self.stated_error**2 * self._n_repeats / (self._n_repeats + 1)

@@ -11,7 +11,7 @@ from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import Measurements, Reconstruction
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, SPREAD, Phi, block_of, make_phi
+from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, RULES, SUMS, Phi, block_of, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import PhiError
@@ -24,7 +24,7 @@ BLOCKS = st.sampled_from([1, 2, 4, 8, 32, 64, 256, 1024])
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def sbhe(n, m, seed=0, block=256, rule=SPREAD):
+def sbhe(n, m, seed=0, block=256, rule=SUMS):
     return make_phi("sbhe", n, m, seed, block, rule)
 
 
@@ -62,22 +62,32 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
-def test_row_subsets_have_rows_of_each_block_and_together_all(n, data, block, seed):
+def test_row_subsets_have_a_sum_and_rows_of_each_block_and_together_nearly_all(
+    n, data, block, seed
+):
     m = data.draw(st.integers(-(-n // 64), n))
-    subsets = row_subsets(sbhe(n, m, seed, block), "rotating")
-    assert len(subsets) == -(-n // m)
-    times = np.zeros(n, dtype=np.intp)
+    phi = sbhe(n, m, seed, block)
+    sums = starts(phi)[np.equal(phi.sizes, max(phi.sizes))]
+    others = numbers_of(phi, np.setdiff1d(np.arange(n), sums))
+    subsets = row_subsets(phi, "rotating")
+    assert -(-n // m) <= len(subsets) <= 64
+    times, n_sums = np.zeros(n, dtype=np.intp), []
     for phi in subsets:
         assert phi.rows.size == m
         assert (np.diff(phi.rows) > 0).all()
-        assert (np.abs(numbers_of(phi, phi.rows) - m * np.array(phi.sizes) / n) < 1).all()
+        n_sums.append(np.isin(sums, phi.rows).sum())
+        held = numbers_of(phi, np.setdiff1d(phi.rows, sums))
+        assert (np.abs(held - held.sum() * others / max(1, others.sum())) < 1).all()
         times[phi.rows] += 1
-    assert times.min() >= 1
-    assert times.max() <= 2
+    assert np.count_nonzero(times == 0) <= 0.01 * n
+    assert np.delete(times, sums).max(initial=0) <= 2
+    # A sum in each, as many as there are of them, but where there were too many subsets.
+    assert max(n_sums) - min(n_sums) <= 1
+    assert min(n_sums) >= 1 or n - sums.size > 64 * (m - 1)
     check_phi(phi)
 
 
-@given(n=SIZES, data=st.data(), block=BLOCKS, rule=st.sampled_from([RANDOM, SPREAD]))
+@given(n=SIZES, data=st.data(), block=BLOCKS, rule=st.sampled_from(RULES))
 def test_fewer_rows_of_one_seed_are_among_the_more(n, data, block, rule):
     few, many = sorted(data.draw(st.tuples(st.integers(1, n), st.integers(1, n))))
     phis = [sbhe(n, m, 3, block, rule) for m in (few, many)]
@@ -92,7 +102,7 @@ def test_rules_and_blocks_are_those_of_version_0_1_and_of_today():
     assert ({block_of(kind, None) for kind in KINDS}, block_of("local:8", None)) == ({256}, 32)
     assert block_of("local:8", 64) == 64
     phi = make_phi("sbhe", 1600, 533, 0)
-    assert (phi.block, phi.rule) == (256, SPREAD)
+    assert (phi.block, phi.rule) == (256, SUMS)
     assert CompressorSettings(rows="paper").rows_and_m(1600) == ("fixed", 533)
 
 
@@ -100,11 +110,7 @@ def test_rules_and_blocks_are_those_of_version_0_1_and_of_today():
 @pytest.mark.parametrize("ratio", [1, 5])
 def test_together_the_row_subsets_hold_each_row_of_w_once(kind, ratio):
     n = 240
-    subsets = row_subsets(make_phi(kind, n, n // ratio, seed=1), "rotating")
-    rows = np.concatenate([phi.rows for phi in subsets])
-    np.testing.assert_array_equal(np.sort(rows), np.arange(n))
-    for phi in subsets:
-        check_phi(phi)
+    subsets = row_subsets(make_phi(kind, n, n // ratio, seed=1, block=32), "rotating")
     whole = np.concatenate([phi.dense() for phi in subsets])
     np.testing.assert_allclose(whole @ whole.T, np.eye(n), atol=1e-12)
 

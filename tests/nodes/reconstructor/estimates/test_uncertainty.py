@@ -7,7 +7,7 @@ from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
 
 from sparseskin.messages import Reconstruction, decode, encode
-from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SPREAD, make_phi
+from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SUMS, make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED, Uncertainty
@@ -27,7 +27,7 @@ def held(preset, body):
     truth = np.array([frame for frame, _ in press_frames(body, SHAPE, 150, 1)])
     shape, n = truth.shape[1:], truth[0].size
     # The rows that belong to the preset.
-    block, rule = (PAPER_BLOCK, RANDOM) if preset == "paper" else (BLOCK, SPREAD)
+    block, rule = (PAPER_BLOCK, RANDOM) if preset == "paper" else (BLOCK, SUMS)
     phi = make_phi("sbhe", n, n // 3, 0, block, rule)
     solver = make_solver(name, phi, make_basis(chosen["basis"], *shape))
     uncertainty = Uncertainty(solver.mask, phi.ratio, name, rule=rule)
@@ -77,7 +77,7 @@ def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin():
     frame = np.random.default_rng(0).uniform(0, 0.01, (9, 7)).astype(np.float32)
     frame[:3, :2] += 0.5
     frame[6:, 4:] += 0.5
-    factor, power = CALIBRATED["skin"][SPREAD]["fixed"]
+    factor, power = CALIBRATED["skin"][SUMS]["fixed"]
     sd = Uncertainty(np.ones((9, 7), np.bool_), 3.0, "skin").update(frame, 0.02)
     expected = deviations_by_definition(frame, 0.02, factor * 3.0**power)
     assert (sd > 0).all()

@@ -87,11 +87,11 @@ def test_of_rotating_rows_a_faulty_one_is_found_in_its_subset(preset, everywhere
         if everywhere or subset == 1:
             y[subset::3, FAULTY] = 0
     desk = Desk(phi, rows="rotating", preset=preset)
-    desk.restore(y[: 3 * (CONSTANT - 1)])
-    assert desk.node.state()["left_out"] == ""
+    listed = "5 of 534 of row subset {} (3, 100, 250, 251, 400)"
+    desk.restore(y[: 3 * (CONSTANT - 1)])  # found by their errors, at most some of them
+    assert listed.format(1) not in desk.node.state()["left_out"]
     desk.restore(y[3 * (CONSTANT - 1) :])
     left_out = desk.node.state()["left_out"]
-    listed = "5 of 534 of row subset {} (3, 100, 250, 251, 400)"
     found = [subset for subset in range(3) if listed.format(subset) in left_out]
     assert found == ([0, 1, 2] if everywhere else [1])
     assert left_out.count("of row subset") == len(found)
