@@ -279,14 +279,14 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
 @compiled(sums_in_any_order=True)
 def skin_predict(
     x: A, whole: A, values: A, read: A, neighbours: A, groups: A, scale: A,
-    noise: float, error2: float, t: A,
+    noise: float, t: A,
     slopes: A, rows: A, correction: A, predicted: A, moved: A, innovation: A,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Predict a frame, as in `FrameVectors`; slopes and rows are scratch, predicted, moved and
     innovation results. Return the sums of squares of the innovation and of the last correction, and
     of their products.
     """
-    n, largest, energy = x.size, np.float32(0), 0.0
+    n, largest = x.size, np.float32(0)
     for k in range(2):
         slope, following, last = slopes[k], neighbours[k], neighbours[2 + k]
         for p in range(n):
@@ -295,8 +295,6 @@ def skin_predict(
         orthonormal(rows[k], groups, scale)
     for p in range(n):
         largest = max(largest, x[p])
-    for p in range(n):
-        energy += np.float64(x[p]) * np.float64(x[p])
     by_down, by_across = rows[0], rows[1]
     a_e = b_e = c_e = aa = ab = ac = bb = bc = cc = 0.0
     for i in range(read.size):
@@ -308,9 +306,6 @@ def skin_predict(
         bb, bc, cc = bb + b_i * b_i, bc + b_i * c_i, cc + c_i * c_i
     gram = np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]])
     right = np.array([a_e, b_e, c_e])
-    unseen = max(0.0, energy * read.size / n - gram[0, 0])
-    doubt = max(noise, error2)
-    gram[0, 0] += unseen * doubt / (doubt + gram[0, 0] / read.size)
     least = t.ridge**2 * gram[0, 0] + noise
     for j in range(3):
         gram[j, j] += t.ridge * gram[j, j] + least
@@ -633,8 +628,8 @@ def skin_frame(
         values[i] = y[i] - np.float32(s.bias) * ones[i]
     floor = max(t.resolution**2 * power / m, TINY)
     power, of_last, of_both = skin_predict(
-        x, whole, values, read, neighbours, groups, scale, max(s.noise, floor), s.error**2,
-        t, slopes[:2], slopes[2:], correction, predicted, moved, innovation,
+        x, whole, values, read, neighbours, groups, scale, max(s.noise, floor), t,
+        slopes[:2], slopes[2:], correction, predicted, moved, innovation,
     )  # fmt: skip
     e2 = power / m
     alike = of_both / np.sqrt(power * (of_last + t.negligible**2 * power) + TINY)

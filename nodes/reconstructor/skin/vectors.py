@@ -119,9 +119,9 @@ class FrameVectors:
         self.x = x
         self._whole = self._rows.forward(x)
 
-    def predict(self, values: Array, noise: Number, error2: Number) -> None:
-        """Predict the frame from the last one, of error variance error2, and the values of the rows
-        read, float32 (n_read,), whose noise variance was `noise`; set z, `predicted`, `innovation`.
+    def predict(self, values: Array, noise: Number) -> None:
+        """Predict the frame from the last one and the values of the rows read, float32 (n_read,),
+        whose noise variance was `noise`; set z, `predicted` and `innovation`.
         """
         o, t, rows, x = self._o, self._t, self._rows, self.x
         size = values.shape[-1]
@@ -133,10 +133,6 @@ class FrameVectors:
         off = values - seen[0]
         gram = [[o.dot(one, other) for other in seen] for one in seen]
         right = [o.dot(one, off) for one in seen]
-        # Even forces, of which these rows see no more than noise or error, they do not contradict.
-        unseen = o.maximum(o.dot(x, x) * size / rows.n - gram[0][0], o.zero)
-        doubt = o.maximum(noise, error2)
-        gram[0][0] = gram[0][0] + unseen * doubt / (doubt + gram[0][0] / size)
         # A force grows by its own size at most: what is hardly there must not grow to anything.
         least = t.ridge**2 * gram[0][0] + noise
         for k in range(3):
