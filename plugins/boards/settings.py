@@ -336,7 +336,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """A profile as it is written; SourceError if it cannot be read."""
     try:
         if not path.is_file():
-            raise SourceError(f"profile: {path}: there is no such file")
+            raise SourceError(f"profile: {path}: no such file")
         with path.open("rb") as file:
             raw = file.read(MAX_CHARS + 1)
         return parse_toml(raw.decode("utf-8"))

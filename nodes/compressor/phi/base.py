@@ -221,8 +221,8 @@ def make_phi(
     block : int, optional
         As in `Phi`; by default 256, and 32 of "local:SIDE", whose sums are those of wires.
     rule : int
-        Rule by which the rows are chosen, as in `SbhePhi`: 2, or 1 for the paper's and those of
-        recordings of version 0.1. Kinds that have no choice of rules take no notice.
+        Rule by which the rows are chosen, as in `SbhePhi`: 3, or 1 for the paper's and those of
+        recordings of version 0.1, or 2. Kinds that have no choice of rules take no notice.
 
     Raises
     ------

@@ -148,7 +148,8 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
     sums = (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
     others = by_block[~np.isin(by_block, sums)]
     if sums.size * m < by_block.size and others.size <= MAX_SUBSETS * (m - 1):
-        parts = split_evenly(others, m - 1, math.ceil((1 - UNREAD) * others.size / (m - 1)))
+        fewest = max(by_block.size / m, (1 - UNREAD) * others.size / (m - 1))
+        parts = split_evenly(others, m - 1, math.ceil(fewest))
         parts = [np.sort(np.append(part, sums[k % sums.size])) for k, part in enumerate(parts)]
     else:
         parts = split_evenly(np.concatenate([sums, others]), m)

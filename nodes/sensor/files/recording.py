@@ -186,7 +186,7 @@ def reading(name: str) -> Iterator[IO[bytes]]:
         if path.is_dir():
             raise SourceError(f"{name}: is a directory; name one file in it")
         if not path.exists():
-            raise SourceError(f"{name}: there is no such file")
+            raise SourceError(f"{name}: no such file")
         if not path.is_file():
             raise SourceError(f"{name}: is no regular file")
         if not path.stat().st_size:

@@ -270,7 +270,7 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds():
         ("noise =", "nose =", "patches[2].nose: unknown key (did you mean 'noise'?)"),
         ('"left_palm"', '"Left palm"', "patches[0].name: 'Left palm' is no name"),
         ('"left_palm"', '"sole"', "patches[3].name: 'sole' occurs twice"),
-        ('"sole.toml"', '"none.toml"', "none.toml: there is no such file"),
+        ('"sole.toml"', '"none.toml"', "none.toml: no such file"),
         ('"sole.toml"', '"sole.toml"\nrows = 3', "(sole).rows: is stated beside skin"),
         ("[[patches]]", "[patches]", "body.toml: cannot be read"),
     ],

@@ -123,7 +123,7 @@ def test_a_skin_file_with_points_is_calibrated_in_their_order(folder):
         ({"source": "scene:path_40"}, "scene path_40 presses a flat grid; allowed on points: fin"),
         ({"source": "scene:finger_pat"}, "no scene on points is called 'finger_pat'"),
         ({"points": "", "source": "scene:limb_path"}, "limb_path presses a skin of points; state"),
-        ({"points": "none.csv"}, "points: none.csv: there is no such file"),
+        ({"points": "none.csv"}, "points: none.csv: no such file"),
         ({"skin": "six.toml"}, "points: the file of the skin has its own"),
         (
             {"source": "file:five.npy", "unit": "N", "f_max": 10.0},
@@ -194,5 +194,5 @@ def test_patches_of_points_are_a_batch_of_their_own(tmp_path, monkeypatch):
     assert sensor.patches == ("sole",)
     assert sensor.address().n_taxels() == 924
     Path("body.toml").write_text(BODY.replace("example:grip", "a.csv"))
-    with pytest.raises(LaunchError, match=r"a\.csv: there is no such file"):
+    with pytest.raises(LaunchError, match=r"a\.csv: no such file"):
         load("body", ["skin.body=body.toml"])

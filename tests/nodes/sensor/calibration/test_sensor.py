@@ -139,7 +139,7 @@ def test_a_recording_that_ends_before_its_tare_says_so():
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        ({"skin": "plam.toml"}, "skin: plam.toml: there is no such file"),
+        ({"skin": "plam.toml"}, "skin: plam.toml: no such file"),
         ({"skin": "palm.toml", "f_max": 1.0}, "f_max: the file of the skin has its own"),
         ({"skin": "palm.toml", "source": "scene:path_40"}, "skin: a scene has its own"),
         ({"unit": "N\n"}, "expected 1 to 32 printable"),

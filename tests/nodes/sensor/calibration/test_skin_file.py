@@ -194,7 +194,7 @@ def test_arrays_stay_beside_the_file_and_pipes_and_folders_are_refused_at_once(t
     for name, what in (
         ("pipe", "is no regular file"),
         ("folder", "is a directory"),
-        ("none", "there is no such file"),
+        ("none", "no such file"),
     ):
         with pytest.raises(SkinFileError, match=what):
             load_skin(tmp_path / f"{name}.toml")
