@@ -44,7 +44,7 @@ _CONSTANTS = """
 CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
 """Constants of a `CompiledEstimator`: `SkinTuning`, and those of modules of the method."""
 _NUMBERS = """
-    noise bias error trusted least_noise trust signal n_seen n_frames n_repeats stated_error
+    noise bias error trusted least_noise trust signal n_seen n_frames n_repeats left2 stated_error
     noise_sd f_max sigma_mid sigma_end clips of_touched
 """
 NUMBERS = np.dtype([(name, np.float64) for name in _NUMBERS.split()])
@@ -641,8 +641,8 @@ def skin_frame(
             level += last[1, i] * (last[1, i] - innovation[i])
         level = noise + max(1 / n_seen, t.noise_rate) * (max(level / m, 0.0) - noise)
         least = level
+        level = min(level, t.noise_growth * max(noise, s.left2))
         if n_seen > 1 / t.noise_rate + 0.5:
-            level = min(level, t.noise_growth * noise)
             least = min(t.bias_forgotten * s.least_noise, level)
         s.n_seen += new
         s.least_noise = new * least + repeated * s.least_noise
@@ -691,6 +691,7 @@ def skin_frame(
         np.sqrt(s.least_noise), t.invisible * np.sqrt(noise), x, whole, correction, forces,
     )  # fmt: skip
     kept2 = repeated * min(last_error2, noise)
+    s.left2 += (1 - repeated) * (left2 - s.left2)
     s.error = np.sqrt(max((1 - part) * error2, kept2))
     excess, knows_bias = t.unexplained, s.n_frames > t.bias_known + 0.5
     if s.f_max > 0:

@@ -93,7 +93,7 @@ class SkinEstimator:
     #: Numbers that a frame leaves to the next one.
     STATE = (
         *("noise", "bias", "error", "trusted", "_least_noise", "_trust", "_signal"),
-        *("_n_seen", "_n_frames", "_n_repeats", "stated_error"),
+        *("_n_seen", "_n_frames", "_n_repeats", "_left2", "stated_error"),
     )
 
     def __init__(
@@ -116,7 +116,7 @@ class SkinEstimator:
         self.last.clear()
         self.noise = self.bias = self._least_noise = self._signal = zero
         self.error = self.stated_error = zero
-        self._n_seen = self._n_frames = self._n_repeats = zero
+        self._n_seen = self._n_frames = self._n_repeats = self._left2 = zero
         self._trust = zero + 1
         self.trusted = self._o.false == self._o.false
         self.n_shifts = 0
@@ -182,8 +182,10 @@ class SkinEstimator:
         rate = o.maximum(1 / n_seen, o.zero + t.noise_rate)
         known = n_seen > 1 / t.noise_rate + 0.5  # parts of 1 that do not count add up to less
         level = self.noise + rate * (seen - self.noise)
-        level = o.where(known, o.minimum(level, t.noise_growth * self.noise), level)
-        least = o.where(known, o.minimum(t.bias_forgotten * self._least_noise, level), level)
+        # What the last forces explained of their measurements was no noise.
+        most = t.noise_growth * o.maximum(self.noise, self._left2)
+        least, level = level, o.minimum(level, most)
+        least = o.where(known, o.minimum(t.bias_forgotten * self._least_noise, level), least)
         self._n_seen = self._n_seen + counts
         self._least_noise = counts * least + (1 - counts) * self._least_noise
         noise = counts * o.minimum(level, e2) + (1 - counts) * self.noise
@@ -222,6 +224,7 @@ class SkinEstimator:
             *(o.sqrt(self._least_noise), INVISIBLE * o.sqrt(noise)),
         )
         power = settled.power
+        self._left2 += (1 - self._repeated) * (settled.residual2 - self._left2)
         # What the noise of measurements left in the last estimate, the same measurements leave.
         left = self._repeated * o.minimum(last_error2, noise)
         error2 = o.maximum((1 - part) * error2, left)
