@@ -224,7 +224,8 @@ class SkinEstimator:
             *(o.sqrt(self._least_noise), INVISIBLE * o.sqrt(noise)),
         )
         power = settled.power
-        self._left2 += (1 - self._repeated) * (settled.residual2 - self._left2)
+        new = (1 - self._repeated) * (settled.residual2 - self._left2)
+        self._left2 = self._left2 + new
         # What the noise of measurements left in the last estimate, the same measurements leave.
         left = self._repeated * o.minimum(last_error2, noise)
         error2 = o.maximum((1 - part) * error2, left)
