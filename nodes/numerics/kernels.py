@@ -38,7 +38,7 @@ _CONSTANTS = """
     signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
     most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
     untouched trusted least_read
-    resolution repeated same invisible dust negligible unknown unread
+    resolution repeated same invisible dust negligible unknown unread few
     quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
 """
 CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
@@ -279,14 +279,14 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
 @compiled(sums_in_any_order=True)
 def skin_predict(
     x: A, whole: A, values: A, read: A, neighbours: A, groups: A, scale: A,
-    noise: float, t: A,
+    noise: float, error2: float, t: A,
     slopes: A, rows: A, correction: A, predicted: A, moved: A, innovation: A,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Predict a frame, as in `FrameVectors`; slopes and rows are scratch, predicted, moved and
     innovation results. Return the sums of squares of the innovation and of the last correction, and
     of their products.
     """
-    n, largest = x.size, np.float32(0)
+    n, largest, energy = x.size, np.float32(0), 0.0
     for k in range(2):
         slope, following, last = slopes[k], neighbours[k], neighbours[2 + k]
         for p in range(n):
@@ -295,6 +295,8 @@ def skin_predict(
         orthonormal(rows[k], groups, scale)
     for p in range(n):
         largest = max(largest, x[p])
+    for p in range(n):
+        energy += np.float64(x[p]) * np.float64(x[p])
     by_down, by_across = rows[0], rows[1]
     a_e = b_e = c_e = aa = ab = ac = bb = bc = cc = 0.0
     for i in range(read.size):
@@ -306,6 +308,9 @@ def skin_predict(
         bb, bc, cc = bb + b_i * b_i, bc + b_i * c_i, cc + c_i * c_i
     gram = np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]])
     right = np.array([a_e, b_e, c_e])
+    unseen = max(0.0, energy * read.size / n - gram[0, 0])
+    doubt = max(noise, error2)
+    gram[0, 0] += unseen * doubt / (doubt + gram[0, 0] / read.size)
     least = t.ridge**2 * gram[0, 0] + noise
     for j in range(3):
         gram[j, j] += t.ridge * gram[j, j] + least
@@ -321,6 +326,7 @@ def skin_predict(
         a[j] /= gram[j, j]
     explained = max(0.0, a[0] * right[0] + a[1] * right[1] + a[2] * right[2])
     a *= explained / (explained + t.motion * noise) if read.size >= t.least_read else 0.0
+    a[0] = min(a[0], 1.0)
     most = np.float32(largest * max(1.0, 1 + a[0]))
     grown, down, across = np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
     for p in range(n):
@@ -449,6 +455,14 @@ def skin_step(
         weight += d
         v[p] = d * x[p] * scale[p]
     weight /= n
+    first = n
+    for i in range(1, groups.shape[0]):
+        begin, size = groups[i, 0], groups[i, 1]
+        if size * read.size < t.few * n:
+            first, own = min(first, begin), 0.0
+            for p in range(begin, begin + size):
+                own += tau / (tau + variance[p])
+            v[begin : begin + size] *= np.float32(min(weight * size / own, 1.0))
     hadamard(v[:n], groups)
     s = np.float32(np.sqrt(tau * max(1 - weight, 0.0) / weight + floor))
     inverse, per_s = np.float32(1 / weight), one / s
@@ -516,7 +530,8 @@ def skin_step(
     for p in range(n):
         v[p] = found[cells[p]]
     for p in range(n):
-        z[p] += damping * ((v[p] - alpha * x[p]) * more - z[p])
+        step = v[p] if p >= first else (v[p] - alpha * x[p]) * more
+        z[p] += damping * (step - z[p])
         x[p] = v[p]
     return expected * np.float64(s) ** 2, residual2 / read.size
 
@@ -628,8 +643,8 @@ def skin_frame(
         values[i] = y[i] - np.float32(s.bias) * ones[i]
     floor = max(t.resolution**2 * power / m, TINY)
     power, of_last, of_both = skin_predict(
-        x, whole, values, read, neighbours, groups, scale, max(s.noise, floor), t,
-        slopes[:2], slopes[2:], correction, predicted, moved, innovation,
+        x, whole, values, read, neighbours, groups, scale, max(s.noise, floor), s.error**2,
+        t, slopes[:2], slopes[2:], correction, predicted, moved, innovation,
     )  # fmt: skip
     e2 = power / m
     alike = of_both / np.sqrt(power * (of_last + t.negligible**2 * power) + TINY)

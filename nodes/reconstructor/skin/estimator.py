@@ -139,7 +139,7 @@ class SkinEstimator:
         self._floor = o.maximum(RESOLUTION**2 * power, o.zero + TINY)
         self._ones_now = ones, _ = self._ones_of(subset)
         self._values = values = self._rows.values(y) - o.f32(self.bias) * ones
-        vectors.predict(values, o.maximum(self.noise, self._floor))
+        vectors.predict(values, o.maximum(self.noise, self._floor), self.error**2)
         e2 = vectors.innovation2
         last_y, last, known = self.last.get(subset) or (y, vectors.innovation, o.false)
         change = o.largest(o.xp.abs(y - last_y)) / (SAME * o.largest(o.xp.abs(y)) + TINY)

@@ -119,9 +119,9 @@ class FrameVectors:
         self.x = x
         self._whole = self._rows.forward(x)
 
-    def predict(self, values: Array, noise: Number) -> None:
-        """Predict the frame from the last one and the values of the rows read, float32 (n_read,),
-        whose noise variance was `noise`; set z, `predicted` and `innovation`.
+    def predict(self, values: Array, noise: Number, error2: Number) -> None:
+        """Predict the frame from the last one, of error variance error2, and the values of the rows
+        read, float32 (n_read,), whose noise variance was `noise`; set z, `predicted`, `innovation`.
         """
         o, t, rows, x = self._o, self._t, self._rows, self.x
         size = values.shape[-1]
@@ -133,15 +133,18 @@ class FrameVectors:
         off = values - seen[0]
         gram = [[o.dot(one, other) for other in seen] for one in seen]
         right = [o.dot(one, off) for one in seen]
-        # A force grows by its own size at most: what is hardly there must not grow to anything.
+        # Forces of which these rows see no more than noise or error, they do not contradict.
+        unseen = o.maximum(o.dot(x, x) * size / rows.n - gram[0][0], o.zero)
+        doubt = o.maximum(noise, error2)
+        gram[0][0] = gram[0][0] + unseen * doubt / (doubt + gram[0][0] / size)
         least = t.ridge**2 * gram[0][0] + noise
         for k in range(3):
             gram[k][k] = (1 + t.ridge) * gram[k][k] + least
         a = solved(gram, right)
         explained = o.maximum(sum(one * r for one, r in zip(a, right, strict=True)), o.zero)
         used = explained / (explained + t.motion * noise) if size >= t.least_read else o.zero
-        a = [one * used for one in a]
-        # What no row observes must not grow without bound, frame after frame.
+        # What these rows hardly observe must not grow without bound, and frame after frame.
+        a = [o.minimum(a[0] * used, o.zero + 1), *(one * used for one in a[1:])]
         most = o.f32(o.largest(x) * o.maximum(1 + a[0], o.zero + 1))
         moved = x + sum(o.f32(one) * term for one, term in zip(a, terms, strict=True))
         self.z = self.predicted = o.xp.minimum(moved.clip(0, None), most)
@@ -253,14 +256,21 @@ class FrameVectors:
         d = o.f32(tau) / (o.f32(tau) + self._variance)
         mean_d = o.total(d) / rows.n
         s = o.f32(o.sqrt(tau * o.maximum(1 - mean_d, o.zero) / mean_d + floor))
-        u = z + rows.adjoint(d * r) / o.f32(mean_d)
+        dr = d * r
+        for few, _ in rows.few:  # a block that is read more than others would overshoot
+            more = mean_d * few.shape[0] / o.total(d[..., few])
+            dr[..., few] *= o.f32(o.minimum(more, o.zero + 1))
+        u = z + rows.adjoint(dr) / o.f32(mean_d)
         windows = self._tiles.windows(o.xp.concatenate([u / s, self._nothing], axis=-1), shift)
         denoise = shrink if formula or self._gates is None else self._gates.denoise
         tiles, error = denoise(windows, self._tiles.strictness, o)
         x = self._tiles.taxels(tiles, shift) * s
         expected = o.dot(error, self._tiles.shares[shift])
         alpha = o.f32(o.minimum(expected, o.zero + t.most_alpha))
-        self.z = z + t.damping * ((x - alpha * u) / (1 - alpha) - z)
+        step = (x - alpha * u) / (1 - alpha)
+        for _, few in rows.few:  # and what is hardly read must not be extrapolated
+            step[..., few] = x[..., few]
+        self.z = z + t.damping * (step - z)
         return x, expected * o.f64(s) ** 2, residual2
 
     def settle(
