@@ -19,6 +19,8 @@ from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
 MAX_SIDE = 4096
+SMALL = 8
+"""Largest size of a block whose rows all frames read, where they are at most 1 of 8 of these."""
 WIRED_BLOCK = 32
 """Size of the blocks of sums by wires: each block has an amplifier, where its wires meet. Chosen:
 that of the paper."""
@@ -140,19 +142,25 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
     of the largest blocks: a random part of the skin, where it is seen what all taxels share.
 
     Blocks of `sizes` have the rows `by_block`, intp (n,), block after block. Of the other rows each
-    subset holds as many of each block, to less than one, and together they hold every row. Where
+    subset holds as many of each block, to less than one, and together they hold every row; those
+    of blocks of 8 and fewer are in all, as no other row sees their taxels. Where
     sums are too few for the ceil(n / m) subsets, some are in several, and up to `UNREAD` of the
     other rows in none, or else there are more subsets; where these were more than 64, some have no
     sum. Rows in two subsets are half the subsets apart.
     """
+    size = np.repeat(sizes, sizes)[by_block]
     sums = (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
-    others = by_block[~np.isin(by_block, sums)]
-    if sums.size * m < by_block.size and others.size <= MAX_SUBSETS * (m - 1):
-        fewest = max(by_block.size / m, (1 - UNREAD) * others.size / (m - 1))
+    always = by_block[(size <= SMALL) & (size < max(sizes))]
+    always = always if SMALL * always.size <= m else always[:0]
+    others = by_block[~np.isin(by_block, np.concatenate([sums, always]))]
+    m, n = m - always.size, by_block.size - always.size
+    if sums.size * m < n and others.size <= MAX_SUBSETS * (m - 1):
+        fewest = max(n / m, (1 - UNREAD) * others.size / (m - 1))
         parts = split_evenly(others, m - 1, math.ceil(fewest))
-        parts = [np.sort(np.append(part, sums[k % sums.size])) for k, part in enumerate(parts)]
+        parts = [np.append(part, sums[k % sums.size]) for k, part in enumerate(parts)]
     else:
         parts = split_evenly(np.concatenate([sums, others]), m)
+    parts = [np.sort(np.concatenate([part, always])) for part in parts]
     return parts[::2] + parts[1::2]
 
 
