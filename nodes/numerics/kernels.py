@@ -38,7 +38,7 @@ _CONSTANTS = """
     signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
     most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
     untouched trusted least_read
-    resolution repeated same invisible dust negligible unknown unread few
+    resolution repeated same invisible dust negligible unknown unread
     quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
 """
 CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
@@ -455,14 +455,6 @@ def skin_step(
         weight += d
         v[p] = d * x[p] * scale[p]
     weight /= n
-    first = n
-    for i in range(1, groups.shape[0]):
-        begin, size = groups[i, 0], groups[i, 1]
-        if size * read.size < t.few * n:
-            first, own = min(first, begin), 0.0
-            for p in range(begin, begin + size):
-                own += tau / (tau + variance[p])
-            v[begin : begin + size] *= np.float32(min(weight * size / own, 1.0))
     hadamard(v[:n], groups)
     s = np.float32(np.sqrt(tau * max(1 - weight, 0.0) / weight + floor))
     inverse, per_s = np.float32(1 / weight), one / s
@@ -530,8 +522,7 @@ def skin_step(
     for p in range(n):
         v[p] = found[cells[p]]
     for p in range(n):
-        step = v[p] if p >= first else (v[p] - alpha * x[p]) * more
-        z[p] += damping * (step - z[p])
+        z[p] += damping * ((v[p] - alpha * x[p]) * more - z[p])
         x[p] = v[p]
     return expected * np.float64(s) ** 2, residual2 / read.size
 

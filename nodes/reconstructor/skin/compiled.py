@@ -18,7 +18,7 @@ from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
 from .estimator import DUST, INVISIBLE, REPEATED, RESOLUTION, SAME
 from .formula import LEAST, STRICT
 from .gates import CLEARLY, MARGIN, QUIET, SHIFTS, STANDS_OUT, TILE, WINDOW, Gates, Tiles
-from .rows import FEW, CompiledRows
+from .rows import CompiledRows
 from .tuning import SkinTuning
 from .vectors import NEGLIGIBLE, UNKNOWN, neighbours_of
 
@@ -51,7 +51,6 @@ class CompiledEstimator:
             "negligible": NEGLIGIBLE,
             "unknown": UNKNOWN,
             "unread": UNREAD,
-            "few": FEW,
             "quiet": QUIET,
             "single": tiles.strictness * STANDS_OUT[0],
             "by_3": tiles.strictness * STANDS_OUT[1],

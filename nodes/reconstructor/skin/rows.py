@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,10 +20,6 @@ Derived: errors of its measurement, as those of a converter, are divided by the 
 ORTHONORMAL = 1e-5
 """Largest entry of Phi Phi^T - I that is taken for rounding of float32."""
 
-FEW = 8
-"""Rows of a smaller block that a frame reads on average, below which it may read none, or all.
-Chosen."""
-
 
 class Rows(ABC):
     """W, a matrix of orthonormal rows, some of which are read in each frame.
@@ -40,15 +35,12 @@ class Rows(ABC):
         Place p of a vector of taxels holds taxel[p].
     read : ndarray of intp, shape (m,)
         Rows that this frame reads, ascending.
-    few : list of (ndarray of intp, ndarray of intp)
-        Rows and taxels of each block that frames read `FEW` rows of, or fewer.
     """
 
     n: int
     n_rows: int
     taxel: Indices
     read: Indices
-    few: Sequence[tuple[Indices, Indices]] = ()
 
     @abstractmethod
     def use(self, phi: Phi) -> bool:
@@ -89,14 +81,6 @@ class HadamardRows(Rows):
         taxels, rows = self._transform_of(phi)
         self.taxel = shared(phi.permutation[taxels])
         self._place_of_row = shared(np.argsort(rows))
-        self.few = [
-            tuple(
-                self._array(np.flatnonzero((of >= end - size) & (of < end)))
-                for of in (rows, taxels)
-            )
-            for size, end in zip(phi.sizes, np.cumsum(phi.sizes).tolist(), strict=True)
-            if size < phi.sizes[0] and size * phi.m < FEW * phi.n
-        ]
         #: By row subset: the rows read; the order of their measurements; the row of each of these.
         self._known: dict[str, tuple[Array, Array, Indices]] = {}
         self.use(phi)

@@ -256,21 +256,14 @@ class FrameVectors:
         d = o.f32(tau) / (o.f32(tau) + self._variance)
         mean_d = o.total(d) / rows.n
         s = o.f32(o.sqrt(tau * o.maximum(1 - mean_d, o.zero) / mean_d + floor))
-        dr = d * r
-        for few, _ in rows.few:  # a block that is read more than others would overshoot
-            more = mean_d * few.shape[0] / o.total(d[..., few])
-            dr[..., few] *= o.f32(o.minimum(more, o.zero + 1))
-        u = z + rows.adjoint(dr) / o.f32(mean_d)
+        u = z + rows.adjoint(d * r) / o.f32(mean_d)
         windows = self._tiles.windows(o.xp.concatenate([u / s, self._nothing], axis=-1), shift)
         denoise = shrink if formula or self._gates is None else self._gates.denoise
         tiles, error = denoise(windows, self._tiles.strictness, o)
         x = self._tiles.taxels(tiles, shift) * s
         expected = o.dot(error, self._tiles.shares[shift])
         alpha = o.f32(o.minimum(expected, o.zero + t.most_alpha))
-        step = (x - alpha * u) / (1 - alpha)
-        for _, few in rows.few:  # and what is hardly read must not be extrapolated
-            step[..., few] = x[..., few]
-        self.z = z + t.damping * (step - z)
+        self.z = z + t.damping * ((x - alpha * u) / (1 - alpha) - z)
         return x, expected * o.f64(s) ** 2, residual2
 
     def settle(
