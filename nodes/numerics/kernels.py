@@ -697,7 +697,7 @@ def skin_frame(
         np.sqrt(s.least_noise), t.invisible * np.sqrt(noise), x, whole, correction, forces,
     )  # fmt: skip
     kept2 = repeated * min(last_error2, noise)
-    s.left2 += (1 - repeated) * (left2 - s.left2)
+    s.left2 = repeated * s.left2 + (1 - repeated) * left2
     s.error = np.sqrt(max((1 - part) * error2, kept2))
     excess, knows_bias = t.unexplained, s.n_frames > t.bias_known + 0.5
     if s.f_max > 0:

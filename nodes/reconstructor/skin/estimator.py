@@ -224,8 +224,7 @@ class SkinEstimator:
             *(o.sqrt(self._least_noise), INVISIBLE * o.sqrt(noise)),
         )
         power = settled.power
-        new = (1 - self._repeated) * (settled.residual2 - self._left2)
-        self._left2 = self._left2 + new
+        self._left2 = self._repeated * self._left2 + (1 - self._repeated) * settled.residual2
         # What the noise of measurements left in the last estimate, the same measurements leave.
         left = self._repeated * o.minimum(last_error2, noise)
         error2 = o.maximum((1 - part) * error2, left)
