@@ -14,13 +14,15 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .base import BLOCK, MAX_SUBSETS, RANDOM, SPREAD, SUMS, UNREAD, Phi
+from .base import BLOCK, MAX_SUBSETS, RANDOM, SUMS, UNREAD, Phi
 from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
 MAX_SIDE = 4096
-SMALL = 8
-"""Largest size of a block whose rows all frames read, where they are at most 1 of 8 of these."""
+IDENTIFIED, PART, LEAST_M = 32, 4, 64
+"""Largest size of a block whose identifying rows frames hold, in which part of M, and the least M
+where rows rotate (of fewer, each row waits longer for the others). Chosen on skins of 25 to 900
+taxels: without them a single force on a taxel of such a block may be put on another one."""
 WIRED_BLOCK = 32
 """Size of the blocks of sums by wires: each block has an amplifier, where its wires meet. Chosen:
 that of the paper."""
@@ -34,10 +36,10 @@ class SbhePhi(RotatingPhi):
     smaller blocks (16 + 8 + 4 + 2 + 1).
 
     By rule 3, Q_M keeps the sum of each block, the largest blocks first where m is too small for
-    all, and other rows, in number proportional to those of the blocks. Row subsets of rotating rows
-    (`row_subsets`) are those of `split_with_sums`; by rule 2, of earlier recordings, those of
-    `split_evenly`. By rule 1, the paper's, rows and row subsets are drawn at random from all. With
-    one seed and rule, a smaller m keeps a subset of the rows of a larger one.
+    all, rows that identify the taxels of small blocks (`least_m`), and other rows, in number
+    proportional to those of the blocks. Row subsets of rotating rows (`row_subsets`) are those of
+    `split_with_sums`. By rule 1, the paper's, rows and row subsets are drawn at random from all.
+    With one seed and rule, a smaller m keeps a subset of the rows of a larger one.
 
     Column j of W sees taxel `permutation[j]`, intp (n,); measurement i is its row `rows[i]`, intp
     (m,), ascending, of a block whose 1 / sqrt(B) is `scale[i]`, float32 (m,). `sizes` are those of
@@ -89,8 +91,6 @@ class SbhePhi(RotatingPhi):
         """As in `RotatingPhi`; but by rule 1, the first one is not this matrix."""
         if self.rule == RANDOM:
             return super().row_subsets()
-        if self.rule == SPREAD:
-            return self._twins(split_evenly(self._by_block, self.m))
         return self._twins(split_with_sums(self.sizes, self._by_block, self.m))
 
     def dense(self) -> npt.NDArray[np.float64]:
@@ -130,32 +130,50 @@ def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indice
     shuffled = rng.permutation(len(sizes))
     blocks = shuffled[np.argsort(-np.array(sizes)[shuffled], kind="stable")]
     sums = (np.cumsum(sizes) - sizes)[blocks].astype(np.intp)
+    least = least_m(sizes)
     others = by_block[~np.isin(by_block, sums)]
-    spread = np.empty_like(others)
+    others = others[np.lexsort((least[others], block[others]))]
     turns = blocks[in_proportion((np.array(sizes)[blocks] - 1).tolist())]
-    spread[np.argsort(turns, kind="stable")] = others
-    return np.concatenate([sums, spread]), by_block
+    place = sums.size + np.argsort(turns, kind="stable")
+    others = others[np.argsort(np.minimum(place, least[others]), kind="stable")]
+    return np.concatenate([sums, others]), by_block
+
+
+def least_m(sizes: Sequence[int]) -> Indices:
+    """Least M at which frames hold each row of W for its block, intp (n,); above n for most rows.
+
+    The sum and the rows 1, 2, 4 .. B/2 of a block of B taxels have another pattern of signs for
+    each taxel: they identify a single force. Those of blocks of 32 and fewer, but for the largest,
+    are held where they, and those of the blocks smaller than it, are at most M/4.
+    """
+    n = end = sum(sizes)
+    least, number = np.full(n, n + 1), 0
+    for size in reversed(sizes):  # the smallest first
+        if size > IDENTIFIED or size == sizes[0]:
+            break
+        end -= size
+        number += size.bit_length()
+        least[end + (1 << np.arange(size.bit_length()) >> 1)] = PART * number
+    return least
 
 
 def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Indices]:
     """Split the rows of W into subsets of m rows each, ascending, so that each holds the sum of one
     of the largest blocks: a random part of the skin, where it is seen what all taxels share.
 
-    Blocks of `sizes` have the rows `by_block`, intp (n,), block after block. Of the other rows each
-    subset holds as many of each block, to less than one, and together they hold every row; those
-    of blocks of 8 and fewer are in all, as no other row sees their taxels. Where
-    sums are too few for the ceil(n / m) subsets, some are in several, and up to `UNREAD` of the
-    other rows in none, or else there are more subsets; where these were more than 64, some have no
-    sum. Rows in two subsets are half the subsets apart.
+    Blocks of `sizes` have the rows `by_block`, intp (n,), block after block. All subsets hold the
+    rows that identify taxels (`least_m`), where M is 64 and more. Of the other rows each holds as
+    many of each block, to less than one, and together they hold every row. Where sums are too few
+    for the ceil(n / m) subsets, some are in several, and up to `UNREAD` of the other rows in none,
+    or else there are more subsets; where these were more than 64, some have no sum. Rows in two
+    subsets are half the subsets apart.
     """
-    size = np.repeat(sizes, sizes)[by_block]
-    sums = (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
-    always = by_block[(size <= SMALL) & (size < max(sizes))]
-    always = always if SMALL * always.size <= m else always[:0]
+    n, sums = by_block.size, (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
+    always = by_block[least_m(sizes)[by_block] <= m][: n * (m >= LEAST_M)]
     others = by_block[~np.isin(by_block, np.concatenate([sums, always]))]
-    m, n = m - always.size, by_block.size - always.size
-    if sums.size * m < n and others.size <= MAX_SUBSETS * (m - 1):
-        fewest = max(n / m, (1 - UNREAD) * others.size / (m - 1))
+    fewest, m = n / m, m - always.size
+    if sums.size * m < n - always.size and others.size <= MAX_SUBSETS * (m - 1):
+        fewest = max(fewest, (1 - UNREAD) * others.size / (m - 1))
         parts = split_evenly(others, m - 1, math.ceil(fewest))
         parts = [np.append(part, sums[k % sums.size]) for k, part in enumerate(parts)]
     else:

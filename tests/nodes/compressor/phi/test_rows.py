@@ -33,6 +33,17 @@ def starts(phi):
     return np.cumsum(phi.sizes) - phi.sizes
 
 
+def identifying(phi, m):
+    """Rows that identify taxels of blocks of 32 and fewer, m / 4 at most, smallest blocks first."""
+    found = []
+    for start, size in zip(starts(phi)[::-1], phi.sizes[::-1], strict=True):
+        rows = [start, *(start + 2**k for k in range(size.bit_length() - 1))]
+        if size > min(32, max(phi.sizes) - 1) or 4 * len(found + rows) > m:
+            break
+        found += rows
+    return np.array(found, dtype=np.intp)
+
+
 def numbers_of(phi, rows):
     """Number of rows of each block."""
     blocks = np.searchsorted(np.cumsum(phi.sizes), rows, side="right")
@@ -53,8 +64,14 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
         return
     assert held.all()
     others = numbers_of(phi, phi.rows) - 1
-    proportional = (m - len(sizes)) * (sizes - 1) / max(1, n - len(sizes))
-    assert (np.abs(others - proportional) < 1).all()
+    of_block = (sizes - 1) / max(1, n - len(sizes))
+    large = sizes > min(32, max(sizes) - 1)
+    assert (others < (m - len(sizes)) * of_block + 1)[large].all()
+    early = np.log2(sizes).sum(where=~large)
+    assert (others > (m - len(sizes) - early) * of_block - 1).all()
+    held = numbers_of(phi, identifying(phi, 0.8 * m)) > 0
+    columns = phi.dense()[:, phi.permutation[np.repeat(held, sizes)]]
+    assert np.unique(columns.round(9), axis=1).shape == columns.shape  # none is like another
     check_phi(phi)
 
 
@@ -63,8 +80,8 @@ def test_row_subsets_have_a_sum_and_others_and_together_nearly_all(n, data, bloc
     m = data.draw(st.integers(-(-n // 64), n))
     phi = sbhe(n, m, seed, block)
     sums = starts(phi)[np.equal(phi.sizes, max(phi.sizes))]
-    small = np.flatnonzero(np.repeat(phi.sizes, phi.sizes) <= min(8, max(phi.sizes) - 1))
-    special = [*sums, *(small := small[: small.size * (8 * small.size <= m)])]
+    small = identifying(phi, m) if m >= 64 else np.empty(0, dtype=np.intp)
+    special = [*sums, *small]
     others = numbers_of(phi, np.setdiff1d(np.arange(n), special))
     subsets = row_subsets(phi, "rotating")
     assert -(-n // m) <= len(subsets) <= 64
