@@ -44,7 +44,8 @@ _CONSTANTS = """
 CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
 """Constants of a `CompiledEstimator`: `SkinTuning`, and those of modules of the method."""
 _NUMBERS = """
-    noise bias error trusted least_noise trust signal n_seen n_frames n_repeats left2 stated_error
+    noise bias error trusted least_noise trust signal n_seen n_frames n_repeats left2 silence
+    stated_error
     noise_sd f_max sigma_mid sigma_end clips of_touched
 """
 NUMBERS = np.dtype([(name, np.float64) for name in _NUMBERS.split()])
@@ -715,6 +716,11 @@ def skin_frame(
     least = again * s.stated_error**2 * s.n_repeats / (s.n_repeats + 1)
     error2 = max((1 + 1 / np.sqrt(m)) ** 2 * min(error2, fitted), kept2, lacking, least)
     s.stated_error = np.sqrt(error2)
+    if largest == 0:
+        s.silence += t.noise_rate * (1 - s.silence)
+    else:
+        s.silence /= t.bias_forgotten
+        noise *= 1 - s.silence
     of_skin, most = noise / s.trust, t.untouched if knows_bias else t.most_bias**2
     untouched = power <= most * of_skin and left2 <= (1 + excess) * of_skin
     s.trusted = untouched or error2 <= t.trusted**2 * power

@@ -93,7 +93,7 @@ class SkinEstimator:
     #: Numbers that a frame leaves to the next one.
     STATE = (
         *("noise", "bias", "error", "trusted", "_least_noise", "_trust", "_signal"),
-        *("_n_seen", "_n_frames", "_n_repeats", "_left2", "stated_error"),
+        *("_n_seen", "_n_frames", "_n_repeats", "_left2", "_silence", "stated_error"),
     )
 
     def __init__(
@@ -116,7 +116,7 @@ class SkinEstimator:
         self.last.clear()
         self.noise = self.bias = self._least_noise = self._signal = zero
         self.error = self.stated_error = zero
-        self._n_seen = self._n_frames = self._n_repeats = self._left2 = zero
+        self._n_seen = self._n_frames = self._n_repeats = self._left2 = self._silence = zero
         self._trust = zero + 1
         self.trusted = self._o.false == self._o.false
         self.n_shifts = 0
@@ -142,7 +142,8 @@ class SkinEstimator:
         vectors.predict(values, o.maximum(self.noise, self._floor), self.error**2)
         e2 = vectors.innovation2
         last_y, last, known = self.last.get(subset) or (y, vectors.innovation, o.false)
-        change = o.largest(o.xp.abs(y - last_y)) / (SAME * o.largest(o.xp.abs(y)) + TINY)
+        self._largest = o.largest(o.xp.abs(y))
+        change = o.largest(o.xp.abs(y - last_y)) / (SAME * self._largest + TINY)
         self._repeated = known / (1 + o.minimum(change, o.zero + 1e3) ** 8)
         noise = self._follow_noise(last, known * (1 - self._repeated), e2)
         self.last[subset] = y, vectors.innovation, o.false == o.false
@@ -252,6 +253,11 @@ class SkinEstimator:
         # Until it is known, the bias passes for forces on all taxels.
         known = self._n_frames > t.bias_known + 0.5
         most = o.where(known, o.zero + t.untouched, o.zero + t.most_bias**2)
+        # Of a skin that was silent, what no force explains is hardly noise.
+        silent, silence = self._largest == 0, self._silence
+        more = silence + t.noise_rate * (1 - silence)
+        self._silence = silence = o.where(silent, more, silence / t.bias_forgotten)
+        noise = noise * o.where(silent, o.zero + 1, 1 - silence)
         of_skin = noise / self._trust  # whatever passes for it in motion
         excess = o.where(known, o.zero + excess, o.zero + t.unexplained)
         untouched = (power <= most * of_skin) & (settled.residual2 <= (1 + excess) * of_skin)
