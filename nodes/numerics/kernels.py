@@ -37,7 +37,7 @@ _CONSTANTS = """
     damping least_tau most_alpha motion ridge noise_rate noise_growth significant
     signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
     most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
-    untouched trusted least_read
+    untouched trusted least_read pressed_noise
     resolution repeated same invisible dust negligible unknown unread
     quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
 """
@@ -45,7 +45,7 @@ CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
 """Constants of a `CompiledEstimator`: `SkinTuning`, and those of modules of the method."""
 _NUMBERS = """
     noise bias error trusted least_noise trust signal n_seen n_frames n_repeats left2 silence
-    stated_error
+    pressed stated_error
     noise_sd f_max sigma_mid sigma_end clips of_touched
 """
 NUMBERS = np.dtype([(name, np.float64) for name in _NUMBERS.split()])
@@ -533,8 +533,8 @@ def skin_settle(
     estimates: A, predicted: A, values: A, ones: A, read: A, moved: A, groups: A, scale: A,
     of_prediction: float, of_bias: float, noise_sd: float, least_force: float,
     x: A, whole: A, correction: A, forces: A,
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """Settle a frame, as in `FrameVectors`; return power, residual2, along and unpressed."""
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """Settle a frame, as in `FrameVectors`; return what it does but for the forces."""
     part, bias = np.float32(of_prediction), np.float32(of_bias)
     near, least = np.float32(2 * noise_sd + np.sqrt(TINY)), np.float32(least_force)
     mean = np.float32((1 - of_prediction) / len(estimates))
@@ -542,7 +542,8 @@ def skin_settle(
     for k in range(1, len(estimates)):
         for p in range(x.size):
             x[p] += estimates[k, p]
-    power, unpressed, residual2, along = np.float32(0), np.float32(0), 0.0, 0.0
+    power, unpressed, pressed = np.float32(0), np.float32(0), np.float32(0)
+    residual2, along = 0.0, 0.0
     for p in range(x.size):
         x[p] = x[p] * mean + part * predicted[p]
         power += x[p] * x[p]
@@ -561,13 +562,17 @@ def skin_settle(
         if 2 * one < least:
             unpressed += one
         elif one < 6 * near:
-            unpressed += one * np.exp(-((one / near) ** 2))
+            weak = np.exp(-((one / near) ** 2))
+            unpressed += one * weak
+            pressed += (np.float32(1) - weak) ** 2
             more = bias * (np.float32(1) - np.exp(-one / bias)) if bias > 0 else bias
             if one + more >= least:
                 forces[p] = one + more
         else:
+            pressed += np.float32(1)
             forces[p] = one + bias
-    return np.float64(power / x.size), residual2 / read.size, along, np.float64(unpressed)
+    n = x.size
+    return np.float64(power / n), residual2 / read.size, along, np.float64(unpressed), pressed / n
 
 
 @compiled(sums_in_any_order=True)
@@ -650,6 +655,9 @@ def skin_frame(
         least = level
         level = min(level, t.noise_growth * max(noise, s.left2))
         if n_seen > 1 / t.noise_rate + 0.5:
+            if m >= t.least_read:
+                most = (1 + t.significant * np.sqrt(2 / m)) * s.least_noise
+                level = min(level, most * (1 + t.pressed_noise * s.pressed))
             least = min(t.bias_forgotten * s.least_noise, level)
         s.n_seen += new
         s.least_noise = new * least + repeated * s.least_noise
@@ -693,7 +701,7 @@ def skin_frame(
                 residual2 += before2 / n_kept
     error2 = error2_of(own, residual2, noise, m, 1.0, t)
     part = error2 / (error2 + t.blend * max(s.signal, last_error2, floor))
-    power, left2, along, unpressed = skin_settle(
+    power, left2, along, unpressed, s.pressed = skin_settle(
         estimates, predicted, values, ones, read, moved, groups, scale, part, s.bias,
         np.sqrt(s.least_noise), t.invisible * np.sqrt(noise), x, whole, correction, forces,
     )  # fmt: skip

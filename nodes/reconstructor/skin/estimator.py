@@ -93,7 +93,8 @@ class SkinEstimator:
     #: Numbers that a frame leaves to the next one.
     STATE = (
         *("noise", "bias", "error", "trusted", "_least_noise", "_trust", "_signal"),
-        *("_n_seen", "_n_frames", "_n_repeats", "_left2", "_silence", "stated_error"),
+        *("_n_seen", "_n_frames", "_n_repeats", "_left2", "_silence", "_pressed"),
+        "stated_error",
     )
 
     def __init__(
@@ -117,6 +118,7 @@ class SkinEstimator:
         self.noise = self.bias = self._least_noise = self._signal = zero
         self.error = self.stated_error = zero
         self._n_seen = self._n_frames = self._n_repeats = self._left2 = self._silence = zero
+        self._pressed = zero
         self._trust = zero + 1
         self.trusted = self._o.false == self._o.false
         self.n_shifts = 0
@@ -186,6 +188,11 @@ class SkinEstimator:
         # What the last forces explained of their measurements was no noise.
         most = t.noise_growth * o.maximum(self.noise, self._left2)
         least, level = level, o.minimum(level, most)
+        # Of an untouched taxel it is the least one so far, of which sampling errors are known.
+        if size >= t.least_read:
+            most = (1 + t.significant * math.sqrt(2 / size)) * self._least_noise
+            most = most * (1 + t.pressed_noise * self._pressed)
+            level = o.where(known, o.minimum(level, most), level)
         least = o.where(known, o.minimum(t.bias_forgotten * self._least_noise, level), least)
         self._n_seen = self._n_seen + counts
         self._least_noise = counts * least + (1 - counts) * self._least_noise
@@ -224,7 +231,7 @@ class SkinEstimator:
             *(self._steps.estimates, part, self._values, self._ones_now[0], self.bias),
             *(o.sqrt(self._least_noise), INVISIBLE * o.sqrt(noise)),
         )
-        power = settled.power
+        power, self._pressed = settled.power, settled.pressed
         self._left2 = self._repeated * self._left2 + (1 - self._repeated) * settled.residual2
         # What the noise of measurements left in the last estimate, the same measurements leave.
         left = self._repeated * o.minimum(last_error2, noise)

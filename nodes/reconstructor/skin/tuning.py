@@ -69,8 +69,10 @@ class SkinTuning:
     #: Mean squared error of an estimate, in what the gates expect it to be. Fitted on presses on
     #: 8 x 8 to 48 x 64 taxels, N/2 to N/8.
     optimism: float = 2.0
-    #: Largest noise variance, in the least one so far.
+    #: Largest noise variance, in the least one so far: of measurements; and of a pressed taxel.
+    #: Derived: the second is 58 by the noise of the paper, clipped at 0.
     louder: float = 4.0
+    pressed_noise: float = 60.0
     #: Part by which the mean squared residual of an untouched skin exceeds the noise variance at
     #: most; and where the skin states its noise, in deviations of the mean square. Derived: noise
     #: alone exceeds 6, of 86 measurements and more, in one frame of a million.

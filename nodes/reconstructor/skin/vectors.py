@@ -38,7 +38,8 @@ class Settled(NamedTuple):
     """The estimate of a frame, x: its forces, float32 (n,), and sums that tell how it fits.
 
     power and residual2 are the mean squares of x and of the residual; `along` is the residual along
-    Phi 1, and `unpressed` the sum of what taxels within the noise read.
+    Phi 1, `unpressed` the sum of what taxels within the noise read, and `pressed` the part of the
+    taxels beyond it.
     """
 
     forces: Array
@@ -46,6 +47,7 @@ class Settled(NamedTuple):
     residual2: Number
     along: Number
     unpressed: Number
+    pressed: Number
 
 
 class FrameVectors:
@@ -288,6 +290,7 @@ class FrameVectors:
         self._correction = self._whole - self._moved
         x, residual = self.x, values - self._whole[..., self._rows.read]
         near = (x / o.f32(2 * noise_sd + math.sqrt(TINY))).clip(None, 8)
+        weak = o.xp.exp(-near * near)
         curve = o.f32(o.where(bias > 0, bias, o.zero + 1))
         forces = x + o.f32(bias) * (1 - o.xp.exp(-x / curve))
         return Settled(
@@ -295,7 +298,8 @@ class FrameVectors:
             o.dot(x, x) / x.shape[-1],
             o.dot(residual, residual) / residual.shape[-1],
             o.dot(ones, residual),
-            o.dot(x, o.xp.exp(-near * near)),
+            o.dot(x, weak),
+            o.total((1 - weak) ** 2) / x.shape[-1],
         )
 
 
