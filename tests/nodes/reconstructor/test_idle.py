@@ -68,8 +68,7 @@ def test_an_idle_patch_is_solved_every_64_frames_and_one_without_stated_noise_al
 
 def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_solve():
     found, _ = batches()
-    held = {}
-    last = {}
+    held, last = {}, {}
     n_unchanged = dict.fromkeys(BATCH["patches"], 0)
     for batch in found:
         for part in batch.split(held):
@@ -78,8 +77,7 @@ def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_s
                 assert part.forces.tobytes() == last[part.patch]
                 assert (part.iterations, part.solve_ns) == ((0,), (0,))
             last[part.patch] = part.forces.tobytes()
-    assert n_unchanged["back"] > 40
-    assert n_unchanged["hand"] > 40
+    assert min(n_unchanged["back"], n_unchanged["hand"]) > 40
     assert n_unchanged["left"] < n_unchanged["back"]
 
 

@@ -13,7 +13,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, RULES, SUMS, Phi, block_of, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, least_m
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.limits import OTHER_ROWS
@@ -31,17 +31,6 @@ def sbhe(n, m, seed=0, block=256, rule=SUMS):
 def starts(phi):
     """The sum of each block is its first row."""
     return np.cumsum(phi.sizes) - phi.sizes
-
-
-def identifying(phi, m):
-    """Rows that identify taxels of blocks of 32 and fewer, m / 4 at most, smallest blocks first."""
-    found = []
-    for start, size in zip(starts(phi)[::-1], phi.sizes[::-1], strict=True):
-        rows = [start, *(start + 2**k for k in range(size.bit_length() - 1))]
-        if size > min(32, max(phi.sizes) - 1) or 4 * len(found + rows) > m:
-            break
-        found += rows
-    return np.array(found, dtype=np.intp)
 
 
 def numbers_of(phi, rows):
@@ -64,13 +53,12 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
         return
     assert held.all()
     others = numbers_of(phi, phi.rows) - 1
-    of_block = (sizes - 1) / max(1, n - len(sizes))
-    large = sizes > min(32, max(sizes) - 1)
-    assert (others < (m - len(sizes)) * of_block + 1)[large].all()
-    early = np.log2(sizes).sum(where=~large)
+    of_block, small = (sizes - 1) / max(1, n - len(sizes)), sizes <= min(32, max(sizes) - 1)
+    assert (small | (others < (m - len(sizes)) * of_block + 1)).all()
+    early = np.log2(sizes).sum(where=small)
     assert (others > (m - len(sizes) - early) * of_block - 1).all()
-    held = numbers_of(phi, identifying(phi, 0.8 * m)) > 0
-    columns = phi.dense()[:, phi.permutation[np.repeat(held, sizes)]]
+    identified = np.repeat(least_m(phi.sizes)[starts(phi)] <= 0.8 * m, sizes)
+    columns = phi.dense()[:, phi.permutation[identified]]
     assert np.unique(columns.round(9), axis=1).shape == columns.shape  # none is like another
     check_phi(phi)
 
@@ -80,8 +68,7 @@ def test_row_subsets_have_a_sum_and_others_and_together_nearly_all(n, data, bloc
     m = data.draw(st.integers(-(-n // 64), n))
     phi = sbhe(n, m, seed, block)
     sums = starts(phi)[np.equal(phi.sizes, max(phi.sizes))]
-    small = identifying(phi, m) if m >= 64 else np.empty(0, dtype=np.intp)
-    special = [*sums, *small]
+    special = [*sums, *(small := np.flatnonzero(least_m(phi.sizes) <= m * (m >= 64)))]
     others = numbers_of(phi, np.setdiff1d(np.arange(n), special))
     subsets = row_subsets(phi, "rotating")
     assert -(-n // m) <= len(subsets) <= 64
@@ -248,15 +235,11 @@ def test_it_can_be_switched_on_and_off_while_the_graph_runs():
 
 
 @pytest.mark.parametrize(
-    ("settings", "warned"),
-    [
-        (["reconstructor.preset=paper"], True),
-        (["reconstructor.preset=paper", "compressor.rows=paper"], False),
-        (["reconstructor.preset=skin"], False),
-    ],
+    ("preset", "rows", "warned"),
+    [("paper", "rotating", True), ("paper", "paper", False), ("skin", "rotating", False)],
 )
-def test_the_papers_method_with_other_rows_than_its_own_is_warned_of(settings, warned):
-    bus = graph(*settings)
+def test_the_papers_method_with_other_rows_than_its_own_is_warned_of(preset, rows, warned):
+    bus = graph(f"reconstructor.preset={preset}", f"compressor.rows={rows}")
     list(bus.frames(1))
     assert (f"[reconstructor] {OTHER_ROWS}" in bus.lines) == warned
 

@@ -7,6 +7,7 @@ import pytest
 from matrices import Stretched
 from pressed import noisy, psnr_db, sliding_disc
 
+from sparseskin import Stream
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, row_subsets
 from sparseskin.nodes.errors import SolverError
@@ -144,6 +145,17 @@ def test_the_estimated_error_is_near_the_true_one(rows, noise_model):
     true = np.sqrt(np.mean(np.square(found - truth), axis=(1, 2)))
     off = np.abs(np.log(np.array(errors)[20:] / true[20:]))
     assert (np.mean(off[:, None] < np.log([1.5, 2.0]), axis=0) >= [0.8, 0.9]).all()
+
+
+@pytest.mark.parametrize(("side", "ratio", "sd"), [(8, 4, 0.0), (32, 3, 0.02)])
+def test_a_taxel_that_moves_does_not_pass_for_noise(side, ratio, sd):
+    stream, rng = Stream((side, side), ratio=ratio, rows=FIXED, f_max=2.5), np.random.default_rng(2)
+    for k in range(45):
+        truth = np.zeros((side, side), dtype=np.float32)
+        truth[side // 3, k % side] = k >= 20
+        read = np.maximum(truth + sd * rng.standard_normal(truth.shape), 0).astype(np.float32)
+        error = np.linalg.norm(stream.reconstruct(stream.compress(read)) - truth)
+        assert k < 20 or error < 0.3 or (sd == 0 and not stream.trusted)
 
 
 @pytest.mark.parametrize("uneven", [0.0, 0.7])
