@@ -180,10 +180,8 @@ class Stream:
         Raises
         ------
         SparseskinError
-            If the frame has another shape or type, or a reading exceeds 10 f_max, as counts do
-            where newtons are expected; it is not counted.
-        ValueError
-            If a reading is not finite; the frame is not counted.
+            If the frame has another shape or type, a reading is not finite, or is beyond 10 f_max,
+            as counts are where newtons are expected; it is not counted.
         """
         forces = real_floats(frame, "stream: readings", SparseskinError)
         if forces.shape != self._skin.shape:
@@ -192,16 +190,16 @@ class Stream:
         bad = self._skin.exists & ~np.isfinite(forces)
         if bad.any():
             row, col = np.argwhere(bad)[0]
-            raise ValueError(
-                f"stream: taxel ({row}, {col}) reads {forces[row, col]}; allowed: finite numbers"
-            )
-        most = float(forces.max(initial=0.0, where=self._skin.exists))
-        if most > MOST_RANGES * self._skin.f_max:
+            reads = f"reads {forces[row, col]}; allowed: finite numbers"
+            raise SparseskinError(f"stream: taxel ({row}, {col}) {reads}")
+        readings = forces[self._skin.exists]
+        most = float(readings[np.abs(readings).argmax()])
+        if abs(most) > MOST_RANGES * self._skin.f_max:
             what = f"a taxel reads {most:g}, far beyond f_max = {self._skin.f_max:g}"
             raise SparseskinError(f"stream: {what}; state f_max in the unit of the readings")
         phi = self._phis[self._n_compressed % len(self._phis)]
         self._n_compressed += 1
-        return phi.forward(forces[self._skin.exists])
+        return phi.forward(readings)
 
     def reconstruct(self, y: Floats, k: int | None = None) -> Floats:
         """Reconstruct a frame, from what the frames before it left.
