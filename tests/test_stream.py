@@ -112,7 +112,7 @@ def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does
         stream.compress(FRAMES)
     spoilt = FRAMES[0].copy()
     spoilt[2, 5] = np.nan
-    with pytest.raises(SparseskinError, match="a taxel reads -4095, far beyond f_max = 2.5"):
+    with pytest.raises(SparseskinError, match=r"a taxel reads -4095, far beyond f_max = 2.5"):
         stream.compress(np.full((8, 8), -4095))
     with pytest.raises(SparseskinError, match=r"stream: taxel \(2, 5\) reads nan; allowed"):
         stream.compress(spoilt)
