@@ -37,7 +37,7 @@ _CONSTANTS = """
     damping least_tau most_alpha motion ridge noise_rate noise_growth significant
     signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
     most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
-    untouched trusted least_read pressed_noise
+    untouched trusted least_read pressed_noise silence_kept
     resolution repeated same invisible dust negligible unknown unread
     quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
 """
@@ -699,6 +699,8 @@ def skin_frame(
             if kept >= 0:
                 own += error2 / n_kept
                 residual2 += before2 / n_kept
+    if largest == 0:
+        estimates[:], predicted[:] = 0, 0
     error2 = error2_of(own, residual2, noise, m, 1.0, t)
     part = error2 / (error2 + t.blend * max(s.signal, last_error2, floor))
     power, left2, along, unpressed, s.pressed = skin_settle(
@@ -727,8 +729,8 @@ def skin_frame(
     if largest == 0:
         s.silence += t.noise_rate * (1 - s.silence)
     else:
-        s.silence /= t.bias_forgotten
-        noise *= 1 - s.silence
+        s.silence *= t.silence_kept
+        noise = max(noise * (1 - s.silence), s.noise_sd**2)
     of_skin, most = noise / s.trust, t.untouched if knows_bias else t.most_bias**2
     untouched = power <= most * of_skin and left2 <= (1 + excess) * of_skin
     s.trusted = untouched or error2 <= t.trusted**2 * power

@@ -19,10 +19,10 @@ from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
 MAX_SIDE = 4096
-IDENTIFIED, PART, LEAST_M = 32, 4, 64
-"""Largest size of a block whose identifying rows frames hold, in which part of M, and the least M
-where rows rotate (of fewer, each row waits longer for the others). Chosen on skins of 25 to 900
-taxels: without them a single force on a taxel of such a block may be put on another one."""
+IDENTIFIED, PART, LEAST_M = 32, 4, 32
+"""Largest size of a block whose identifying rows frames hold, in which part of M, and the least M;
+twice as many where rows rotate (of fewer, each row waits longer for the others). Chosen on skins of
+25 to 900 taxels: without them a single force on a taxel of a small block may be put on another."""
 WIRED_BLOCK = 32
 """Size of the blocks of sums by wires: each block has an amplifier, where its wires meet. Chosen:
 that of the paper."""
@@ -135,25 +135,28 @@ def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indice
     others = others[np.lexsort((least[others], block[others]))]
     turns = blocks[in_proportion((np.array(sizes)[blocks] - 1).tolist())]
     place = sums.size + np.argsort(turns, kind="stable")
+    least -= np.where(least > block.size, 0, least // PART)  # others move up for them
     others = others[np.argsort(np.minimum(place, least[others]), kind="stable")]
     return np.concatenate([sums, others]), by_block
 
 
 def least_m(sizes: Sequence[int]) -> Indices:
-    """Least M at which frames hold each row of W for its block, intp (n,); above n for most rows.
+    """Least M at which frames hold each row of W for its block, intp (n,): above n for most rows.
 
     The sum and the rows 1, 2, 4 .. B/2 of a block of B taxels have another pattern of signs for
     each taxel: they identify a single force. Those of blocks of 32 and fewer, but for the largest,
-    are held where they, and those of the blocks smaller than it, are at most M/4.
+    are held where they, and those of smaller blocks, are at most M/4, and M is 32 or more. Those of
+    other blocks up to 64, of which few rows may be held, come first: n + 1, other rows n + 2.
     """
     n = end = sum(sizes)
-    least, number = np.full(n, n + 1), 0
+    least, number = np.full(n, n + 2), 0
     for size in reversed(sizes):  # the smallest first
-        if size > IDENTIFIED or size == sizes[0]:
-            break
         end -= size
         number += size.bit_length()
-        least[end + (1 << np.arange(size.bit_length()) >> 1)] = PART * number
+        early = size <= IDENTIFIED and size < sizes[0]
+        if size <= 2 * IDENTIFIED:
+            rows = end + (1 << np.arange(size.bit_length()) >> 1)
+            least[rows] = min(max(PART * number, LEAST_M), n + 1) if early else n + 1
     return least
 
 
@@ -162,14 +165,14 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
     of the largest blocks: a random part of the skin, where it is seen what all taxels share.
 
     Blocks of `sizes` have the rows `by_block`, intp (n,), block after block. All subsets hold the
-    rows that identify taxels (`least_m`), where M is 64 and more. Of the other rows each holds as
+    rows that identify taxels (`least_m`), where M is 64 or more. Of the other rows each holds as
     many of each block, to less than one, and together they hold every row. Where sums are too few
     for the ceil(n / m) subsets, some are in several, and up to `UNREAD` of the other rows in none,
     or else there are more subsets; where these were more than 64, some have no sum. Rows in two
     subsets are half the subsets apart.
     """
     n, sums = by_block.size, (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
-    always = by_block[least_m(sizes)[by_block] <= m][: n * (m >= LEAST_M)]
+    always = by_block[least_m(sizes)[by_block] <= m][: n * (m >= 2 * LEAST_M)]
     others = by_block[~np.isin(by_block, np.concatenate([sums, always]))]
     fewest, m = n / m, m - always.size
     if sums.size * m < n - always.size and others.size <= MAX_SUBSETS * (m - 1):

@@ -224,11 +224,15 @@ class SkinEstimator:
         own, residual2 = (
             _mean(numbers[-t.averaged :]) for numbers in (self._steps.errors, self._steps.residuals)
         )
+        silent = self._largest == 0  # nothing presses
+        some = o.f32(o.where(silent, o.zero, o.zero + 1))
+        estimates = [some * one for one in self._steps.estimates]
+        self._vectors.predicted = some * self._vectors.predicted
         last_error2, error2 = self.error**2, self._error2(own, residual2, noise)
         prior = t.blend * o.maximum(o.maximum(self._signal, last_error2), self._floor)
         part = error2 / (error2 + prior)
         settled = self._vectors.settle(
-            *(self._steps.estimates, part, self._values, self._ones_now[0], self.bias),
+            *(estimates, part, self._values, self._ones_now[0], self.bias),
             *(o.sqrt(self._least_noise), INVISIBLE * o.sqrt(noise)),
         )
         power, self._pressed = settled.power, settled.pressed
@@ -260,11 +264,11 @@ class SkinEstimator:
         # Until it is known, the bias passes for forces on all taxels.
         known = self._n_frames > t.bias_known + 0.5
         most = o.where(known, o.zero + t.untouched, o.zero + t.most_bias**2)
-        # Of a skin that was silent, what no force explains is hardly noise.
-        silent, silence = self._largest == 0, self._silence
-        more = silence + t.noise_rate * (1 - silence)
-        self._silence = silence = o.where(silent, more, silence / t.bias_forgotten)
-        noise = noise * o.where(silent, o.zero + 1, 1 - silence)
+        # Of a skin that was silent, what no force explains is hardly noise, unless it is stated.
+        more = self._silence + t.noise_rate * (1 - self._silence)
+        self._silence = o.where(silent, more, t.silence_kept * self._silence)
+        less = o.maximum(noise * (1 - self._silence), self.noise_sd**2 + o.zero)
+        noise = o.where(silent, noise, less)
         of_skin = noise / self._trust  # whatever passes for it in motion
         excess = o.where(known, o.zero + excess, o.zero + t.unexplained)
         untouched = (power <= most * of_skin) & (settled.residual2 <= (1 + excess) * of_skin)

@@ -73,6 +73,8 @@ class SkinTuning:
     #: Derived: the second is 58 by the noise of the paper, clipped at 0.
     louder: float = 4.0
     pressed_noise: float = 60.0
+    #: Weight per frame of the silence before it, after which an unknown noise is hardly one.
+    silence_kept: float = 0.98
     #: Part by which the mean squared residual of an untouched skin exceeds the noise variance at
     #: most; and where the skin states its noise, in deviations of the mean square. Derived: noise
     #: alone exceeds 6, of 86 measurements and more, in one frame of a million.

@@ -57,7 +57,7 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
     assert (small | (others < (m - len(sizes)) * of_block + 1)).all()
     early = np.log2(sizes).sum(where=small)
     assert (others > (m - len(sizes) - early) * of_block - 1).all()
-    identified = np.repeat(least_m(phi.sizes)[starts(phi)] <= 0.8 * m, sizes)
+    identified = np.repeat(least_m(phi.sizes)[starts(phi)] <= m, sizes)
     columns = phi.dense()[:, phi.permutation[identified]]
     assert np.unique(columns.round(9), axis=1).shape == columns.shape  # none is like another
     check_phi(phi)
