@@ -18,6 +18,7 @@ if not os.path.isdir(os.path.join(_here, "launch")):
 if TYPE_CHECKING:
     from sparseskin.launch.launchfile.load import load as load_launch
     from sparseskin.nodes.compressor.phi.base import make_phi
+    from sparseskin.nodes.errors import SparseskinError
     from sparseskin.nodes.reconstructor.bases.base import make_basis
     from sparseskin.nodes.reconstructor.contacts import find_contacts
 
@@ -36,8 +37,8 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
-    "Stream", "__version__", "check_basis", "check_phi", "check_solver", "compress",
-    "find_contacts", "load_launch", "make_basis", "make_phi", "make_solver", "psnr_db",
+    "SparseskinError", "Stream", "__version__", "check_basis", "check_phi", "check_solver",
+    "compress", "find_contacts", "load_launch", "make_basis", "make_phi", "make_solver", "psnr_db",
     "read_recording", "reconstruct", "run_launch", "simulate",
 ]  # fmt: skip
 
@@ -49,6 +50,7 @@ _HOMES = {
     "check_basis": "sparseskin.checks",
     "check_solver": "sparseskin.checks",
     "find_contacts": "sparseskin.nodes.reconstructor.contacts",
+    "SparseskinError": "sparseskin.nodes.errors",
     "Stream": "sparseskin.stream",
     "load_launch": "sparseskin.launch.launchfile.load",
 }
