@@ -73,7 +73,8 @@ class SkinTuning:
     #: Derived: the second is 58 by the noise of the paper, clipped at 0.
     louder: float = 4.0
     pressed_noise: float = 60.0
-    #: Weight per frame of the silence before it, after which an unknown noise is hardly one.
+    #: Weight per frame of an earlier silence, after which a noise that is not stated is hardly one.
+    #: Chosen: a board that begins with zeros is doubted for 60 frames.
     silence_kept: float = 0.98
     #: Part by which the mean squared residual of an untouched skin exceeds the noise variance at
     #: most; and where the skin states its noise, in deviations of the mean square. Derived: noise
