@@ -141,7 +141,7 @@ def spread_order(
     others = others[np.lexsort((least[others], block[others]))]
     turns = blocks[in_proportion((np.array(sizes)[blocks] - 1).tolist())]
     place = sums.size + np.argsort(turns, kind="stable")
-    least -= np.where(least > block.size, 0, least // PART)  # others move up for them
+    least = np.where(least > block.size, least, least - least // PART)  # others come before them
     others = others[np.argsort(np.minimum(place, least[others]), kind="stable")]
     return np.concatenate([sums, others]), by_block
 
@@ -178,7 +178,7 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
     subsets are half the subsets apart.
     """
     n, sums = by_block.size, (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
-    always = by_block[least_m(sizes)[by_block] <= m][: n * (m >= 2 * LEAST_M)]
+    always = by_block[least_m(sizes)[by_block] <= (m if m >= 2 * LEAST_M else 0)]
     others = by_block[~np.isin(by_block, np.concatenate([sums, always]))]
     fewest, m = n / m, m - always.size
     if sums.size * m < n - always.size and others.size <= MAX_SUBSETS * (m - 1):

@@ -267,7 +267,7 @@ class SkinEstimator:
         # Of a skin that was silent, what no force explains is hardly noise, unless it is stated.
         more = self._silence + t.noise_rate * (1 - self._silence)
         self._silence = o.where(silent, more, t.silence_kept * self._silence)
-        less = o.maximum(noise * (1 - self._silence), self.noise_sd**2 + o.zero)
+        less = o.maximum(noise * (1 - self._silence), self.noise_sd**2)
         noise = o.where(silent, noise, less)
         of_skin = noise / self._trust  # whatever passes for it in motion
         excess = o.where(known, o.zero + excess, o.zero + t.unexplained)

@@ -45,8 +45,7 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
     phi = sbhe(n, m, seed, block)
     assert (phi.rows.size, np.diff(phi.rows).min(initial=1) > 0) == (m, True)
     assert 0 <= phi.rows[0] <= phi.rows[-1] < n
-    held = np.isin(starts(phi), phi.rows)
-    sizes = np.array(phi.sizes)
+    held, sizes = np.isin(first := starts(phi), phi.rows), np.array(phi.sizes)
     if m < len(sizes):
         assert held.sum() == m
         assert sizes[held].min() >= sizes[~held].max()
@@ -55,10 +54,8 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
     others = numbers_of(phi, phi.rows) - 1
     of_block, small = (sizes - 1) / max(1, n - len(sizes)), sizes <= min(32, max(sizes) - 1)
     assert (small | (others < (m - len(sizes)) * of_block + 1)).all()
-    early = np.log2(sizes).sum(where=small)
-    assert (others > (m - len(sizes) - early) * of_block - 1).all()
-    identified = np.repeat(least_m(phi.sizes)[starts(phi)] <= m, sizes)
-    columns = phi.dense()[:, phi.permutation[identified]]
+    assert (others > (m - len(sizes) - np.log2(sizes).sum(where=small)) * of_block - 1).all()
+    columns = phi.dense()[:, phi.permutation[np.repeat(least_m(phi.sizes)[first] <= m, sizes)]]
     assert np.unique(columns.round(9), axis=1).shape == columns.shape  # none is like another
     check_phi(phi)
 
@@ -99,7 +96,8 @@ def test_rules_and_blocks_are_those_of_version_0_1_and_of_today():
     for rows in ("fixed", "rotating"):
         first = row_subsets(sbhe(96, 30, 7, 32, RANDOM), rows)[0]
         assert first.fingerprint == "443e07fb12311131"  # by the code of version 0.1
-    assert ({block_of(kind, None) for kind in KINDS}, block_of("local:8", None)) == ({256}, 32)
+    assert {block_of(kind, None) for kind in KINDS} == {256}
+    assert (block_of("local:8", None), block_of("local:8", 64)) == (32, 64)
     phi = make_phi("sbhe", 1600, 533, 0)
     of_paper = CompressorSettings(rows="paper").rows_and_m(1600)
     assert (phi.block, phi.rule, of_paper) == (256, SUMS, ("fixed", 533))

@@ -164,6 +164,7 @@ def test_what_all_taxels_share_is_seen_in_each_frame_of_rotating_rows(uneven):
     frames = 0.3 + uneven * sliding_disc(SHAPE, 20, touch_at=0)
     found, _ = reconstructed(solver_of(phis), phis, frames.astype(np.float32))
     assert np.abs(found - frames).mean(axis=(1, 2)).max() < 0.1
+    assert found[6:].sum(axis=(1, 2)) == pytest.approx(frames[6:].sum(axis=(1, 2)), rel=0.05)
 
 
 def test_rows_of_any_length_give_the_same_forces():
