@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         VersionError,
     )
     from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
+    from .reasons import Reason
     from .skin import Skin
     from .state import Calibration, End, PhiState, SkinState, SolverState
     from .topics import topic_of
@@ -30,12 +31,12 @@ if TYPE_CHECKING:
 __all__ = [
     "MAX_MESSAGE_BYTES", "Calibration", "Contacts", "End", "FieldError", "MalformedError",
     "Measurements", "Message", "MessageError", "NotFiniteError", "OversizedError", "PhiState",
-    "Reconstruction", "Resultant", "ShapeError", "Skin", "SkinState",
+    "Reason", "Reconstruction", "Resultant", "ShapeError", "Skin", "SkinState",
     "SolverState", "Taxels", "TruncatedError", "Truth",
     "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
 ]  # fmt: skip
 
-_MODULES = ("topics", "errors", "base", "frames", "contacts", "skin", "state", "wire")
+_MODULES = ("topics", "errors", "reasons", "base", "frames", "contacts", "skin", "state", "wire")
 
 
 def __getattr__(name: str) -> Any:

@@ -222,12 +222,8 @@ class Reconstruction(Sensed):
     """True where measurements changed by no more than their noise: the frame was not solved, and
     its forces are those of the frame before."""
     reason: tuple[str, ...] = wire(Words(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
-    """Why a patch is not trusted: "error" (the estimated error is a large part of the forces),
-    "weak" (so it is, but both are within the noise of the skin: a contact that is not resolved),
-    "constant" (all measurements are equal: the frame was left out), "frozen" (frames repeat
-    exactly), "missing" (readings are missing next to each other, see `Sensed`), "range" (a force
-    beyond f_max), "uniform" (all taxels rose together), "rows" (measurements contradict each
-    other), "stuck" (a row, column or square of taxels may be stuck); "" else, or not stated."""
+    """Why a patch is not trusted: a `Reason`, or a word that another version of this program wrote;
+    "" else, or not stated."""
 
     def validate(self) -> None:
         super().validate()

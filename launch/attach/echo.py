@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Contacts, Message, MessageError, decode
+from sparseskin.messages import Contacts, Message, MessageError, Reconstruction, decode
 from sparseskin.messages.base import wire_fields
 from sparseskin.messages.contacts import sum_unit
 from sparseskin.messages.frames import values_alone
 from sparseskin.messages.quantised import Quantised
+from sparseskin.messages.reasons import sentence_of
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
@@ -140,6 +141,11 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
     return shown
 
 
+def _reason_lines(message: Reconstruction) -> dict[str, str]:
+    """Each reason for which patches are not trusted, as a sentence."""
+    return {f"reason {word}": sentence_of(word) for word in message.reason if word}
+
+
 def _dtype(value: Any) -> str:
     bits = f" of {value.bits} bits" if isinstance(value, Quantised) else ""
     return f"{value.dtype}{bits}"
@@ -211,6 +217,8 @@ class Echo(Display):
             return json.dumps(formatted("topic-echo", {"topic": message.topic, **found}))
         if isinstance(message, Contacts):
             values = _contact_lines(message, self._unit) if not self._full else values
+        if isinstance(message, Reconstruction):
+            values = values | _reason_lines(message)
         lines = ["---" + (f" ({self._skipped_since} not shown)" if self._skipped_since else "")]
         for name, value in values.items():
             first, *rest = text(value, self._full).split("\n")

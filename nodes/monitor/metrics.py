@@ -13,6 +13,7 @@ from sparseskin.messages import (
     Measurements,
     Message,
     PhiState,
+    Reason,
     Reconstruction,
     Resultant,
     SkinState,
@@ -289,7 +290,8 @@ class PatchMetrics:
         if estimate is not None or not trusted:  # else the solver estimates no error
             self.trust.add(float(trusted), is_contact)
         if not trusted:
-            self.doubts["".join(frame.reconstruction.reason) or "error"] += 1
+            (reason,) = frame.reconstruction.reason
+            self.doubts[str(reason or Reason.ERROR)] += 1
         if reference is None or taxels is None:
             return frame
         if frame.truth is not None:

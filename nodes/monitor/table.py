@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from sparseskin.messages.contacts import sum_unit, summary
+from sparseskin.messages.reasons import Reason, phrase_of
 from sparseskin.messages.text import printable
 
 from .metrics import FLOAT_BITS, PatchMetrics
@@ -16,18 +17,6 @@ WIDTH = 78
 LABELS = {"m": "M", "kind": "phi", "sigma_mid": "noise sigma"}
 MAX_CHANGES = 4
 """Changes of settings that the table lists."""
-DOUBTS = {
-    "error": "the estimated error is a large part of the forces, as at first touch",
-    "weak": "the forces are within the noise of the skin",
-    "constant": "all measurements are equal, as of a dead link or converter",
-    "frozen": "frames repeat exactly, as of a board that hangs",
-    "missing": "readings are missing over an area",
-    "rows": "many measurements contradict each other (is the mask right?)",
-    "stuck": "a row, column or square of taxels stands alone, pressed alike (is it stuck?)",
-    "range": "forces exceed the range of the skin",
-    "uniform": "all taxels rose together: drift, hum, or a pressure on the whole skin",
-}
-"""What the reasons of frames that are not to be trusted mean."""
 LATE_MS = 200.0
 """Median latency that stands before everything but the frames, milliseconds; chosen: a graph that
 falls behind shows, and no other does."""
@@ -108,7 +97,7 @@ def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
-    """One sentence on the frames that are not to be trusted, and what may help; "" of none."""
+    """Number of frames that are not to be trusted, their reasons, and what may help; "" of none."""
     every = [patch for patch in patches if patch["trust"]["all"]]
     n, total = (sum(p["trust"]["all"][key] for p in every) for key in ("untrusted", "frames"))
     if not n:
@@ -116,17 +105,22 @@ def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     counts: Counter[str] = Counter()
     for patch in every:
         counts.update(patch["doubts"])
-    reasons = "; ".join(
-        (f"in {count} " if len(counts) > 1 else "") + DOUBTS.get(word, word)
+    are = "is" if n == 1 else "are"
+    text = f"{n} of {total} frames {are} in doubt{_reasons(counts)}."
+    if counts[Reason.ERROR]:
+        rotate = "" if all(p["rows"] == "rotating" for p in every) else " or rotating rows"
+        text += f" If the error lasts, more measurements{rotate} may help."
+    return textwrap.fill(text, WIDTH)
+
+
+def _reasons(counts: Counter[str]) -> str:
+    """The reasons of frames, each with its number of frames where there are several reasons."""
+    if len(counts) == 1:
+        return "".join(f": {phrase_of(word)}" for word in counts)
+    return "".join(
+        f"; in {count} {'frame' if count == 1 else 'frames'}: {phrase_of(word)}"
         for word, count in counts.most_common()
     )
-    advice = ""
-    if counts["error"]:
-        rotate = "" if all(p["rows"] == "rotating" for p in every) else " or rotating rows"
-        advice = f"; if the error lasts, more measurements{rotate} may help"
-    are = "is" if n == 1 else "are"
-    text = f"{n} of {total} frames {are} in doubt: {reasons}{advice}."
-    return textwrap.fill(text, WIDTH)
 
 
 def patch_table(name: str, patch: Mapping[str, Any]) -> str:

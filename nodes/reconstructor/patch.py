@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sparseskin.messages import PhiState, SkinState
+from sparseskin.messages import PhiState, Reason, SkinState
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
@@ -259,12 +259,12 @@ class Patch:
     def _reason(self, of_forces: str) -> str:
         """Why the frame is not to be trusted; "" if it is. `of_forces` is that of its forces."""
         reasons = (
-            ("constant", self._constant),
-            ("frozen", self.faults.frozen),
-            ("missing", self._blind),
-            ("weak" if self._is_weak else "error", not self._trusted),
-            ("rows", self.faults.swamped),
-            ("stuck", self.faults.doubts_taxels),
+            (Reason.CONSTANT, self._constant),
+            (Reason.FROZEN, self.faults.frozen),
+            (Reason.MISSING, self._blind),
+            (Reason.WEAK if self._is_weak else Reason.ERROR, not self._trusted),
+            (Reason.ROWS, self.faults.swamped),
+            (Reason.STUCK, self.faults.doubts_taxels),
         )
         return next((reason for reason, applies in reasons if applies), of_forces)
 

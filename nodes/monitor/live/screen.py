@@ -3,6 +3,7 @@
 import textwrap
 import time
 
+from sparseskin.messages.reasons import phrase_of
 from sparseskin.nodes.monitor.table import summary_table
 
 from .feed import Feed
@@ -29,7 +30,9 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         lines += [f"{'!!' if tone == BAD else ' *'} {text}" for tone, text in found]
         for name, patch in feed.patches.items():
             if not patch.trusted(now_s):
-                lines.append(f"!! {name}: not trusted{patch.reason and f' ({patch.reason})'}")
+                why = f": {phrase_of(patch.reason)}" if patch.reason else ""
+                text = f"!! {name}: not trusted{why}"
+                lines += textwrap.wrap(text, WIDTH, subsequent_indent="   ")
         lines += [part for line in status.split("\n") for part in textwrap.wrap(line, WIDTH)]
         if summaries := {name: p.summary for name, p in feed.patches.items() if p.summary}:
             lines += summary_table(summaries).split("\n")

@@ -15,6 +15,7 @@ import numpy as np
 
 from sparseskin.messages import Reconstruction
 from sparseskin.messages.contacts import sum_unit
+from sparseskin.messages.reasons import phrase_of, sentence_of
 
 from .feed import Feed, PatchFeed
 from .notices import Notices, host_lines
@@ -176,7 +177,7 @@ class StreamReader:
             "lost": patch.summary["frames"]["lost"] if ended_with else patch.lost,
             "ended": patch.ended,
             "trusted": patch.trusted(now_s),
-            "reason": patch.reason,
+            "reason": None if patch.trusted(now_s) else _reason(patch.reason),
             "idle": patch.idle,
         }
         if self._is_new(f"summary {name}", patch.summary):
@@ -188,6 +189,13 @@ class StreamReader:
         is_new = self._sent.get(key) is not value
         self._sent[key] = value
         return is_new
+
+
+def _reason(word: str) -> dict[str, str] | None:
+    """A reason and its text; None where none is stated."""
+    return (
+        {"word": word, "phrase": phrase_of(word), "sentence": sentence_of(word)} if word else None
+    )
 
 
 def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:

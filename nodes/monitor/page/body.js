@@ -79,14 +79,17 @@ export class Body {
     return contacts?.n > 0 || peak > Math.max(CONTACT * fMax, NOISE * sigma);
   }
 
-  // What a patch does now, by its state of the monitor, and the tone of that.
+  // What a patch does now, by its state of the monitor, the tone of that, and an explanation.
   #now(patch, state, isPaused) {
     const age = state.age_s.reconstruction;
     if (state.ended) return ["ended", ""];
     if (age === undefined) return ["no frame yet", "bad"];
     if (isPaused) return ["paused", ""];
     if (age > state.stale_s) return [`stale for ${ago(age)}`, "bad"];
-    if (!state.trusted) return [state.reason ? `not trusted: ${state.reason}` : "not trusted", "bad"];
+    if (!state.trusted) {
+      const { word, sentence } = state.reason ?? {};
+      return [word ? `not trusted: ${word}` : "not trusted", "bad", sentence];
+    }
     if (!this.#isPressed(patch)) return [state.idle ? "idle" : "live", ""];
     return [summary(this.figures[patch].contacts, this.skins[patch].sum_unit) || "pressed", "good"];
   }
@@ -98,9 +101,10 @@ export class Body {
         element("td", {}, element("a", { href: `#/${patch}` }, patch)));
       if (!row.isConnected) this.body.append(row);
       const { peak, total } = this.figures[patch] ?? {}, { unit, sum_unit: sums } = this.skins[patch] ?? {};
-      const [text, tone] = this.#now(patch, state, isPaused);
+      const [text, tone, explanation = ""] = this.#now(patch, state, isPaused);
       cells(row, "td", [patch, text, brief(peak, unit), brief(total, sums), ...rest(patch, state)]);
       row.children[1].className = tone;
+      row.children[1].title = explanation;
     }
   }
 

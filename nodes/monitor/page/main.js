@@ -129,7 +129,7 @@ function asked(name) {
 // The mark of a patch whose frames are not to be trusted now, with the reason; "" if they are.
 function notTrusted(state) {
   if (state?.trusted !== false) return "";
-  return state.reason ? `not trusted: ${state.reason}` : "not trusted";
+  return state.reason ? `not trusted: ${state.reason.phrase}` : "not trusted";
 }
 
 // The share of trusted frames in those that PSNR is shown of; "" if the solver estimates none. It is
@@ -184,11 +184,12 @@ function drawTiles(tiles) {
 
 function drawHeadline() {
   drawTiles(tiles(patch));
-  const doubt = notTrusted(model.state?.patches[patch]);
-  for (const title of document.querySelectorAll(
-    '[data-tile="gain"], [data-panel="reconstruction"] h2')) {
-    title.dataset.mark = title.closest(".tile") && doubt ? "not trusted" : doubt;
-  }
+  const state = model.state?.patches[patch], doubt = notTrusted(state);
+  const tile = byId("headline").querySelector('[data-tile="gain"]');
+  tile.dataset.mark = doubt && "not trusted";
+  tile.title = doubt && (state.reason?.sentence ?? "");
+  const heading = byId("maps").querySelector('[data-panel="reconstruction"] h2');
+  if (heading) heading.dataset.mark = doubt;
 }
 
 function condition(node) {

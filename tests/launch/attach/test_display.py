@@ -13,7 +13,7 @@ from sparseskin.launch.attach.echo import Echo, FieldPath, plain, text
 from sparseskin.launch.attach.heat_map import COLOURS, LETTERS, UPPER_HALF, heat_map
 from sparseskin.launch.attach.stream import Arrival
 from sparseskin.launch.attach.text import MAX_SHOWN, shown_value, table, typed_value
-from sparseskin.messages import Contacts, Taxels, encode
+from sparseskin.messages import Contacts, Reason, Reconstruction, Taxels, encode
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.errors import SettingsError
 
@@ -59,6 +59,25 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty():
     shown = [echo.take(Arrival(*encode(m), 0, "", m.seq, m.stamp_ns, ends=False)) for m in made]
     assert (shown, text(one[:0], full=False)) == ([True, False, True], "float32, 0")
     assert plain(one[:0], full=False)["first"] == []
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_the_reason_of_a_frame_is_followed_by_its_meaning(reason):
+    of_patches = {"iterations": (1, 1, 1), "residual": (0.1, 0.1, 0.1), "solve_ns": (1, 1, 1)}
+    body = Reconstruction(
+        **{"stamp_ns": 1, "patch": "body", "names": ("a", "b", "c"), "done_ns": 2, **of_patches},
+        **{"forces": np.ones((3, 2, 2), np.float32), "phi": "0" * 16},
+        **{"trusted": (False, True, False), "reason": (reason.value, "", reason.value)},
+    )
+    skin = body.split()[0]
+    options = {"n": None, "max_hz": None, "full": False}
+    echo = Echo("/body/reconstruction", None, in_json=False, **options)
+    meaning = f" reason {reason}: {reason.sentence}"
+    for message in (body, skin):
+        assert " ".join(echo.text(message).split()).endswith(meaning)
+    shown = json.loads(Echo("/skin/reconstruction", None, in_json=True, **options).text(skin))
+    assert shown["reason"] == reason
+    assert f"reason {reason}" not in shown
 
 
 @pytest.mark.parametrize(

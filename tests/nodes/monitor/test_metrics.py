@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from sparseskin.messages import (
     Measurements,
     PhiState,
+    Reason,
     Reconstruction,
     Resultant,
     SolverState,
@@ -28,7 +29,7 @@ from sparseskin.nodes.monitor import statistics
 from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, psnr_db
 from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.monitor.statistics import COLUMNS, MIN_CAPACITY, SPAN_S, History, Quantiles
-from sparseskin.nodes.monitor.table import status_line, summary_table
+from sparseskin.nodes.monitor.table import WIDTH, doubts_text, status_line, summary_table
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
@@ -313,9 +314,46 @@ def test_frames_that_the_solver_does_not_trust_are_counted():
         "contact frames 75.0 % (1 of 4 not)",
     ]
     assert " ".join(table.split("=\n")[-1].split()) == (
-        "2 of 6 frames are in doubt: the estimated error is a large part of the forces, as at "
-        "first touch; if the error lasts, more measurements or rotating rows may help."
+        "2 of 6 frames are in doubt: the estimated error is a large part of the forces. "
+        "If the error lasts, more measurements or rotating rows may help."
     )
+
+
+ADVICE = " If the error lasts, more measurements or rotating rows may help."
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_frames_that_are_not_trusted_for_one_reason_are_one_sentence(reason):
+    text = doubts_of(reason)
+    advice = ADVICE if reason == Reason.ERROR else ""
+    assert text == f"1 of 2 frames is in doubt: {reason.phrase}.{advice}"
+
+
+@pytest.mark.parametrize("reason", set(Reason) - {Reason.FROZEN})
+def test_of_several_reasons_each_has_its_number_of_frames(reason):
+    text = doubts_of(reason, Reason.FROZEN, reason)
+    advice = ADVICE if reason == Reason.ERROR else ""
+    assert text == (
+        f"3 of 4 frames are in doubt; in 2 frames: {reason.phrase}; in 1 frame: measurements "
+        f"repeat exactly.{advice}"
+    )
+
+
+def test_a_reason_of_another_version_is_named_and_one_that_is_not_stated_is_the_error():
+    assert doubts_of("uniform") == '1 of 2 frames is in doubt: unknown reason "uniform".'
+    assert doubts_of("") == doubts_of(Reason.ERROR)
+
+
+def doubts_of(*reasons):
+    """Sentence on frames that are not trusted for these reasons, after one that is."""
+    metrics = metrics_of(skin(), *estimated(0, 1.0, trusted=True))
+    for seq, reason in enumerate(reasons, start=1):
+        *others, last = estimated(seq, 1.0, trusted=False)
+        for message in (*others, dataclasses.replace(last, reason=reason)):
+            metrics.add(message)
+    lines = doubts_text([metrics.summary()]).splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    return " ".join(lines)
 
 
 @pytest.mark.parametrize(("stated", "clipped"), [(True, True), (False, True), (False, False)])

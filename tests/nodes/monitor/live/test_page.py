@@ -14,7 +14,7 @@ from conftest import wait_until
 from exported import contacts
 from feeds import Graph, graph_state, served
 
-from sparseskin.messages import Resultant
+from sparseskin.messages import Reason, Resultant
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
@@ -272,9 +272,14 @@ def test_the_marks_of_frames_in_doubt_and_of_old_frames_move_nothing(page):
         assert len(before) > 10
         graph.frame(error=0.1, trusted=False, reason="error")
         wait_until(
-            lambda: page.execute_script(marks) == ['"not trusted"', '"not trusted: error"'],
+            lambda: (
+                page.execute_script(marks)
+                == ['"not trusted"', f'"not trusted: {Reason.ERROR.phrase}"']
+            ),
             "a mark beside each",
         )
+        explained = "return document.querySelector('[data-tile=gain]').title;"
+        assert page.execute_script(explained) == Reason.ERROR.sentence
         graph.summarise()
         wait_until(lambda: "50 % trusted" in text(page, shares), "the share")
         assert page.execute_script(places) == before
@@ -283,6 +288,7 @@ def test_the_marks_of_frames_in_doubt_and_of_old_frames_move_nothing(page):
         assert page.execute_script(places) == before
         graph.frame(error=0.1)
         wait_until(lambda: "not trusted" not in "".join(page.execute_script(marks)), "no marks")
+        assert page.execute_script(explained) == ""
 
 
 def test_a_taxel_whose_reading_is_missing_looks_like_no_force(page):

@@ -5,7 +5,7 @@ import pytest
 from bags import PHI
 from feeds import FakeTime, Graph, graph_state, node_state
 
-from sparseskin.messages import Measurements, PhiState, Reconstruction, Taxels, Truth
+from sparseskin.messages import Measurements, PhiState, Reason, Reconstruction, Taxels, Truth
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.monitor.live.feed import STALE_S, Feed
 from sparseskin.nodes.monitor.live.notices import (
@@ -77,7 +77,7 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_nee
 
     def marked(trusted):
         graph.frame(error=0.1, trusted=trusted, reason="" if trusted else "error")
-        return "!! skin: not trusted (error)" in lines_of(graph)
+        return f"!! skin: not trusted: {Reason.ERROR.phrase}" in lines_of(graph)
 
     assert not marked(trusted=True)
     assert marked(trusted=False)
@@ -85,6 +85,18 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_nee
     assert marked(trusted=True)
     clock.advance(0.02)
     assert not marked(trusted=True)
+
+
+@pytest.mark.parametrize("reason", ["", "uniform", *Reason])
+def test_the_mark_of_a_frame_names_its_reason_on_as_many_lines_as_it_needs(clock, reason):
+    name = "left_forearm_of_a_body"
+    graph = Graph(name)
+    graph.skin(name)
+    graph.frame(name, trusted=False, reason=reason)
+    text = " ".join(" ".join(lines_of(graph)).split())
+    phrases = {"": "", "uniform": ': unknown reason "uniform"'}
+    phrase = phrases[reason] if reason in phrases else f": {Reason(reason).phrase}"
+    assert f"!! {name}: not trusted{phrase} {STATUS}".split() == text[text.index("!!") :].split()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from sparseskin.messages import Reconstruction, Taxels, Truth
+from sparseskin.messages import Reason, Reconstruction, Taxels, Truth
+from sparseskin.nodes.monitor.live.feed import UNTRUSTED_S
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import MOST, StreamReader, record
 from sparseskin.nodes.monitor.statistics import COLUMNS
@@ -61,6 +62,28 @@ class Page:
 def only(records, kind):
     (found,) = [(header, arrays) for header, arrays in records if header["kind"] == kind]
     return found
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_the_state_explains_why_a_frame_is_not_trusted(clock, reason):
+    graph = Graph()
+    page = Page(graph, clock)
+
+    def stated():
+        state = only(page.pull(), "state")[0]["patches"]["skin"]
+        return state["trusted"], state["reason"]
+
+    graph.skin()
+    graph.frame()
+    assert stated() == (True, None)
+    graph.frame(trusted=False, reason=reason)
+    text = {"phrase": reason.phrase, "sentence": reason.sentence}
+    assert stated() == (False, {"word": reason.value, **text})
+    graph.frame()
+    clock.advance(UNTRUSTED_S)
+    assert stated() == (True, None)
+    graph.frame(trusted=False)
+    assert stated() == (False, None)
 
 
 def test_the_skin_comes_first_and_once(clock):

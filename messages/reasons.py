@@ -1,0 +1,89 @@
+"""Reasons for which a frame is not trusted, and their text wherever a person reads them."""
+
+from enum import StrEnum
+from typing import Self
+
+
+class Reason(StrEnum):
+    """Why a frame is not trusted. The value is the word of the field `reason` of a
+    `Reconstruction`; `phrase` is a short clause, for counts and marks; `sentence` the meaning in
+    full.
+    """
+
+    phrase: str
+    sentence: str
+
+    def __new__(cls, word: str, phrase: str, sentence: str) -> Self:
+        reason = str.__new__(cls, word)
+        reason._value_ = word
+        reason.phrase = phrase
+        reason.sentence = sentence
+        return reason
+
+    CONSTANT = (
+        "constant",
+        "all measurements are equal",
+        "The measurements hold no information: all are equal, on a skin with noise.",
+    )
+    FROZEN = (
+        "frozen",
+        "measurements repeat exactly",
+        "The measurements repeat exactly, on a skin with noise.",
+    )
+    CLIPPED = (
+        "clipped",
+        "many measurements share an extreme value",
+        "Many measurements share their largest or their smallest value: a converter clips them, "
+        "or delivers one sign alone.",
+    )
+    MISSING = (
+        "missing",
+        "neighbouring readings are missing",
+        "Readings are missing whose neighbours are missing, too.",
+    )
+    ERROR = (
+        "error",
+        "the estimated error is a large part of the forces",
+        "The estimated error is a large part of the forces, as at first touch.",
+    )
+    WEAK = (
+        "weak",
+        "the forces are within the noise of the skin",
+        "The estimated error is a large part of the forces, but both are within the noise of the "
+        "skin.",
+    )
+    ROWS = (
+        "rows",
+        "measurements contradict each other",
+        "Measurements contradict each other: some are faulty, or the mask is wrong.",
+    )
+    STUCK = (
+        "stuck",
+        "pressed taxels may be stuck",
+        "Pressed taxels are without noise: they may be stuck.",
+    )
+    RANGE = (
+        "range",
+        "a force is beyond the range of the skin",
+        "A force is beyond the range of the skin.",
+    )
+    OFFSET = (
+        "offset",
+        "all measurements share an offset",
+        "All measurements share an offset, or taxels are pressed that look like one.",
+    )
+
+
+_REASONS = {reason.value: reason for reason in Reason}
+
+
+def phrase_of(word: str) -> str:
+    """Phrase of a reason; an unknown one, as in recordings of other versions, is named."""
+    reason = _REASONS.get(word)
+    return reason.phrase if reason is not None else f'unknown reason "{word}"'
+
+
+def sentence_of(word: str) -> str:
+    """Sentence of a reason; an unknown one is named, as by `phrase_of`."""
+    reason = _REASONS.get(word)
+    return reason.sentence if reason is not None else f'Unknown reason "{word}".'
