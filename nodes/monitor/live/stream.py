@@ -170,14 +170,15 @@ class StreamReader:
     def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
         patch = self._feed.patches[name]
         ended_with = self._feed.closed and patch.summary
+        trusted = patch.trusted(now_s)
         state: dict[str, Any] = {
             "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
             "stale_s": patch.stale_s,
             # At the end, of all frames.
             "lost": patch.summary["frames"]["lost"] if ended_with else patch.lost,
             "ended": patch.ended,
-            "trusted": patch.trusted(now_s),
-            "reason": None if patch.trusted(now_s) else _reason(patch.reason),
+            "trusted": trusted,
+            "reason": None if trusted else _reason(patch.reason),
             "idle": patch.idle,
         }
         if self._is_new(f"summary {name}", patch.summary):
@@ -193,9 +194,9 @@ class StreamReader:
 
 def _reason(word: str) -> dict[str, str] | None:
     """A reason and its text; None where none is stated."""
-    return (
-        {"word": word, "phrase": phrase_of(word), "sentence": sentence_of(word)} if word else None
-    )
+    if not word:
+        return None
+    return {"word": word, "phrase": phrase_of(word), "sentence": sentence_of(word)}
 
 
 def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
