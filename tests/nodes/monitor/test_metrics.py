@@ -329,7 +329,7 @@ def test_frames_that_are_not_trusted_for_one_reason_are_one_sentence(reason):
     assert text == f"1 of 2 frames is in doubt: {reason.phrase}.{advice}"
 
 
-@pytest.mark.parametrize("reason", set(Reason) - {Reason.FROZEN})
+@pytest.mark.parametrize("reason", sorted(set(Reason) - {Reason.FROZEN}))
 def test_of_several_reasons_each_has_its_number_of_frames(reason):
     text = doubts_of(reason, Reason.FROZEN, reason)
     advice = ADVICE if reason == Reason.ERROR else ""
