@@ -1,205 +1,404 @@
-"""Study `stability`, and its faults of taxels and measurements: what is noticed, and the errors."""
+"""Faults drawn at random, of any shape and size: of taxels, and of measurements on their way."""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-import pandas as pd
 
-from sparseskin.messages import Measurements, Reconstruction, Taxels
-from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.compressor.node import Compressor
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
-from sparseskin.nodes.node import Context
-from sparseskin.nodes.numerics.arrays import TINY, Floats
-from sparseskin.nodes.reconstructor.node import Reconstructor
-from sparseskin.studies.evaluate import WRONG
-from sparseskin.studies.frames import NOISE, SceneFrames
-from sparseskin.studies.points import compute_rows
-from sparseskin.studies.report import Chart, Page, series_style
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 
-from . import phase, sweeps
-
-SCENE, FIRST, EVERY = "drag_wrench_40", 400, 5
-"""Frames: a wrench that is dragged, at 200 Hz."""
-BEFORE, DURING = 100, 100
-"""Frames without a fault, and with it."""
-RATIO = 3
-ROWS = {"fixed": ("sbhe", FIXED), "rotating": ("sbhe", ROTATING), "adaptive": ("adaptive", None)}
-"""Rows by name: phi, and rows of the compressor."""
-SIGMA, HUM = NOISE.sigma_end, 2 * np.pi * 0.485
-"""Noise of an untouched taxel, N; phase that hum of 50 Hz gains per frame at 103 Hz."""
-MOST_SILENT = 0.1
-"""Share of wrong frames that are trusted, of all, beyond which a fault is named in the caption."""
-LEAST = 1.2
-"""RMS error of a taxel, in deviations of its noise, up to which no frame is wrong."""
+HUM_PHASE = 2 * math.pi * 0.485
+"""Phase that hum of 50 Hz gains per frame at 103 Hz."""
 
 
-class Fault(NamedTuple):
-    """A fault: its name, and a function of the number of frames since it began, the values, those
-    of the frames before, and a random generator, which returns the faulty values; `of_taxels`: of
-    readings, else of measurements.
+class Moment(NamedTuple):
+    """A frame with a fault: number of frames since it began; values of the frame before, and of the
+    last frame without the fault; a random generator of this frame alone.
     """
 
-    name: str
-    apply: Callable[[int, Floats, list[Floats], np.random.Generator], Any]
-    of_taxels: bool = False
+    k: int
+    previous: Floats
+    healthy: Floats
+    rng: np.random.Generator
 
 
-def _some(y: Floats, rng: np.random.Generator, value: float) -> Floats:
-    """Measurements of which one is garbage."""
-    return np.where(np.arange(y.size) == rng.integers(y.size), value, y)
+Change: TypeAlias = Callable[[Floats, Moment], Any]
+"""Returns the faulty values of a frame; None if the frame is lost."""
 
 
-def _set(x: Floats, *where: slice) -> Floats:
-    """Readings of which some are stuck."""
-    stuck = x.copy()
-    stuck[where] = 0.8 * PAPER_F_MAX_N
-    return stuck
+class Skin(NamedTuple):
+    """What a fault is drawn for: taxels that exist, upper end of their range, newtons."""
+
+    exists: Mask
+    f_max: float
 
 
-def _top(past: list[Floats]) -> float:
-    """Largest measurement before the fault."""
-    return float(np.abs(past[BEFORE - 1]).max())
+class Drawn(NamedTuple):
+    """A fault as it was drawn: its size in words, and what it does."""
+
+    text: str
+    change: Change
 
 
-FAULTS = (
-    Fault("none", lambda k, y, past, rng: y),
-    Fault("one measurement is garbage", lambda k, y, past, rng: _some(y, rng, 50)),
-    Fault("one measurement is stuck", lambda k, y, *_: np.where(np.arange(y.size) == 17, 50, y)),
-    Fault("all zero", lambda k, y, past, rng: 0 * y),
-    Fault("constant", lambda k, y, past, rng: 0 * y + _top(past) / 3),
-    Fault("frozen", lambda k, x, past, rng: past[BEFORE - 1], True),
-    Fault("dropouts, 30 %", lambda k, y, past, rng: 0 * y if rng.random() < 0.3 else y),
-    Fault("noise x 10", lambda k, y, past, rng: y + rng.normal(0, 10 * SIGMA, y.size)),
-    Fault("noise x 100", lambda k, y, past, rng: y + rng.normal(0, 100 * SIGMA, y.size)),
-    Fault("random", lambda k, y, past, rng: rng.normal(0, np.std(past[-1]), y.size)),
-    Fault("pairs out of order", lambda k, y, *_: y[np.minimum(np.arange(y.size) ^ 1, y.size - 1)]),
-    Fault("those of the frame before", lambda k, y, past, rng: past[-1]),
-    Fault("scaled by 10", lambda k, y, past, rng: 10 * y),
-    Fault("clipped to a third", lambda k, y, past, rng: y.clip(-_top(past) / 3, _top(past) / 3)),
-    Fault("offset", lambda k, y, past, rng: y + _top(past)),
-    Fault("hum of the converter", lambda k, y, past, rng: y + _top(past) / 3 * np.sin(HUM * k)),
-    Fault("hum of the taxels", lambda k, x, *_: (x + 20 * SIGMA * np.sin(HUM * k)).clip(0), True),
-    Fault("drift of the taxels", lambda k, x, past, rng: x + 0.2 * k * SIGMA, True),
-    Fault("stuck row", lambda k, x, past, rng: _set(x, slice(12, 13)), True),
-    Fault("stuck column", lambda k, x, past, rng: _set(x, slice(None), slice(25, 26)), True),
-    Fault("stuck square", lambda k, x, past, rng: _set(x, slice(8, 16), slice(8, 16)), True),
-)
+def _size(rng: np.random.Generator, low: float, high: float) -> float:
+    """A size of any order of magnitude in a range."""
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
-def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
-    """Compute the study, write its page and return its conclusion; see `command.Study`."""
-    page = Page(out, "stability", Path(__file__).with_name("notes.md"), quick)
-    for part in (phase, sweeps):
-        part.section(page, quick, seed, executor)
-    lines = [section(page, quick, seed, executor)]
-    page.write(lines)
-    return lines
+def _newtons(rng: np.random.Generator, skin: Skin, low: float, high: float) -> float:
+    """A force of either sign, newtons, between two multiples of the range."""
+    return float(rng.choice([-1.0, 1.0])) * _size(rng, low, high) * skin.f_max
 
 
-def points(quick: bool, seed: int) -> list[dict[str, Any]]:
-    """Each fault with all kinds of rows."""
-    kinds = ("rotating",) if quick else tuple(ROWS)
-    return [{"fault": one.name, "rows": rows, "seed": seed} for one in FAULTS for rows in kinds]
+# Stuck taxels.
 
 
-def measure(point: dict[str, Any]) -> dict[str, Any]:
-    """Median error of the forces, relative to the true ones; of the frames that are wrong their
-    number and the share not trusted; frames until the first of these is not trusted, if one is; of
-    those that are not wrong the share not trusted.
+def _blob(rng: np.random.Generator, skin: Skin) -> Mask:
+    """A connected blob, grown taxel by taxel: compact or ragged as it comes."""
+    n_rows, n_cols = skin.exists.shape
+    n_wanted = round(_size(rng, 2, max(3.0, 0.3 * skin.exists.sum())))
+    cells = np.zeros(skin.exists.shape, dtype=np.bool_)
+    border = [(int(rng.integers(n_rows)), int(rng.integers(n_cols)))]
+    while border and np.count_nonzero(cells) < n_wanted:
+        row, col = border.pop(int(rng.integers(len(border))))
+        if not (0 <= row < n_rows and 0 <= col < n_cols) or cells[row, col]:
+            continue
+        cells[row, col] = True
+        border += [(row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1)]
+    return cells
+
+
+def _line(rng: np.random.Generator, skin: Skin) -> Mask:
+    """A straight line of any direction and length, as of a crack or a cable."""
+    rows, cols = np.indices(skin.exists.shape)
+    start = rng.uniform(0, 1, 2) * skin.exists.shape
+    angle = rng.uniform(0, 2 * math.pi)
+    length = _size(rng, 3, max(skin.exists.shape))
+    along = (rows - start[0]) * math.cos(angle) + (cols - start[1]) * math.sin(angle)
+    aside = (cols - start[1]) * math.cos(angle) - (rows - start[0]) * math.sin(angle)
+    return (along >= 0) & (along <= length) & (np.abs(aside) <= rng.uniform(0.5, 1.2))
+
+
+def _scattered(rng: np.random.Generator, skin: Skin) -> Mask:
+    """Single taxels anywhere."""
+    count = round(_size(rng, 1, 0.1 * skin.exists.size))
+    cells = np.zeros(skin.exists.size, dtype=np.bool_)
+    cells[rng.choice(cells.size, count, replace=False)] = True
+    return cells.reshape(skin.exists.shape)
+
+
+def _strips(rng: np.random.Generator, skin: Skin) -> Mask:
+    """Whole rows or columns, next to each other or not."""
+    axis = int(rng.integers(2))
+    n_lines = skin.exists.shape[axis]
+    count = int(rng.integers(1, max(2, min(5, n_lines // 3))))
+    lines = rng.choice(n_lines, count, replace=False)
+    if rng.random() < 0.5:
+        lines = (lines[0] + np.arange(count)) % n_lines
+    is_stuck = np.isin(np.arange(n_lines), lines)
+    return np.broadcast_to(np.expand_dims(is_stuck, 1 - axis), skin.exists.shape)
+
+
+def _stuck(rng: np.random.Generator, skin: Skin, shape: Callable[..., Mask]) -> Drawn:
+    """Taxels that read one value: the ends of the range as often as any other."""
+    cells = np.zeros(skin.exists.shape, dtype=np.bool_)
+    # A small shape may lie on a hole of the skin alone.
+    while not cells.any():
+        cells = shape(rng, skin) & skin.exists
+    value = float(rng.choice([0.0, rng.uniform(0, skin.f_max), skin.f_max], p=[0.2, 0.6, 0.2]))
+    text = f"{np.count_nonzero(cells)} taxels at {value:.2f} N"
+    return Drawn(text, lambda x, moment: np.where(cells, value, x))
+
+
+# All readings.
+
+
+def _readings_hum(rng: np.random.Generator, skin: Skin) -> Drawn:
+    height = _size(rng, 0.02, 0.4) * skin.f_max
+
+    def change(x: Floats, moment: Moment) -> Floats:
+        hum = height * math.sin(HUM_PHASE * moment.k)
+        return (x + hum).clip(0, skin.f_max) * skin.exists
+
+    return Drawn(f"{height:.2f} N", change)
+
+
+def _readings_drift(rng: np.random.Generator, skin: Skin) -> Drawn:
+    per_frame = _size(rng, 0.0005, 0.01) * skin.f_max
+
+    def change(x: Floats, moment: Moment) -> Floats:
+        return (x + per_frame * moment.k).clip(0, skin.f_max) * skin.exists
+
+    return Drawn(f"{1000 * per_frame:.2f} mN per frame", change)
+
+
+def _readings_frozen(rng: np.random.Generator, skin: Skin) -> Drawn:
+    return Drawn("", lambda x, moment: moment.healthy)
+
+
+# Single measurements.
+
+
+def _rows(rng: np.random.Generator, y: Floats, share: float) -> Any:
+    """Rows that are a share of all, one at least."""
+    count = max(1, round(share * y.size))
+    return rng.permutation(y.size)[:count]
+
+
+def _share_of_rows(rng: np.random.Generator) -> float:
+    """One row as often as several, up to an eighth."""
+    if rng.random() < 0.5:
+        return 0.0
+    return _size(rng, 0.01, 0.125)
+
+
+def _of_rows(share: float) -> str:
+    if share == 0:
+        return "one row"
+    return f"{share:.1%} of the rows"
+
+
+def _garbage_at_times(rng: np.random.Generator, skin: Skin) -> Drawn:
+    share = _share_of_rows(rng)
+    height = _size(rng, 1, 30) * skin.f_max
+    interval = int(rng.integers(2, 20))
+
+    def change(y: Floats, moment: Moment) -> Floats:
+        if moment.k % interval:
+            return y
+        garbage = y.copy()
+        rows = _rows(moment.rng, y, share)
+        garbage[rows] = moment.rng.uniform(-height, height, rows.size)
+        return garbage
+
+    return Drawn(f"{_of_rows(share)} up to {height:.1f} N, every {interval} frames", change)
+
+
+def _garbage(rng: np.random.Generator, skin: Skin) -> Drawn:
+    share = _share_of_rows(rng)
+    height = _size(rng, 1, 30) * skin.f_max
+    seed = int(rng.integers(2**32))
+
+    def change(y: Floats, moment: Moment) -> Floats:
+        garbage = y.copy()
+        rows = _rows(np.random.default_rng(seed), y, share)
+        garbage[rows] = moment.rng.uniform(-height, height, rows.size)
+        return garbage
+
+    return Drawn(f"{_of_rows(share)} up to {height:.1f} N", change)
+
+
+def _stuck_rows(rng: np.random.Generator, skin: Skin) -> Drawn:
+    share = _share_of_rows(rng)
+    value = float(rng.choice([0.0, _newtons(rng, skin, 0.1, 30)], p=[0.2, 0.8]))
+    seed = int(rng.integers(2**32))
+
+    def change(y: Floats, moment: Moment) -> Floats:
+        stuck = y.copy()
+        stuck[_rows(np.random.default_rng(seed), y, share)] = value
+        return stuck
+
+    return Drawn(f"{_of_rows(share)} at {value:.2f} N", change)
+
+
+# All measurements.
+
+
+def _offset(rng: np.random.Generator, skin: Skin) -> Drawn:
+    value = _newtons(rng, skin, 0.02, 1)
+    return Drawn(f"{value:+.2f} N", lambda y, moment: y + value)
+
+
+def _hum(rng: np.random.Generator, skin: Skin) -> Drawn:
+    height = _size(rng, 0.02, 1) * skin.f_max
+    return Drawn(f"{height:.2f} N", lambda y, moment: y + height * math.sin(HUM_PHASE * moment.k))
+
+
+def _zeros(rng: np.random.Generator, skin: Skin) -> Drawn:
+    return Drawn("", lambda y, moment: 0 * y)
+
+
+def _equal(rng: np.random.Generator, skin: Skin) -> Drawn:
+    value = _newtons(rng, skin, 0.02, 2)
+    return Drawn(f"at {value:.2f} N", lambda y, moment: 0 * y + value)
+
+
+def _one_sided(rng: np.random.Generator, skin: Skin) -> Drawn:
+    return Drawn("", lambda y, moment: y.clip(0))
+
+
+def _clipped(rng: np.random.Generator, skin: Skin) -> Drawn:
+    bound = _size(rng, 0.04, 2) * skin.f_max
+    return Drawn(f"at {bound:.2f} N", lambda y, moment: y.clip(-bound, bound))
+
+
+def _frozen(rng: np.random.Generator, skin: Skin) -> Drawn:
+    return Drawn("", lambda y, moment: moment.healthy)
+
+
+def _late(rng: np.random.Generator, skin: Skin) -> Drawn:
+    return Drawn("", lambda y, moment: moment.previous)
+
+
+def _scaled_up(rng: np.random.Generator, skin: Skin) -> Drawn:
+    factor = _size(rng, 2, 100)
+    return Drawn(f"by {factor:.1f}", lambda y, moment: factor * y)
+
+
+def _scaled_down(rng: np.random.Generator, skin: Skin) -> Drawn:
+    factor = _size(rng, 0.01, 0.4)
+    return Drawn(f"by {factor:.2f}", lambda y, moment: factor * y)
+
+
+def _loud(rng: np.random.Generator, skin: Skin) -> Drawn:
+    deviation = _size(rng, 0.04, 1) * skin.f_max
+    text = f"deviation {deviation:.2f} N"
+    return Drawn(text, lambda y, moment: y + deviation * moment.rng.standard_normal(y.size))
+
+
+def _out_of_order(rng: np.random.Generator, skin: Skin) -> Drawn:
+    order = str(rng.choice(["pairs", "backwards", "shifted", "shuffled"]))
+    seed = int(rng.integers(2**32))
+
+    def change(y: Floats, moment: Moment) -> Floats:
+        places = np.arange(y.size)
+        if order == "pairs":
+            places = np.minimum(places ^ 1, y.size - 1)
+        elif order == "backwards":
+            places = places[::-1]
+        elif order == "shifted":
+            places = np.roll(places, 1)
+        else:
+            places = np.random.default_rng(seed).permutation(y.size)
+        return y[places]
+
+    return Drawn(order, change)
+
+
+def _dropouts(rng: np.random.Generator, skin: Skin) -> Drawn:
+    share = rng.uniform(0.05, 0.6)
+
+    def change(y: Floats, moment: Moment) -> Floats:
+        if moment.rng.random() < share:
+            return 0 * y
+        return y
+
+    return Drawn(f"{share:.0%} of the frames", change)
+
+
+def _lost(rng: np.random.Generator, skin: Skin) -> Drawn:
+    share = rng.uniform(0.05, 0.6)
+    burst = int(rng.integers(1, 12))
+    seed = int(rng.integers(2**32))
+
+    def change(y: Floats, moment: Moment) -> Floats | None:
+        if np.random.default_rng((seed, moment.k // burst)).random() < share:
+            return None
+        return y
+
+    return Drawn(f"{share:.0%} of the frames, {burst} at a time", change)
+
+
+Builder: TypeAlias = Callable[[np.random.Generator, Skin], Drawn]
+
+OF_TAXELS: dict[str, Builder] = {
+    "stuck blob": partial(_stuck, shape=_blob),
+    "stuck line": partial(_stuck, shape=_line),
+    "stuck taxels": partial(_stuck, shape=_scattered),
+    "stuck rows or columns": partial(_stuck, shape=_strips),
+    "hum of taxels": _readings_hum,
+    "drift of taxels": _readings_drift,
+    "frozen readings": _readings_frozen,
+}
+"""Faults of readings by kind."""
+OF_MEASUREMENTS: dict[str, Builder] = {
+    "garbage at times": _garbage_at_times,
+    "garbage for ever": _garbage,
+    "stuck measurements": _stuck_rows,
+    "offset": _offset,
+    "hum of measurements": _hum,
+    "zeros": _zeros,
+    "all equal": _equal,
+    "one-sided converter": _one_sided,
+    "clipped": _clipped,
+    "frozen measurements": _frozen,
+    "one frame late": _late,
+    "scaled up": _scaled_up,
+    "scaled down": _scaled_down,
+    "loud noise": _loud,
+    "out of order": _out_of_order,
+    "frames of zeros": _dropouts,
+    "lost frames": _lost,
+}
+"""Faults of measurements by kind."""
+KINDS = OF_TAXELS | OF_MEASUREMENTS
+HOLD_NOTHING = ("zeros", "all equal", "frozen measurements")
+"""Faults whose measurements hold nothing of the skin in any frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fault:
+    """A fault from frame `begins` on; `seed`: of what it draws anew in each frame."""
+
+    kind: str
+    text: str
+    change: Change
+    begins: int
+    seed: int
+
+    @property
+    def of_taxels(self) -> bool:
+        """True if readings are faulty, False if measurements are."""
+        return self.kind in OF_TAXELS
+
+    def describe(self) -> str:
+        """Kind, size and first frame."""
+        size = f" ({self.text})" if self.text else ""
+        return f"{self.kind}{size} from frame {self.begins} on"
+
+
+class Spoiler:
+    """Values of one stream, each frame in turn, with a fault; None: without. `is_empty`: True if
+    those of the last frame hold nothing of the skin, so that no alarm is a false one.
     """
-    fault = next(one for one in FAULTS if one.name == point["fault"])
-    off, norm, trusted = zip(*_frames(fault, point["rows"], point["seed"]), strict=True)
-    wrong = np.array(off) > np.maximum(WRONG * np.array(norm), LEAST * SIGMA * math.sqrt(1600))
-    told = ~np.array(trusted)
-    first = np.flatnonzero(wrong)[:1]
-    return {
-        "error": float(np.median(np.array(off) / np.maximum(norm, TINY))),
-        "n_wrong": int(wrong.sum()),
-        "told": float(told[wrong].mean()) if wrong.any() else None,
-        "after": int(np.argmax(told[first[0] :])) if told[wrong].any() else None,
-        "alarms": float(told[~wrong].mean()) if not wrong.all() else None,
-    }
+
+    def __init__(self, fault: Fault | None) -> None:
+        self.is_empty = False
+        self._fault = fault
+        self._n_frames = 0
+        self._previous: Floats | None = None
+        self._healthy: Floats | None = None
+
+    def spoil(self, values: Floats) -> Floats | None:
+        """Return the values of the next frame as they arrive; None if it is lost."""
+        fault = self._fault
+        k = self._n_frames
+        self._n_frames += 1
+        if fault is None:
+            return values
+        if k < fault.begins or self._previous is None or self._healthy is None:
+            self._previous = values
+            self._healthy = values
+            return values
+        rng = np.random.default_rng((fault.seed, k))
+        moment = Moment(k - fault.begins, self._previous, self._healthy, rng)
+        self._previous = values
+        changed = fault.change(values, moment)
+        if changed is None:
+            return None
+        self.is_empty = bool(np.ptp(changed) == 0) or changed is self._healthy
+        return np.ascontiguousarray(changed, dtype=np.float32)
 
 
-def section(page: Page, quick: bool, seed: int, executor: str) -> str:
-    """Compute, draw and add the section; the line of the conclusion."""
-    rows = pd.DataFrame(compute_rows(measure, points(quick, seed), page.out, executor, "faults"))
-    rows["silent"] = rows["n_wrong"] * (1 - rows["told"].fillna(1).astype(float)) / DURING
-    page.csv("faults", rows)
-    table = rows.assign(cell=rows.apply(_cell, axis=1)).pivot(
-        index="fault", columns="rows", values="cell"
-    )
-    table = table.loc[[one.name for one in FAULTS], rows["rows"].unique()].reset_index()
-    silent = rows[rows["silent"] > MOST_SILENT]
-    names = ", ".join(dict.fromkeys(silent["fault"])) or "none"
-    chart, counts = _draw(page.out, rows, names), {"before": BEFORE, "during": DURING}
-    page.section("Faults of taxels and measurements", chart, table, **counts)
-    share = f"more than {MOST_SILENT:.0%} of the frames"
-    return f"Faults with wrong forces that are trusted in {share}: {names}."
-
-
-def _cell(row: pd.Series) -> str:
-    """One fault with one kind of rows, as in the table."""
-    if not row["n_wrong"]:
-        return f"{row['error']:.2f}"
-    after = "" if pd.isna(row["after"]) else f", after {row['after']:.0f}"
-    return f"{row['error']:.2f}; {row['n_wrong']} wrong, {row['told']:.0%} noticed{after}"
-
-
-def _draw(out: Path, rows: pd.DataFrame, names: str) -> str:
-    """Chart: error of each fault, and share of frames that are wrong and trusted."""
-    caption = f"Faults whose wrong forces pass for right ones: {names}."
-    faults = [one.name for one in FAULTS]
-    with Chart(out, "faults", caption, 2, 2, size_in=(8.5, 6.5), sharey=True) as chart:
-        error, silent = chart.panels
-        for k, (kind, some) in enumerate(rows.groupby("rows", sort=False)):
-            at = some["fault"].map(faults.index) + 0.22 * (k - 1)
-            style = series_style(k) | {"linestyle": "none", "markersize": 5}
-            error.plot(some["error"], at, label=f"{kind} rows", **style)
-            silent.barh(at, 100 * some["silent"], height=0.2, color=style["color"])
-        error.axvline(WRONG, color="black", lw=1, ls=":")
-        error.set(xscale="log", xlabel="error / true forces (dotted: wrong)")
-        error.set_yticks(range(len(faults)), faults)
-        error.invert_yaxis()
-        silent.set(xlim=(0, 100), xlabel="frames wrong and trusted, %")
-    return chart.markdown
-
-
-def _frames(fault: Fault, rows: str, seed: int) -> Iterator[tuple[float, float, bool]]:
-    """Of each frame with a fault: norm of the error and of the true forces, True if trusted."""
-    phi, kept = ROWS[rows]
-    context, rng = Context("", ManualClock(0), live=False), np.random.default_rng(seed)
-    edge = Compressor(Compressor.Settings(phi=phi, rows=kept, ratio=RATIO), context)
-    host = Reconstructor(Reconstructor.Settings(), context)
-    stop = (BEFORE + DURING) * EVERY
-    take = SceneFrames(SCENE, first=FIRST, stop=FIRST + stop, every=EVERY).open(seed)
-    skin = take.state(NOISE.sigma_mid, NOISE.sigma_end, 1000 / EVERY)
-    for message in (skin, *edge.step(skin)):
-        list(host.step(message))
-    past: list[Floats] = []
-    for k, (truth, taxels) in enumerate(itertools.chain(*take.parts())):
-
-        def faulty(values: Floats, past: list[Floats], k: int = k) -> Floats:
-            past.append(values)
-            if k < BEFORE:
-                return values
-            return np.asarray(fault.apply(k - BEFORE, values, past[:-1], rng), dtype=np.float32)
-
-        x = faulty(taxels, past) if fault.of_taxels else taxels
-        (message,) = edge.step(Taxels(stamp_ns=k * 10_000_000, patch="skin", forces=x))
-        assert isinstance(message, Measurements)
-        if not fault.of_taxels:
-            message = replace(message, y=faulty(np.asarray(message.y)[0], past)[np.newaxis])
-        for found in host.step(message):
-            if isinstance(found, Reconstruction) and k >= BEFORE:
-                error = np.linalg.norm(found.forces[0] - truth)
-                yield float(error), float(np.linalg.norm(truth)), found.trusted[0]
+def draw_fault(rng: np.random.Generator, skin: Skin, begins: int, kind: str = "") -> Fault:
+    """Draw a fault of a skin. A stated kind replaces the drawn one."""
+    drawn_kind = str(rng.choice(list(KINDS)))
+    seed = int(rng.integers(2**32))
+    kind = kind or drawn_kind
+    text, change = KINDS[kind](rng, skin)
+    return Fault(kind, text, change, begins, seed)

@@ -1,0 +1,219 @@
+"""Study `stability`: where solvers fail, and drawn worlds, without and with a fault."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from sparseskin.nodes.compressor.phi.rotation import ROTATING
+from sparseskin.studies.points import compute_rows
+from sparseskin.studies.report import PALETTE, Chart, Page
+
+from . import faults, loads, phase, sweeps
+from .verdicts import WAYS, judge
+from .worlds import draw_world
+
+N_WORLDS, N_QUICK = 24, 1
+"""Drawn worlds of each kind of load, and of each kind of fault."""
+PART_OF_WAYS = 6
+"""One world of so many goes through all ways."""
+SILENT_GOAL = 0.02
+"""Share of wrong and trusted frames up to which a fault is noticed. Chosen."""
+RESIDUE = 0.05
+"""Part of a load beyond which force stays after release. Chosen."""
+FAR_FROM_READING = 2.0
+"""Error, in that of reading all taxels, beyond which a still load is not resolved. Chosen."""
+N_LISTED = 12
+NO_FAULT, OF_TAXELS, OF_MEASUREMENTS = "no fault", "of taxels", "of measurements"
+GREY = "#999999"
+
+
+def run(
+    out: Path, quick: bool, seed: int, executor: str, worlds: int | None = None
+) -> list[str]:
+    """Compute the study, write its page and return its conclusion; see `command.Study`. `worlds`:
+    number of worlds of each kind; with it these sections alone.
+    """
+    page = Page(out, "stability", Path(__file__).with_name("notes.md"), quick)
+    if worlds is None:
+        for part in (phase, sweeps):
+            part.section(page, quick, seed, executor)
+        worlds = N_QUICK if quick else N_WORLDS
+    rows = judged(points(worlds, seed), out, executor)
+    page.csv("worlds", rows.drop(columns="reasons"))
+    lines = [without_fault(page, rows), with_fault(page, rows)]
+    if worlds is not None:
+        all_ways(page, rows)
+        listed(page, rows)
+    page.write(lines)
+    return lines
+
+
+def points(n_worlds: int, seed: int) -> list[dict[str, Any]]:
+    """So many worlds of each kind of load without a fault, and of each kind of fault."""
+    kinds = [{"load": kind, "fault": ""} for kind in loads.KINDS]
+    kinds += [{"load": "", "fault": kind} for kind in faults.KINDS]
+    chosen = []
+    for number, kind in enumerate(kinds):
+        for k in range(n_worlds):
+            world = {**kind, "seed": (1000 * seed + number) * 1000 + k}
+            ways = list(WAYS) if k % PART_OF_WAYS == 0 else ["Stream"]
+            chosen += [{**world, "through": way} for way in ways]
+    return chosen
+
+
+def measure(point: dict[str, Any]) -> dict[str, Any]:
+    """Verdict on the world of a point, and what the world is."""
+    has_fault = bool(point["fault"])
+    world = draw_world(point["seed"], has_fault, load=point["load"], fault=point["fault"])
+    verdict = judge(world, point["through"])
+    return {
+        **vars(verdict),
+        "drawn_load": world.load.kind,
+        "motion": world.load.motion,
+        "rows": world.rows,
+        "world": world.describe(),
+    }
+
+
+def judged(chosen: Sequence[dict[str, Any]], out: Path, executor: str) -> pd.DataFrame:
+    """Points with their figures, and the group of their fault."""
+    rows = pd.DataFrame(compute_rows(measure, chosen, out, executor, "worlds"))
+    groups = {"": NO_FAULT}
+    groups |= dict.fromkeys(faults.OF_TAXELS, OF_TAXELS)
+    groups |= dict.fromkeys(faults.OF_MEASUREMENTS, OF_MEASUREMENTS)
+    return rows.assign(group=rows["fault"].map(groups)).astype({"error": float, "reading": float})
+
+
+def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
+    """Of each kind: number of worlds; shares of wrong and of silent frames in all, and of alarms in
+    those that are right; worlds with a silent frame, and with force that stays after release;
+    medians of the errors.
+    """
+    kinds = rows.assign(
+        worlds=1, of_silent=rows["silent"] > 0, of_residue=rows["residue"] > RESIDUE
+    ).groupby(by, sort=False)
+    names = ["worlds", "frames", "wrong", "silent", "right", "alarms", "of_silent", "of_residue"]
+    sums = kinds[names].sum()
+    sums["wrong"] = sums["wrong"] / sums["frames"]
+    sums["silent"] = sums["silent"] / sums["frames"]
+    # None where no frame is right: there is no alarm to be false.
+    sums["alarms"] = sums["alarms"] / sums["right"].where(sums["right"] > 0)
+    return sums.join(kinds[["error", "reading"]].median()).reset_index()
+
+
+def percent(share: float) -> str:
+    """A share as the tables have it."""
+    if pd.isna(share):
+        return "-"
+    return f"{100 * share:.1f}"
+
+
+def without_fault(page: Page, rows: pd.DataFrame) -> str:
+    """Add the section on worlds without a fault, by kind of load; the line of the conclusion."""
+    sound = rows[(rows["group"] == NO_FAULT) & (rows["through"] == "Stream")]
+    kinds = shares(sound, "load")
+    table = pd.DataFrame(
+        {
+            "load": kinds["load"],
+            "worlds": kinds["worlds"],
+            "error, %": kinds["error"].map(percent),
+            "reading all, %": kinds["reading"].map(percent),
+            "wrong, %": kinds["wrong"].map(percent),
+            "silent, %": kinds["silent"].map(percent),
+            "false alarms, %": kinds["alarms"].map(percent),
+            "force stays": kinds["of_residue"],
+        }
+    )
+    page.section("Worlds without a fault", table, residue=f"{RESIDUE:.0%}")
+    still = sound[(sound["motion"] == "still") & (sound["rows"] == ROTATING)]
+    still = still[still["reading"] < 0.2]
+    is_far = still["error"] > FAR_FROM_READING * still["reading"]
+    return (
+        f"Without a fault, {_counts(sound)}; force stays after release in "
+        f"{(sound['residue'] > RESIDUE).sum()}; still loads with rotating rows have more than "
+        f"twice the error of reading all taxels in {is_far.sum()} of {len(still)}."
+    )
+
+
+def _counts(rows: pd.DataFrame) -> str:
+    """Silent frames and false alarms of worlds, in words."""
+    silent = rows["silent"].sum() / rows["frames"].sum()
+    alarms = rows["alarms"].sum() / max(1, rows["right"].sum())
+    return (
+        f"{silent:.2%} of the frames are wrong and trusted, in {(rows['silent'] > 0).sum()} of "
+        f"{len(rows)} worlds, and {alarms:.1%} of the right ones are not trusted"
+    )
+
+
+def with_fault(page: Page, rows: pd.DataFrame) -> str:
+    """Add the section on faults, by kind; the line of the conclusion."""
+    faulty = rows[(rows["group"] != NO_FAULT) & (rows["through"] == "Stream")]
+    kinds = shares(faulty, "fault").sort_values("silent", ascending=False, kind="stable")
+    table = pd.DataFrame(
+        {
+            "fault": kinds["fault"],
+            "worlds": kinds["worlds"],
+            "wrong, %": kinds["wrong"].map(percent),
+            "silent, %": kinds["silent"].map(percent),
+            "false alarms, %": kinds["alarms"].map(percent),
+            "worlds with silent frames": kinds["of_silent"],
+        }
+    )
+    chart = _draw(page.out, kinds)
+    page.section("Faults of taxels and measurements", chart, table, goal=f"{SILENT_GOAL:.0%}")
+    return f"With a fault, {_counts(faulty)}."
+
+
+def _draw(out: Path, kinds: pd.DataFrame) -> str:
+    """Chart: share of silent frames by kind of fault, largest on top, and of false alarms."""
+    n_silent = int((kinds["silent"] > SILENT_GOAL).sum())
+    caption = (
+        f"{n_silent} of {len(kinds)} kinds of fault leave more than {SILENT_GOAL:.0%} of the frames "
+        "wrong and trusted."
+    )
+    size_in = (8.0, 0.25 * len(kinds) + 1.0)
+    columns = {"silent": "wrong and trusted, % of frames", "alarms": "false alarms, % of right ones"}
+    chart = Chart(out, "faults", caption, 2, 2, size_in=size_in, legend_columns=0, sharey=True)
+    with chart:
+        for axes, (column, label) in zip(chart.panels, columns.items(), strict=True):
+            values = 100 * kinds[column].astype(float).fillna(0)
+            colours = [PALETTE[0]] * len(kinds)
+            if column == "silent":
+                # The faults that matter, in a colour of their own.
+                is_bad = kinds["silent"] > SILENT_GOAL
+                colours = [PALETTE[1] if bad else GREY for bad in is_bad]
+            bars = axes.barh(kinds["fault"], values, color=colours, height=0.72)
+            texts = [percent(share) for share in kinds[column]]
+            axes.bar_label(bars, texts, padding=3, fontsize=8)
+            axes.set(xlim=(0, max(10.0, 1.15 * values.max())), title=label)
+            axes.grid(visible=False, axis="y")
+            axes.tick_params(axis="y", length=0)
+        chart.panels[0].invert_yaxis()
+        chart.panels[0].margins(y=0.01)
+    return chart.markdown
+
+
+def all_ways(page: Page, rows: pd.DataFrame) -> None:
+    """Add the section on the ways through which frames can go, on the worlds that go through all."""
+    through_all = rows[rows["seed"].isin(rows.loc[rows["through"] != "Stream", "seed"])]
+    lines = []
+    for group in (NO_FAULT, OF_TAXELS, OF_MEASUREMENTS):
+        ways = shares(through_all[through_all["group"] == group], "through")
+        cells = {
+            way["through"]: f"{percent(way['silent'])} / {percent(way['alarms'])}"
+            for way in ways.to_dict("records")
+        }
+        lines.append({"fault": group, "worlds": ways["worlds"].iloc[0], **cells})
+    page.section("Three ways through", pd.DataFrame(lines))
+
+
+def listed(page: Page, rows: pd.DataFrame) -> None:
+    """Add the section that lists the worlds with the largest number of silent frames."""
+    streams = rows[rows["through"] == "Stream"]
+    worst = streams.nlargest(N_LISTED, "silent")
+    table = worst[["silent", "frames", "world"]]
+    page.section("Worlds with the largest number of silent frames", table)

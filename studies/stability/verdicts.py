@@ -1,0 +1,231 @@
+"""Verdicts on drawn worlds: which frames are wrong, and which of these pass for right ones."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sparseskin import Stream
+from sparseskin.arrays import compress, make_solver, reconstruct
+from sparseskin.messages import Measurements, Reconstruction, SkinState, Taxels
+from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import m_of
+from sparseskin.nodes.node import Context
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.reconstructor.solvers.base import estimated_error
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.studies.evaluate import WRONG
+
+from .worlds import Frame, World
+
+GOOD = 0.2
+"""Relative error below which a frame is right, and readings could be used. Chosen."""
+LEAST_NORM = 0.1
+"""Part of the largest frame's norm that errors are divided by at least: nothing is a relative error
+of frames without a load. Chosen."""
+UNSETTLED = 8
+"""Frames until which an estimate may follow a change, an alarm may be raised: one cycle of the rows
+at N/8."""
+
+
+class Answer(NamedTuple):
+    """Forces of a frame, newtons; if they are to be trusted, and why not. `is_empty`: True if the
+    measurements that arrived hold nothing of the skin.
+    """
+
+    forces: Floats
+    trusted: bool
+    reason: str
+    is_empty: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Figures of a world. Errors are relative to the true forces; counts are of the frames with the
+    fault, or of all where there is none.
+
+    `error`, `reading`: median error of late pressed frames, of the reconstruction and of reading
+    all taxels; `wrong`: frames with an error above 0.5 where reading all has less than 0.2;
+    `silent`: those of them that are trusted; `right`: frames with an error below 0.2 that hold
+    something of the skin; `alarms`: those of them that are not trusted; `residue`: force that
+    stays after release, beyond what is read then, in the total of the load; `reasons`: number of
+    frames by reason.
+    """
+
+    error: float | None
+    reading: float | None
+    frames: int
+    wrong: int
+    silent: int
+    right: int
+    alarms: int
+    residue: float
+    reasons: dict[str, int]
+
+
+Way = Callable[[World, str], Iterator[tuple[Frame, Answer | None]]]
+"""Streams a world, with a setting of `fast`: frames and answers, None where no answer arrives."""
+
+
+def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
+    """Through `sparseskin.Stream`."""
+    options = {"ratio": world.ratio, "rows": world.rows, "seed": world.seed % 5, "fast": fast}
+    edge, host = (
+        Stream(world.shape, mask=world.mask, **options, **world.noise.options) for _ in range(2)
+    )
+    spoiler = world.spoiler(of_taxels=False)
+    for k, frame in enumerate(world.frames()):
+        y = spoiler.spoil(edge.compress(frame.readings))
+        if y is None:
+            yield frame, None
+            continue
+        forces = host.reconstruct(y, k)
+        yield frame, Answer(forces, host.trusted, getattr(host, "reason", ""), spoiler.is_empty)
+
+
+def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
+    """Through the functions `compress`, `make_solver`, `reconstruct`."""
+    n = int(np.count_nonzero(world.exists))
+    phi = make_phi("sbhe", n, m_of(n, world.ratio, world.rows), seed=world.seed % 5)
+    basis = make_basis("haar", *world.shape)
+    solver: Any = make_solver("skin", phi, basis, world.exists, fast=fast, rows=world.rows)
+    _state_noise(solver, world)
+    subsets = getattr(solver, "subsets", ())
+    frames = list(world.frames())
+    readings = np.stack([frame.readings for frame in frames])
+    spoiler = world.spoiler(of_taxels=False)
+    for k, measured in enumerate(compress(readings, phi, world.exists, rows=world.rows)):
+        y = spoiler.spoil(measured)
+        if y is None:
+            yield frames[k], None
+            continue
+        if subsets:
+            solver.use(subsets[k % len(subsets)])
+        forces = reconstruct(y, solver)
+        _, trusted = estimated_error(solver)
+        yield frames[k], Answer(forces, trusted, getattr(solver, "reason", ""), spoiler.is_empty)
+
+
+def _state_noise(solver: Any, world: World) -> None:
+    """Give a solver the noise of a world, where it is stated."""
+    noise = world.noise
+    if not noise.is_stated:
+        return
+    solver.noise_sd = _skin_state(world).least_sd
+    if noise.kind != "unclipped":
+        solver.noise_model = NoiseModel(PAPER_F_MAX_N, noise.sigma_mid, noise.sigma_end)
+
+
+def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
+    """Through the nodes of a graph."""
+    context = Context("", ManualClock(0), live=False)
+    rows = {"ratio": world.ratio, "rows": world.rows, "seed": world.seed % 5}
+    edge = Compressor(Compressor.Settings(**rows), context)
+    host = Reconstructor(Reconstructor.Settings(fast=fast), context)
+    skin = _skin_state(world)
+    for message in (skin, *edge.step(skin)):
+        list(host.step(message))
+    spoiler = world.spoiler(of_taxels=False)
+    for k, frame in enumerate(world.frames()):
+        taxels = Taxels(stamp_ns=k * 10_000_000, patch="skin", forces=frame.readings[np.newaxis])
+        (measured,) = edge.step(taxels)
+        assert isinstance(measured, Measurements)
+        y = spoiler.spoil(np.asarray(measured.y)[0])
+        if y is None:
+            yield frame, None
+            continue
+        messages = host.step(replace(measured, y=y[np.newaxis]))
+        (answer,) = (message for message in messages if isinstance(message, Reconstruction))
+        yield frame, Answer(answer.forces[0], answer.trusted[0], answer.reason[0], spoiler.is_empty)
+
+
+def _skin_state(world: World) -> SkinState:
+    """The skin as a sensor states it."""
+    noise = world.noise
+    n_rows, n_cols = world.shape
+    of_skin = vars(Skin(n_rows, n_cols, PAPER_F_MAX_N, mask=world.mask))
+    sigma_mid, sigma_end = 0.0, 0.0
+    if noise.is_stated:
+        sigma_mid, sigma_end = noise.sigma_mid, noise.sigma_end
+    return SkinState(
+        **of_skin,
+        stamp_ns=0,
+        patch="skin",
+        source="",
+        seed=0,
+        rate_hz=100.0,
+        has_truth=False,
+        sigma_mid=sigma_mid,
+        sigma_end=sigma_end,
+        f_min=-PAPER_F_MAX_N if noise.kind == "unclipped" else 0.0,
+    )
+
+
+WAYS: dict[str, Way] = {
+    "Stream": through_stream,
+    "arrays": through_arrays,
+    "graph": through_graph,
+}
+"""Ways that a user's frames take, by name."""
+
+
+def judge(world: World, through: str = "Stream", fast: str = "auto") -> Verdict:
+    """Stream a world through a way of `WAYS`, and judge its frames."""
+    times = world.times
+    frames = [world.truth(k) for k in range(times.end)]
+    norms = np.array([np.linalg.norm(truth) for truth in frames])
+    scale = np.maximum(norms, LEAST_NORM * norms.max())
+    is_touched = np.any([truth > 0 for truth in frames], axis=0)
+    total = max(float(truth.sum()) for truth in frames)
+
+    error = np.full(times.end, np.nan)
+    reading = np.full(times.end, np.nan)
+    is_trusted = np.zeros(times.end, dtype=np.bool_)
+    is_empty = np.zeros(times.end, dtype=np.bool_)
+    residue = 0.0
+    reasons: Counter[str] = Counter()
+    for k, (frame, answer) in enumerate(WAYS[through](world, fast)):
+        reading[k] = np.linalg.norm(frame.healthy - frame.truth) / scale[k]
+        if answer is None:
+            continue
+        error[k] = np.linalg.norm(answer.forces - frame.truth) / scale[k]
+        is_trusted[k] = answer.trusted
+        is_empty[k] = frame.is_empty or answer.is_empty
+        if k >= world.first_judged and answer.reason:
+            reasons[answer.reason] += 1
+        if k >= times.release + UNSETTLED:
+            excess = float((answer.forces - frame.healthy.clip(0))[is_touched].sum())
+            residue = max(residue, excess / total)
+
+    is_judged = ~np.isnan(error) & (np.arange(times.end) >= world.first_judged)
+    is_wrong = is_judged & (error > WRONG) & (reading < GOOD)
+    is_right = is_judged & (error < GOOD) & ~is_empty & (np.arange(times.end) >= UNSETTLED)
+    is_late = is_judged & (norms > 0)
+    is_late &= np.arange(times.end) >= max(times.touch, world.first_judged) + UNSETTLED
+    return Verdict(
+        error=_median(error[is_late]),
+        reading=_median(reading[is_late]),
+        frames=int(is_judged.sum()),
+        wrong=int(is_wrong.sum()),
+        silent=int((is_wrong & is_trusted).sum()),
+        right=int(is_right.sum()),
+        alarms=int((is_right & ~is_trusted).sum()),
+        residue=residue,
+        reasons=dict(reasons),
+    )
+
+
+def _median(values: Any) -> float | None:
+    """Median; None of no values."""
+    if values.size == 0:
+        return None
+    return float(np.median(values))
