@@ -48,8 +48,9 @@ STUDIES = {
         numpy_only=True,
     ),
     "stability": Study(
-        "where solvers fail: too few measurements, extreme settings, faults",
-        "sparseskin.studies.stability.faults:run",
+        "where solvers fail: too few measurements, extreme settings, drawn loads and faults",
+        "sparseskin.studies.stability.tables:run",
+        options=("worlds",),
         numpy_only=True,
     ),
     "scene-needs": Study(
@@ -114,6 +115,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     more.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help=about)
     about = "accuracy: number of seeds, from --seed on (default: 1)"
     more.add_argument("--seeds", metavar="K", type=whole(1, 1000), help=about)
+    about = "stability: so many drawn worlds of each kind, and no other section"
+    more.add_argument("--worlds", metavar="K", type=whole(1, 1000), help=about)
     for option, about in (
         (
             "--constants",
@@ -137,7 +140,7 @@ def _study(arguments: argparse.Namespace) -> int:
         missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
         raise SettingsError(f"study {name}: {missing}: pip install 'sparseskin[charts]'")
     options = {}
-    for option in ("recordings", "seeds", "constants", "alone"):
+    for option in ("recordings", "seeds", "constants", "alone", "worlds"):
         value = getattr(arguments, option)
         if value is None:
             continue

@@ -81,7 +81,9 @@ def _line(rng: np.random.Generator, skin: Skin) -> Mask:
     length = _size(rng, 3, max(skin.exists.shape))
     along = (rows - start[0]) * math.cos(angle) + (cols - start[1]) * math.sin(angle)
     aside = (cols - start[1]) * math.cos(angle) - (rows - start[0]) * math.sin(angle)
-    return (along >= 0) & (along <= length) & (np.abs(aside) <= rng.uniform(0.5, 1.2))
+    half_width = rng.uniform(0.5, 1.2)
+    cells: Mask = (along >= 0) & (along <= length) & (np.abs(aside) <= half_width)
+    return cells
 
 
 def _scattered(rng: np.random.Generator, skin: Skin) -> Mask:

@@ -73,7 +73,8 @@ def _bumps(rng: np.random.Generator, place: Place, count: int, width: float) -> 
 def _smooth(rng: np.random.Generator, place: Place) -> Doubles:
     width = max(1.5, min(place.down.shape) / 8)
     forces = _bumps(rng, place, 8, width)
-    return (forces - np.quantile(forces, rng.uniform(0.3, 0.8))).clip(0)
+    forces -= np.quantile(forces, rng.uniform(0.3, 0.8))
+    return forces.clip(0)
 
 
 def _sole(rng: np.random.Generator, place: Place) -> Doubles:

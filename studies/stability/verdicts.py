@@ -78,10 +78,10 @@ Way = Callable[[World, str], Iterator[tuple[Frame, Answer | None]]]
 
 def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
     """Through `sparseskin.Stream`."""
-    options = {"ratio": world.ratio, "rows": world.rows, "seed": world.seed % 5, "fast": fast}
-    edge, host = (
-        Stream(world.shape, mask=world.mask, **options, **world.noise.options) for _ in range(2)
-    )
+    options: dict[str, Any] = {"ratio": world.ratio, "rows": world.rows, "seed": world.seed % 5}
+    options |= {"mask": world.mask, "fast": fast, **world.noise.options}
+    edge = Stream(world.shape, **options)
+    host = Stream(world.shape, **options)
     spoiler = world.spoiler(of_taxels=False)
     for k, frame in enumerate(world.frames()):
         y = spoiler.spoil(edge.compress(frame.readings))
@@ -128,8 +128,8 @@ def _state_noise(solver: Any, world: World) -> None:
 def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
     """Through the nodes of a graph."""
     context = Context("", ManualClock(0), live=False)
-    rows = {"ratio": world.ratio, "rows": world.rows, "seed": world.seed % 5}
-    edge = Compressor(Compressor.Settings(**rows), context)
+    settings = Compressor.Settings(ratio=world.ratio, rows=world.rows, seed=world.seed % 5)
+    edge = Compressor(settings, context)
     host = Reconstructor(Reconstructor.Settings(fast=fast), context)
     skin = _skin_state(world)
     for message in (skin, *edge.step(skin)):
@@ -153,9 +153,11 @@ def _skin_state(world: World) -> SkinState:
     noise = world.noise
     n_rows, n_cols = world.shape
     of_skin = vars(Skin(n_rows, n_cols, PAPER_F_MAX_N, mask=world.mask))
-    sigma_mid, sigma_end = 0.0, 0.0
+    of_noise = {"sigma_mid": 0.0, "sigma_end": 0.0}
     if noise.is_stated:
-        sigma_mid, sigma_end = noise.sigma_mid, noise.sigma_end
+        of_noise = {"sigma_mid": noise.sigma_mid, "sigma_end": noise.sigma_end}
+    # The lower end of the range, where readings are clipped.
+    f_min = -PAPER_F_MAX_N if noise.kind == "unclipped" else 0.0
     return SkinState(
         **of_skin,
         stamp_ns=0,
@@ -164,9 +166,8 @@ def _skin_state(world: World) -> SkinState:
         seed=0,
         rate_hz=100.0,
         has_truth=False,
-        sigma_mid=sigma_mid,
-        sigma_end=sigma_end,
-        f_min=-PAPER_F_MAX_N if noise.kind == "unclipped" else 0.0,
+        f_min=f_min,
+        **of_noise,
     )
 
 

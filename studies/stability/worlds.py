@@ -180,7 +180,7 @@ def draw_world(
         shape=shape,
         mask=mask,
         load=draw_load(of_load, exists, PAPER_F_MAX_N, load, motion),
-        ratio=_draw_ratio(of_rows, np.count_nonzero(exists)),
+        ratio=_draw_ratio(of_rows, int(np.count_nonzero(exists))),
         rows=rows or drawn_rows,
         noise=_draw_noise(of_noise),
         fault=drawn_fault,
@@ -203,7 +203,8 @@ def _draw_mask(rng: np.random.Generator, shape: tuple[int, int]) -> Mask | None:
         return None
     if kind == "outline":
         down, across = (2 * axis / axis.max() - 1 for axis in (rows, cols))
-        return down**2 + across**2 <= rng.uniform(1.0, 1.5)
+        ellipse: Mask = down**2 + across**2 <= rng.uniform(1.0, 1.5)
+        return ellipse
     mask = np.ones(shape, dtype=np.bool_)
     if kind == "anywhere":
         return rng.random(shape) > rng.uniform(0.02, 0.3)

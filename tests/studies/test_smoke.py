@@ -19,7 +19,8 @@ from sparseskin.studies.speed import latency
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
-from sparseskin.studies.stability import faults, phase, sweeps
+from sparseskin.studies.stability import phase, sweeps
+from sparseskin.studies.stability import tables as stability
 
 N_FRAMES = 9
 SOLVERS = ("fista", "skin")
@@ -33,13 +34,13 @@ SIZES = (
     (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
     (experiments, {"SUM_SOLVERS": SOLVERS, "QUICK_SCENES": SHORT_SCENES}),
     (experiments, {"find_spec": lambda name: None}),  # no compiled loops
-    (faults, {"BEFORE": 3, "DURING": 6}),
     (frames, {"_kept": lru_cache(frames._kept.__wrapped__)}),  # simulated once
     (harness, {"TIMED_ON": "serial"}),
     (latency, {"WARM_UP": 50, "SCENES": {"40 x 40": "path_40"}}),
     (needs, {"QUICK_SCENES": ("lift_box_40",), "QUICK_STEPS": 350}),
     (paper, {"BEFORE_MAPS": 0}),
     (phase, {"SUM_SOLVERS": SOLVERS, "N_STATIC": 6, "N_JUDGED": 2}),
+    (stability, {"QUICK_KINDS": {"load": ("box",), "fault": ("zeros", "stuck blob")}}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial", "QUICK_SCENES": SHORT_SCENES}),
     (sweeps, {"SUM_SOLVERS": ("fista",), "EXCERPTS": sweeps.EXCERPTS[:1]}),
