@@ -73,8 +73,8 @@ def _bumps(rng: np.random.Generator, place: Place, count: int, width: float) -> 
 def _smooth(rng: np.random.Generator, place: Place) -> Doubles:
     width = max(1.5, min(place.down.shape) / 8)
     forces = _bumps(rng, place, 8, width)
-    forces -= np.quantile(forces, rng.uniform(0.3, 0.8))
-    return forces.clip(0)
+    level = float(np.quantile(forces, rng.uniform(0.3, 0.8)))
+    return np.maximum(forces - level, 0)
 
 
 def _sole(rng: np.random.Generator, place: Place) -> Doubles:
@@ -83,7 +83,9 @@ def _sole(rng: np.random.Generator, place: Place) -> Doubles:
 
 
 def _disc(rng: np.random.Generator, place: Place) -> Doubles:
-    return np.sqrt((1 - (place.distance / place.radius) ** 2).clip(0))
+    depth = 1 - (place.distance / place.radius) ** 2
+    forces: Doubles = np.sqrt(np.maximum(depth, 0))
+    return forces
 
 
 def _box(rng: np.random.Generator, place: Place) -> Doubles:

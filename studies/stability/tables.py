@@ -180,7 +180,7 @@ def _draw(out: Path, kinds: pd.DataFrame) -> str:
         f"{n_silent} of {len(kinds)} kinds of fault leave more than {SILENT_GOAL:.0%} of the "
         "frames wrong and trusted."
     )
-    size_in = (8.0, 0.25 * len(kinds) + 1.0)
+    size_in = (8.0, 0.22 * len(kinds) + 0.9)
     columns = {
         "silent": "wrong and trusted, % of frames",
         "alarms": "false alarms, % of right ones",
@@ -189,7 +189,7 @@ def _draw(out: Path, kinds: pd.DataFrame) -> str:
     with chart:
         for axes, (column, label) in zip(chart.panels, columns.items(), strict=True):
             values = 100 * kinds[column].astype(float).fillna(0)
-            colours = [PALETTE[0]] * len(kinds)
+            colours = [PALETTE[5]] * len(kinds)
             if column == "silent":
                 # The faults that matter, in a colour of their own.
                 is_bad = kinds["silent"] > SILENT_GOAL
@@ -197,7 +197,8 @@ def _draw(out: Path, kinds: pd.DataFrame) -> str:
             bars = axes.barh(kinds["fault"], values, color=colours, height=0.72)
             texts = [percent(share) for share in kinds[column]]
             axes.bar_label(bars, texts, padding=3, fontsize=8)
-            axes.set(xlim=(0, max(10.0, 1.15 * values.max())), title=label)
+            axes.set(xlim=(0, 115), xticks=range(0, 101, 25), title=label)
+            axes.set_axisbelow(True)
             axes.grid(visible=False, axis="y")
             axes.tick_params(axis="y", length=0)
         chart.panels[0].invert_yaxis()

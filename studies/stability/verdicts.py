@@ -153,9 +153,6 @@ def _skin_state(world: World) -> SkinState:
     noise = world.noise
     n_rows, n_cols = world.shape
     of_skin = vars(Skin(n_rows, n_cols, PAPER_F_MAX_N, mask=world.mask))
-    of_noise = {"sigma_mid": 0.0, "sigma_end": 0.0}
-    if noise.is_stated:
-        of_noise = {"sigma_mid": noise.sigma_mid, "sigma_end": noise.sigma_end}
     # The lower end of the range, where readings are clipped.
     f_min = -PAPER_F_MAX_N if noise.kind == "unclipped" else 0.0
     return SkinState(
@@ -167,7 +164,8 @@ def _skin_state(world: World) -> SkinState:
         rate_hz=100.0,
         has_truth=False,
         f_min=f_min,
-        **of_noise,
+        sigma_mid=noise.is_stated * noise.sigma_mid,
+        sigma_end=noise.is_stated * noise.sigma_end,
     )
 
 
