@@ -13,9 +13,16 @@ from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import PALETTE, Chart, Page
 
 from . import faults, loads, phase, sweeps
-from .verdicts import WAYS, judge
+from .verdicts import GOOD, WAYS, judge
 from .worlds import draw_world
 
+NO_FAULT = "no fault"
+OF_TAXELS = "of taxels"
+OF_MEASUREMENTS = "of measurements"
+GROUPS = {"": NO_FAULT}
+GROUPS |= dict.fromkeys(faults.OF_TAXELS, OF_TAXELS)
+GROUPS |= dict.fromkeys(faults.OF_MEASUREMENTS, OF_MEASUREMENTS)
+"""Groups of faults by kind."""
 N_WORLDS = 20
 """Drawn worlds of each kind of load, and of each kind of fault; in a quick run one."""
 KINDS = {"load": tuple(loads.KINDS), "fault": tuple(faults.KINDS)}
@@ -24,8 +31,8 @@ QUICK_KINDS = {
     "load": ("even", "rough", "disc"),
     "fault": ("stuck blob", "frozen readings", "garbage at times", "offset", "zeros"),
 }
-PART_OF_WAYS = 10
-"""One world of so many goes through all ways."""
+ALL_WAYS = {NO_FAULT: 4, OF_TAXELS: 10, OF_MEASUREMENTS: 10}
+"""One world of so many goes through all ways, by the group of its fault. Chosen."""
 SILENT_GOAL = 0.02
 """Share of wrong and trusted frames up to which a fault is noticed. Chosen."""
 RESIDUE = 0.05
@@ -33,7 +40,7 @@ RESIDUE = 0.05
 FAR_FROM_READING = 2.0
 """Error, in that of reading all taxels, beyond which a still load is not resolved. Chosen."""
 N_LISTED = 12
-NO_FAULT, OF_TAXELS, OF_MEASUREMENTS = "no fault", "of taxels", "of measurements"
+"""Worlds in the list of the worst. Chosen."""
 GREY = "#999999"
 
 
@@ -41,14 +48,18 @@ def run(out: Path, quick: bool, seed: int, executor: str, worlds: int | None = N
     """Compute the study, write its page and return its conclusion; see `command.Study`. `worlds`:
     number of worlds of each kind; with it these sections alone.
     """
-    command = "" if worlds is None else f"study stability --worlds {worlds}"
+    command = f"study stability --worlds {worlds}" if worlds else ""
     page = Page(out, "stability", Path(__file__).with_name("notes.md"), quick, command)
-    if worlds is None:
-        for part in (phase, sweeps):
-            part.section(page, quick, seed, executor)
-    kinds = QUICK_KINDS if quick else KINDS
-    n_default = 1 if quick else N_WORLDS
-    rows = judged(points(kinds, worlds or n_default, seed), out, executor)
+    if not worlds:
+        phase.section(page, quick, seed, executor)
+        sweeps.section(page, quick, seed, executor)
+
+    kinds = KINDS
+    n_worlds = N_WORLDS
+    if quick:
+        kinds = QUICK_KINDS
+        n_worlds = 1
+    rows = judged(points(kinds, worlds or n_worlds, seed), out, executor)
     page.csv("worlds", rows.drop(columns="reasons"))
     lines = [without_fault(page, rows), with_fault(page, rows)]
     all_ways(page, rows)
@@ -61,13 +72,14 @@ def points(kinds: Mapping[str, Sequence[str]], n_worlds: int, seed: int) -> list
     """So many worlds of each kind of load without a fault, and of each kind of fault."""
     asked = [{"load": kind, "fault": ""} for kind in kinds["load"]]
     asked += [{"load": "", "fault": kind} for kind in kinds["fault"]]
-    chosen = []
+    worlds: list[dict[str, Any]] = []
     for number, kind in enumerate(asked):
         for k in range(n_worlds):
             world = {**kind, "seed": (1000 * seed + number) * 1000 + k}
-            ways = list(WAYS) if k % PART_OF_WAYS == 0 else ["Stream"]
-            chosen += [{**world, "through": way} for way in ways]
-    return chosen
+            worlds.append({**world, "through": "Stream"})
+            if k % ALL_WAYS[GROUPS[kind["fault"]]] == 0:
+                worlds += [{**world, "through": way} for way in WAYS if way != "Stream"]
+    return worlds
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
@@ -84,19 +96,15 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def judged(chosen: Sequence[dict[str, Any]], out: Path, executor: str) -> pd.DataFrame:
+def judged(worlds: Sequence[dict[str, Any]], out: Path, executor: str) -> pd.DataFrame:
     """Points with their figures, and the group of their fault."""
-    rows = pd.DataFrame(compute_rows(measure, chosen, out, executor, "worlds"))
-    groups = {"": NO_FAULT}
-    groups |= dict.fromkeys(faults.OF_TAXELS, OF_TAXELS)
-    groups |= dict.fromkeys(faults.OF_MEASUREMENTS, OF_MEASUREMENTS)
-    return rows.assign(group=rows["fault"].map(groups)).astype({"error": float, "reading": float})
+    rows = pd.DataFrame(compute_rows(measure, worlds, out, executor, "worlds"))
+    return rows.assign(group=rows["fault"].map(GROUPS)).astype({"error": float, "reading": float})
 
 
 def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
-    """Of each kind: number of worlds; shares of wrong and of silent frames in all, and of alarms in
-    those that are right; worlds with a silent frame, and with force that stays after release;
-    medians of the errors.
+    """Of each kind: number of worlds; shares of wrong frames, silent ones and false alarms; worlds
+    with a silent frame, and with force that stays after release; medians of the errors.
     """
     kinds = rows.assign(
         worlds=1, of_silent=rows["silent"] > 0, of_residue=rows["residue"] > RESIDUE
@@ -105,8 +113,8 @@ def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
     sums = kinds[names].sum()
     sums["wrong"] = sums["wrong"] / sums["frames"]
     sums["silent"] = sums["silent"] / sums["frames"]
-    # None where no frame is right: there is no alarm to be false.
-    sums["alarms"] = sums["alarms"] / sums["right"].where(sums["right"] > 0)
+    # Where no frame is right, no alarm can be false.
+    sums["alarms"] = sums["alarms"].where(sums["right"] > 0) / sums["frames"]
     return sums.join(kinds[["error", "reading"]].median()).reset_index()
 
 
@@ -135,7 +143,7 @@ def without_fault(page: Page, rows: pd.DataFrame) -> str:
     )
     page.section("Worlds without a fault", table, residue=f"{RESIDUE:.0%}")
     still = sound[(sound["motion"] == "still") & (sound["rows"] == ROTATING)]
-    still = still[still["reading"] < 0.2]
+    still = still[still["reading"] < GOOD]
     is_far = still["error"] > FAR_FROM_READING * still["reading"]
     return (
         f"Without a fault, {_counts(sound)}; force stays after release in "
@@ -147,10 +155,10 @@ def without_fault(page: Page, rows: pd.DataFrame) -> str:
 def _counts(rows: pd.DataFrame) -> str:
     """Silent frames and false alarms of worlds, in words."""
     silent = rows["silent"].sum() / rows["frames"].sum()
-    alarms = rows["alarms"].sum() / max(1, rows["right"].sum())
+    alarms = rows["alarms"].sum() / rows["frames"].sum()
     return (
         f"{silent:.2%} of the frames are wrong and trusted, in {(rows['silent'] > 0).sum()} of "
-        f"{len(rows)} worlds, and {alarms:.1%} of the right ones are not trusted"
+        f"{len(rows)} worlds, and {alarms:.1%} are right and not trusted"
     )
 
 
@@ -183,9 +191,10 @@ def _draw(out: Path, kinds: pd.DataFrame) -> str:
     size_in = (8.0, 0.22 * len(kinds) + 0.9)
     columns = {
         "silent": "wrong and trusted, % of frames",
-        "alarms": "false alarms, % of right ones",
+        "alarms": "right and not trusted, % of frames",
     }
     chart = Chart(out, "faults", caption, 2, 2, size_in=size_in, legend_columns=0, sharey=True)
+    limit = 115 * kinds[list(columns)].max(axis=None)
     with chart:
         for axes, (column, label) in zip(chart.panels, columns.items(), strict=True):
             values = 100 * kinds[column].astype(float).fillna(0)
@@ -197,7 +206,7 @@ def _draw(out: Path, kinds: pd.DataFrame) -> str:
             bars = axes.barh(kinds["fault"], values, color=colours, height=0.72)
             texts = [percent(share) for share in kinds[column]]
             axes.bar_label(bars, texts, padding=3, fontsize=8)
-            axes.set(xlim=(0, 115), xticks=range(0, 101, 25), title=label)
+            axes.set(xlim=(0, limit), title=label)
             axes.set_axisbelow(True)
             axes.grid(visible=False, axis="y")
             axes.tick_params(axis="y", length=0)
@@ -210,10 +219,12 @@ def all_ways(page: Page, rows: pd.DataFrame) -> None:
     """Add the section on the worlds that go through all ways."""
     through_all = rows[rows["seed"].isin(rows.loc[rows["through"] != "Stream", "seed"])]
     lines = []
-    for group in (NO_FAULT, OF_TAXELS, OF_MEASUREMENTS):
+    for group in ALL_WAYS:
         ways = shares(through_all[through_all["group"] == group], "through")
         cells = {
-            way["through"]: f"{percent(way['silent'])} / {percent(way['alarms'])}"
+            way["through"]: (
+                f"{percent(way['silent'])} / {percent(way['alarms'])} / {way['of_residue']}"
+            )
             for way in ways.to_dict("records")
         }
         lines.append({"fault": group, "worlds": ways["worlds"].iloc[0], **cells})

@@ -69,8 +69,8 @@ class Noise(NamedTuple):
 
     def describe(self) -> str:
         """Kind, deviation of an untouched taxel, and if it is stated."""
-        stated = "stated" if self.is_stated else "not stated"
-        return f"{self.kind} noise of {1000 * self.sigma_end:.0f} mN, {stated}"
+        text = f"{self.kind} noise of {1000 * self.sigma_end:.0f} mN"
+        return f"{text}, {'' if self.is_stated else 'not '}stated"
 
 
 class Frame(NamedTuple):
@@ -84,7 +84,7 @@ class Frame(NamedTuple):
     is_empty: bool
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class World:
     """A skin that a load presses for a while. `mask`: None if all taxels exist; `ratio`: N/M."""
 
@@ -98,6 +98,9 @@ class World:
     fault: Fault | None
     times: Times
 
+    def __repr__(self) -> str:
+        return f"<{self.describe()}>"
+
     @property
     def exists(self) -> Mask:
         """True where a taxel exists."""
@@ -108,20 +111,20 @@ class World:
     @property
     def first_judged(self) -> int:
         """First frame with the fault; 0 where there is none."""
-        return 0 if self.fault is None else self.fault.begins
+        if self.fault is None:
+            return 0
+        return self.fault.begins
 
     def describe(self) -> str:
         """The world in one line."""
         n_rows, n_cols = self.shape
-        holes = "" if self.mask is None else f" without {np.count_nonzero(~self.mask)}"
-        fault = "no fault" if self.fault is None else self.fault.describe()
-        parts = [
-            f"{n_rows} x {n_cols} taxels{holes}",
-            f"{self.rows} rows, N/{self.ratio:.3g}",
-            self.noise.describe(),
-            self.load.describe(),
-            fault,
-        ]
+        skin = f"{n_rows} x {n_cols} taxels"
+        if self.mask is not None:
+            skin += f" without {np.count_nonzero(~self.mask)}"
+        rows = f"{self.rows} rows, N/{self.ratio:.3g}"
+        parts = [skin, rows, self.noise.describe(), self.load.describe()]
+        if self.fault is not None:
+            parts.append(self.fault.describe())
         return f"world {self.seed}: {'; '.join(parts)}"
 
     def truth(self, k: int) -> Floats:
@@ -169,7 +172,9 @@ def draw_world(
     of_skin, of_load, of_rows, of_noise, of_fault = map(np.random.default_rng, parts)
     shape = _draw_shape(of_skin, sides)
     mask = _draw_mask(of_skin, shape)
-    exists = np.ones(shape, dtype=np.bool_) if mask is None else mask
+    exists = mask
+    if exists is None:
+        exists = np.ones(shape, dtype=np.bool_)
     drawn_fault = None
     if has_fault:
         begins = int(of_fault.integers(times.earliest_fault, times.latest_fault))
@@ -226,7 +231,7 @@ def _draw_noise(rng: np.random.Generator) -> Noise:
     """That of the paper, or plain normal noise of any size."""
     is_stated = bool(rng.random() < 0.6)
     kind = str(rng.choice(["paper", "paper", "paper", "plain", "unclipped"]))
-    sigma = math.exp(rng.uniform(math.log(0.002), math.log(0.05))) * PAPER_F_MAX_N / 2.5
+    sigma = math.exp(rng.uniform(math.log(0.002), math.log(0.05)))
     if kind == "paper":
         model = NoiseModel()
         return Noise(kind, model.sigma_mid, model.sigma_end, is_stated)
