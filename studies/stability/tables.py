@@ -28,8 +28,8 @@ N_WORLDS = 20
 KINDS = {"load": tuple(loads.KINDS), "fault": tuple(faults.KINDS)}
 """Kinds of loads, without a fault, and of faults, with any load."""
 QUICK_KINDS = {
-    "load": ("even", "rough", "disc"),
-    "fault": ("stuck blob", "frozen readings", "garbage at times", "offset", "zeros"),
+    "load": ("even", "disc"),
+    "fault": ("stuck blob", "garbage at times", "zeros"),
 }
 ALL_WAYS = {NO_FAULT: 4, OF_TAXELS: 10, OF_MEASUREMENTS: 10}
 """One world of so many goes through all ways, by the group of its fault. Chosen."""

@@ -84,7 +84,7 @@ class Frame(NamedTuple):
     is_empty: bool
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class World:
     """A skin that a load presses for a while. `mask`: None if all taxels exist; `ratio`: N/M."""
 
@@ -97,9 +97,6 @@ class World:
     noise: Noise
     fault: Fault | None
     times: Times
-
-    def __repr__(self) -> str:
-        return f"<{self.describe()}>"
 
     @property
     def exists(self) -> Mask:
