@@ -63,8 +63,10 @@ def run(out: Path, quick: bool, seed: int, executor: str, worlds: int | None = N
     page.csv("worlds", rows.drop(columns="reasons"))
     lines = [without_fault(page, rows), with_fault(page, rows)]
     all_ways(page, rows)
-    listed(page, rows)
+    worst = worst_worlds(page, rows)
     page.write(lines)
+    if worlds:
+        lines += worst
     return lines
 
 
@@ -231,9 +233,13 @@ def all_ways(page: Page, rows: pd.DataFrame) -> None:
     page.section("Three ways through", pd.DataFrame(lines))
 
 
-def listed(page: Page, rows: pd.DataFrame) -> None:
-    """Add the section that lists the worlds with the largest number of silent frames."""
+def worst_worlds(page: Page, rows: pd.DataFrame) -> list[str]:
+    """Add the section on the worlds with the largest number of silent frames; a line of each."""
     streams = rows[rows["through"] == "Stream"]
     worst = streams.nlargest(N_LISTED, "silent")
     table = worst[["silent", "frames", "world"]]
     page.section("Worlds with the largest number of silent frames", table)
+    lines = []
+    for row in table.to_dict("records"):
+        lines.append(f"{row['silent']} of {row['frames']} frames silent: {row['world']}")
+    return lines
