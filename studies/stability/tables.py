@@ -236,7 +236,7 @@ def all_ways(page: Page, rows: pd.DataFrame) -> None:
 def worst_worlds(page: Page, rows: pd.DataFrame) -> list[str]:
     """Add the section on the worlds with the largest number of silent frames; a line of each."""
     streams = rows[rows["through"] == "Stream"]
-    worst = streams.nlargest(N_LISTED, "silent")
+    worst = streams[streams["silent"] > 0].nlargest(N_LISTED, "silent")
     table = worst[["silent", "frames", "world"]]
     page.section("Worlds with the largest number of silent frames", table)
     lines = []
