@@ -16,7 +16,7 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
 from .frame_vectors import FrameVectors
 from .gates import Gates, gates_of
-from .rows import rows_of
+from .rows import CompiledRows, rows_of
 from .tiles import tiles_of
 from .tuning import SkinTuning
 from .vectors import Vectors
@@ -93,6 +93,10 @@ class SkinSolver(Solver):
 
     def _make_vectors(self, gates: Gates | None, tuning: SkinTuning) -> Vectors:
         tiles = tiles_of(self.mask.shape, self._cells)
+        if isinstance(self._rows, CompiledRows):
+            from .compiled_vectors import CompiledVectors  # needs numba
+
+            return CompiledVectors(self._rows, tiles, gates, tuning)
         return FrameVectors(self._rows, tiles, gates, tuning)
 
     def reset(self) -> None:
