@@ -55,8 +55,17 @@ class Measured(NamedTuple):
     read: A  # int64 (n_read,), ascending
     values: A
     innovation: A  # values less those predicted
+    last_innovation: A  # when these rows were read before
     off_target: A  # values less their targets
     residual: A  # values less W x of the estimate
+
+
+class Received(NamedTuple):
+    """The row subset of a frame."""
+
+    order: A  # int64 (n_read,): order of the measurements in which their rows ascend
+    last_y: A  # its last measurements, float32 (n_read,)
+    ones: A  # Phi 1, in the order of the rows read
 
 
 class Estimate(NamedTuple):
@@ -163,7 +172,7 @@ class Denoiser(NamedTuple):
 
     weights: Weights
     limits: Limits
-    scratch: StepScratch
+    scratch: A  # as of `step_scratch`
 
 
 class MotionWeights(NamedTuple):
@@ -252,7 +261,8 @@ def group(kind: Any, *fields: Any) -> Any:
 
 
 TRANSFORM = group(Transform, G, V)
-MEASURED = group(Measured, L, V, V, V, V)
+MEASURED = group(Measured, L, V, V, V, V, V)
+RECEIVED = group(Received, L, V, V)
 ESTIMATE = group(Estimate, V, V, V)
 PREDICTION = group(Prediction, V, V)
 SLOPES = group(Slopes, M, M)
@@ -262,8 +272,7 @@ ITERATES = group(Iterates, V, M)
 TILE_MAPS = group(TileMaps, P, P, P2, M, L, int64)
 WEIGHTS = group(Weights, M, M, V, M, V, M, V, float64)
 LIMITS = group(Limits, *(8 * [float64]))
-STEP_SCRATCH = group(StepScratch, V, V, V, *(8 * [M]), V, L)
-DENOISER = group(Denoiser, WEIGHTS, LIMITS, STEP_SCRATCH)
+DENOISER = group(Denoiser, WEIGHTS, LIMITS, V)
 MOTION_WEIGHTS = group(MotionWeights, *(4 * [float64]))
 VARIANCES = group(Variances, *(4 * [float64]))
 FILTER_CONSTANTS = group(FilterConstants, *(5 * [float64]))
@@ -597,17 +606,39 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
         v[p] *= scale[p]
 
 
-@compiled((ESTIMATE, MEASURED, P2, TRANSFORM, SLOPES), sums_in_any_order=True)
-def skin_slopes(
-    estimate: A, measured: A, neighbours: A, transform: A, slopes: A
+@compiled(sums_in_any_order=True)
+def compare(received: A, bias: Any, values: A) -> tuple[float, float, float]:
+    """Subtract the bias from measurements in the order of the rows read. Return their sum of
+    squares, the largest one and the largest change since the last ones.
+    """
+    order = received.order
+    last_y = received.last_y
+    ones = received.ones
+    squares = 0.0
+    largest = _0
+    change = _0
+    for i in range(values.size):
+        y = values[i]
+        squares += np.float64(y) ** 2
+        largest = max(largest, abs(y))
+        change = max(change, abs(y - last_y[order[i]]))
+        values[i] = y - bias * ones[i]
+    return squares, np.float64(largest), np.float64(change)
+
+
+@compiled((RECEIVED, float64, MEASURED, ESTIMATE, P2, TRANSFORM, SLOPES), sums_in_any_order=True)
+def skin_begin(
+    received: A, bias: float, measured: A, estimate: A, neighbours: A, transform: A, slopes: A
 ) -> tuple[float, ...]:
-    """Set the slopes of the last estimate. Return the sums of `MotionSums`: the products of its
-    terms a, b and c, of aa to cc; of each term and what the values exceed W x by; the energy of x
-    and its largest force.
+    """Begin a frame, as in `FrameVectors`: measured.values are the measurements in the order of the
+    rows read, and become their values. Set the slopes of the last estimate. Return the numbers of
+    `Comparison` and the sums of `MotionSums`.
 
     neighbours are the places of the next and the previous neighbour of each taxel along rows and
     columns, uint32 (4, n).
     """
+    squares, largest_y, change_y = compare(received, np.float32(bias), measured.values)
+
     x = estimate.x
     n = x.size
     for k in range(2):
@@ -648,8 +679,10 @@ def skin_slopes(
         a_change += a * change
         b_change += b * change
         c_change += c * change
-    of_products = a_change, b_change, c_change
-    return aa, ab, ac, bb, bc, cc, *of_products, energy, np.float64(largest)
+    comparison = (squares / read.size, largest_y, change_y)
+    gram = (aa, ab, ac, bb, bc, cc)
+    right = (a_change, b_change, c_change)
+    return *comparison, *gram, *right, energy, np.float64(largest)
 
 
 @compiled(
@@ -659,10 +692,9 @@ def skin_slopes(
 def skin_predict(
     estimate: A, motion: A, slopes: A, transform: A, measured: A, prediction: A, filters: A,
     unknown: float,
-) -> tuple[float, float, float, int, float, float]:  # fmt: skip
+) -> tuple[float, float, float, float, int, float, float]:  # fmt: skip
     """Predict a frame, as in `FrameVectors`, and move the means of the filters with it. Return the
-    sums of `Innovation`: of squared innovation and correction and of their products; number of the
-    rows read that are known, and the sums of squared innovation and variance of their filters.
+    sums of `Innovation`, in its order.
     """
     x = estimate.x
     n = x.size
@@ -688,17 +720,21 @@ def skin_predict(
     read = measured.read
     values = measured.values
     innovation = measured.innovation
+    last_innovation = measured.last_innovation
     correction = estimate.correction
+    repeating = 0.0
     squares = 0.0
     correction_squares = 0.0
     products = 0.0
     for i in range(read.size):
         innovation[i] = values[i] - predicted_rows[read[i]]
         new = np.float64(innovation[i])
-        last = np.float64(correction[read[i]])
+        corrected = np.float64(correction[read[i]])
+        last = np.float64(last_innovation[i])
         squares += new * new
-        correction_squares += last * last
-        products += new * last
+        correction_squares += corrected * corrected
+        products += new * corrected
+        repeating += last * (last - new)
 
     variance = filters.variance
     change = filters.change
@@ -713,7 +749,8 @@ def skin_predict(
             n_known += 1
             filter_squares += np.float64(values[i] - mean[r]) ** 2
             filter_variances += expected
-    return squares, correction_squares, products, n_known, filter_squares, filter_variances
+    of_innovation = (squares, correction_squares, products, repeating)
+    return *of_innovation, n_known, filter_squares, filter_variances
 
 
 @compiled()
@@ -842,12 +879,61 @@ def skin_filter(
     return target_variance, n_known
 
 
+def step_scratch_size(n: int, n_cells: int, n_windows: int, k: int, h: int) -> int:
+    """Length of the scratch of a step, as of `step_scratch`."""
+    of_window = 144 + k + 2 * k + h + k + 1 + 64 + 85 + 65 + 1
+    return n + 1 + 2 * n_cells + n_windows * of_window
+
+
+@compiled()
+def matrix_of(scratch: A, begin: int, n_rows: int, n_columns: int) -> Any:
+    """The matrix that begins at a place of scratch."""
+    return scratch[begin : begin + n_rows * n_columns].reshape(n_rows, n_columns)
+
+
+@compiled()
+def step_scratch(denoiser: A, tiles: A, n: int) -> Any:
+    """Cut the scratch of a step out of one array: of many, each call would have to check each."""
+    flat = denoiser.scratch
+    k = denoiser.weights.filters.shape[0]
+    h = denoiser.weights.hidden_0.size
+    n_cells = tiles.canvas.size
+    n_windows = tiles.begins.shape[1]
+
+    image = n + 1
+    denoised = image + n_cells
+    w = denoised + n_cells
+    a = w + 144 * n_windows
+    levels = a + k * n_windows
+    hidden = levels + 2 * k * n_windows
+    g = hidden + h * n_windows
+    of_tiles = g + (k + 1) * n_windows
+    sums = of_tiles + 64 * n_windows
+    details = sums + 85 * n_windows
+    parts = details + 65 * n_windows
+    return StepScratch(
+        flat[:image],
+        flat[image:denoised],
+        flat[denoised:w],
+        matrix_of(flat, w, n_windows, 144),
+        matrix_of(flat, a, n_windows, k),
+        matrix_of(flat, levels, n_windows, 2 * k),
+        matrix_of(flat, hidden, n_windows, h),
+        matrix_of(flat, g, n_windows, k + 1),
+        matrix_of(flat, of_tiles, n_windows, 64),
+        matrix_of(flat, sums, 85, n_windows),
+        matrix_of(flat, details, 65, n_windows),
+        flat[parts : parts + n_windows],
+        np.empty(n_windows, np.int64),
+    )
+
+
 @compiled(sums_in_any_order=True)
 def target_residual(
     z: A, transform: A, measured: A, targets: A, off: A, v: A
 ) -> tuple[float, float]:
-    """Set `off` to what the targets exceed W z by. Return the mean squares of it and of the residual
-    of z, of the rows read; v is scratch.
+    """Set `off` to what the targets exceed W z by. Return the mean squares of it and of the
+    residual of z, of the rows read; v is scratch.
     """
     target = targets.value
     scale = transform.scale
@@ -980,11 +1066,9 @@ def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def gate_tiles(tiles: A, shift: int, denoiser: A, n_busy: int, s: Any) -> Any:
+def gate_tiles(tiles: A, shift: int, weights: A, limits: A, scratch: A, n_busy: int, s: Any) -> Any:
     """As `shrink_tiles`, by the learned gates."""
-    weights = denoiser.weights
-    scratch = denoiser.scratch
-    quiet = denoiser.limits.quiet
+    quiet = limits.quiet
     hidden_units(weights, scratch, n_busy)
 
     w = scratch.w
@@ -1036,7 +1120,9 @@ def move_iterate(z: A, u: A, x: A, alpha: Any, damping: Any) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def skin_step(inputs: A, place: int, shift: int, by_formula: bool) -> tuple[float, float]:
+def skin_step(
+    inputs: A, scratch: A, place: int, shift: int, by_formula: bool
+) -> tuple[float, float]:
     """A step, as in `FrameVectors`: z and the estimate at a place become the next. Return the
     expected squared error and the mean squared residual before it.
     """
@@ -1045,7 +1131,6 @@ def skin_step(inputs: A, place: int, shift: int, by_formula: bool) -> tuple[floa
     tiles = inputs.tiles
     plan = inputs.plan
     limits = inputs.denoiser.limits
-    scratch = inputs.denoiser.scratch
     v = scratch.v
     off2, residual2 = target_residual(z, inputs.transform, inputs.measured, inputs.targets, x, v)
 
@@ -1059,7 +1144,8 @@ def skin_step(inputs: A, place: int, shift: int, by_formula: bool) -> tuple[floa
     if n_busy and by_formula:
         expected += shrink_tiles(tiles, shift, limits, scratch, n_busy, s)
     elif n_busy:
-        expected += gate_tiles(tiles, shift, inputs.denoiser, n_busy, s)
+        weights = inputs.denoiser.weights
+        expected += gate_tiles(tiles, shift, weights, limits, scratch, n_busy, s)
 
     cells = tiles.cells
     denoised = scratch.denoised
@@ -1079,12 +1165,14 @@ def skin_steps(inputs: A) -> tuple[float, float]:
     n_steps = plan.n_formula + plan.n
     n_shifts = inputs.tiles.counts.size
     n_averaged = inputs.iterates.estimates.shape[0]
+    scratch = step_scratch(inputs.denoiser, inputs.tiles, inputs.iterates.z.size)
     expected2 = 0.0
     residual2 = 0.0
     for k in range(n_steps):
         shift = (plan.first_shift + k) % n_shifts
         place = k - (n_steps - n_averaged)
-        error2, before2 = skin_step(inputs, max(0, place), shift, k < plan.n_formula)
+        by_formula = k < plan.n_formula
+        error2, before2 = skin_step(inputs, scratch, max(0, place), shift, by_formula)
         if place >= 0:
             expected2 += error2 / n_averaged
             residual2 += before2 / n_averaged
@@ -1289,7 +1377,7 @@ def components(
 
 SKIN_LOOPS: tuple[Callable[..., Any], ...] = (
     orthonormal,
-    skin_slopes,
+    skin_begin,
     skin_predict,
     skin_filter,
     skin_steps,

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import threading
-from functools import lru_cache
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sparseskin.nodes.numerics import kernels
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.numerics.compiled import ready
+from sparseskin.nodes.numerics.compiled import entry_point, ready
 from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
 
 from .formula import LEAST, STRICT
 from .gates import CLEARLY, QUIET, STANDS_OUT, Gates
 from .motion import Motion, MotionSums
+from .row_subset import RowSubset
 from .rows import CompiledRows
-from .tiles import MARGIN, SHIFTS, TILE, WINDOW, Tiles, neighbours_of
+from .tiles import MARGIN, SHIFTS, Tiles, neighbours_of
 from .tuning import SkinTuning
 from .vectors import (
     UNKNOWN,
     Blend,
+    Comparison,
     Filtered,
     Innovation,
     RowVariances,
@@ -45,7 +48,7 @@ class CompiledVectors(Vectors):
     def __init__(
         self, rows: CompiledRows, tiles: Tiles, gates: Gates | None, tuning: SkinTuning
     ) -> None:
-        ready(*kernels.SKIN_LOOPS)
+        self._loops = _loops()
         n = rows.n
         self._rows = rows
         self._transform = kernels.Transform(rows.groups, rows.scale)
@@ -56,7 +59,7 @@ class CompiledVectors(Vectors):
         self._limits = _limits(tiles.strictness)
         self._sizes = ScratchSizes(
             n=n,
-            n_averaged=max(1, tuning.averaged),
+            n_averaged=tuning.averaged,
             n_cells=tiles.canvas.size,
             n_windows=tiles.most,
             n_filters=len(self._weights.filters),
@@ -94,38 +97,37 @@ class CompiledVectors(Vectors):
         self.x[:] = x
         self._estimate.rows[:] = self._rows.forward(x)
 
-    def begin(self, values: Floats) -> MotionSums:
-        of_read = np.empty((3, len(values)), dtype=np.float32)
-        self._measured = kernels.Measured(self._rows.read, values, *of_read)
-        self.innovation = self._measured.innovation
-        self.residual = self._measured.residual
-
-        aa, ab, ac, bb, bc, cc, *products, energy, largest = kernels.skin_slopes(
-            *(self._estimate, self._measured, self._neighbours, self._transform),
-            _scratch(self._sizes).slopes,
+    def begin(self, y: Floats, subset: RowSubset, bias: float) -> tuple[Comparison, MotionSums]:
+        values = self._rows.values(y)
+        n_read = len(values)
+        self.innovation, off_target, self.residual = np.empty((3, n_read), dtype=np.float32)
+        self._measured = kernels.Measured(
+            *(self._rows.read, values, self.innovation, subset.innovation),
+            *(off_target, self.residual),
         )
-        gram = ((aa, ab, ac), (ab, bb, bc), (ac, bc, cc))
-        return MotionSums(gram, products, energy, largest, len(values), self._rows.n)
+        self._scratch = _scratch(self._sizes)
+
+        power, largest, change, *sums = self._loops.begin(
+            kernels.Received(self._rows.order, subset.y, subset.ones),
+            bias,
+            self._measured,
+            self._estimate,
+            self._neighbours,
+            self._transform,
+            self._scratch.slopes,
+        )
+        return Comparison(power, largest, change), MotionSums(*sums, n_read, self._rows.n)
 
     def predict(self, motion: Motion) -> Innovation:
-        sums = kernels.skin_predict(
-            *(self._estimate, kernels.MotionWeights(*motion), _scratch(self._sizes).slopes),
+        sums = self._loops.predict(
+            *(self._estimate, kernels.MotionWeights(*motion), self._scratch.slopes),
             *(self._transform, self._measured, self._prediction, self._filters, UNKNOWN),
         )
-        squares, correction_squares, products, n_known, filter_squares, filter_variances = sums
         self._estimates = self._prediction.x[None]
-        return Innovation(
-            squares=squares,
-            correction_squares=correction_squares,
-            products=products,
-            n_read=len(self.innovation),
-            n_known=n_known,
-            filter_squares=filter_squares,
-            filter_variances=filter_variances,
-        )
+        return Innovation(*sums, n_read=len(self.innovation))
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
-        target_variance, n_known = kernels.skin_filter(
+        target_variance, n_known = self._loops.filter_rows(
             *(self._measured, self._prediction, self._filters, self._targets, self._recall),
             *(kernels.Variances(*variances), self._filter_constants),
         )
@@ -155,7 +157,7 @@ class CompiledVectors(Vectors):
             ),
             constants=self._step_constants,
         )
-        return Steps(*kernels.skin_steps(inputs))
+        return Steps(*self._loops.steps(inputs))
 
     def clear(self) -> None:
         self._prediction.x[:] = 0
@@ -163,15 +165,39 @@ class CompiledVectors(Vectors):
 
     def settle(self, blend: Blend, ones: Floats) -> Settled:
         forces = np.empty(self._rows.n, dtype=np.float32)
-        sums = kernels.skin_settle(
+        sums = self._loops.settle(
             *(self._estimates, self._prediction, self._measured, ones, self._transform),
             *(self._estimate, kernels.BlendNumbers(*blend), forces),
         )
         return Settled(forces, *sums)
 
     def mean_variance(self, forces: Floats, model: NoiseModel) -> float:
-        variance: float = kernels.skin_variance(forces, _noise_curve(model))
+        variance: float = self._loops.variance(forces, _noise_curve(model))
         return variance
+
+
+class Loops(NamedTuple):
+    """The loops of a frame. Arguments of other types are not refused."""
+
+    begin: Callable[..., Any]
+    predict: Callable[..., Any]
+    filter_rows: Callable[..., Any]
+    steps: Callable[..., Any]
+    settle: Callable[..., Any]
+    variance: Callable[..., Any]
+
+
+@cache
+def _loops() -> Loops:
+    ready(*kernels.SKIN_LOOPS)
+    return Loops(
+        begin=entry_point(kernels.skin_begin),
+        predict=entry_point(kernels.skin_predict),
+        filter_rows=entry_point(kernels.skin_filter),
+        steps=entry_point(kernels.skin_steps),
+        settle=entry_point(kernels.skin_settle),
+        variance=entry_point(kernels.skin_variance),
+    )
 
 
 class ScratchSizes(NamedTuple):
@@ -190,15 +216,15 @@ class Scratch(NamedTuple):
 
     slopes: kernels.Slopes
     iterates: kernels.Iterates
-    steps: kernels.StepScratch
+    steps: Floats
 
 
 _OF_THREAD = threading.local()
 
 
 def _scratch(sizes: ScratchSizes) -> Scratch:
-    """Scratch that the solvers of a thread share, so that it stays in its cache. Nothing in it lasts
-    from `setup` to `finish`.
+    """Scratch that the solvers of a thread share, so that it stays in its cache: nothing in it
+    lasts from `predict` to `steps`.
     """
     if getattr(_OF_THREAD, "sizes", None) != sizes:
         _OF_THREAD.sizes = sizes
@@ -211,25 +237,12 @@ def _make_scratch(sizes: ScratchSizes) -> Scratch:
     def floats(*shape: int) -> Floats:
         return np.zeros(shape, dtype=np.float32)
 
-    n_windows = sizes.n_windows
-    steps = kernels.StepScratch(
-        v=floats(sizes.n + 1),
-        image=floats(sizes.n_cells),
-        denoised=floats(sizes.n_cells),
-        w=floats(n_windows, WINDOW * WINDOW),
-        a=floats(n_windows, sizes.n_filters),
-        levels=floats(n_windows, 2 * sizes.n_filters),
-        h=floats(n_windows, sizes.n_hidden),
-        g=floats(n_windows, sizes.n_filters + 1),
-        tiles=floats(n_windows, TILE * TILE),
-        sums=floats(85, n_windows),
-        details=floats(65, n_windows),
-        parts=floats(n_windows),
-        busy=np.zeros(n_windows, dtype=np.int64),
+    n_steps = kernels.step_scratch_size(
+        *(sizes.n, sizes.n_cells, sizes.n_windows, sizes.n_filters, sizes.n_hidden)
     )
     iterates = kernels.Iterates(floats(sizes.n), floats(sizes.n_averaged, sizes.n))
     slopes = kernels.Slopes(floats(2, sizes.n), floats(2, sizes.n))
-    return Scratch(slopes, iterates, steps)
+    return Scratch(slopes, iterates, floats(n_steps))
 
 
 @lru_cache(maxsize=16)

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from sparseskin.nodes.compressor.phi.base import UNREAD
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .bias import Bias
+from .frame_numbers import FrameNumbers, frame_numbers
 from .motion import motion_of
 from .noise_level import NoiseLevel
 from .prediction_error import PredictionError
-from .row_subset import FrameNumbers, RowSubset
+from .row_subset import RowSubset
 from .rows import Rows
 from .tiles import SHIFTS
 from .trust import Fit, StatedError, TaxelNoise, Trust, estimate_error2
@@ -101,7 +100,7 @@ class SkinEstimator:
         """Begin anew, as if no frame had been measured."""
         self.vectors.forget()
         for subset in self._subsets.values():
-            subset.forget()
+            subset.was_read = False
         self.noise_level.forget()
         self.prediction_error.forget()
         self.bias.forget()
@@ -115,12 +114,18 @@ class SkinEstimator:
         which has this fingerprint: predict it, and set the targets of its rows.
         """
         if fingerprint not in self._subsets:
-            self._subsets[fingerprint] = RowSubset(self._rows)
-        subset = self._subset = self._subsets[fingerprint]
-        frame = self._frame = subset.begin(y)
+            self._subsets[fingerprint] = RowSubset(self._rows, len(y))
+        subset = self._subsets[fingerprint]
+        comparison, sums = self.vectors.begin(y, subset, self.bias.value)
+        frame = frame_numbers(comparison, sums.n_read, was_read=subset.was_read)
+        self._subset = subset
+        self._frame = frame
 
-        innovation = self._predict(y, subset, frame)
-        noise = self._follow_noise(innovation, subset, frame)
+        noise = max(self.noise_level.variance, frame.floor)
+        motion = motion_of(sums, noise, self.error**2, self._tuning)
+        innovation = self.vectors.predict(motion)
+        noise = self._follow_noise(innovation, frame)
+        subset.keep(y, self.vectors.innovation)
         error2 = self.prediction_error.follow(innovation.mean_square, noise, frame.n_read)
         self._filtered = self.vectors.filter_rows(
             self._row_variances(innovation, noise, error2, frame)
@@ -130,25 +135,15 @@ class SkinEstimator:
         # Those of the prediction, should the frame have no step.
         self._steps = Steps(expected2=error2, residual2=innovation.mean_square)
 
-    def _predict(self, y: Floats, subset: RowSubset, frame: FrameNumbers) -> Innovation:
-        """Predict the measurements of the frame, less the bias."""
-        values = self._rows.values(y) - np.float32(self.bias.value) * subset.ones
-        noise = max(self.noise_level.variance, frame.floor)
-        sums = self.vectors.begin(values)
-        return self.vectors.predict(motion_of(sums, noise, self.error**2, self._tuning))
-
-    def _follow_noise(
-        self, innovation: Innovation, subset: RowSubset, frame: FrameNumbers
-    ) -> float:
+    def _follow_noise(self, innovation: Innovation, frame: FrameNumbers) -> float:
         """Update the noise level; return the noise variance of the frame: the level times the trust
         in it.
         """
         level = self.noise_level
-        now = self.vectors.innovation
-        level.follow(subset.innovation, now, innovation.mean_square, frame)
+        if self._subset.was_read:
+            level.follow(innovation, frame)
         level.keep_above(frame.floor, self.noise_sd)
         level.follow_trust(innovation.correlation, frame.n_read)
-        subset.innovation = now
         return max(level.variance * level.trust, frame.floor)
 
     def _row_variances(

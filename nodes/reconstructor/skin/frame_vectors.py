@@ -6,18 +6,20 @@ import math
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
+from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .formula import shrink
 from .gates import Gates
 from .motion import Motion, MotionSums
+from .row_subset import RowSubset
 from .rows import Rows
 from .tiles import SHIFTS, Tiles, neighbours_of
 from .tuning import SkinTuning
 from .vectors import (
     UNKNOWN,
     Blend,
+    Comparison,
     Filtered,
     Innovation,
     RowVariances,
@@ -74,18 +76,35 @@ class FrameVectors(Vectors):
         self.x = x
         self._x_rows = self._rows.forward(x)
 
-    def begin(self, values: Floats) -> MotionSums:
-        read = self._rows.read
-        self._values = values
+    def begin(self, y: Floats, subset: RowSubset, bias: float) -> tuple[Comparison, MotionSums]:
+        self._values = self._rows.values(y) - np.float32(bias) * subset.ones
+        self._last_innovation = subset.innovation
+        comparison = Comparison(
+            power=_total(np.square(y, dtype=np.float64)) / len(y),
+            largest=float(np.abs(y).max()),
+            change=float(np.abs(y - subset.y).max()),
+        )
+        return comparison, self._motion_sums()
 
+    def _motion_sums(self) -> MotionSums:
+        read = self._rows.read
         following, previous = self.x[self._neighbours]
         self._slopes = following - previous
         down, across = map(self._rows.forward, self._slopes)
-        terms = [self._x_rows[read], down[read], across[read]]
-        change = values - terms[0]
+        a = self._x_rows[read]
+        b = down[read]
+        c = across[read]
+        change = self._values - a
         return MotionSums(
-            gram=[[_dot(a, b) for b in terms] for a in terms],
-            products=[_dot(a, change) for a in terms],
+            aa=_dot(a, a),
+            ab=_dot(a, b),
+            ac=_dot(a, c),
+            bb=_dot(b, b),
+            bc=_dot(b, c),
+            cc=_dot(c, c),
+            a_change=_dot(a, change),
+            b_change=_dot(b, change),
+            c_change=_dot(c, change),
             energy=_dot(self.x, self.x),
             largest=float(self.x.max()),
             n_read=len(read),
@@ -112,6 +131,7 @@ class FrameVectors(Vectors):
             squares=_dot(self.innovation, self.innovation),
             correction_squares=_dot(correction, correction),
             products=_dot(self.innovation, correction),
+            repeating=_dot(self._last_innovation, self._last_innovation - self.innovation),
             n_read=len(read),
             n_known=int(np.count_nonzero(self._is_known)),
             filter_squares=_total(self._off_mean * self._off_mean * self._is_known),
@@ -301,7 +321,7 @@ def _dot(a: Floats, b: Floats) -> float:
     return float(a @ b)
 
 
-def _total(a: Floats) -> float:
+def _total(a: Floats | Doubles) -> float:
     return float(a.sum(dtype=np.float64))
 
 

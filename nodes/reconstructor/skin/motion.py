@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from .tuning import SkinTuning
 
 
 class MotionSums(NamedTuple):
-    """Sums over the rows read, of three terms: the last estimate x, and its slopes along rows and
-    columns.
+    """Sums over the rows read, of W times three terms: a, the last estimate x; b and c, its slopes
+    along rows and columns.
     """
 
-    gram: Sequence[Sequence[float]]  # products of the terms, (3, 3)
-    products: Sequence[float]  # of each term and what the values exceed W x by
+    aa: float  # products of the terms
+    ab: float
+    ac: float
+    bb: float
+    bc: float
+    cc: float
+    a_change: float  # of each term and what the values exceed W x by
+    b_change: float
+    c_change: float
     energy: float  # sum of squares of x
     largest: float  # largest force of x
     n_read: int  # rows read
@@ -35,22 +41,16 @@ def motion_of(sums: MotionSums, noise: float, error2: float, tuning: SkinTuning)
 
     noise is the variance of a measurement, error2 the mean squared error of the last estimate.
     """
-    gram = [list(row) for row in sums.gram]
-
     # Forces of which these rows see no more than noise or error, they do not contradict.
-    seen = gram[0][0]
-    unseen = max(sums.energy * sums.n_read / sums.n - seen, 0.0)
+    unseen = max(sums.energy * sums.n_read / sums.n - sums.aa, 0.0)
     doubt = max(noise, error2)
-    gram[0][0] = seen + unseen * doubt / (doubt + seen / sums.n_read)
+    energy = sums.aa + unseen * doubt / (doubt + sums.aa / sums.n_read)
 
-    ridge = tuning.ridge**2 * gram[0][0] + noise
-    for k in range(3):
-        gram[k][k] = (1 + tuning.ridge) * gram[k][k] + ridge
-    growth, down, across = solved(gram, sums.products)
+    growth, down, across = _regression(sums, energy, noise, tuning.ridge)
+    explained = growth * sums.a_change + down * sums.b_change + across * sums.c_change
+    explained = max(explained, 0.0)
 
     # Three parameters explain a part of the noise, too.
-    terms = zip((growth, down, across), sums.products, strict=True)
-    explained = max(sum(weight * product for weight, product in terms), 0.0)
     part = explained / (explained + tuning.motion * noise)
     if sums.n_read < tuning.least_read:
         part = 0.0
@@ -61,17 +61,32 @@ def motion_of(sums: MotionSums, noise: float, error2: float, tuning: SkinTuning)
     return Motion(growth, down * part, across * part, bound)
 
 
-def solved(matrix: list[list[float]], right: Sequence[float]) -> list[float]:
-    """Solve a small system of equations by elimination; the matrix is overwritten."""
-    n = len(right)
-    solution = list(right)
-    for j in range(n):
-        for k in range(j + 1, n):
-            factor = matrix[k][j] / matrix[j][j]
-            matrix[k] = [matrix[k][i] - factor * matrix[j][i] for i in range(n)]
-            solution[k] = solution[k] - factor * solution[j]
+def _regression(
+    sums: MotionSums, energy: float, noise: float, ridge: float
+) -> tuple[float, float, float]:
+    """Return the coefficients of the terms a, of an energy, b and c, by ridge least squares: three
+    equations, solved by elimination.
+    """
+    ab = sums.ab
+    ac = sums.ac
+    added = ridge**2 * energy + noise
+    aa = (1 + ridge) * energy + added
+    bb = (1 + ridge) * sums.bb + added
+    cc = (1 + ridge) * sums.cc + added
 
-    for j in reversed(range(n)):
-        rest = sum(matrix[j][k] * solution[k] for k in range(j + 1, n))
-        solution[j] = (solution[j] - rest) / matrix[j][j]
-    return solution
+    # Equations of b and c without a.
+    factor = ab / aa
+    bb = bb - factor * ab
+    bc = sums.bc - factor * ac
+    b_change = sums.b_change - factor * sums.a_change
+    factor = ac / aa
+    cb = sums.bc - factor * ab
+    cc = cc - factor * ac
+    c_change = sums.c_change - factor * sums.a_change
+
+    # That of c alone, and back.
+    factor = cb / bb
+    across = (c_change - factor * b_change) / (cc - factor * bc)
+    down = (b_change - bc * across) / bb
+    growth = (sums.a_change - (ab * down + ac * across)) / aa
+    return growth, down, across

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 
-from sparseskin.nodes.numerics.arrays import Floats
-
-from .row_subset import FrameNumbers
+from .frame_numbers import FrameNumbers
 from .tuning import SkinTuning
-from .vectors import Settled
+from .vectors import Innovation, Settled
 
 
 class NoiseLevel:
@@ -55,23 +53,17 @@ class NoiseLevel:
         # Parts of 1 that do not count add up to less.
         return n_seen > 1 / self._tuning.noise_rate + 0.5
 
-    def follow(
-        self, last_innovation: Floats | None, innovation: Floats, e2: float, frame: FrameNumbers
-    ) -> None:
-        """Update the level by the innovation of a frame, of mean square e2, and the one when these
-        rows were read before: None if they were not.
-        """
-        if last_innovation is None:
-            return
-        repeating = float(last_innovation @ (last_innovation - innovation))
-        measured = max(repeating / frame.n_read, 0.0)
+    def follow(self, innovation: Innovation, frame: FrameNumbers) -> None:
+        """Update the level by the innovation of a frame whose rows were read before."""
+        measured = max(innovation.repeating / frame.n_read, 0.0)
 
         # What repeats exactly shows no noise.
         new = 1 - frame.repeated
         level, least = self._updated(measured, frame.n_read)
         self._n_seen = self._n_seen + new
         self.least = new * least + (1 - new) * self.least
-        self.variance = new * min(level, e2) + (1 - new) * self.variance
+        level = min(level, innovation.mean_square)
+        self.variance = new * level + (1 - new) * self.variance
 
     def _updated(self, measured: float, n_read: int) -> tuple[float, float]:
         """Return level and least level after a noise variance was measured."""

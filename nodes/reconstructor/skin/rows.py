@@ -72,7 +72,15 @@ class ReadRows(NamedTuple):
 
 
 class HadamardRows(Rows):
-    """All rows of a scrambled block Hadamard ensemble, also those that no frame reads."""
+    """All rows of a scrambled block Hadamard ensemble, also those that no frame reads.
+
+    Attributes
+    ----------
+    order : ndarray of intp, shape (m,)
+        Order of the measurements in which their rows ascend.
+    """
+
+    order: Indices
 
     def __init__(self, phi: SbhePhi) -> None:
         self.n = phi.n
@@ -91,7 +99,7 @@ class HadamardRows(Rows):
     def use(self, phi: Phi) -> bool:
         subset = self._of(phi)
         self.read = subset.read
-        self._order = subset.order
+        self.order = subset.order
         return True
 
     def _of(self, phi: Phi) -> ReadRows:
@@ -104,7 +112,7 @@ class HadamardRows(Rows):
         return self._subsets[phi.fingerprint]
 
     def values(self, y: Floats) -> Floats:
-        return y.take(self._order, mode="clip")
+        return y.take(self.order, mode="clip")
 
     def forward(self, x: Floats) -> Floats:
         return self._hadamard.forward(x)

@@ -10,12 +10,21 @@ from sparseskin.nodes.numerics.arrays import TINY, Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .motion import Motion, MotionSums
+from .row_subset import RowSubset
 
 UNKNOWN = 1e34
 """Variance of a row that was not read yet, beyond that of any measurement."""
 
 NEGLIGIBLE = 1e-3
 """Length of a change, in that of an innovation, which does not show its direction."""
+
+
+class Comparison(NamedTuple):
+    """Measurements of a frame, and the last ones of its row subset."""
+
+    power: float  # mean square
+    largest: float  # largest absolute value
+    change: float  # largest absolute change
 
 
 class Innovation(NamedTuple):
@@ -26,10 +35,11 @@ class Innovation(NamedTuple):
     squares: float
     correction_squares: float
     products: float  # of innovation and correction
-    n_read: int
+    repeating: float  # of the last innovation of the row subset and what it exceeds this one by
     n_known: int  # rows read before
     filter_squares: float  # squared innovation of the filters
     filter_variances: float  # variance of the filters' means
+    n_read: int
 
     @property
     def mean_square(self) -> float:
@@ -128,8 +138,8 @@ class Vectors(ABC):
         """Take x, float32 (n,), for the last estimate."""
 
     @abstractmethod
-    def begin(self, values: Floats) -> MotionSums:
-        """Begin a frame of the values of the rows read, float32 (n_read,)."""
+    def begin(self, y: Floats, subset: RowSubset, bias: float) -> tuple[Comparison, MotionSums]:
+        """Begin a frame of measurements y, float32 (m,), of a row subset; subtract the bias."""
 
     @abstractmethod
     def predict(self, motion: Motion) -> Innovation:
