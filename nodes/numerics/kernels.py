@@ -257,7 +257,8 @@ class NoiseCurve(NamedTuple):
 
 def group(kind: Any, *fields: Any) -> Any:
     """The type of a NamedTuple with fields of these types."""
-    return types.BaseTuple.from_types(fields, kind)
+    tuples: Any = types.BaseTuple
+    return tuples.from_types(fields, kind)
 
 
 TRANSFORM = group(Transform, G, V)
@@ -1385,5 +1386,5 @@ SKIN_LOOPS: tuple[Callable[..., Any], ...] = (
     skin_variance,
 )
 """The loops of solver `skin` that Python calls."""
-LOOPS = (*SKIN_LOOPS, fista, haar_image, components)
+LOOPS: tuple[Callable[..., Any], ...] = (*SKIN_LOOPS, fista, haar_image, components)
 """All loops that Python calls."""

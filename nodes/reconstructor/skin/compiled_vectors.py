@@ -16,15 +16,14 @@ from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
 
 from .formula import LEAST, STRICT
 from .gates import CLEARLY, QUIET, STANDS_OUT, Gates
-from .motion import Motion, MotionSums
-from .row_subset import RowSubset
+from .prediction import Motion, MotionSums
+from .row_subset import Comparison, RowSubset
 from .rows import CompiledRows
 from .tiles import MARGIN, SHIFTS, Tiles, neighbours_of
 from .tuning import SkinTuning
 from .vectors import (
     UNKNOWN,
     Blend,
-    Comparison,
     Filtered,
     Innovation,
     RowVariances,
@@ -116,7 +115,7 @@ class CompiledVectors(Vectors):
             self._transform,
             self._scratch.slopes,
         )
-        return Comparison(power, largest, change), MotionSums(*sums, n_read, self._rows.n)
+        return Comparison(power, largest, change), MotionSums._make([*sums, n_read, self._rows.n])
 
     def predict(self, motion: Motion) -> Innovation:
         sums = self._loops.predict(
@@ -124,7 +123,7 @@ class CompiledVectors(Vectors):
             *(self._transform, self._measured, self._prediction, self._filters, UNKNOWN),
         )
         self._estimates = self._prediction.x[None]
-        return Innovation(*sums, n_read=len(self.innovation))
+        return Innovation._make((*sums, len(self.innovation)))
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
         target_variance, n_known = self._loops.filter_rows(
@@ -279,7 +278,8 @@ def _weights(gates: Gates) -> kernels.Weights:
         *(gates.filters, gates.hidden, gates.hidden_0, gates.gates, gates.gates_0),
         *(gates.synthesis, gates.error[0]),
     )
-    return kernels.Weights(*map(np.ascontiguousarray, arrays), float(gates.error_0[0]))
+    contiguous = [np.ascontiguousarray(array) for array in arrays]
+    return kernels.Weights._make([*contiguous, float(gates.error_0[0])])
 
 
 def _limits(strictness: float) -> kernels.Limits:

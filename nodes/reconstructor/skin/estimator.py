@@ -9,11 +9,9 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .bias import Bias
-from .frame_numbers import FrameNumbers, frame_numbers
-from .motion import motion_of
 from .noise_level import NoiseLevel
-from .prediction_error import PredictionError
-from .row_subset import RowSubset
+from .prediction import PredictionError, motion_of
+from .row_subset import FrameNumbers, RowSubset
 from .rows import Rows
 from .tiles import SHIFTS
 from .trust import Fit, StatedError, TaxelNoise, Trust, estimate_error2
@@ -117,7 +115,7 @@ class SkinEstimator:
             self._subsets[fingerprint] = RowSubset(self._rows, len(y))
         subset = self._subsets[fingerprint]
         comparison, sums = self.vectors.begin(y, subset, self.bias.value)
-        frame = frame_numbers(comparison, sums.n_read, was_read=subset.was_read)
+        frame = subset.numbers(comparison)
         self._subset = subset
         self._frame = frame
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -11,15 +12,14 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .formula import shrink
 from .gates import Gates
-from .motion import Motion, MotionSums
-from .row_subset import RowSubset
+from .prediction import Motion, MotionSums
+from .row_subset import Comparison, RowSubset
 from .rows import Rows
 from .tiles import SHIFTS, Tiles, neighbours_of
 from .tuning import SkinTuning
 from .vectors import (
     UNKNOWN,
     Blend,
-    Comparison,
     Filtered,
     Innovation,
     RowVariances,
@@ -152,11 +152,11 @@ class FrameVectors(Vectors):
         self._change = (self._change + np.float32(variances.change)).clip(None, UNKNOWN)
         change = self._tuning.of_dependent(self._change.astype(np.float64), variances.noise)
         change_32 = change.clip(None, UNKNOWN).astype(np.float32)
-        prior = np.float32(variances.prediction)
+        prior: Any = np.float32(variances.prediction)
         share = prior / (prior + self._variance + change_32)
         correction = share * (self._mean - self._predicted_rows)
 
-        recalled = self._recall.follow(
+        recalled: Any = self._recall.follow(
             self.innovation * self._is_known,
             correction[self._rows.read] * self._is_known,
             int(np.count_nonzero(self._is_known)),
@@ -164,8 +164,7 @@ class FrameVectors(Vectors):
             self._tuning,
         )
         self._target = self._predicted_rows + recalled * correction
-        variance: Floats = prior * (1 - recalled * share)
-        self._target_variance = variance
+        self._target_variance = prior * (1 - recalled * share)
 
     def _read_values(self, variances: RowVariances) -> None:
         """Update the targets and the filters of the rows read by their values."""
@@ -219,7 +218,7 @@ class FrameVectors(Vectors):
             Mean squared residual of z before the step, of the rows read.
         """
         tuning = self._tuning
-        z: Floats = self._z
+        z = self._z
         off = self._target - self._rows.forward(z)
         off_read = off[self._rows.read]
         residual = off_read + self._off_target
@@ -244,10 +243,9 @@ class FrameVectors(Vectors):
         expected = _dot(tile_error, self._tiles.shares[shift])
 
         # Towards the estimate whose errors are not correlated with those of u.
-        alpha = np.float32(min(expected, tuning.most_alpha))
+        alpha: Any = np.float32(min(expected, tuning.most_alpha))
         free = (x - alpha * u) / (1 - alpha)
-        z = z + tuning.damping * (free - z)
-        self._z = z
+        self._z = z + tuning.damping * (free - z)
         return x, expected * float(s) ** 2, residual2
 
     def clear(self) -> None:

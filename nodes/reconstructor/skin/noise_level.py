@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .frame_numbers import FrameNumbers
+from .row_subset import FrameNumbers
 from .tuning import SkinTuning
 from .vectors import Innovation, Settled
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from sparseskin.nodes.numerics.arrays import TINY
 
-from .frame_numbers import FrameNumbers
 from .noise_level import NoiseLevel
+from .row_subset import FrameNumbers
 from .tuning import SkinTuning
 from .vectors import Settled, Steps
 

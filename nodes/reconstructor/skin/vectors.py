@@ -9,22 +9,14 @@ from typing import NamedTuple
 from sparseskin.nodes.numerics.arrays import TINY, Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-from .motion import Motion, MotionSums
-from .row_subset import RowSubset
+from .prediction import Motion, MotionSums
+from .row_subset import Comparison, RowSubset
 
 UNKNOWN = 1e34
 """Variance of a row that was not read yet, beyond that of any measurement."""
 
 NEGLIGIBLE = 1e-3
 """Length of a change, in that of an innovation, which does not show its direction."""
-
-
-class Comparison(NamedTuple):
-    """Measurements of a frame, and the last ones of its row subset."""
-
-    power: float  # mean square
-    largest: float  # largest absolute value
-    change: float  # largest absolute change
 
 
 class Innovation(NamedTuple):

@@ -1,7 +1,8 @@
-"""Motion of the forces between two frames, by regression on the measurements."""
+"""The prediction of a frame by the last one: the motion between them, and its error."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from .tuning import SkinTuning
@@ -90,3 +91,37 @@ def _regression(
     down = (b_change - bc * across) / bb
     growth = (sums.a_change - (ab * down + ac * across)) / aa
     return growth, down, across
+
+
+class PredictionError:
+    """Mean squared error P of the prediction: the excess of the squared innovation over the noise,
+    averaged over frames.
+
+    Attributes
+    ----------
+    variance : float
+        The average, at least half of what is significant in the last frame.
+    significant : float
+        The significant excess of the last frame.
+    """
+
+    def __init__(self, tuning: SkinTuning) -> None:
+        self._tuning = tuning
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as if no frame had been measured."""
+        self.variance = 0.0
+        self.significant = 0.0
+
+    def follow(self, e2: float, noise: float, n_read: int) -> float:
+        """Return the mean squared error of the prediction of a frame, of mean squared innovation
+        e2.
+        """
+        tuning = self._tuning
+        self.significant = tuning.surplus(e2, noise, n_read)
+
+        average = self.variance + tuning.signal_rate * (e2 - noise - self.variance)
+        bound = max(e2 - noise, 0.0) + 2 * noise * math.sqrt(2 / n_read)
+        self.variance = max(min(average, bound), self.significant / 2)
+        return max(max(self.variance, self.significant), 0.0)
