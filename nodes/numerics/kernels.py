@@ -627,6 +627,34 @@ def compare(received: A, bias: Any, values: A) -> tuple[float, float, float]:
     return squares, np.float64(largest), np.float64(change)
 
 
+@compiled(sums_in_any_order=True)
+def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[float, ...]:
+    """Sums of `MotionSums` over the rows read: the products of its terms a, b and c, and those of
+    each term and what the values exceed W x by.
+    """
+    read = measured.read
+    values = measured.values
+    x_rows = estimate.rows
+    aa = ab = ac = bb = bc = cc = 0.0
+    a_change = b_change = c_change = 0.0
+    for i in range(read.size):
+        r = read[i]
+        a = np.float64(x_rows[r])
+        b = np.float64(by_down[r])
+        c = np.float64(by_across[r])
+        change = np.float64(values[i] - x_rows[r])
+        aa += a * a
+        ab += a * b
+        ac += a * c
+        bb += b * b
+        bc += b * c
+        cc += c * c
+        a_change += a * change
+        b_change += b * change
+        c_change += c * change
+    return aa, ab, ac, bb, bc, cc, a_change, b_change, c_change
+
+
 @compiled((RECEIVED, float64, MEASURED, ESTIMATE, P2, TRANSFORM, SLOPES), sums_in_any_order=True)
 def skin_begin(
     received: A, bias: float, measured: A, estimate: A, neighbours: A, transform: A, slopes: A
@@ -658,32 +686,33 @@ def skin_begin(
     for p in range(n):
         energy += np.float64(x[p]) * np.float64(x[p])
 
+    comparison = (squares / measured.values.size, largest_y, change_y)
+    sums = motion_sums(measured, estimate, slopes.of_rows[0], slopes.of_rows[1])
+    return *comparison, *sums, energy, np.float64(largest)
+
+
+@compiled(sums_in_any_order=True)
+def filter_sums(measured: A, filters: A, unknown: float) -> tuple[int, float, float]:
+    """Number of the rows read that are known, and the sums of squared innovation and variance of
+    their filters.
+    """
     read = measured.read
     values = measured.values
-    x_rows = estimate.rows
-    by_down = slopes.of_rows[0]
-    by_across = slopes.of_rows[1]
-    aa = ab = ac = bb = bc = cc = 0.0
-    a_change = b_change = c_change = 0.0
+    mean = filters.mean
+    variance = filters.variance
+    change = filters.change
+    limit = np.float32(unknown)
+    n_known = 0
+    filter_squares = 0.0
+    filter_variances = 0.0
     for i in range(read.size):
         r = read[i]
-        a = np.float64(x_rows[r])
-        b = np.float64(by_down[r])
-        c = np.float64(by_across[r])
-        change = np.float64(values[i] - x_rows[r])
-        aa += a * a
-        ab += a * b
-        ac += a * c
-        bb += b * b
-        bc += b * c
-        cc += c * c
-        a_change += a * change
-        b_change += b * change
-        c_change += c * change
-    comparison = (squares / read.size, largest_y, change_y)
-    gram = (aa, ab, ac, bb, bc, cc)
-    right = (a_change, b_change, c_change)
-    return *comparison, *gram, *right, energy, np.float64(largest)
+        expected = variance[r] + change[r]
+        if expected < limit:
+            n_known += 1
+            filter_squares += np.float64(values[i] - mean[r]) ** 2
+            filter_variances += expected
+    return n_known, filter_squares, filter_variances
 
 
 @compiled(
@@ -737,21 +766,8 @@ def skin_predict(
         products += new * corrected
         repeating += last * (last - new)
 
-    variance = filters.variance
-    change = filters.change
-    limit = np.float32(unknown)
-    n_known = 0
-    filter_squares = 0.0
-    filter_variances = 0.0
-    for i in range(read.size):
-        r = read[i]
-        expected = variance[r] + change[r]
-        if expected < limit:
-            n_known += 1
-            filter_squares += np.float64(values[i] - mean[r]) ** 2
-            filter_variances += expected
     of_innovation = (squares, correction_squares, products, repeating)
-    return *of_innovation, n_known, filter_squares, filter_variances
+    return *of_innovation, *filter_sums(measured, filters, unknown)
 
 
 @compiled()
@@ -1294,86 +1310,139 @@ def root_of(parents: A, k: int) -> int:
     return k
 
 
-@compiled((M, float32, float64, V, DM, int32[::1], int64))
-def components(
-    forces: A, low: float, high: float, variances: A, places: A, regions: A, n_regions: int
-) -> tuple[A, A, A, A, int]:
-    """The same as `components` of the module `contacts`, but for rounding, in one scan."""
-    (n_rows, n_cols), k = forces.shape, places.shape[0]
+@compiled()
+def label_cells(
+    forces: A, low: float, high: float, regions: A, index: A, labels: A, parents: A, is_kept: A
+) -> tuple[int, int]:
+    """Label the cells above `low`, in one scan; regions becomes 0 elsewhere. Set the cells, index,
+    and of each label a label of the same component, parents, and whether a cell of it is above
+    `high` or in a region. Return the numbers of cells and labels. Other cells have the label -1.
+    """
+    n_rows, n_cols = forces.shape
     flat = forces.reshape(-1)
-    index, grid = np.empty(flat.size, np.int64), np.full(flat.size, -1, np.int32)
-    most = ((n_rows + 1) // 2) * ((n_cols + 1) // 2)
-    parents, wanted = np.empty(most, np.int64), np.zeros(most, np.bool_)
-    n_pressed, n_labels = 0, 0
+    n_cells = 0
+    n_labels = 0
     for i in range(n_rows):
         for j in range(n_cols):
             p = i * n_cols + j
             if not flat[p] > low:
                 regions[p] = 0
                 continue
-            index[n_pressed] = p
-            n_pressed += 1
+            index[n_cells] = p
+            n_cells += 1
+
             # Of the four before it, the one above is beside the others, and the left two are
             # beside each other: those are one component already.
-            label = grid[p - n_cols] if i else -1
+            label = labels[p - n_cols] if i else -1
             if label < 0:
-                label = grid[p - 1] if j else -1
+                label = labels[p - 1] if j else -1
                 if label < 0 and i and j:
-                    label = grid[p - n_cols - 1]
-                other = grid[p - n_cols + 1] if i and j + 1 < n_cols else -1
+                    label = labels[p - n_cols - 1]
+                right = labels[p - n_cols + 1] if i and j + 1 < n_cols else -1
                 if label < 0:
-                    label = other
-                elif other >= 0:
-                    label, other = root_of(parents, label), root_of(parents, other)
-                    parents[max(label, other)] = min(label, other)
+                    label = right
+                elif right >= 0:
+                    label = root_of(parents, label)
+                    right = root_of(parents, right)
+                    parents[max(label, right)] = min(label, right)
             if label < 0:
                 label = n_labels
                 parents[label] = label
                 n_labels += 1
-            grid[p] = label
-            wanted[label] |= flat[p] > high or regions[p] > 0
-    for label in range(n_labels - 1, -1, -1):  # a parent has a lower label
-        wanted[parents[label]] |= wanted[label]
+            labels[p] = label
+            is_kept[label] |= flat[p] > high or regions[p] > 0
+    return n_cells, n_labels
+
+
+@compiled()
+def number_components(parents: A, is_kept: A, n_labels: int) -> int:
+    """Replace the parent of each label by the number of its component, -1 if it is not kept. Return
+    the number of components.
+    """
+    # A parent has a lower label.
+    for label in range(n_labels - 1, -1, -1):
+        is_kept[parents[label]] |= is_kept[label]
+
     n = 0
     for label in range(n_labels):
         if parents[label] < label:
             parents[label] = parents[parents[label]]
-        elif wanted[label]:
+        elif is_kept[label]:
             parents[label] = n
             n += 1
         else:
             parents[label] = -1
-    labels, n_kept = np.empty(n_pressed, np.int64), 0
-    sums, overlap = np.zeros((4 + 2 * k, n)), np.zeros((n, n_regions), np.int64)
-    for t in range(n_pressed):
+    return n
+
+
+@compiled()
+def component_moments(flat: A, variances: A, places: A, index: A, numbers: A, sums: A) -> None:
+    """Complete the rows of sums of `components` that depend on the centres."""
+    k = places.shape[0]
+    n = sums.shape[1]
+    for t in range(index.size):
         p = index[t]
-        c, before = parents[grid[p]], regions[p]
-        regions[p] = c + 1
-        if c < 0:
-            continue
-        index[n_kept], labels[n_kept] = p, c
-        n_kept += 1
-        value = np.float64(flat[p])
-        sums[0, c] += value
+        c = numbers[t]
+        force = np.float64(flat[p])
+        sums[0, c] += force
         sums[1, c] += 1
-        sums[2, c] = max(sums[2, c], value)
+        sums[2, c] = max(sums[2, c], force)
         sums[3 + k, c] += variances[p]
         for d in range(k):
-            sums[3 + d, c] += value * places[d, p]
-        if before:
-            overlap[c, before - 1] += 1
+            sums[3 + d, c] += force * places[d, p]
     for c in range(n):
         for d in range(k):
             sums[3 + d, c] /= sums[0, c]
-    for t in range(n_kept):
-        p, c = index[t], labels[t]
+
+    # Variances of the centres.
+    for t in range(index.size):
+        p = index[t]
+        c = numbers[t]
         for d in range(k):
             off = places[d, p] - sums[3 + d, c]
             sums[4 + k + d, c] += variances[p] * off * off
     for c in range(n):
         for d in range(k):
             sums[4 + k + d, c] /= sums[0, c] ** 2
-    return index[:n_kept], labels[:n_kept], sums, overlap, n_pressed
+
+
+@compiled((M, float32, float64, V, DM, int32[::1], int64))
+def components(
+    forces: A, low: float, high: float, variances: A, places: A, regions: A, n_regions: int
+) -> tuple[A, A, A, A, int]:
+    """The same as `components` of the module `contacts`, but for rounding, in one scan."""
+    n_rows, n_cols = forces.shape
+    k = places.shape[0]
+    flat = forces.reshape(-1)
+    index = np.empty(flat.size, np.int64)
+    labels = np.full(flat.size, -1, np.int32)
+    bound = ((n_rows + 1) // 2) * ((n_cols + 1) // 2)
+    parents = np.empty(bound, np.int64)
+    is_kept = np.zeros(bound, np.bool_)
+    n_pressed, n_labels = label_cells(forces, low, high, regions, index, labels, parents, is_kept)
+    n = number_components(parents, is_kept, n_labels)
+
+    numbers = np.empty(n_pressed, np.int64)
+    overlap = np.zeros((n, n_regions), np.int64)
+    n_cells = 0
+    for t in range(n_pressed):
+        p = index[t]
+        c = parents[labels[p]]
+        region = regions[p]
+        regions[p] = c + 1
+        if c < 0:
+            continue
+        index[n_cells] = p
+        numbers[n_cells] = c
+        n_cells += 1
+        if region:
+            overlap[c, region - 1] += 1
+
+    sums = np.zeros((4 + 2 * k, n))
+    index = index[:n_cells]
+    numbers = numbers[:n_cells]
+    component_moments(flat, variances, places, index, numbers, sums)
+    return index, numbers, sums, overlap, n_pressed
 
 
 SKIN_LOOPS: tuple[Callable[..., Any], ...] = (
