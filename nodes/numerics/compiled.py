@@ -84,6 +84,15 @@ def ready(*loops: Callable[..., Any], log: Callable[[str], None] | None = None) 
                 loop.disable_compile()  # type: ignore[attr-defined]
 
 
+def entry_point(loop: Callable[..., Any]) -> Callable[..., Any]:
+    """The compiled function of a loop that is `ready`, without a check of its arguments' types,
+    which takes several times as long as to pass them where they are NamedTuples.
+    """
+    (result,) = loop.overloads.values()  # type: ignore[attr-defined]
+    entry: Callable[..., Any] = result.entry_point
+    return entry
+
+
 @contextmanager
 def _alone(loop: Callable[..., Any]) -> Iterator[None]:
     """Hold a lock on the file of a loop."""

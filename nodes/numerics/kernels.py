@@ -7,15 +7,18 @@ Vectors are float32 and contiguous. A dealt vector holds the taxels in the order
 block Hadamard ensemble, the blocks of one size interleaved: element j of block b is at
 j * count + b, so that a butterfly is one sum and one difference of long runs. `groups` states
 where the blocks of each size are, int64 (k, 3): start, size, count.
+
+Arrays that belong together are passed as one NamedTuple. A loop reads their fields before it
+begins, and has few vectors: of many, it would not be computed on several numbers at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numba import boolean, float32, float64, from_dtype, int32, int64, uint32, void
+from numba import float32, float64, int32, int64, types, uint32, void
 
 from .arrays import TINY
 from .compiled import compiled
@@ -26,6 +29,12 @@ A: TypeAlias = Any
 MOST_ROWS = 32
 """Rows up to which loops are faster than BLAS. Measured: at 20 rows 1.25 times, at 40 0.9 times."""
 _ROOT_2 = np.float32(np.sqrt(2.0))
+_0 = np.float32(0)
+_1 = np.float32(1)
+_HALF = np.float32(0.5)
+_3 = np.float32(3)
+_4 = np.float32(4)
+_64 = np.float32(64)
 
 # Types of arguments: vector, matrix, places and tables of them, groups, list, numbers and tables of
 # them.
@@ -33,45 +42,285 @@ V, M, P, P2 = float32[::1], float32[:, ::1], uint32[::1], uint32[:, ::1]
 G, L, D, DM = int64[:, ::1], int64[::1], float64[::1], float64[:, ::1]
 
 
-_CONSTANTS = """
-    damping least_tau most_alpha motion ridge noise_rate noise_growth significant
-    signal_rate prior doubt recall_memory recall_ridge blend lagging trust_growth least_trust
-    most_bias bias_begins bias_rate bias_known bias_forgotten optimism louder unexplained unresolved
-    untouched trusted least_read pressed_noise silence_kept
-    resolution repeated same invisible dust negligible unknown unread
-    quiet single by_3 by_6 whole clearly strict least error_0 clipped clipped_below
-"""
-CONSTANTS = np.dtype([(name, np.float64) for name in _CONSTANTS.split()])
-"""Constants of a `CompiledEstimator`: `SkinTuning`, and those of modules of the method."""
-_NUMBERS = """
-    noise bias error trusted least_noise trust signal n_seen n_frames n_repeats left2 silence
-    pressed stated_error
-    noise_sd f_max sigma_mid sigma_end clips of_touched
-"""
-NUMBERS = np.dtype([(name, np.float64) for name in _NUMBERS.split()])
-"""Numbers of a `CompiledEstimator`: those of `SkinEstimator`, and the noise that the skin states;
-f_max is 0 where it states none."""
+class Transform(NamedTuple):
+    """W of a scrambled block Hadamard ensemble, symmetric."""
+
+    groups: A  # int64 (k, 3)
+    scale: A  # of each row: 1 / sqrt(size of its block)
+
+
+class Measured(NamedTuple):
+    """Rows that a frame reads, and vectors of them."""
+
+    read: A  # int64 (n_read,), ascending
+    values: A
+    innovation: A  # values less those predicted
+    last_innovation: A  # when these rows were read before
+    off_target: A  # values less their targets
+    residual: A  # values less W x of the estimate
+
+
+class Received(NamedTuple):
+    """The row subset of a frame."""
+
+    order: A  # int64 (n_read,): order of the measurements in which their rows ascend
+    last_y: A  # its last measurements, float32 (n_read,)
+    ones: A  # Phi 1, in the order of the rows read
+
+
+class Estimate(NamedTuple):
+    """The last estimate."""
+
+    x: A
+    rows: A  # W x
+    correction: A  # W times what the last measurements changed
+
+
+class Prediction(NamedTuple):
+    """The prediction of a frame."""
+
+    x: A
+    rows: A  # W x
+
+
+class Slopes(NamedTuple):
+    """Slopes of the last estimate along rows and columns; scratch."""
+
+    of_taxels: A  # float32 (2, n)
+    of_rows: A  # W times each
+
+
+class Filters(NamedTuple):
+    """The filter of each row."""
+
+    mean: A
+    variance: A  # that its measurements left
+    change: A  # of what has changed since
+
+
+class Targets(NamedTuple):
+    """The value that each row is expected to have."""
+
+    value: A
+    variance: A
+
+
+class Iterates(NamedTuple):
+    """State of the steps of a frame, and their last estimates; scratch."""
+
+    z: A
+    estimates: A  # float32 (averaged, n)
+
+
+class TileMaps(NamedTuple):
+    """Windows and tiles of a skin on a canvas with a margin around it."""
+
+    canvas: A  # uint32: place in the vector of taxels that each cell reads, n for none
+    cells: A  # uint32 (n,): cell of each taxel
+    begins: A  # uint32 (shifts, t): first cell of each window
+    shares: A  # float32 (shifts, t): part of the taxels that lie in each tile
+    counts: A  # int64 (shifts,): number of tiles
+    width: int  # cells of a row
+
+
+class Weights(NamedTuple):
+    """Weights of the learned gates, as of `Gates`."""
+
+    filters: A
+    hidden: A
+    hidden_0: A
+    gates: A
+    gates_0: A
+    synthesis: A
+    error: A
+    error_0: float
+
+
+class Limits(NamedTuple):
+    """Constants of the denoisers."""
+
+    single: float  # deviations that a taxel stands out of the noise by
+    by_3: float  # the same of a square of 3 x 3
+    by_6: float
+    whole: float
+    clearly: float  # factor of these at which a window counts in full
+    quiet: float  # expected squared error of a tile in which nothing stands out
+    strict: float  # of shrinkage: energy at which half of a group is kept
+    least: float  # of shrinkage: energy that is nothing
+
+
+class StepScratch(NamedTuple):
+    """Scratch of a step. Of w to tiles, rows are windows; of sums and details, columns are."""
+
+    v: A  # (n + 1,)
+    image: A  # cells of the canvas
+    denoised: A  # cells of the canvas
+    w: A  # (t, 144)
+    a: A
+    levels: A
+    h: A
+    g: A
+    tiles: A  # (t, 64)
+    sums: A  # (85, t)
+    details: A  # (65, t)
+    parts: A  # (t,): part of a window that counts
+    busy: A  # int64 (t,): windows in which something stands out
+
+
+class Denoiser(NamedTuple):
+    """A denoiser of windows."""
+
+    weights: Weights
+    limits: Limits
+    scratch: A  # as of `step_scratch`
+
+
+class MotionWeights(NamedTuple):
+    """A prediction (1 + growth) x + down dx/drow + across dx/dcol, within 0 to bound."""
+
+    growth: float
+    down: float
+    across: float
+    bound: float
+
+
+class Variances(NamedTuple):
+    """Variances by which the rows of a frame are filtered."""
+
+    noise: float  # of a measurement
+    prediction: float  # of the prediction of a row
+    change: float  # of what has changed in a row since the last frame
+    floor: float  # least variance
+
+
+class FilterConstants(NamedTuple):
+    """Constants of `skin_filter`."""
+
+    prior: float
+    doubt: float
+    recall_memory: float
+    recall_ridge: float
+    unknown: float  # variance of a row that was not read yet
+
+
+class Plan(NamedTuple):
+    """Steps of a frame: by the formula, then by the weights."""
+
+    n_formula: int
+    n: int
+    first_shift: int
+    target_variance: float  # mean variance of the targets of the rows read
+    floor: float  # least variance
+
+
+class StepConstants(NamedTuple):
+    """Constants of `skin_steps`."""
+
+    damping: float
+    least_tau: float
+    most_alpha: float
+
+
+class StepInputs(NamedTuple):
+    """All that the steps of a frame take."""
+
+    transform: Transform
+    measured: Measured
+    targets: Targets
+    iterates: Iterates
+    tiles: TileMaps
+    denoiser: Denoiser
+    plan: Plan
+    constants: StepConstants
+
+
+class BlendNumbers(NamedTuple):
+    """How the estimate of a frame and its forces are made."""
+
+    part: float  # weight of the prediction
+    bias: float  # mean reading of an untouched taxel
+    noise_sd: float  # noise of an untouched taxel
+    least_force: float  # smaller forces are returned as 0
+
+
+class NoiseCurve(NamedTuple):
+    """The noise of readings, as of `NoiseModel`."""
+
+    f_max: float
+    sigma_mid: float
+    sigma_end: float
+    clips: float  # 1 or 0
+    of_touched: float  # 1 or 0
+    clipped: float  # variance of noise of variance 1 that is clipped at 0
+    clipped_below: float  # force, in deviations, from which noise is not clipped
+
+
+def group(kind: Any, *fields: Any) -> Any:
+    """The type of a NamedTuple with fields of these types."""
+    tuples: Any = types.BaseTuple
+    return tuples.from_types(fields, kind)
+
+
+TRANSFORM = group(Transform, G, V)
+MEASURED = group(Measured, L, V, V, V, V, V)
+RECEIVED = group(Received, L, V, V)
+ESTIMATE = group(Estimate, V, V, V)
+PREDICTION = group(Prediction, V, V)
+SLOPES = group(Slopes, M, M)
+FILTERS = group(Filters, V, V, V)
+TARGETS = group(Targets, V, V)
+ITERATES = group(Iterates, V, M)
+TILE_MAPS = group(TileMaps, P, P, P2, M, L, int64)
+WEIGHTS = group(Weights, M, M, V, M, V, M, V, float64)
+LIMITS = group(Limits, *(8 * [float64]))
+DENOISER = group(Denoiser, WEIGHTS, LIMITS, V)
+MOTION_WEIGHTS = group(MotionWeights, *(4 * [float64]))
+VARIANCES = group(Variances, *(4 * [float64]))
+FILTER_CONSTANTS = group(FilterConstants, *(5 * [float64]))
+PLAN = group(Plan, int64, int64, int64, float64, float64)
+STEP_CONSTANTS = group(StepConstants, *(3 * [float64]))
+STEP_INPUTS = group(
+    *(StepInputs, TRANSFORM, MEASURED, TARGETS, ITERATES),
+    *(TILE_MAPS, DENOISER, PLAN, STEP_CONSTANTS),
+)
+BLEND_NUMBERS = group(BlendNumbers, *(4 * [float64]))
+NOISE_CURVE = group(NoiseCurve, *(7 * [float64]))
 
 
 @compiled()
 def hadamard(v: A, groups: A) -> None:
     """Transform a dealt vector in place: each block by its matrix of +1 and -1."""
     for g in range(groups.shape[0]):
-        start, size, count = groups[g, 0], groups[g, 1], groups[g, 2]
+        start = groups[g, 0]
+        count = groups[g, 2]
+        length = groups[g, 1] * count
+
+        # Two stages at a time: half of the reads and writes.
         run = count
-        while 4 * run <= size * count:
-            for base in range(start, start + size * count, 4 * run):
-                a, b = v[base : base + run], v[base + run : base + 2 * run]
-                c, d = v[base + 2 * run : base + 3 * run], v[base + 3 * run : base + 4 * run]
+        while 4 * run <= length:
+            for base in range(start, start + length, 4 * run):
+                a = v[base : base + run]
+                b = v[base + run : base + 2 * run]
+                c = v[base + 2 * run : base + 3 * run]
+                d = v[base + 3 * run : base + 4 * run]
                 for k in range(run):
-                    s, t = a[k] + b[k], c[k] + d[k]
-                    u, w = a[k] - b[k], c[k] - d[k]
-                    a[k], b[k], c[k], d[k] = s + t, u + w, s - t, u - w
+                    sum_ab = a[k] + b[k]
+                    sum_cd = c[k] + d[k]
+                    off_ab = a[k] - b[k]
+                    off_cd = c[k] - d[k]
+                    a[k] = sum_ab + sum_cd
+                    b[k] = off_ab + off_cd
+                    c[k] = sum_ab - sum_cd
+                    d[k] = off_ab - off_cd
             run *= 4
-        if run < size * count:
-            a, b = v[start : start + run], v[start + run : start + 2 * run]
+
+        if run < length:
+            a = v[start : start + run]
+            b = v[start + run : start + 2 * run]
             for k in range(run):
-                a[k], b[k] = a[k] + b[k], a[k] - b[k]
+                difference = a[k] - b[k]
+                a[k] += b[k]
+                b[k] = difference
 
 
 @compiled()
@@ -81,26 +330,40 @@ def haar(v: A, n_rows: int, n_cols: int, half: A) -> None:
     Sums and differences are not scaled; a sample without a partner is multiplied by sqrt(2), as
     large as the sums of the others. `half` is scratch, as long as v.
     """
-    rows, cols = n_rows, n_cols
+    rows = n_rows
+    cols = n_cols
     while rows > 1 or cols > 1:
-        left_rows, left_cols = (rows + 1) // 2, (cols + 1) // 2
+        half_rows = (rows + 1) // 2
+        half_cols = (cols + 1) // 2
+
+        # Along columns, to scratch.
         for i in range(rows // 2):
-            a, b = v[2 * i * n_cols :][:cols], v[(2 * i + 1) * n_cols :][:cols]
-            s, d = half[i * n_cols :][:cols], half[(left_rows + i) * n_cols :][:cols]
+            a = v[2 * i * n_cols :][:cols]
+            b = v[(2 * i + 1) * n_cols :][:cols]
+            s = half[i * n_cols :][:cols]
+            d = half[(half_rows + i) * n_cols :][:cols]
             for j in range(cols):
-                s[j], d[j] = a[j] + b[j], a[j] - b[j]
+                s[j] = a[j] + b[j]
+                d[j] = a[j] - b[j]
         if rows % 2:
-            a, s = v[(rows - 1) * n_cols :][:cols], half[(left_rows - 1) * n_cols :][:cols]
+            a = v[(rows - 1) * n_cols :][:cols]
+            s = half[(half_rows - 1) * n_cols :][:cols]
             for j in range(cols):
                 s[j] = _ROOT_2 * a[j]
+
+        # Along rows, and back.
         for i in range(rows):
-            a, s = half[i * n_cols :][:cols], v[i * n_cols :][:cols]
-            d = s[left_cols:]
+            a = half[i * n_cols :][:cols]
+            s = v[i * n_cols :][:cols]
+            d = s[half_cols:]
             for j in range(d.size):
-                s[j], d[j] = a[2 * j] + a[2 * j + 1], a[2 * j] - a[2 * j + 1]
+                s[j] = a[2 * j] + a[2 * j + 1]
+                d[j] = a[2 * j] - a[2 * j + 1]
             if cols % 2:
-                s[left_cols - 1] = _ROOT_2 * a[cols - 1]
-        rows, cols = left_rows, left_cols
+                s[half_cols - 1] = _ROOT_2 * a[cols - 1]
+
+        rows = half_rows
+        cols = half_cols
 
 
 @compiled()
@@ -109,24 +372,35 @@ def haar_transposed(v: A, n_rows: int, n_cols: int, half: A) -> None:
     depth = 0
     while (n_rows - 1) >> depth or (n_cols - 1) >> depth:
         depth += 1
+
     for level in range(depth - 1, -1, -1):
         # Sides at a level: n / 2^level, rounded up.
-        rows, cols = ((n_rows - 1) >> level) + 1, ((n_cols - 1) >> level) + 1
-        left_rows, left_cols = (rows + 1) // 2, (cols + 1) // 2
+        rows = ((n_rows - 1) >> level) + 1
+        cols = ((n_cols - 1) >> level) + 1
+        half_rows = (rows + 1) // 2
+        half_cols = (cols + 1) // 2
+
         for i in range(rows):
-            a, s = half[i * n_cols :][:cols], v[i * n_cols :][:cols]
-            d = s[left_cols:]
+            a = half[i * n_cols :][:cols]
+            s = v[i * n_cols :][:cols]
+            d = s[half_cols:]
             for j in range(d.size):
-                a[2 * j], a[2 * j + 1] = s[j] + d[j], s[j] - d[j]
+                a[2 * j] = s[j] + d[j]
+                a[2 * j + 1] = s[j] - d[j]
             if cols % 2:
-                a[cols - 1] = _ROOT_2 * s[left_cols - 1]
+                a[cols - 1] = _ROOT_2 * s[half_cols - 1]
+
         for i in range(rows // 2):
-            a, b = v[2 * i * n_cols :][:cols], v[(2 * i + 1) * n_cols :][:cols]
-            s, d = half[i * n_cols :][:cols], half[(left_rows + i) * n_cols :][:cols]
+            a = v[2 * i * n_cols :][:cols]
+            b = v[(2 * i + 1) * n_cols :][:cols]
+            s = half[i * n_cols :][:cols]
+            d = half[(half_rows + i) * n_cols :][:cols]
             for j in range(cols):
-                a[j], b[j] = s[j] + d[j], s[j] - d[j]
+                a[j] = s[j] + d[j]
+                b[j] = s[j] - d[j]
         if rows % 2:
-            a, s = v[(rows - 1) * n_cols :][:cols], half[(left_rows - 1) * n_cols :][:cols]
+            a = v[(rows - 1) * n_cols :][:cols]
+            s = half[(half_rows - 1) * n_cols :][:cols]
             for j in range(cols):
                 a[j] = _ROOT_2 * s[j]
 
@@ -163,110 +437,166 @@ def haar_image(v: A, grid: A, half: A) -> None:
 
 
 @compiled()
-def standing_out(image: A, begin: int, width: int, t: A, sums: A, peaks: A) -> Any:
+def standing_out(image: A, begin: int, width: int, limits: A, sums: A, peaks: A) -> Any:
     """Part of the window of 12 x 12 that begins at a place of a flat image, as in `gates`; sums and
     peaks are scratch, 12 columns each.
     """
-    highest = of_thirds = of_sixths = whole = left = right = np.float32(0)
-    peaks[:] = highest
+    of_thirds = _0
+    of_sixths = _0
+    whole = _0
+    left_half = _0
+    right_half = _0
+    peaks[:] = _0
     for band in range(4):
         at = begin + 3 * band * width
-        one, two, three = image[at:][:12], image[at + width :][:12], image[at + 2 * width :][:12]
+        upper = image[at:][:12]
+        middle = image[at + width :][:12]
+        lower = image[at + 2 * width :][:12]
         for j in range(12):
-            sums[j] = one[j] + two[j] + three[j]
-            peaks[j] = max(peaks[j], max(one[j], max(two[j], three[j])))
-        a, b = sums[0] + sums[1] + sums[2], sums[3] + sums[4] + sums[5]
-        c, d = sums[6] + sums[7] + sums[8], sums[9] + sums[10] + sums[11]
+            sums[j] = upper[j] + middle[j] + lower[j]
+            peaks[j] = max(peaks[j], max(upper[j], max(middle[j], lower[j])))
+
+        # Squares of 3 x 3.
+        a = sums[0] + sums[1] + sums[2]
+        b = sums[3] + sums[4] + sums[5]
+        c = sums[6] + sums[7] + sums[8]
+        d = sums[9] + sums[10] + sums[11]
         of_thirds = max(max(of_thirds, max(a, b)), max(c, d))
-        left, right = left + (a + b), right + (c + d)
+
+        # Squares of 6 x 6, of two bands each.
+        left_half += a + b
+        right_half += c + d
         if band % 2:
-            of_sixths = max(of_sixths, max(left, right))
-            whole += left + right
-            left = right = np.float32(0)
+            of_sixths = max(of_sixths, max(left_half, right_half))
+            whole += left_half + right_half
+            left_half = _0
+            right_half = _0
+
+    highest = _0
     for j in range(12):
         highest = max(highest, peaks[j])
-    most = max(highest / t.single, of_thirds / (3 * t.by_3))
-    most = max(most, max(of_sixths / (6 * t.by_6), whole / (12 * t.whole)))
-    return np.float32(min(max((most - 1) / (t.clearly - 1), 0.0), 1.0))
+    excess = max(highest / limits.single, of_thirds / (3 * limits.by_3))
+    excess = max(excess, of_sixths / (6 * limits.by_6))
+    excess = max(excess, whole / (12 * limits.whole))
+    return np.float32(min(max((excess - 1) / (limits.clearly - 1), 0.0), 1.0))
 
 
 @compiled(sums_in_any_order=True)
 def product(w: A, matrix: A, out: A) -> None:
     """Matrix product out = w matrix^T: of few rows by loops, since BLAS copies the matrix first."""
-    n, n_columns = w.shape[0], matrix.shape[0]
+    n = w.shape[0]
+    n_columns = matrix.shape[0]
     if n > MOST_ROWS or n_columns < 4:
         np.dot(w, matrix.T, out)
         return
-    for t in range(0, n, 2):  # two rows by four columns; the last ones may be computed twice
+
+    # Two rows by four columns at a time; the last ones may be computed twice.
+    for t in range(0, n, 2):
         u = min(t + 1, n - 1)
-        x, y = w[t], w[u]
+        x = w[t]
+        y = w[u]
         for begin in range(0, n_columns, 4):
             j = min(begin, n_columns - 4)
             p, q, r, s = matrix[j], matrix[j + 1], matrix[j + 2], matrix[j + 3]
-            a = b = c = d = e = f = g = h = np.float32(0)
+            xp = xq = xr = xs = _0
+            yp = yq = yr = ys = _0
             for k in range(p.size):
-                a, b, c, d = a + x[k] * p[k], b + x[k] * q[k], c + x[k] * r[k], d + x[k] * s[k]
-                e, f, g, h = e + y[k] * p[k], f + y[k] * q[k], g + y[k] * r[k], h + y[k] * s[k]
-            out[t, j], out[t, j + 1], out[t, j + 2], out[t, j + 3] = a, b, c, d
-            out[u, j], out[u, j + 1], out[u, j + 2], out[u, j + 3] = e, f, g, h
+                xp += x[k] * p[k]
+                xq += x[k] * q[k]
+                xr += x[k] * r[k]
+                xs += x[k] * s[k]
+                yp += y[k] * p[k]
+                yq += y[k] * q[k]
+                yr += y[k] * r[k]
+                ys += y[k] * s[k]
+            out[t, j] = xp
+            out[t, j + 1] = xq
+            out[t, j + 2] = xr
+            out[t, j + 3] = xs
+            out[u, j] = yp
+            out[u, j + 1] = yq
+            out[u, j + 2] = yr
+            out[u, j + 3] = ys
 
 
 @compiled(sums_in_any_order=True)
-def haar_shrink(w: A, constants: A, s: A, d: A) -> None:
+def haar_shrink(w: A, limits: A, s: A, d: A) -> None:
     """Shrink the tiles of windows (t, 144), as in `formula`.
 
     Columns of s and d are tiles. s holds the taxels, and their sums at each level: its first 64
     rows are the result. d holds the details; its row 64 becomes the expected squared error.
     """
-    strict, least = np.float32(constants.strict), np.float32(constants.least)
-    half, quiet = np.float32(0.5), np.float32(constants.quiet)
-    one, four = np.float32(1), np.float32(4)
-    n_tiles, begin, place, n = w.shape[0], 0, 0, 8
+    strict = np.float32(limits.strict)
+    least = np.float32(limits.least)
+    quiet = np.float32(limits.quiet)
+    n_tiles = w.shape[0]
     for p in range(64):
         for t in range(n_tiles):
             s[p, t] = w[t, 12 * (p // 8 + 2) + p % 8 + 2]
     error = d[64][:n_tiles]
-    error[:] = np.float32(0)
+    error[:] = _0
+
+    # Details of each level, shrunk, and the sums that the next level is made of.
+    begin = 0
+    place = 0
+    n = 8
     while n > 1:
         for k in range(n * n // 4):
             at = begin + 2 * (k // (n // 2)) * n + 2 * (k % (n // 2))
-            a, b, c, e, total = s[at], s[at + 1], s[at + n], s[at + n + 1], s[begin + n * n + k]
+            a, b, c, e = s[at], s[at + 1], s[at + n], s[at + n + 1]
+            total = s[begin + n * n + k]
             x, y, z = d[place], d[place + 1], d[place + 2]
             for t in range(n_tiles):
-                up, down, left, right = a[t] + b[t], c[t] + e[t], a[t] - b[t], c[t] - e[t]
-                total[t] = half * (up + down)
-                u, v, q = half * (up - down), half * (left + right), half * (left - right)
+                up = a[t] + b[t]
+                down = c[t] + e[t]
+                off_up = a[t] - b[t]
+                off_down = c[t] - e[t]
+                total[t] = _HALF * (up + down)
+                u = _HALF * (up - down)
+                v = _HALF * (off_up + off_down)
+                q = _HALF * (off_up - off_down)
                 energy = u * u + v * v + q * q
-                ratio = np.float32(3) * strict / (energy + least)
-                g = one / (one + ratio * ratio)
-                x[t], y[t], z[t] = g * u, g * v, g * q
-                lost = one - g
-                error[t] += lost * lost * energy + (g + g) * (np.float32(3) + four * lost)
+                ratio = _3 * strict / (energy + least)
+                gain = _1 / (_1 + ratio * ratio)
+                x[t] = gain * u
+                y[t] = gain * v
+                z[t] = gain * q
+                loss = _1 - gain
+                error[t] += loss * loss * energy + (gain + gain) * (_3 + _4 * loss)
             place += 3
         begin += n * n
         n //= 2
+
+    # The mean is a group of its own.
     mean = s[84]
     for t in range(n_tiles):
         energy = mean[t] * mean[t]
         ratio = strict / (energy + least)
-        g = one / (one + ratio * ratio)
-        mean[t] *= g
-        lost = one - g
-        total = error[t] + lost * lost * energy + (g + g) * (one + four * lost)
-        expected = total / np.float32(64) - one
-        error[t] = min(max(expected, quiet), one)
+        gain = _1 / (_1 + ratio * ratio)
+        mean[t] *= gain
+        loss = _1 - gain
+        of_groups = error[t] + loss * loss * energy + (gain + gain) * (_1 + _4 * loss)
+        error[t] = min(max(of_groups / _64 - _1, quiet), _1)
+
+    # Back from the mean to the taxels.
     while n < 8:
         n *= 2
         begin -= n * n
         place -= 3 * n * n // 4
         for k in range(n * n // 4):
             at = begin + 2 * (k // (n // 2)) * n + 2 * (k % (n // 2))
-            a, b, c, e, total = s[at], s[at + 1], s[at + n], s[at + n + 1], s[begin + n * n + k]
+            a, b, c, e = s[at], s[at + 1], s[at + n], s[at + n + 1]
+            total = s[begin + n * n + k]
             x, y, z = d[place + 3 * k], d[place + 3 * k + 1], d[place + 3 * k + 2]
             for t in range(n_tiles):
-                up, down, left, right = total[t] + x[t], total[t] - x[t], y[t] + z[t], y[t] - z[t]
-                a[t], b[t] = half * (up + left), half * (up - left)
-                c[t], e[t] = half * (down + right), half * (down - right)
+                up = total[t] + x[t]
+                down = total[t] - x[t]
+                off_up = y[t] + z[t]
+                off_down = y[t] - z[t]
+                a[t] = _HALF * (up + off_up)
+                b[t] = _HALF * (up - off_up)
+                c[t] = _HALF * (down + off_down)
+                e[t] = _HALF * (down - off_down)
 
 
 @compiled(void(V, G, V))
@@ -278,470 +608,698 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def skin_predict(
-    x: A, whole: A, values: A, read: A, neighbours: A, groups: A, scale: A,
-    noise: float, error2: float, t: A,
-    slopes: A, rows: A, correction: A, predicted: A, moved: A, innovation: A,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Predict a frame, as in `FrameVectors`; slopes and rows are scratch, predicted, moved and
-    innovation results. Return the sums of squares of the innovation and of the last correction, and
-    of their products.
+def compare(received: A, bias: Any, values: A) -> tuple[float, float, float]:
+    """Subtract the bias from measurements in the order of the rows read. Return their sum of
+    squares, the largest one and the largest change since the last ones.
     """
-    n, largest, energy = x.size, np.float32(0), 0.0
+    order = received.order
+    last_y = received.last_y
+    ones = received.ones
+    squares = 0.0
+    largest = _0
+    change = _0
+    for i in range(values.size):
+        y = values[i]
+        squares += np.float64(y) ** 2
+        largest = max(largest, abs(y))
+        change = max(change, abs(y - last_y[order[i]]))
+        values[i] = y - bias * ones[i]
+    return squares, np.float64(largest), np.float64(change)
+
+
+@compiled(sums_in_any_order=True)
+def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[float, ...]:
+    """Sums of `MotionSums` over the rows read: the products of its terms a, b and c, and those of
+    each term and what the values exceed W x by.
+    """
+    read = measured.read
+    values = measured.values
+    x_rows = estimate.rows
+    aa = ab = ac = bb = bc = cc = 0.0
+    a_change = b_change = c_change = 0.0
+    for i in range(read.size):
+        r = read[i]
+        a = np.float64(x_rows[r])
+        b = np.float64(by_down[r])
+        c = np.float64(by_across[r])
+        change = np.float64(values[i] - x_rows[r])
+        aa += a * a
+        ab += a * b
+        ac += a * c
+        bb += b * b
+        bc += b * c
+        cc += c * c
+        a_change += a * change
+        b_change += b * change
+        c_change += c * change
+    return aa, ab, ac, bb, bc, cc, a_change, b_change, c_change
+
+
+@compiled((RECEIVED, float64, MEASURED, ESTIMATE, P2, TRANSFORM, SLOPES), sums_in_any_order=True)
+def skin_begin(
+    received: A, bias: float, measured: A, estimate: A, neighbours: A, transform: A, slopes: A
+) -> tuple[float, ...]:
+    """Begin a frame, as in `FrameVectors`: measured.values are the measurements in the order of the
+    rows read, and become their values. Set the slopes of the last estimate. Return the numbers of
+    `Comparison` and the sums of `MotionSums`.
+
+    neighbours are the places of the next and the previous neighbour of each taxel along rows and
+    columns, uint32 (4, n).
+    """
+    squares, largest_y, change_y = compare(received, np.float32(bias), measured.values)
+
+    x = estimate.x
+    n = x.size
     for k in range(2):
-        slope, following, last = slopes[k], neighbours[k], neighbours[2 + k]
+        slope = slopes.of_taxels[k]
+        following = neighbours[k]
+        previous = neighbours[2 + k]
         for p in range(n):
-            slope[p] = x[following[p]] - x[last[p]]
-        rows[k] = slope
-        orthonormal(rows[k], groups, scale)
+            slope[p] = x[following[p]] - x[previous[p]]
+        slopes.of_rows[k] = slope
+        orthonormal(slopes.of_rows[k], transform.groups, transform.scale)
+
+    largest = _0
+    energy = 0.0
     for p in range(n):
         largest = max(largest, x[p])
     for p in range(n):
         energy += np.float64(x[p]) * np.float64(x[p])
-    by_down, by_across = rows[0], rows[1]
-    a_e = b_e = c_e = aa = ab = ac = bb = bc = cc = 0.0
-    for i in range(read.size):
-        r = read[i]
-        a_i, b_i, c_i = np.float64(whole[r]), np.float64(by_down[r]), np.float64(by_across[r])
-        e = np.float64(values[i] - whole[r])
-        a_e, b_e, c_e = a_e + a_i * e, b_e + b_i * e, c_e + c_i * e
-        aa, ab, ac = aa + a_i * a_i, ab + a_i * b_i, ac + a_i * c_i
-        bb, bc, cc = bb + b_i * b_i, bc + b_i * c_i, cc + c_i * c_i
-    gram = np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]])
-    right = np.array([a_e, b_e, c_e])
-    unseen = max(0.0, energy * read.size / n - gram[0, 0])
-    doubt = max(noise, error2)
-    gram[0, 0] += unseen * doubt / (doubt + gram[0, 0] / read.size)
-    least = t.ridge**2 * gram[0, 0] + noise
-    for j in range(3):
-        gram[j, j] += t.ridge * gram[j, j] + least
-    a = right.copy()  # Gaussian elimination
-    for j in range(3):
-        for k in range(j + 1, 3):
-            factor = gram[k, j] / gram[j, j]
-            gram[k] -= factor * gram[j]
-            a[k] -= factor * a[j]
-    for j in range(2, -1, -1):
-        for k in range(j + 1, 3):
-            a[j] -= gram[j, k] * a[k]
-        a[j] /= gram[j, j]
-    explained = max(0.0, a[0] * right[0] + a[1] * right[1] + a[2] * right[2])
-    a *= explained / (explained + t.motion * noise) if read.size >= t.least_read else 0.0
-    a[0] = min(a[0], 1.0)
-    most = np.float32(largest * max(1.0, 1 + a[0]))
-    grown, down, across = np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
-    for p in range(n):
-        one = x[p] + (grown * x[p] + down * slopes[0, p] + across * slopes[1, p])
-        predicted[p] = min(max(one, np.float32(0)), most)
-    moved[:] = predicted
-    orthonormal(moved, groups, scale)
-    power, of_last, of_both = 0.0, 0.0, 0.0
-    for i in range(read.size):
-        innovation[i] = values[i] - moved[read[i]]
-        now, last = np.float64(innovation[i]), np.float64(correction[read[i]])
-        power += now * now
-        of_last += last * last
-        of_both += now * last
-    return power, of_last, of_both
 
-
-@compiled()
-def loosened(variance: A, prior: A, doubt: A, most: A) -> Any:
-    """Variance of errors that are not independent of each other; doubt: in noise variances."""
-    return min(prior * variance * (np.float32(1) + doubt * variance), most)
-
-
-@compiled()
-def surplus(seen: float, expected: float, count: int, t: A) -> Any:
-    """As `SkinTuning.surplus`."""
-    more = max(seen - expected, 0.0)
-    z2 = more * more * count / (2 * expected * expected + TINY)
-    return more * z2 / (z2 + t.significant**2)
+    comparison = (squares / measured.values.size, largest_y, change_y)
+    sums = motion_sums(measured, estimate, slopes.of_rows[0], slopes.of_rows[1])
+    return *comparison, *sums, energy, np.float64(largest)
 
 
 @compiled(sums_in_any_order=True)
-def skin_filter(
-    values: A, innovation: A, moved: A, whole: A, read: A, mean: A, left: A, change: A,
-    target: A, variance: A, off_target: A, recall: A,
-    noise: float, signal: float, error2: float, floor: float, t: A,
-) -> Any:  # fmt: skip
-    """Filter all rows, as in `FrameVectors`; left: variance that their measurements left. Return
-    the mean variance of the targets of the rows read.
+def filter_sums(measured: A, filters: A, unknown: float) -> tuple[int, float, float]:
+    """Number of the rows read that are known, and the sums of squared innovation and variance of
+    their filters.
     """
-    n, n_read = mean.size, read.size
-    loose, doubt, one = np.float32(t.prior), np.float32(t.doubt / noise), np.float32(1)
-    unknown, n_known, seen, expected = np.float32(t.unknown), 0, 0.0, 0.0
-    for p in range(n):
-        mean[p] += moved[p] - whole[p]
-    for i in range(n_read):
+    read = measured.read
+    values = measured.values
+    mean = filters.mean
+    variance = filters.variance
+    change = filters.change
+    limit = np.float32(unknown)
+    n_known = 0
+    filter_squares = 0.0
+    filter_variances = 0.0
+    for i in range(read.size):
         r = read[i]
-        before = left[r] + change[r]
-        if before < unknown:
+        expected = variance[r] + change[r]
+        if expected < limit:
             n_known += 1
-            seen += np.float64(values[i] - mean[r]) ** 2
-            expected += before
-    changed = signal
-    if 2 * n_known > n_read:
-        changed = surplus(seen / n_known, noise + expected / n_known, n_read, t)
-    grown = np.float32(changed)
-    prior = loosened(np.float32(max(signal, error2)), loose, doubt, unknown)
-    # Each loop has few vectors: of many, it would not be computed on several numbers at once.
+            filter_squares += np.float64(values[i] - mean[r]) ** 2
+            filter_variances += expected
+    return n_known, filter_squares, filter_variances
+
+
+@compiled(
+    (ESTIMATE, MOTION_WEIGHTS, SLOPES, TRANSFORM, MEASURED, PREDICTION, FILTERS, float64),
+    sums_in_any_order=True,
+)
+def skin_predict(
+    estimate: A, motion: A, slopes: A, transform: A, measured: A, prediction: A, filters: A,
+    unknown: float,
+) -> tuple[float, float, float, float, int, float, float]:  # fmt: skip
+    """Predict a frame, as in `FrameVectors`, and move the means of the filters with it. Return the
+    sums of `Innovation`, in its order.
+    """
+    x = estimate.x
+    n = x.size
+    down_slope = slopes.of_taxels[0]
+    across_slope = slopes.of_taxels[1]
+    growth = np.float32(motion.growth)
+    down = np.float32(motion.down)
+    across = np.float32(motion.across)
+    bound = np.float32(motion.bound)
+    predicted = prediction.x
     for p in range(n):
-        change[p] = min(change[p] + grown, unknown)
+        moved = x[p] + (growth * x[p] + down * down_slope[p] + across * across_slope[p])
+        predicted[p] = min(max(moved, _0), bound)
+
+    predicted_rows = prediction.rows
+    predicted_rows[:] = predicted
+    orthonormal(predicted_rows, transform.groups, transform.scale)
+    mean = filters.mean
+    x_rows = estimate.rows
     for p in range(n):
-        variance[p] = prior / (prior + left[p] + loosened(change[p], loose, doubt, unknown))
-    for p in range(n):
-        target[p] = variance[p] * (mean[p] - moved[p])
-    recall *= t.recall_memory
+        mean[p] += predicted_rows[p] - x_rows[p]
+
+    read = measured.read
+    values = measured.values
+    innovation = measured.innovation
+    last_innovation = measured.last_innovation
+    correction = estimate.correction
+    repeating = 0.0
+    squares = 0.0
+    correction_squares = 0.0
+    products = 0.0
+    for i in range(read.size):
+        innovation[i] = values[i] - predicted_rows[read[i]]
+        new = np.float64(innovation[i])
+        corrected = np.float64(correction[read[i]])
+        last = np.float64(last_innovation[i])
+        squares += new * new
+        correction_squares += corrected * corrected
+        products += new * corrected
+        repeating += last * (last - new)
+
+    of_innovation = (squares, correction_squares, products, repeating)
+    return *of_innovation, *filter_sums(measured, filters, unknown)
+
+
+@compiled()
+def of_dependent(variance: A, prior: A, doubt: A, bound: A) -> Any:
+    """As `SkinTuning.of_dependent`, at most bound; doubt: in noise variances."""
+    return min(prior * variance * (_1 + doubt * variance), bound)
+
+
+@compiled(sums_in_any_order=True)
+def follow_recall(
+    recall: A, measured: A, correction: A, filters: A, variances: A, constants: A
+) -> Any:
+    """As `Recall.follow`; recall are its three sums, correction is that of all rows."""
+    read = measured.read
+    innovation = measured.innovation
+    variance = filters.variance
+    change = filters.change
+    new_change = np.float32(variances.change)
+    unknown = np.float32(constants.unknown)
+    products = 0.0
+    squares = 0.0
+    n_known = 0
+    for i in range(read.size):
+        r = read[i]
+        if variance[r] + (change[r] - new_change) < unknown:
+            corrected = np.float64(correction[r])
+            products += innovation[i] * corrected
+            squares += corrected * corrected
+            n_known += 1
+
+    recall *= constants.recall_memory
+    recall[0] += products
+    recall[1] += squares
     recall[2] += n_known
-    for i in range(n_read):
-        r = read[i]
-        if left[r] + (change[r] - grown) < unknown:
-            correction = np.float64(target[r])
-            recall[0] += innovation[i] * correction
-            recall[1] += correction * correction
-    ridge = t.recall_ridge * noise * recall[2]
-    recalled = np.float32(min(max((recall[0] + ridge) / (recall[1] + ridge + TINY), 0.0), 1.0))
+    ridge = constants.recall_ridge * variances.noise * recall[2]
+    part = (recall[0] + ridge) / (recall[1] + ridge + TINY)
+    return np.float32(min(max(part, 0.0), 1.0))
+
+
+@compiled(sums_in_any_order=True)
+def set_targets(
+    measured: A, prediction: A, filters: A, targets: A, recall: A, variances: A, constants: A
+) -> None:
+    """Combine the prediction and the filter of each row, by their precisions."""
+    mean = filters.mean
+    variance = filters.variance
+    change = filters.change
+    predicted_rows = prediction.rows
+    target = targets.value
+    target_variance = targets.variance
+    n = mean.size
+    new_change = np.float32(variances.change)
+    prior = np.float32(variances.prediction)
+    factor = np.float32(constants.prior)
+    doubt = np.float32(constants.doubt / variances.noise)
+    unknown = np.float32(constants.unknown)
     for p in range(n):
-        variance[p] = prior * (one - recalled * variance[p])
+        change[p] = min(change[p] + new_change, unknown)
+
+    # For now the share of the filter, and its correction.
     for p in range(n):
-        target[p] = moved[p] + recalled * target[p]
-    r_noise, least, total = np.float32(noise), np.float32(floor), 0.0
-    for i in range(n_read):
+        of_filter = variance[p] + of_dependent(change[p], factor, doubt, unknown)
+        target_variance[p] = prior / (prior + of_filter)
+    for p in range(n):
+        target[p] = target_variance[p] * (mean[p] - predicted_rows[p])
+
+    recalled = follow_recall(recall, measured, target, filters, variances, constants)
+    for p in range(n):
+        target_variance[p] = prior * (_1 - recalled * target_variance[p])
+    for p in range(n):
+        target[p] = predicted_rows[p] + recalled * target[p]
+
+
+@compiled(sums_in_any_order=True)
+def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
+    """Update the targets and the filters of the rows read by their values. Return the mean variance
+    of these targets.
+    """
+    read = measured.read
+    values = measured.values
+    off_target = measured.off_target
+    target = targets.value
+    target_variance = targets.variance
+    noise = np.float32(variances.noise)
+    floor = np.float32(variances.floor)
+    total = 0.0
+    for i in range(read.size):
         r = read[i]
-        gain = variance[r] / (variance[r] + r_noise)
+        gain = target_variance[r] / (target_variance[r] + noise)
         target[r] += gain * (values[i] - target[r])
-        variance[r] = max(gain * r_noise, least)
-        total += variance[r]
+        target_variance[r] = max(gain * noise, floor)
         off_target[i] = values[i] - target[r]
-        before = left[r] + change[r]
-        gain = before / (before + r_noise)
+        total += target_variance[r]
+
+    mean = filters.mean
+    variance = filters.variance
+    change = filters.change
+    for i in range(read.size):
+        r = read[i]
+        expected = variance[r] + change[r]
+        gain = expected / (expected + noise)
         mean[r] += gain * (values[i] - mean[r])
-        left[r] = max(gain * r_noise, least)
-        change[r] = 0
-    return total / n_read
+        variance[r] = max(gain * noise, floor)
+        change[r] = _0
+    return total / read.size
+
+
+@compiled(
+    (MEASURED, PREDICTION, FILTERS, TARGETS, D, VARIANCES, FILTER_CONSTANTS),
+    sums_in_any_order=True,
+)
+def skin_filter(
+    measured: A, prediction: A, filters: A, targets: A, recall: A, variances: A, constants: A
+) -> tuple[float, int]:
+    """Filter all rows, as in `FrameVectors`. Return the mean variance of the targets of the rows
+    read, and the number of the rows that were read so far.
+    """
+    set_targets(measured, prediction, filters, targets, recall, variances, constants)
+    target_variance = read_values(measured, filters, targets, variances)
+
+    variance = filters.variance
+    unknown = np.float32(constants.unknown)
+    n_known = 0
+    for p in range(variance.size):
+        n_known += variance[p] < unknown
+    return target_variance, n_known
+
+
+def step_scratch_size(n: int, n_cells: int, n_windows: int, k: int, h: int) -> int:
+    """Length of the scratch of a step, as of `step_scratch`."""
+    of_window = 144 + k + 2 * k + h + k + 1 + 64 + 85 + 65 + 1
+    return n + 1 + 2 * n_cells + n_windows * of_window
+
+
+@compiled()
+def matrix_of(scratch: A, begin: int, n_rows: int, n_columns: int) -> Any:
+    """The matrix that begins at a place of scratch."""
+    return scratch[begin : begin + n_rows * n_columns].reshape(n_rows, n_columns)
+
+
+@compiled()
+def step_scratch(denoiser: A, tiles: A, n: int) -> Any:
+    """Cut the scratch of a step out of one array: of many, each call would have to check each."""
+    flat = denoiser.scratch
+    k = denoiser.weights.filters.shape[0]
+    h = denoiser.weights.hidden_0.size
+    n_cells = tiles.canvas.size
+    n_windows = tiles.begins.shape[1]
+
+    image = n + 1
+    denoised = image + n_cells
+    w = denoised + n_cells
+    a = w + 144 * n_windows
+    levels = a + k * n_windows
+    hidden = levels + 2 * k * n_windows
+    g = hidden + h * n_windows
+    of_tiles = g + (k + 1) * n_windows
+    sums = of_tiles + 64 * n_windows
+    details = sums + 85 * n_windows
+    parts = details + 65 * n_windows
+    return StepScratch(
+        flat[:image],
+        flat[image:denoised],
+        flat[denoised:w],
+        matrix_of(flat, w, n_windows, 144),
+        matrix_of(flat, a, n_windows, k),
+        matrix_of(flat, levels, n_windows, 2 * k),
+        matrix_of(flat, hidden, n_windows, h),
+        matrix_of(flat, g, n_windows, k + 1),
+        matrix_of(flat, of_tiles, n_windows, 64),
+        matrix_of(flat, sums, 85, n_windows),
+        matrix_of(flat, details, 65, n_windows),
+        flat[parts : parts + n_windows],
+        np.empty(n_windows, np.int64),
+    )
+
+
+@compiled(sums_in_any_order=True)
+def target_residual(
+    z: A, transform: A, measured: A, targets: A, off: A, v: A
+) -> tuple[float, float]:
+    """Set `off` to what the targets exceed W z by. Return the mean squares of it and of the
+    residual of z, of the rows read; v is scratch.
+    """
+    target = targets.value
+    scale = transform.scale
+    n = z.size
+    v[:n] = z
+    hadamard(v[:n], transform.groups)
+    for p in range(n):
+        off[p] = target[p] - v[p] * scale[p]
+
+    read = measured.read
+    off_target = measured.off_target
+    off2 = 0.0
+    residual2 = 0.0
+    for i in range(read.size):
+        off_read = off[read[i]]
+        off2 += np.float64(off_read) ** 2
+        residual2 += np.float64(off_read + off_target[i]) ** 2
+    return off2 / read.size, residual2 / read.size
+
+
+@compiled(sums_in_any_order=True)
+def linear_estimate(z: A, transform: A, targets: A, tau: Any, floor: float, u: A, v: A) -> Any:
+    """Replace u, which is what the targets exceed W z by, by the truth and noise; set v to u in
+    units of the deviation of this noise, which is returned.
+    """
+    variance = targets.variance
+    scale = transform.scale
+    n = z.size
+    mean_weight = 0.0
+    for p in range(n):
+        weight = tau / (tau + variance[p])
+        mean_weight += weight
+        v[p] = weight * u[p] * scale[p]
+    mean_weight /= n
+    hadamard(v[:n], transform.groups)
+
+    s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + floor
+    s = np.float32(np.sqrt(s2))
+    per_weight = np.float32(1 / mean_weight)
+    per_s = _1 / s
+    for p in range(n):
+        u[p] = z[p] + v[p] * per_weight
+        v[p] = u[p] * per_s
+    return s
+
+
+@compiled(sums_in_any_order=True)
+def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, float]:
+    """Copy the windows of scratch.v in which something stands out to scratch.w. Return their
+    number, and the expected squared error of the others.
+    """
+    v = scratch.v
+    image = scratch.image
+    canvas = tiles.canvas
+    v[v.size - 1] = _0  # what cells without a taxel read
+    for q in range(canvas.size):
+        image[q] = v[canvas[q]]
+
+    w = scratch.w
+    parts = scratch.parts
+    busy = scratch.busy
+    begins = tiles.begins[shift]
+    shares = tiles.shares[shift]
+    width = tiles.width
+    sums = w[-1][:12]  # the last window is written at last, and then read no more
+    peaks = w[-1][12:24]
+    n_busy = 0
+    expected = 0.0
+    for tile in range(tiles.counts[shift]):
+        begin = begins[tile]
+        part = standing_out(image, begin, width, limits, sums, peaks)
+        if part > 0:
+            for i in range(12):
+                w[n_busy, 12 * i : 12 * i + 12] = image[begin + i * width :][:12]
+            busy[n_busy] = tile
+            parts[n_busy] = part
+            n_busy += 1
+        else:
+            expected += shares[tile] * limits.quiet
+    return n_busy, expected
+
+
+@compiled(sums_in_any_order=True)
+def shrink_tiles(tiles: A, shift: int, limits: A, scratch: A, n_busy: int, s: Any) -> Any:
+    """Denoise the busy windows by `haar_shrink`, into scratch.denoised, times s. Return the
+    expected squared error of their taxels, in those of the skin.
+    """
+    sums = scratch.sums
+    details = scratch.details
+    haar_shrink(scratch.w[:n_busy], limits, sums, details)
+
+    denoised = scratch.denoised
+    parts = scratch.parts
+    busy = scratch.busy
+    begins = tiles.begins[shift]
+    shares = tiles.shares[shift]
+    width = tiles.width
+    expected = 0.0
+    for b in range(n_busy):
+        error = np.float64(details[64, b])
+        expected += shares[busy[b]] * (limits.quiet + parts[b] * (error - limits.quiet))
+        begin = begins[busy[b]] + 2 * width + 2
+        for i in range(8):
+            for j in range(8):
+                denoised[begin + i * width + j] = s * parts[b] * max(sums[8 * i + j, b], _0)
+    return expected
+
+
+@compiled(sums_in_any_order=True)
+def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
+    """Set the filtered windows, a, and the hidden units, h, of the busy windows."""
+    a = scratch.a[:n_busy]
+    levels = scratch.levels[:n_busy]
+    h = scratch.h[:n_busy]
+    k = a.shape[1]
+    product(scratch.w[:n_busy], weights.filters, a)
+    for b in range(n_busy):
+        of_window = a[b]
+        sizes = levels[b, k:]
+        for j in range(sizes.size):  # without a choice, so that its roots become vectors
+            sizes[j] = _4 * (np.sqrt(np.sqrt(_1 + abs(of_window[j]))) - _1)
+        for j in range(k):
+            levels[b, j] = sizes[j] if of_window[j] >= 0 else -sizes[j]
+
+    hidden_0 = weights.hidden_0
+    product(levels, weights.hidden, h)
+    for b in range(n_busy):
+        for j in range(h.shape[1]):
+            h[b, j] = max(h[b, j] + hidden_0[j], _0)
+
+
+@compiled(sums_in_any_order=True)
+def gate_tiles(tiles: A, shift: int, weights: A, limits: A, scratch: A, n_busy: int, s: Any) -> Any:
+    """As `shrink_tiles`, by the learned gates."""
+    quiet = limits.quiet
+    hidden_units(weights, scratch, n_busy)
+
+    w = scratch.w
+    a = scratch.a[:n_busy]
+    h = scratch.h[:n_busy]
+    g = scratch.g[:n_busy]
+    gates_0 = weights.gates_0
+    error = weights.error
+    parts = scratch.parts
+    busy = scratch.busy
+    begins = tiles.begins[shift]
+    shares = tiles.shares[shift]
+    k = a.shape[1]
+    product(h, weights.gates, g)
+    expected = 0.0
+    for b in range(n_busy):
+        log_error = weights.error_0
+        for j in range(h.shape[1]):
+            log_error += h[b, j] * error[j]
+        error2 = np.exp(min(max(log_error, -12.0), 0.0))
+        expected += shares[busy[b]] * (quiet + parts[b] * (error2 - quiet))
+
+        passed = min(max(g[b, k] + gates_0[k], _0), _1)
+        g[b, k] = passed
+        for j in range(k):
+            a[b, j] *= min(max(g[b, j] + gates_0[j], _0), _1) - passed
+
+    denoised = scratch.denoised
+    filtered = scratch.tiles[:n_busy]
+    width = tiles.width
+    product(a, weights.synthesis, filtered)
+    for b in range(n_busy):
+        begin = begins[busy[b]] + 2 * width + 2
+        for i in range(8):
+            for j in range(8):
+                inner = g[b, k] * w[b, 12 * (i + 2) + j + 2]
+                force = max(filtered[b, 8 * i + j] + inner, _0)
+                denoised[begin + i * width + j] = s * parts[b] * force
+    return expected
+
+
+@compiled(sums_in_any_order=True)
+def move_iterate(z: A, u: A, x: A, alpha: Any, damping: Any) -> None:
+    """Move z towards the estimate whose errors are not correlated with those of u; set u to x."""
+    per_free = _1 / (_1 - alpha)
+    for p in range(z.size):
+        z[p] += damping * ((x[p] - alpha * u[p]) * per_free - z[p])
+        u[p] = x[p]
 
 
 @compiled(sums_in_any_order=True)
 def skin_step(
-    z: A, x: A, target: A, variance: A, read: A, off_target: A, read_noise: float, floor: float,
-    groups: A, scale: A, canvas: A, cells: A, width: int, begins: A, share: A, formula: bool, t: A,
-    filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A,
-    v: A, image: A, found: A, w: A, a: A, levels: A, h: A, g: A, out: A, sums: A, details: A,
-    parts: A, busy: A,
-) -> tuple[float, float]:  # fmt: skip
-    """A step, as in `FrameVectors`: z and x become the next; return the expected squared error and
-    the mean squared residual before it.
-
-    canvas, width and begins are the places that the cells read, the cells of a row, and the first
-    cell of each window; cells those of the taxels. Arrays of the last two lines are scratch; v has
-    a place more than z.
+    inputs: A, scratch: A, place: int, shift: int, by_formula: bool
+) -> tuple[float, float]:
+    """A step, as in `FrameVectors`: z and the estimate at a place become the next. Return the
+    expected squared error and the mean squared residual before it.
     """
-    n, n_tiles, k = z.size, begins.size, filters.shape[0]
-    one, none, four = np.float32(1), np.float32(0), np.float32(4)
-    v[:n] = z
-    hadamard(v[:n], groups)
-    for p in range(n):
-        x[p] = target[p] - v[p] * scale[p]
-    rho, residual2 = 0.0, 0.0
-    for i in range(read.size):
-        r = x[read[i]]
-        rho += np.float64(r) ** 2
-        residual2 += np.float64(r + off_target[i]) ** 2
-    rho /= read.size
-    tau = np.float32(max(rho - read_noise, t.least_tau * max(rho, read_noise)) + floor)
-    weight = 0.0
-    for p in range(n):
-        d = tau / (tau + variance[p])
-        weight += d
-        v[p] = d * x[p] * scale[p]
-    weight /= n
-    hadamard(v[:n], groups)
-    s = np.float32(np.sqrt(tau * max(1 - weight, 0.0) / weight + floor))
-    inverse, per_s = np.float32(1 / weight), one / s
-    for p in range(n):
-        u = z[p] + v[p] * inverse
-        x[p] = u
-        v[p] = u * per_s
-    v[n] = 0
-    for q in range(canvas.size):
-        image[q] = v[canvas[q]]
-    found[:] = none
-    expected, n_busy = 0.0, 0
-    for tile in range(n_tiles):
-        part = standing_out(image, begins[tile], width, t, w[-1][:12], w[-1][12:24])
-        if part > 0:
-            for i in range(12):
-                w[n_busy, 12 * i : 12 * i + 12] = image[begins[tile] + i * width :][:12]
-            busy[n_busy], parts[n_busy] = tile, part
-            n_busy += 1
-        else:
-            expected += share[tile] * t.quiet
-    w, a, levels = w[:n_busy], a[:n_busy], levels[:n_busy]
-    h, g, out = h[:n_busy], g[:n_busy], out[:n_busy]
-    if n_busy and formula:
-        haar_shrink(w, t, sums, details)
-        for b in range(n_busy):
-            e, begin = np.float64(details[64, b]), begins[busy[b]] + 2 * width + 2
-            expected += share[busy[b]] * (t.quiet + parts[b] * (e - t.quiet))
-            for i in range(8):
-                for j in range(8):
-                    found[begin + i * width + j] = s * parts[b] * max(sums[8 * i + j, b], none)
+    z = inputs.iterates.z
+    x = inputs.iterates.estimates[place]
+    tiles = inputs.tiles
+    plan = inputs.plan
+    limits = inputs.denoiser.limits
+    v = scratch.v
+    off2, residual2 = target_residual(z, inputs.transform, inputs.measured, inputs.targets, x, v)
+
+    # Error variance of z, seen by the rows read.
+    least_tau = inputs.constants.least_tau * max(off2, plan.target_variance)
+    tau = np.float32(max(off2 - plan.target_variance, least_tau) + plan.floor)
+    s = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, x, v)
+
+    scratch.denoised[:] = _0
+    n_busy, expected = busy_windows(tiles, shift, limits, scratch)
+    if n_busy and by_formula:
+        expected += shrink_tiles(tiles, shift, limits, scratch, n_busy, s)
     elif n_busy:
-        product(w, filters, a)
-        for b in range(n_busy):
-            one_a, sizes = a[b], levels[b, k:]
-            for j in range(sizes.size):  # without a choice, so that its roots become vectors
-                sizes[j] = four * (np.sqrt(np.sqrt(one + abs(one_a[j]))) - one)
-            for j in range(k):
-                levels[b, j] = sizes[j] if one_a[j] >= 0 else -sizes[j]
-        product(levels, hidden, h)
-        for b in range(n_busy):
-            for j in range(h.shape[1]):
-                h[b, j] = max(h[b, j] + hidden_0[j], none)
-        product(h, gates, g)
-        for b in range(n_busy):
-            logarithm = t.error_0
-            for j in range(h.shape[1]):
-                logarithm += h[b, j] * error[j]
-            e = np.exp(min(max(logarithm, -12.0), 0.0))
-            expected += share[busy[b]] * (t.quiet + parts[b] * (e - t.quiet))
-            passed = min(max(g[b, k] + gates_0[k], none), one)
-            g[b, k] = passed
-            for j in range(k):
-                a[b, j] *= min(max(g[b, j] + gates_0[j], none), one) - passed
-        product(a, synthesis, out)
-        for b in range(n_busy):
-            begin = begins[busy[b]] + 2 * width + 2
-            for i in range(8):
-                for j in range(8):
-                    inner = g[b, k] * w[b, 12 * (i + 2) + j + 2]
-                    one_x = max(out[b, 8 * i + j] + inner, none)
-                    found[begin + i * width + j] = s * parts[b] * one_x
-    alpha, damping = np.float32(min(expected, t.most_alpha)), np.float32(t.damping)
-    more = one / (one - alpha)
-    for p in range(n):
-        v[p] = found[cells[p]]
-    for p in range(n):
-        z[p] += damping * ((v[p] - alpha * x[p]) * more - z[p])
-        x[p] = v[p]
-    return expected * np.float64(s) ** 2, residual2 / read.size
+        weights = inputs.denoiser.weights
+        expected += gate_tiles(tiles, shift, weights, limits, scratch, n_busy, s)
+
+    cells = tiles.cells
+    denoised = scratch.denoised
+    for p in range(z.size):
+        v[p] = denoised[cells[p]]
+    alpha = np.float32(min(expected, inputs.constants.most_alpha))
+    move_iterate(z, x, v, alpha, np.float32(inputs.constants.damping))
+    return expected * np.float64(s) ** 2, residual2
+
+
+@compiled((STEP_INPUTS,), sums_in_any_order=True)
+def skin_steps(inputs: A) -> tuple[float, float]:
+    """The steps of a frame from z; the last ones set the estimates. Return the means over these of
+    the expected squared error and of the squared residual before the step.
+    """
+    plan = inputs.plan
+    n_steps = plan.n_formula + plan.n
+    n_shifts = inputs.tiles.counts.size
+    n_averaged = inputs.iterates.estimates.shape[0]
+    scratch = step_scratch(inputs.denoiser, inputs.tiles, inputs.iterates.z.size)
+    expected2 = 0.0
+    residual2 = 0.0
+    for k in range(n_steps):
+        shift = (plan.first_shift + k) % n_shifts
+        place = k - (n_steps - n_averaged)
+        by_formula = k < plan.n_formula
+        error2, before2 = skin_step(inputs, scratch, max(0, place), shift, by_formula)
+        if place >= 0:
+            expected2 += error2 / n_averaged
+            residual2 += before2 / n_averaged
+    return expected2, residual2
 
 
 @compiled(sums_in_any_order=True)
-def skin_settle(
-    estimates: A, predicted: A, values: A, ones: A, read: A, moved: A, groups: A, scale: A,
-    of_prediction: float, of_bias: float, noise_sd: float, least_force: float,
-    x: A, whole: A, correction: A, forces: A,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
-    """Settle a frame, as in `FrameVectors`; return what it does but for the forces."""
-    part, bias = np.float32(of_prediction), np.float32(of_bias)
-    near, least = np.float32(2 * noise_sd + np.sqrt(TINY)), np.float32(least_force)
-    mean = np.float32((1 - of_prediction) / len(estimates))
-    x[:] = estimates[0]
-    for k in range(1, len(estimates)):
-        for p in range(x.size):
-            x[p] += estimates[k, p]
-    power, unpressed, pressed = np.float32(0), np.float32(0), np.float32(0)
-    residual2, along = 0.0, 0.0
+def settle_forces(x: A, blend: A, forces: A) -> tuple[float, float]:
+    """Set the forces of an estimate. Return the sum of x over taxels within the noise, and the part
+    of the taxels beyond it.
+    """
+    bias = np.float32(blend.bias)
+    near = np.float32(2 * blend.noise_sd + np.sqrt(TINY))
+    least = np.float32(blend.least_force)
+    unpressed = _0
+    pressed = _0
     for p in range(x.size):
-        x[p] = x[p] * mean + part * predicted[p]
-        power += x[p] * x[p]
-    whole[:] = x
-    orthonormal(whole, groups, scale)
-    for p in range(x.size):
-        correction[p] = whole[p] - moved[p]
-    for i in range(read.size):
-        residual = values[i] - whole[read[i]]
-        residual2 += residual * residual
-        along += ones[i] * residual
-    for p in range(x.size):
-        one = x[p]
-        forces[p] = np.float32(0)
-        # Exponentials, the slowest part, are found where they are neither 0 nor 1 but for rounding.
-        if 2 * one < least:
-            unpressed += one
-        elif one < 6 * near:
-            weak = np.exp(-((one / near) ** 2))
-            unpressed += one * weak
-            pressed += (np.float32(1) - weak) ** 2
-            more = bias * (np.float32(1) - np.exp(-one / bias)) if bias > 0 else bias
-            if one + more >= least:
-                forces[p] = one + more
+        force = x[p]
+        forces[p] = _0
+        # Exponentials, the slowest part, are computed where they are neither 0 nor 1 but for
+        # rounding.
+        if 2 * force < least:
+            unpressed += force
+        elif force < 6 * near:
+            weak = np.exp(-((force / near) ** 2))
+            unpressed += force * weak
+            pressed += (_1 - weak) ** 2
+            offset = bias
+            if bias > 0:
+                offset = bias * (_1 - np.exp(-force / bias))
+            if force + offset >= least:
+                forces[p] = force + offset
         else:
-            pressed += np.float32(1)
-            forces[p] = one + bias
-    n = x.size
-    return np.float64(power / n), residual2 / read.size, along, np.float64(unpressed), pressed / n
-
-
-@compiled(sums_in_any_order=True)
-def mean_variance(forces: A, s: A, t: A) -> Any:
-    """Mean variance of the readings of forces, as `NoiseModel.variance`."""
-    total, per_force = np.float32(0), np.float32(2 / s.f_max)
-    rise = np.float32(s.sigma_end - s.sigma_mid)
-    one, slope, middle = np.float32(1), np.float32(0), np.float32(s.sigma_mid)
-    clipped, least = one, np.float32(0 if s.of_touched > 0 else -1)
-    if s.clips > 0 and s.sigma_end > 0:
-        slope = np.float32((1 - t.clipped) / t.clipped_below / s.sigma_end)
-        clipped = np.float32(t.clipped)
-    for p in range(forces.size):
-        force = forces[p]
-        sigma = middle + rise * min(abs(per_force * force - one), one)
-        variance = sigma * sigma * min(clipped + slope * force, one)
-        total += variance if force > least else np.float32(0)
-    return np.float64(total) / forces.size
-
-
-@compiled()
-def error2_of(own: float, residual2: float, noise: float, m: int, wide: float, t: A) -> Any:
-    """As `SkinEstimator._error2`; wide: how many sampling deviations are doubtful."""
-    seen = max(residual2 - noise, 0.0)
-    doubt = wide * (seen + noise) * np.sqrt(2 / m)
-    share = seen * seen / (seen * seen + doubt * doubt + TINY)
-    return share * seen + (1 - share) * own
+            pressed += _1
+            forces[p] = force + bias
+    return np.float64(unpressed), np.float64(pressed) / x.size
 
 
 @compiled(
-    void(
-        *(V, L, V, M, boolean, M, M, D, P2, G, V),
-        *(P, P, int64, P2, M, L, int64, int64, int64, boolean),
-        *(M, M, V, M, V, M, V, M, M, V, V, V, M, M, M, M, M, M, M, M, V, L),
-        *(V, from_dtype(NUMBERS)[::1], from_dtype(CONSTANTS)[::1]),
-    )
+    (M, PREDICTION, MEASURED, V, TRANSFORM, ESTIMATE, BLEND_NUMBERS, V), sums_in_any_order=True
 )
-def skin_frame(
-    y: A, read: A, ones: A, last: A, known: bool, vectors: A, of_read: A, recall: A,
-    neighbours: A, groups: A, scale: A,
-    canvas: A, cells: A, width: int, begins: A, shares: A, counts: A, first: int, n_formula: int,
-    n: int, gated: bool,
-    filters: A, hidden: A, hidden_0: A, gates: A, gates_0: A, synthesis: A, error: A,
-    estimates: A, slopes: A, v: A, image: A, found: A,
-    w: A, a: A, levels: A, h: A, g: A, out: A, sums: A, details: A, parts: A, busy: A,
-    forces: A, numbers: A, constants: A,
-) -> None:  # fmt: skip
-    """A frame, as in `SkinEstimator`, whose numbers are `numbers`; forces are the result.
+def skin_settle(
+    estimates: A,
+    prediction: A,
+    measured: A,
+    ones: A,
+    transform: A,
+    estimate: A,
+    blend: A,
+    forces: A,
+) -> tuple[float, float, float, float, float]:
+    """Settle a frame, as in `FrameVectors`; return what it does but for the forces."""
+    x = estimate.x
+    n = x.size
+    n_estimates = len(estimates)
+    x[:] = estimates[0]
+    for k in range(1, n_estimates):
+        for p in range(n):
+            x[p] += estimates[k, p]
 
-    y are the measurements in the order of the rows read; last those of this row subset before, and
-    their innovation, if known. Tables of tiles are of each shift. estimates are as many as are
-    averaged.
-    """
-    s, t, m, total, n_kept = numbers[0], constants[0], read.size, n_formula + n, len(estimates)
-    x, whole, correction, mean = vectors[0], vectors[1], vectors[2], vectors[3]
-    left, change, target, variance = vectors[4], vectors[5], vectors[6], vectors[7]
-    predicted, moved, z = vectors[8], vectors[9], vectors[10]
-    values, innovation, off_target = of_read[0], of_read[1], of_read[2]
-    power, ones2, off, largest = 0.0, 0.0, 0.0, 0.0
-    for i in range(m):
-        power += np.float64(y[i]) ** 2
-        ones2 += np.float64(ones[i]) ** 2
-        off = max(off, abs(np.float64(y[i]) - last[0, i]))
-        largest = max(largest, abs(y[i]))
-        values[i] = y[i] - np.float32(s.bias) * ones[i]
-    floor = max(t.resolution**2 * power / m, TINY)
-    power, of_last, of_both = skin_predict(
-        x, whole, values, read, neighbours, groups, scale, max(s.noise, floor), s.error**2,
-        t, slopes[:2], slopes[2:], correction, predicted, moved, innovation,
-    )  # fmt: skip
-    e2 = power / m
-    alike = of_both / np.sqrt(power * (of_last + t.negligible**2 * power) + TINY)
-    noise, repeated = s.noise, 0.0
-    if known:
-        repeated = 1 / (1 + min(off / (t.same * largest + TINY), 1e3) ** 8)
-        level, n_seen, new = 0.0, s.n_seen + 1, 1 - repeated
-        for i in range(m):
-            level += last[1, i] * (last[1, i] - innovation[i])
-        level = noise + max(1 / n_seen, t.noise_rate) * (max(level / m, 0.0) - noise)
-        least = level
-        level = min(level, t.noise_growth * max(noise, s.left2))
-        if n_seen > 1 / t.noise_rate + 0.5:
-            if m >= t.least_read:
-                most = (1 + t.significant * np.sqrt(2 / m)) * s.least_noise
-                level = min(level, most * (1 + t.pressed_noise * s.pressed))
-            least = min(t.bias_forgotten * s.least_noise, level)
-        s.n_seen += new
-        s.least_noise = new * least + repeated * s.least_noise
-        noise = new * min(level, e2) + repeated * noise
-    last[0], last[1] = y, innovation
-    s.noise = max(noise, floor, s.noise_sd**2)
-    trust = s.trust * np.exp(min(t.lagging / np.sqrt(m) - alike, t.trust_growth))
-    s.trust = min(max(trust, t.least_trust), 1.0)
-    noise = max(s.noise * s.trust, floor)
-    now = surplus(e2, noise, m, t)
-    signal = s.signal + t.signal_rate * (e2 - noise - s.signal)
-    most = max(e2 - noise, 0.0) + 2 * noise * np.sqrt(2 / m)
-    s.signal = max(min(signal, most), now / 2)
-    own, residual2, last_error2 = max(s.signal, now, 0.0), e2, s.error**2
-    doubt = noise * (1 + repeated * t.repeated * (noise / (noise + now)) ** 2)
-    read_noise = skin_filter(
-        values, innovation, moved, whole, read, mean, left, change, target, variance, off_target,
-        recall, doubt, own, max(last_error2, floor), floor, t,
-    )  # fmt: skip
-    stated, lacking = s.noise, 0.0
-    if s.n_seen > 1 / t.noise_rate + 0.5:
-        most = t.louder * s.least_noise
-        stated, noise = min(stated, most), min(noise, most)
-    z[:] = predicted
-    if n == 0:
-        estimates[0] = predicted
-    else:
-        own, residual2 = 0.0, 0.0
-        for k in range(total):
-            shift, kept = (first + k) % counts.size, k - (total - n_kept)
-            formula = k < n_formula or not gated
-            error2, before2 = skin_step(
-                z, estimates[max(0, kept)], target, variance, read, off_target, read_noise, floor,
-                groups, scale, canvas, cells, width, begins[shift, : counts[shift]], shares[shift],
-                formula, t,
-                filters, hidden, hidden_0, gates, gates_0, synthesis, error,
-                v, image, found, w, a, levels, h, g, out, sums, details, parts, busy,
-            )  # fmt: skip
-            if kept >= 0:
-                own += error2 / n_kept
-                residual2 += before2 / n_kept
-    if largest == 0:
-        estimates[:], predicted[:] = 0, 0
-    error2 = error2_of(own, residual2, noise, m, 1.0, t)
-    part = error2 / (error2 + t.blend * max(s.signal, last_error2, floor))
-    power, left2, along, unpressed, s.pressed = skin_settle(
-        estimates, predicted, values, ones, read, moved, groups, scale, part, s.bias,
-        np.sqrt(s.least_noise), t.invisible * np.sqrt(noise), x, whole, correction, forces,
-    )  # fmt: skip
-    kept2 = repeated * min(last_error2, noise)
-    s.left2 = repeated * s.left2 + (1 - repeated) * left2
-    s.error = np.sqrt(max((1 - part) * error2, kept2))
-    excess, knows_bias = t.unexplained, s.n_frames > t.bias_known + 0.5
-    if s.f_max > 0:
-        stated = min(mean_variance(forces, s, t), s.noise)
-        lacking = stated - left2
-        if knows_bias:
-            excess = min(excess, t.unresolved * np.sqrt(2 / m))
-    error2 = (1 - part) * error2_of(t.optimism * own, residual2, stated, m, t.significant / 2, t)
-    fitted = np.sqrt(np.sqrt(residual2**3 * left2))
-    unknown, n_known = np.float32(t.unknown), 0
-    for p in range(left.size):
-        n_known += left[p] < unknown
-    again = repeated if n_known < (1 - t.unread) * left.size else 0.0
-    s.n_repeats = again * (s.n_repeats + 1)
-    least = again * s.stated_error**2 * s.n_repeats / (s.n_repeats + 1)
-    error2 = max((1 + 1 / np.sqrt(m)) ** 2 * min(error2, fitted), kept2, lacking, least)
-    s.stated_error = np.sqrt(error2)
-    if largest == 0:
-        s.silence += t.noise_rate * (1 - s.silence)
-    else:
-        s.silence *= t.silence_kept
-        noise = max(noise * (1 - s.silence), s.noise_sd**2)
-    of_skin, most = noise / s.trust, t.untouched if knows_bias else t.most_bias**2
-    untouched = power <= most * of_skin and left2 <= (1 + excess) * of_skin
-    s.trusted = untouched or error2 <= t.trusted**2 * power
-    sd = np.sqrt(s.least_noise)
-    more = (along / (ones2 + TINY) if ones2 > t.dust * x.size else 0.0) + unpressed / x.size
-    n_frames = s.n_frames + 1
-    rate = max(t.bias_begins / (n_frames + t.bias_begins), t.bias_rate)
-    bias = s.bias + rate * min(max(more, -sd / 2), sd / 2)
-    bias = min(max(bias, 0.0), t.most_bias * sd)
-    bias = (1 - repeated) * bias + repeated * s.bias
-    s.n_frames, s.bias = n_frames - repeated, 0.0 if bias < 1e-3 * sd else bias
+    predicted = prediction.x
+    part = np.float32(blend.part)
+    weight = np.float32((1 - blend.part) / n_estimates)
+    power = _0
+    for p in range(n):
+        x[p] = x[p] * weight + part * predicted[p]
+        power += x[p] * x[p]
+
+    x_rows = estimate.rows
+    predicted_rows = prediction.rows
+    correction = estimate.correction
+    x_rows[:] = x
+    orthonormal(x_rows, transform.groups, transform.scale)
+    for p in range(n):
+        correction[p] = x_rows[p] - predicted_rows[p]
+
+    read = measured.read
+    values = measured.values
+    residual = measured.residual
+    residual2 = 0.0
+    along_ones = 0.0
+    for i in range(read.size):
+        residual[i] = values[i] - x_rows[read[i]]
+        residual2 += residual[i] * residual[i]
+        along_ones += ones[i] * residual[i]
+    unpressed, pressed = settle_forces(x, blend, forces)
+    return np.float64(power / n), residual2 / read.size, along_ones, unpressed, pressed
+
+
+@compiled((V, NOISE_CURVE), sums_in_any_order=True)
+def skin_variance(forces: A, noise: A) -> Any:
+    """Mean variance of the readings of forces, as `NoiseModel.variance`."""
+    per_force = np.float32(2 / noise.f_max)
+    middle = np.float32(noise.sigma_mid)
+    rise = np.float32(noise.sigma_end - noise.sigma_mid)
+    clipped = _1
+    slope = _0
+    if noise.clips > 0 and noise.sigma_end > 0:
+        clipped = np.float32(noise.clipped)
+        slope = np.float32((1 - noise.clipped) / noise.clipped_below / noise.sigma_end)
+    # Forces above this one count: none is negative.
+    untouched = np.float32(noise.of_touched - 1)
+
+    total = _0
+    for p in range(forces.size):
+        force = forces[p]
+        sigma = middle + rise * min(abs(per_force * force - _1), _1)
+        variance = sigma * sigma * min(clipped + slope * force, _1)
+        total += variance if force > untouched else _0
+    return np.float64(total) / forces.size
 
 
 @compiled()
@@ -752,87 +1310,150 @@ def root_of(parents: A, k: int) -> int:
     return k
 
 
-@compiled((M, float32, float64, V, DM, int32[::1], int64))
-def components(
-    forces: A, low: float, high: float, variances: A, places: A, regions: A, n_regions: int
-) -> tuple[A, A, A, A, int]:
-    """The same as `components` of the module `contacts`, but for rounding, in one scan."""
-    (n_rows, n_cols), k = forces.shape, places.shape[0]
+@compiled()
+def label_cells(
+    forces: A, low: float, high: float, regions: A, index: A, labels: A, parents: A, is_kept: A
+) -> tuple[int, int]:
+    """Label the cells above `low`, in one scan; regions becomes 0 elsewhere. Set the cells, index,
+    and of each label a label of the same component, parents, and whether a cell of it is above
+    `high` or in a region. Return the numbers of cells and labels. Other cells have the label -1.
+    """
+    n_rows, n_cols = forces.shape
     flat = forces.reshape(-1)
-    index, grid = np.empty(flat.size, np.int64), np.full(flat.size, -1, np.int32)
-    most = ((n_rows + 1) // 2) * ((n_cols + 1) // 2)
-    parents, wanted = np.empty(most, np.int64), np.zeros(most, np.bool_)
-    n_pressed, n_labels = 0, 0
+    n_cells = 0
+    n_labels = 0
     for i in range(n_rows):
         for j in range(n_cols):
             p = i * n_cols + j
             if not flat[p] > low:
                 regions[p] = 0
                 continue
-            index[n_pressed] = p
-            n_pressed += 1
+            index[n_cells] = p
+            n_cells += 1
+
             # Of the four before it, the one above is beside the others, and the left two are
             # beside each other: those are one component already.
-            label = grid[p - n_cols] if i else -1
+            label = labels[p - n_cols] if i else -1
             if label < 0:
-                label = grid[p - 1] if j else -1
+                label = labels[p - 1] if j else -1
                 if label < 0 and i and j:
-                    label = grid[p - n_cols - 1]
-                other = grid[p - n_cols + 1] if i and j + 1 < n_cols else -1
+                    label = labels[p - n_cols - 1]
+                right = labels[p - n_cols + 1] if i and j + 1 < n_cols else -1
                 if label < 0:
-                    label = other
-                elif other >= 0:
-                    label, other = root_of(parents, label), root_of(parents, other)
-                    parents[max(label, other)] = min(label, other)
+                    label = right
+                elif right >= 0:
+                    label = root_of(parents, label)
+                    right = root_of(parents, right)
+                    parents[max(label, right)] = min(label, right)
             if label < 0:
                 label = n_labels
                 parents[label] = label
                 n_labels += 1
-            grid[p] = label
-            wanted[label] |= flat[p] > high or regions[p] > 0
-    for label in range(n_labels - 1, -1, -1):  # a parent has a lower label
-        wanted[parents[label]] |= wanted[label]
+            labels[p] = label
+            is_kept[label] |= flat[p] > high or regions[p] > 0
+    return n_cells, n_labels
+
+
+@compiled()
+def number_components(parents: A, is_kept: A, n_labels: int) -> int:
+    """Replace the parent of each label by the number of its component, -1 if it is not kept. Return
+    the number of components.
+    """
+    # A parent has a lower label.
+    for label in range(n_labels - 1, -1, -1):
+        is_kept[parents[label]] |= is_kept[label]
+
     n = 0
     for label in range(n_labels):
         if parents[label] < label:
             parents[label] = parents[parents[label]]
-        elif wanted[label]:
+        elif is_kept[label]:
             parents[label] = n
             n += 1
         else:
             parents[label] = -1
-    labels, n_kept = np.empty(n_pressed, np.int64), 0
-    sums, overlap = np.zeros((4 + 2 * k, n)), np.zeros((n, n_regions), np.int64)
-    for t in range(n_pressed):
+    return n
+
+
+@compiled()
+def component_moments(flat: A, variances: A, places: A, index: A, numbers: A, sums: A) -> None:
+    """Complete the rows of sums of `components` that depend on the centres."""
+    k = places.shape[0]
+    n = sums.shape[1]
+    for t in range(index.size):
         p = index[t]
-        c, before = parents[grid[p]], regions[p]
-        regions[p] = c + 1
-        if c < 0:
-            continue
-        index[n_kept], labels[n_kept] = p, c
-        n_kept += 1
-        value = np.float64(flat[p])
-        sums[0, c] += value
+        c = numbers[t]
+        force = np.float64(flat[p])
+        sums[0, c] += force
         sums[1, c] += 1
-        sums[2, c] = max(sums[2, c], value)
+        sums[2, c] = max(sums[2, c], force)
         sums[3 + k, c] += variances[p]
         for d in range(k):
-            sums[3 + d, c] += value * places[d, p]
-        if before:
-            overlap[c, before - 1] += 1
+            sums[3 + d, c] += force * places[d, p]
     for c in range(n):
         for d in range(k):
             sums[3 + d, c] /= sums[0, c]
-    for t in range(n_kept):
-        p, c = index[t], labels[t]
+
+    # Variances of the centres.
+    for t in range(index.size):
+        p = index[t]
+        c = numbers[t]
         for d in range(k):
             off = places[d, p] - sums[3 + d, c]
             sums[4 + k + d, c] += variances[p] * off * off
     for c in range(n):
         for d in range(k):
             sums[4 + k + d, c] /= sums[0, c] ** 2
-    return index[:n_kept], labels[:n_kept], sums, overlap, n_pressed
 
 
-LOOPS: tuple[Callable[..., Any], ...] = (*(orthonormal, skin_frame, fista, haar_image, components),)
+@compiled((M, float32, float64, V, DM, int32[::1], int64))
+def components(
+    forces: A, low: float, high: float, variances: A, places: A, regions: A, n_regions: int
+) -> tuple[A, A, A, A, int]:
+    """The same as `components` of the module `contacts`, but for rounding, in one scan."""
+    n_rows, n_cols = forces.shape
+    k = places.shape[0]
+    flat = forces.reshape(-1)
+    index = np.empty(flat.size, np.int64)
+    labels = np.full(flat.size, -1, np.int32)
+    bound = ((n_rows + 1) // 2) * ((n_cols + 1) // 2)
+    parents = np.empty(bound, np.int64)
+    is_kept = np.zeros(bound, np.bool_)
+    n_pressed, n_labels = label_cells(forces, low, high, regions, index, labels, parents, is_kept)
+    n = number_components(parents, is_kept, n_labels)
+
+    numbers = np.empty(n_pressed, np.int64)
+    overlap = np.zeros((n, n_regions), np.int64)
+    n_cells = 0
+    for t in range(n_pressed):
+        p = index[t]
+        c = parents[labels[p]]
+        region = regions[p]
+        regions[p] = c + 1
+        if c < 0:
+            continue
+        index[n_cells] = p
+        numbers[n_cells] = c
+        n_cells += 1
+        if region:
+            overlap[c, region - 1] += 1
+
+    sums = np.zeros((4 + 2 * k, n))
+    index = index[:n_cells]
+    numbers = numbers[:n_cells]
+    component_moments(flat, variances, places, index, numbers, sums)
+    return index, numbers, sums, overlap, n_pressed
+
+
+SKIN_LOOPS: tuple[Callable[..., Any], ...] = (
+    orthonormal,
+    skin_begin,
+    skin_predict,
+    skin_filter,
+    skin_steps,
+    skin_settle,
+    skin_variance,
+)
+"""The loops of solver `skin` that Python calls."""
+LOOPS: tuple[Callable[..., Any], ...] = (*SKIN_LOOPS, fista, haar_image, components)
 """All loops that Python calls."""

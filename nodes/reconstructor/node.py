@@ -186,8 +186,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             first, *others = self._patches
             of_skin = self.settings, subsets, state, announced, self.context.live
             solver = first.set_up(*of_skin)
-            for k, patch in enumerate(others, 1):
-                patch.set_up(*of_skin, number=k, alike=first)
+            for patch in others:
+                patch.set_up(*of_skin, alike=first)
         finally:
             self._log.setting_up = False
         self._subsets = {one.fingerprint: one for one in subsets}
@@ -249,8 +249,6 @@ class Reconstructor(Node[ReconstructorSettings]):
             if self.settings.resultant and (found := patches[0].resultant) is not None:
                 yield self._resultant_of(found, stamp_ns)
             solving = [k for k in range(n) if not unchanged[k]]
-            for k in solving:
-                patches[k].begin()
             for k in solving:
                 patches[k].solve()
         except (PhiError, ShapeError, SolverError) as error:

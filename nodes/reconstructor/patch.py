@@ -87,13 +87,12 @@ class Patch:
         state: SkinState,
         announced: PhiState,
         live: bool,
-        number: int = 0,
         alike: Patch | None = None,
     ) -> dict[str, Any]:
         """Make the solver for a skin and the row subsets of its Phi; return what a `SolverState`
         states of it. What raises an error changes nothing. `live` is False where frames wait for
-        each other; `number` is that of the patch in its node, and `alike` the first patch, which
-        was set up for the same skin: its frames take as long.
+        each other; `alike` is the first patch of the node, which was set up for the same skin: its
+        frames take as long.
         """
         skin, phi = state.skin, subsets[0]
         chosen = dict(settings.chosen())
@@ -101,20 +100,9 @@ class Patch:
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
         options = options_for_range(chosen["solver"], options, skin.f_max, phi)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
-        solver: Solver
-        if settings.device:
-            from .skin.batch import PatchOfBatch, SkinBatch
-
-            if alike is not None:
-                assert isinstance(alike.solver, PatchOfBatch)
-                solver = alike.solver.batch.patches[number]
-            else:
-                of_skin = subsets, basis, skin.mask, settings.n_patches, settings.device
-                solver = SkinBatch(*of_skin, **options).patches[number]
-        else:
-            solver = make_rotating_solver(
-                chosen["solver"], subsets, basis, skin.mask, fast=settings.fast, **options
-            )
+        solver = make_rotating_solver(
+            chosen["solver"], subsets, basis, skin.mask, fast=settings.fast, **options
+        )
         if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
         if chosen["solver"] == "skin" and isinstance(phi, SubsamplePhi):
@@ -127,7 +115,7 @@ class Patch:
         budget_ms = settings.budget_ms
         follows = live and "iterations" not in options and bool(getattr(solver, "paces", ()))
         if budget_ms is None and follows and state.rate_hz:
-            budget_ms = 1e3 * SHARE / state.rate_hz / (1 if settings.device else settings.n_patches)
+            budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
         most_steps, frame_ms = sys.maxsize, 0.0
         if alike is not None:
             most_steps = alike.most_steps
@@ -210,16 +198,6 @@ class Patch:
         """Total force and centre of the frame, where they are asked for."""
         return None if self._resultant is None else self._resultant.estimate(self._phi, self._y)
 
-    def begin(self) -> None:
-        """Hand the frame to the solver, before any patch of the node has its frame solved.
-        Raises SolverError as `solve` does.
-        """
-        assert self.solver is not None
-        begin_ns = time.perf_counter_ns()
-        if not self._constant:
-            self.solver.setup(self._y, self._warm)
-        self._solve_ns = time.perf_counter_ns() - begin_ns
-
     def solve(self) -> None:
         """Reconstruct the frame within its budget. Raises SolverError if the solver cannot."""
         assert self.solver is not None
@@ -229,12 +207,13 @@ class Patch:
             self._n_steps = self._solve_ns = 0
             return
         begin_ns = time.perf_counter_ns()
+        self.solver.setup(self._y, self._warm)
         self._n_steps = min(self.most_steps, self.solver.n_steps)
         for _ in range(self._n_steps):
             self.solver.step()
         self._last = self.solver.finish()
         self._error, self._trusted = estimated_error(self.solver)
-        self._solve_ns += time.perf_counter_ns() - begin_ns
+        self._solve_ns = time.perf_counter_ns() - begin_ns
         self._warm = None
 
     def check(self) -> Solved:

@@ -21,7 +21,6 @@ from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .contacts import Limits
-from .skin.backend import NUMPY, check_device
 
 ANNOUNCED = "announced"
 #: Parameters of a solver that are no options: the node gives them, they have settings, or they are
@@ -171,11 +170,6 @@ class ReconstructorSettings(PatchesSettings):
         "compiled loops: auto (where numba is installed), on or off; the same but for rounding",
         choices=FAST,
     )
-    device: str = setting(
-        "",
-        "solve all patches at once, by solver skin on phi sbhe: on a device of torch (cuda, "
-        "cuda:1, cpu), or numpy; default: each by itself",
-    )
     watch_taxels: bool = setting(
         True, "exclude taxels that are stuck, dead or saturated, on a skin that states its noise"
     )
@@ -219,9 +213,6 @@ class ReconstructorSettings(PatchesSettings):
             find_basis(chosen["basis"])
         with naming("solver"):
             solver = find_class("solver", name, SOLVERS, SolverError)
-        if self.device and name != "skin":
-            raise SettingsError(f"device: is not available with solver {name}; allowed: skin")
-        check_device(self.device or NUMPY)
         self._check_known_to(name, solver)
         for key, why, known in (
             ("resultant", "frames are biased", RESULTANT_SOLVERS),

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -74,18 +73,20 @@ class NoiseModel:
         sigma += np.float32(self.sigma_mid)
         return sigma
 
-    def variance(self, forces: Any) -> Any:
+    def variance(self, forces: Floats) -> Floats:
         """Return the variance of the readings of some forces.
 
-        Arguments and result as in `sigma`, squared; arrays of any library.
+        Arguments and result as in `sigma`, squared.
         """
-        apart = abs(2 / self.f_max * forces - 1).clip(None, 1)
+        apart = np.abs(2 / self.f_max * forces - 1).clip(None, 1)
         sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * apart
-        found = sigma * sigma
+        variance: Floats = sigma * sigma
         if self.clips and self.sigma_end:
             slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end
-            found = found * (CLIPPED + slope * forces).clip(None, 1)
-        return found * (forces > 0) if self.of_touched else found
+            variance = variance * (CLIPPED + slope * forces).clip(None, 1)
+        if self.of_touched:
+            variance = variance * (forces > 0)
+        return variance
 
     def apply(self, truth: Floats, rng: np.random.Generator) -> Floats:
         """Readings of a noisy skin, a fresh array in [0, f_max], of true forces in that range,

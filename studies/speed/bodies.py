@@ -23,10 +23,10 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     """Processor time of edge and host for one frame of all patches of a lying body, at 1 kHz.
 
     `point`: patches; side in taxels; idle: part of them that nothing presses, which is not solved
-    then; n_frames that are timed; seed; device, if any, of the solver, for full accuracy. Returns
-    edge_us, host_us: median time of a frame and patch (decoding, the node's step, encoding);
-    solve_us, by the clock; device; iterations; bytes of the measurements of a frame; memory_mb of
-    the reconstructor for one patch; unchanged: part of the frames not solved.
+    then; n_frames that are timed; seed. Returns edge_us, host_us: median time of a frame and patch
+    (decoding, the node's step, encoding); solve_us, by the clock; iterations; bytes of the
+    measurements of a frame; memory_mb of the reconstructor for one patch; unchanged: part of the
+    frames not solved.
     """
     patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
     common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}
@@ -41,9 +41,7 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     list(sensor.change(sensor.settings.changed({"rate_hz": 1000.0})))
     gc.collect()
     before = own_bytes(os.getpid())
-    device = point.get("device", "")
-    solver = {"device": device, "iterations": 8} if device else {"skip_idle": point["idle"] > 0}
-    host = made_node("reconstructor", {**common, **solver})
+    host = made_node("reconstructor", {**common, "skip_idle": point["idle"] > 0})
     list(host.step(skin))
     list(host.step(phi))
     edge_s, host_s, solve_s = list[float](), list[float](), list[float]()
@@ -61,7 +59,6 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
         "edge_us": 1e6 * float(np.median(edge_s[WARM_UP:])) / patches,
         "host_us": 1e6 * float(np.median(host_s[WARM_UP:])) / patches,
         "solve_us": 1e6 * float(np.median(solve_s)) / patches,
-        "device": device,
         "iterations": max(forces.iterations),
         "bytes": float(n_bytes),
         "memory_mb": (own_bytes(os.getpid()) - before) / patches / 1e6,

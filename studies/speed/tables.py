@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -76,15 +75,12 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
 
 def bodies(page: Page, quick: bool, seed: int) -> str:
     """Bodies of many patches: time by the number of taxels, and what a million would take."""
-    common: dict[str, float | str] = {"side": PATCH_SIDE, "seed": seed}
+    common: dict[str, float] = {"side": PATCH_SIDE, "seed": seed}
     points = [
         {**common, "patches": n, "idle": idle, "n_frames": 12 if quick or n >= 64 else 60}
         for idle in (0.0, IDLE)
         for n in (QUICK_PATCHES if quick else PATCHES)
     ]
-    if gpu := gpu_name():
-        of_gpu: dict[str, float | str] = {"idle": 0.0, "n_frames": 60, "device": "cuda"}
-        points += [{**common, **of_gpu, "patches": n} for n in PATCHES]
     rows = pd.DataFrame(compute_rows(time_body, points, page.out, TIMED_ON, "bodies"))
     page.csv("bodies", rows)
     us, patch_hz = rows["edge_us"] + rows["host_us"], GOAL * GOAL_HZ
@@ -93,7 +89,6 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
             "taxels": [f"{n * PATCH_SIDE**2:,}" for n in rows["patches"]],
             "patches": rows["patches"],
             "idle": cells(rows, "{idle:.0%}"),
-            "on": [gpu if device else "one core" for device in rows["device"]],
             "iterations": rows["iterations"],
             "edge, us a patch": cells(rows, "{edge_us:.0f}"),
             "host, us a patch": cells(rows, "{host_us:.0f}"),
@@ -103,7 +98,7 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
             "unchanged": cells(rows, "{unchanged:.0%}"),
         }
     )
-    solved = rows[(rows["idle"] == 0) & (rows["device"] == "")]
+    solved = rows[rows["idle"] == 0]
     spent = np.log((solved["edge_us"] + solved["host_us"]) * solved["patches"])
     slope = float(np.polyfit(np.log(solved["patches"]), spent, 1)[0])
     last = solved.iloc[-1]
@@ -114,19 +109,8 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
         f"{edges:.0f} cores of edges and {hosts:.0f} of hosts as fast as this one, and "
         f"{links:.0f} gigabit links in place of {RATIO * links:.0f}."
     )
-    if gpu:
-        n, ms = PATCHES[-1] * PATCH_SIDE**2, 1e-3 * (rows["solve_us"] * rows["patches"]).iloc[-1]
-        line += f" On {gpu} the solver takes {ms:.1f} ms for a frame of {n:,} taxels."
     page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
     return line
-
-
-def gpu_name() -> str:
-    """Name of the GPU of torch; "" without one."""
-    if not find_spec("torch"):
-        return ""
-    cuda = import_module("torch").cuda
-    return str(cuda.get_device_name()) if cuda.is_available() else ""
 
 
 def stages(page: Page, quick: bool, seed: int) -> list[str]:

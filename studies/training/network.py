@@ -16,16 +16,8 @@ from tqdm import trange
 
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
-from sparseskin.nodes.reconstructor.skin.backend import ManyPatches
-from sparseskin.nodes.reconstructor.skin.gates import (
-    N_FILTERS,
-    N_HIDDEN,
-    SHIFTS,
-    TILE,
-    WINDOW,
-    Gates,
-    stored_gates,
-)
+from sparseskin.nodes.reconstructor.skin.gates import N_FILTERS, N_HIDDEN, stored_gates
+from sparseskin.nodes.reconstructor.skin.tiles import SHIFTS, TILE, WINDOW, inner
 
 from .presses import N_FRAMES, SIDE, masks, presses
 
@@ -92,6 +84,21 @@ def weights(network: Network) -> dict[str, Floats]:
     return {name: value.detach().numpy().copy() for name, value in network.items()}
 
 
+def gated(network: Network, windows: Tensor) -> tuple[Tensor, Tensor]:
+    """As `Gates.gated`, in PyTorch: windows of unit noise, (t, 144), to tiles and their errors."""
+    a = windows @ network["filters"].T
+    size = 4 * ((1 + a.abs()).sqrt().sqrt() - 1)
+    levels = torch.cat([torch.copysign(size, a), size], dim=-1)
+    h = (levels @ network["hidden"].T + network["hidden_0"]).clip(0, None)
+    g = (h @ network["gates"].T + network["gates_0"]).clip(0, 1)
+
+    passed = g[:, -1:]
+    filtered = (a * (g[:, :-1] - passed)) @ network["synthesis"].T
+    tiles = passed * inner(windows) + filtered
+    log_error = h @ network["error"][0] + network["error_0"]
+    return tiles.clip(0, None), log_error.clip(-12, 0).exp()
+
+
 def denoise(
     network: Network, u: Tensor, s: Tensor, mask: Tensor, shift: int
 ) -> tuple[Tensor, Tensor]:
@@ -106,7 +113,7 @@ def denoise(
     windows = canvas.unfold(1, WINDOW, TILE).unfold(2, WINDOW, TILE)
     k, down = windows.shape[:2]
     windows = windows.reshape(-1, WINDOW * WINDOW)
-    tiles, error = Gates(**network).gated(windows, ManyPatches(1, "cpu"))
+    tiles, error = gated(network, windows)
     x = tiles.reshape(k, down, -1, TILE, TILE).transpose(2, 3).reshape(k, down * TILE, -1)
     x = x[:, row : row + SIDE, col : col + SIDE] * mask * s[:, None, None]
     share = functional.avg_pool2d(functional.pad(mask, sides)[:, None], TILE).reshape(k, -1)

@@ -9,8 +9,8 @@ from damaged import npz
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.reconstructor.skin.backend import ManyPatches
-from sparseskin.nodes.reconstructor.skin.gates import WINDOW, Gates
+from sparseskin.nodes.reconstructor.skin.gates import Gates
+from sparseskin.nodes.reconstructor.skin.tiles import WINDOW
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.studies import command
 from sparseskin.studies.accuracy import constants
@@ -163,13 +163,13 @@ def test_without_pytorch_the_study_names_what_to_install(tmp_path, monkeypatch):
 
 def test_network_and_gates_are_the_same():
     torch = pytest.importorskip("torch")
-    from sparseskin.studies.training.network import first_network, weights
+    from sparseskin.studies.training.network import first_network, gated, weights
 
     network = first_network(0)
     gates = Gates.read(npz(**weights(network)), "trained")
     shape = (50, WINDOW * WINDOW)
     windows = 3 * np.random.default_rng(0).standard_normal(shape, dtype=np.float32)
-    tiles, error = Gates(**network).gated(torch.tensor(windows), ManyPatches(1, "cpu"))
+    tiles, error = gated(network, torch.tensor(windows))
     found, expected = gates.gated(windows)
     np.testing.assert_allclose(found, tiles.detach().numpy(), atol=1e-4)
     np.testing.assert_allclose(expected, error.detach().numpy(), rtol=1e-4)

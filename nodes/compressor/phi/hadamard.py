@@ -118,46 +118,50 @@ class HadamardProducts:
 
     A matrix of up to 64 rows is one product. A larger one is two, by its factors: the Kronecker
     product of the Hadamard matrices of sizes a and b is that of size a b. Quicker than butterflies
-    in numpy; its bits depend on the BLAS, which adds in an order of its own. `array` makes the
-    matrices arrays of the library and device of the vectors. Places as of `BlockHadamard`.
+    in numpy; its bits depend on the BLAS, which adds in an order of its own. Places as of
+    `BlockHadamard`.
     """
 
-    def __init__(self, sizes: list[int], array: Callable[[Floats], Any] = np.asarray) -> None:
+    def __init__(self, sizes: list[int]) -> None:
         self.order_in, groups = side_by_side(sizes)
         self.order_out: Indices = self.order_in.copy()
         #: Place of the blocks of a size, and the factors of their matrix.
-        self._groups: list[tuple[slice, Any, Any]] = []
+        self._groups: list[tuple[slice, Floats, Floats]] = []
         for start, size, count in groups.tolist():
             b = 1 if size <= MOST_AT_ONCE else 1 << size.bit_length() // 2
             part = slice(start, start + size * count)
-            factors = [hadamard_matrix(side) / np.sqrt(side) for side in (size // b, b)]
-            first, second = (array(factor.astype(np.float32)) for factor in factors)
-            self._groups.append((part, first, second))
+            self._groups.append((part, _orthonormal(size // b), _orthonormal(b)))
             if b > 1:
                 by_row = self.order_in[part].reshape(size // b, b, count)
                 self.order_out[part] = by_row.transpose(1, 2, 0).ravel()
 
-    def forward(self, x: Any) -> list[Any]:
-        """Return the parts of W x, float32 (..., n), from `order_in` to `order_out`."""
-        return [self._part(x, *group) for group in self._groups]
+    def forward(self, x: Floats) -> Floats:
+        """Return W x, float32 (n,), from `order_in` to `order_out`."""
+        return np.concatenate([_product(x[part], a, b) for part, a, b in self._groups])
 
-    def back(self, rows: Any) -> list[Any]:
-        """Return the parts of W^T rows, float32 (..., n), from `order_out` to `order_in`."""
-        return [self._part_back(rows, *group) for group in self._groups]
+    def back(self, rows: Floats) -> Floats:
+        """Return W^T rows, float32 (n,), from `order_out` to `order_in`."""
+        return np.concatenate([_product_back(rows[part], a, b) for part, a, b in self._groups])
 
-    @staticmethod
-    def _part(x: Any, part: slice, a: Any, b: Any) -> Any:
-        lead = x.shape[:-1]
-        v = x[..., part].reshape(*lead, len(a), -1)
-        v = b @ (v.swapaxes(-1, -2) @ a).reshape(*lead, len(b), -1) if len(b) > 1 else a @ v
-        return v.reshape(*lead, -1)
 
-    @staticmethod
-    def _part_back(rows: Any, part: slice, a: Any, b: Any) -> Any:
-        lead = rows.shape[:-1]
-        v = rows[..., part].reshape(*lead, len(b), -1)
-        if len(b) > 1:
-            v = (b @ v).reshape(*lead, -1, len(a)).swapaxes(-1, -2)
-        else:
-            v = v.reshape(*lead, len(a), -1)
-        return (a @ v).reshape(*lead, -1)
+def _orthonormal(size: int) -> Floats:
+    """The Hadamard matrix of a size with rows of length 1, float32."""
+    matrix: Floats = (hadamard_matrix(size) / np.sqrt(size)).astype(np.float32)
+    return matrix
+
+
+def _product(x: Floats, a: Floats, b: Floats) -> Floats:
+    """Return the rows of the blocks of one size, whose matrix has the factors a and b."""
+    v = x.reshape(len(a), -1)
+    if len(b) == 1:
+        return (a @ v).reshape(-1)
+    by_a = (v.T @ a).reshape(len(b), -1)
+    return (b @ by_a).reshape(-1)
+
+
+def _product_back(rows: Floats, a: Floats, b: Floats) -> Floats:
+    """The transpose of `_product`."""
+    if len(b) == 1:
+        return (a @ rows.reshape(len(a), -1)).reshape(-1)
+    by_b = b @ rows.reshape(len(b), -1)
+    return (a @ by_b.reshape(-1, len(a)).T).reshape(-1)

@@ -6,8 +6,10 @@ from functools import cache
 
 import numpy as np
 
-from .backend import ONE, Array, Backend, on_device
-from .gates import QUIET, TILE, inner, standing_out
+from sparseskin.nodes.numerics.arrays import Floats
+
+from .gates import QUIET, standing_out
+from .tiles import TILE, inner
 
 STRICT = 2.5
 """Energy of a group, in its expectation of noise, at which half of it is kept. Chosen on moving
@@ -16,7 +18,7 @@ LEAST = 1e-9
 """Energy that is nothing, in noise variances."""
 
 
-def shrink(windows: Array, strictness: float = 1.0, backend: Backend = ONE) -> tuple[Array, Array]:
+def shrink(windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
     """Return the denoised tiles of windows of unit noise, and their error, as `Gates.denoise`.
 
     The orthonormal Haar coefficients of a tile of 8 x 8 form 22 groups: the mean, and the three
@@ -29,34 +31,37 @@ def shrink(windows: Array, strictness: float = 1.0, backend: Backend = ONE) -> t
     estimation: a block thresholding and oracle inequality approach", Annals of Statistics 27(3),
     1999.
     """
-    analysis, groups = _haar(backend.device)
+    analysis, groups = _haar()
     count = groups.sum(axis=-1)
-    part = standing_out(windows, strictness, backend)
     coefficients = inner(windows) @ analysis.T
     energy = coefficients**2 @ groups.T
     gain = 1 / (1 + (STRICT * count / (energy + LEAST)) ** 2)
+
     divergence = (gain * (count + 4 * (1 - gain))).sum(axis=-1)
     removed = ((1 - gain) ** 2 * energy).sum(axis=-1)
     error = ((removed + 2 * divergence) / TILE**2 - 1).clip(QUIET, 1)
+
     tiles = (coefficients * (gain @ groups) @ analysis).clip(0, None)
-    return part[..., None] * tiles, QUIET + part * (error - QUIET)
+    part = standing_out(windows, strictness)
+    return part[:, None] * tiles, QUIET + part * (error - QUIET)
 
 
 @cache
-def _haar(device: str) -> tuple[Array, Array]:
+def _haar() -> tuple[Floats, Floats]:
     """The Haar transform of a tile, float32 (64, 64), and its groups, 0 and 1, float32 (22, 64)."""
-    rows, groups = [np.full((TILE, TILE), 1 / TILE)], [[0]]
+    rows = [np.full((TILE, TILE), 1 / TILE)]
+    groups = [[0]]
     for size in (8, 4, 2):
         flat = np.full(size, size**-0.5)
         sign = np.where(np.arange(size) < size // 2, flat, -flat)
         for row, col in np.ndindex(TILE // size, TILE // size):
             groups.append([len(rows), len(rows) + 1, len(rows) + 2])
             for down, across in ((sign, flat), (flat, sign), (sign, sign)):
-                one = np.zeros((TILE, TILE))
-                one[row * size :, col * size :][:size, :size] = np.outer(down, across)
-                rows.append(one)
-    member = np.zeros((len(groups), TILE**2), dtype=np.float32)
-    for k, places in enumerate(groups):
-        member[k, places] = 1
-    analysis = np.array(rows, dtype=np.float32).reshape(-1, TILE**2)
-    return on_device(analysis, device), on_device(member, device)
+                detail = np.zeros((TILE, TILE))
+                detail[row * size :, col * size :][:size, :size] = np.outer(down, across)
+                rows.append(detail)
+
+    is_member = np.zeros((len(groups), TILE**2), dtype=np.float32)
+    for group, places in enumerate(groups):
+        is_member[group, places] = 1
+    return np.array(rows, dtype=np.float32).reshape(-1, TILE**2), is_member

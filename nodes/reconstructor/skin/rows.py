@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +12,6 @@ from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts, side_by_s
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, shared
 from sparseskin.nodes.numerics.compiled import ready
-
-from .backend import ONE, Array, Backend
 
 LEAST_PART = 1e-4
 """Eigenvalue of Phi Phi^T, as a part of the largest, below which a direction counts as unmeasured.
@@ -24,8 +23,7 @@ ORTHONORMAL = 1e-5
 class Rows(ABC):
     """W, a matrix of orthonormal rows, some of which are read in each frame.
 
-    Vectors are float32; those of several patches, (p, n) in place of (n,), `HadamardRows` alone
-    takes.
+    Vectors are float32.
 
     Attributes
     ----------
@@ -65,56 +63,66 @@ class Rows(ABC):
         """Return what each phi, a row subset, measures of x: float32 (m,) each."""
 
 
+class ReadRows(NamedTuple):
+    """Rows that the measurements of a row subset read, by their place in W."""
+
+    read: Indices  # ascending
+    order: Indices  # of the measurements, so that their rows ascend
+    places: Indices  # the row of each measurement
+
+
 class HadamardRows(Rows):
     """All rows of a scrambled block Hadamard ensemble, also those that no frame reads.
 
-    Parameters
+    Attributes
     ----------
-    phi : SbhePhi
-    backend : OnePatch or ManyPatches
-        Where the vectors are.
+    order : ndarray of intp, shape (m,)
+        Order of the measurements in which their rows ascend.
     """
 
-    def __init__(self, phi: SbhePhi, backend: Backend = ONE) -> None:
-        self.n = self.n_rows = phi.n
-        self._array, self._joined = backend.array, backend.xp.concatenate
+    order: Indices
+
+    def __init__(self, phi: SbhePhi) -> None:
+        self.n = phi.n
+        self.n_rows = phi.n
         taxels, rows = self._transform_of(phi)
         self.taxel = shared(phi.permutation[taxels])
         self._place_of_row = shared(np.argsort(rows))
-        #: By row subset: the rows read; the order of their measurements; the row of each of these.
-        self._known: dict[str, tuple[Array, Array, Indices]] = {}
+        self._subsets: dict[str, ReadRows] = {}
         self.use(phi)
 
     def _transform_of(self, phi: SbhePhi) -> tuple[Indices, Indices]:
         """Make the transform; return its orders of taxels and of rows."""
-        self._hadamard = HadamardProducts(phi.sizes, self._array)
+        self._hadamard = HadamardProducts(phi.sizes)
         return self._hadamard.order_in, self._hadamard.order_out
 
     def use(self, phi: Phi) -> bool:
-        self.read, self._order, _ = self._of(phi)
+        subset = self._of(phi)
+        self.read = subset.read
+        self.order = subset.order
         return True
 
-    def _of(self, phi: Phi) -> tuple[Array, Array, Indices]:
-        if phi.fingerprint not in self._known:
+    def _of(self, phi: Phi) -> ReadRows:
+        if phi.fingerprint not in self._subsets:
             assert isinstance(phi, SbhePhi)
             places = self._place_of_row[phi.rows]
             order = np.argsort(places)
-            read, order, places = map(shared, (places[order], order, places))
-            self._known[phi.fingerprint] = self._array(read), self._array(order), places
-        return self._known[phi.fingerprint]
+            subset = ReadRows(shared(places[order]), shared(order), shared(places))
+            self._subsets[phi.fingerprint] = subset
+        return self._subsets[phi.fingerprint]
 
-    def values(self, y: Array) -> Array:
-        return y[..., self._order]
+    def values(self, y: Floats) -> Floats:
+        return y.take(self.order, mode="clip")
 
-    def forward(self, x: Array) -> Array:
-        return self._joined(self._hadamard.forward(x), axis=-1)
+    def forward(self, x: Floats) -> Floats:
+        return self._hadamard.forward(x)
 
-    def adjoint(self, rows: Array) -> Array:
-        return self._joined(self._hadamard.back(rows), axis=-1)
+    def adjoint(self, rows: Floats) -> Floats:
+        return self._hadamard.back(rows)
 
     def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
         rows = self.forward(x)
-        return [rows.take(self._of(phi)[2], mode="clip") for phi in phis]
+        return [rows.take(self._of(phi).places, mode="clip") for phi in phis]
 
 
 class CompiledRows(HadamardRows):
@@ -138,10 +146,6 @@ class CompiledRows(HadamardRows):
         self.scale: Floats = shared(np.reciprocal(np.sqrt(sizes)).astype(np.float32))
         return columns, columns
 
-    def values(self, y: Floats) -> Floats:
-        order: Indices = self._order
-        return y.take(order, mode="clip")
-
     def forward(self, x: Floats) -> Floats:
         rows = x.copy()
         self._loop(rows, self.groups, self.scale)
@@ -161,27 +165,31 @@ class WhitenedRows(Rows):
     def __init__(self, phi: Phi) -> None:
         self.n = phi.n
         self.taxel = np.arange(phi.n)
-        self._known: dict[str, tuple[Phi, Floats | None]] = {}
+        self._subsets: dict[str, tuple[Phi, Floats | None]] = {}
         self._phi = phi
         self.use(phi)
 
     def use(self, phi: Phi) -> bool:
-        before = self._phi.fingerprint
-        if phi.fingerprint not in self._known:
-            self._known[phi.fingerprint] = phi, _whitening(phi)
-        self._phi, self._mix = self._known[phi.fingerprint]
+        last_phi = self._phi
+        if phi.fingerprint not in self._subsets:
+            self._subsets[phi.fingerprint] = phi, _whitening(phi)
+        self._phi, self._mix = self._subsets[phi.fingerprint]
         self.n_rows = phi.m if self._mix is None else len(self._mix)
         self.read = np.arange(self.n_rows)
-        return phi.fingerprint == before
+        return phi.fingerprint == last_phi.fingerprint
 
     def values(self, y: Floats) -> Floats:
-        return y if self._mix is None else self._mix @ y
+        if self._mix is None:
+            return y
+        return self._mix @ y
 
     def forward(self, x: Floats) -> Floats:
         return self.values(self._phi.forward(x))
 
     def adjoint(self, rows: Floats) -> Floats:
-        return self._phi.adjoint(rows if self._mix is None else self._mix.T @ rows)
+        if self._mix is not None:
+            rows = self._mix.T @ rows
+        return self._phi.adjoint(rows)
 
     def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
         return [phi.forward(x) for phi in phis]
@@ -194,8 +202,9 @@ def _whitening(phi: Phi) -> Floats | None:
     if np.abs(gram - np.eye(phi.m)).max() < ORTHONORMAL:
         return None
     values, vectors = np.linalg.eigh(gram)
-    kept = values > max(LEAST_PART * values[-1], TINY)
-    return np.ascontiguousarray((vectors[:, kept] / np.sqrt(values[kept])).T, dtype=np.float32)
+    is_measured = values > max(LEAST_PART * values[-1], TINY)
+    columns = vectors[:, is_measured] / np.sqrt(values[is_measured])
+    return np.ascontiguousarray(columns.T, dtype=np.float32)
 
 
 def rows_of(phi: Phi, compiled: bool = False) -> Rows:

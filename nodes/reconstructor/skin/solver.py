@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats, Mask, shared
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
 
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
-from .gates import Gates, gates_of, tiles_of
+from .frame_vectors import FrameVectors
+from .gates import Gates, gates_of
 from .rows import CompiledRows, rows_of
+from .tiles import tiles_of
 from .tuning import SkinTuning
-from .vectors import FrameVectors
-
-if TYPE_CHECKING:
-    from .compiled import CompiledEstimator
+from .vectors import Vectors
 
 
 class SkinSolver(Solver):
@@ -74,13 +71,14 @@ class SkinSolver(Solver):
         tuning: SkinTuning | None = None,
     ) -> None:
         super().__init__(phi, basis, mask)
-        self.n_steps = self.iterations = whole_number(
-            self.name, "iterations", iterations, 1, MAX_ITERATIONS
-        )
-        if tuning is not None and not isinstance(tuning, SkinTuning):
+        self.iterations = whole_number(self.name, "iterations", iterations, 1, MAX_ITERATIONS)
+        self.n_steps = self.iterations
+        if tuning is None:
+            tuning = SkinTuning()
+        elif not isinstance(tuning, SkinTuning):
             allowed = "allowed: SkinTuning, from Python only"
             raise SolverError(f"{self.name}: tuning = {tuning!r} is not allowed; {allowed}")
-        tuning = tuning or SkinTuning()
+
         compiled = use_compiled(fast) and is_sbhe(phi)
         self._rows = rows_of(phi, compiled)
         self._cells = shared(self.taxels[self._rows.taxel])
@@ -88,22 +86,24 @@ class SkinSolver(Solver):
         place.flat[self._cells] = np.arange(phi.n)
         self._place = shared(place)  # of each taxel, as in `Rows.taxel`
         self._holes = None if phi.n == self.mask.size else ~self.mask
-        tiles, weights = tiles_of(self.mask.shape, self._cells), gates_of(gates)
-        if isinstance(self._rows, CompiledRows):
-            from .compiled import CompiledEstimator  # needs numba
 
-            self._estimator: SkinEstimator | CompiledEstimator = CompiledEstimator(
-                self._rows, tiles, weights, tuning
-            )
-        else:
-            vectors = FrameVectors(self._rows, tiles, weights, tuning)
-            self._estimator = SkinEstimator(self._rows, vectors, tuning)
+        vectors = self._make_vectors(gates_of(gates), tuning)
+        self._estimator = SkinEstimator(self._rows, vectors, tuning)
         self.reset()
+
+    def _make_vectors(self, gates: Gates | None, tuning: SkinTuning) -> Vectors:
+        tiles = tiles_of(self.mask.shape, self._cells)
+        if isinstance(self._rows, CompiledRows):
+            from .compiled_vectors import CompiledVectors  # needs numba
+
+            return CompiledVectors(self._rows, tiles, gates, tuning)
+        return FrameVectors(self._rows, tiles, gates, tuning)
 
     def reset(self) -> None:
         self._estimator.forget()
         self._steps_left = 0
-        self.error, self.trusted = None, True
+        self.error = None
+        self.trusted = True
 
     def use(self, phi: Phi) -> None:
         if (phi.n, phi.m) != (self.phi.n, self.phi.m):
@@ -114,26 +114,44 @@ class SkinSolver(Solver):
         super().use(phi)
         self.phi = phi
         if not self._rows.use(phi):
-            assert isinstance(self._estimator, SkinEstimator)
-            self._estimator.forget_rows()
+            self._estimator.vectors.forget_rows()
 
     @property
     def bias(self) -> float:
         """Mean reading of an untouched taxel whose noise is clipped at 0, as known so far."""
-        return float(self._estimator.bias)
+        return self._estimator.bias.value
 
     @property
     def noise2(self) -> float:
         """Noise variance of a measurement, as known so far."""
-        return float(self._estimator.noise)
+        return self._estimator.noise_level.variance
+
+    @property
+    def read_rows(self) -> Indices:
+        """Rows of W that the measurements of the row subset read, ascending, intp (n_read,)."""
+        return self._rows.read
+
+    @property
+    def innovation(self) -> Floats:
+        """Values of the rows read less those that the last frame predicted, float32 (n_read,);
+        after `setup`.
+        """
+        return self._estimator.vectors.innovation
+
+    @property
+    def residual(self) -> Floats:
+        """Values of the rows read less those of the estimate, float32 (n_read,); after `finish`."""
+        return self._estimator.vectors.residual
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         y = self._checked_y(y)
+        estimator = self._estimator
         if warm is not None:
             forces = self._checked_warm(warm).reshape(-1)[self._cells]
-            self._estimator.start_from(np.maximum(forces, 0))
-        self._estimator.noise_sd, self._estimator.noise_model = self.noise_sd, self.noise_model
-        self._estimator.begin(self.phi.fingerprint, y)
+            estimator.vectors.start_from(np.maximum(forces, 0))
+        estimator.noise_sd = self.noise_sd
+        estimator.noise_model = self.noise_model
+        estimator.begin(self.phi.fingerprint, y)
         self._steps_left = self.n_steps
 
     def measured(self, forces: Floats, *phis: Phi) -> list[Floats]:
@@ -144,11 +162,18 @@ class SkinSolver(Solver):
         self._count_step()  # `finish` does all of them in one call
 
     def finish(self) -> Floats:
-        n, self._steps_left = self.n_steps - self._steps_left, 0
-        forces = self._estimator.finish(n, N_FORMULA if self.n_steps < CONVERGED else 0)
-        self.error, self.trusted = self._estimator.stated_error, self._estimator.trusted
-        if isinstance(self.phi, SubsamplePhi):  # its residuals show no error between its taxels
-            self.error, self.trusted = None, True
+        n_steps = self.n_steps - self._steps_left
+        self._steps_left = 0
+        n_formula = N_FORMULA if self.n_steps < CONVERGED else 0
+        forces = self._estimator.finish(n_steps, n_formula)
+
+        # The residuals of single taxels show no error between them.
+        self.error = None
+        self.trusted = True
+        if not isinstance(self.phi, SubsamplePhi):
+            self.error = self._estimator.stated_error.value
+            self.trusted = self._estimator.trust.holds
+
         image = forces.take(self._place, mode="clip")
         if self._holes is not None:
             image[self._holes] = 0

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
-from sparseskin.nodes.numerics.arrays import TINY
+from sparseskin.nodes.numerics.arrays import TINY, Doubles
 
-from .backend import Backend, Number
+Variance = TypeVar("Variance", float, Doubles)
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,15 @@ class SkinTuning:
     #: Largest error that is trusted, as a part of the forces, both RMS.
     trusted: float = 0.25
 
-    def surplus(self, seen: Number, expected: Number, count: Number, o: Backend) -> Number:
+    def surplus(self, mean_square: float, expected: float, count: int) -> float:
         """What a mean square of `count` numbers exceeds its expectation by, where significant."""
-        more = o.maximum(seen - expected, o.zero)
-        z2 = more * more * count / (2 * expected * expected + TINY)
-        return more * z2 / (z2 + self.significant**2)
+        excess = max(mean_square - expected, 0.0)
+        # Squared excess in variances of the mean square, which is 2 expected^2 / count.
+        z2 = excess * excess * count / (2 * expected * expected + TINY)
+        return excess * z2 / (z2 + self.significant**2)
+
+    def of_dependent(self, variance: Variance, noise: float) -> Variance:
+        """Variance of errors that are not independent of each other: it is as much larger as the
+        errors, of mean square `variance`, exceed the noise variance.
+        """
+        return self.prior * variance * (1 + self.doubt * variance / noise)

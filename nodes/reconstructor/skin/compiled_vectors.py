@@ -1,0 +1,300 @@
+"""The work on vectors of the default solver in compiled loops, for `sbhe`; it needs numba."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sparseskin.nodes.numerics import kernels
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.compiled import entry_point, ready
+from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
+
+from .formula import LEAST, STRICT
+from .gates import CLEARLY, QUIET, STANDS_OUT, Gates
+from .prediction import Motion, MotionSums
+from .row_subset import Comparison, RowSubset
+from .rows import CompiledRows
+from .tiles import MARGIN, SHIFTS, Tiles, neighbours_of
+from .tuning import SkinTuning
+from .vectors import (
+    UNKNOWN,
+    Blend,
+    Filtered,
+    Innovation,
+    RowVariances,
+    Settled,
+    StepPlan,
+    Steps,
+    Vectors,
+)
+
+
+class CompiledVectors(Vectors):
+    """The same as `FrameVectors` but for rounding.
+
+    Parameters
+    ----------
+    rows : CompiledRows
+    tiles, gates, tuning
+        As of `FrameVectors`.
+    """
+
+    def __init__(
+        self, rows: CompiledRows, tiles: Tiles, gates: Gates | None, tuning: SkinTuning
+    ) -> None:
+        self._loops = _loops()
+        n = rows.n
+        self._rows = rows
+        self._transform = kernels.Transform(rows.groups, rows.scale)
+        self._maps = _maps(tiles)
+        self._neighbours = _neighbours(tiles)
+        self._has_gates = gates is not None
+        self._weights = _weights(gates or Gates.zero())
+        self._limits = _limits(tiles.strictness)
+        self._sizes = ScratchSizes(
+            n=n,
+            n_averaged=tuning.averaged,
+            n_cells=tiles.canvas.size,
+            n_windows=tiles.most,
+            n_filters=len(self._weights.filters),
+            n_hidden=len(self._weights.hidden_0),
+        )
+        self._step_constants = kernels.StepConstants(
+            tuning.damping, tuning.least_tau, tuning.most_alpha
+        )
+        self._filter_constants = kernels.FilterConstants(
+            *(tuning.prior, tuning.doubt, tuning.recall_memory, tuning.recall_ridge, UNKNOWN)
+        )
+
+        vectors = np.zeros((10, n), dtype=np.float32)
+        self._estimate = kernels.Estimate(*vectors[:3])
+        self._prediction = kernels.Prediction(*vectors[3:5])
+        self._filters = kernels.Filters(*vectors[5:8])
+        self._targets = kernels.Targets(*vectors[8:])
+        self._recall = np.zeros(3)
+        self.x = self._estimate.x
+        self.forget()
+
+    def forget(self) -> None:
+        self._recall[:] = 0
+        self.x[:] = 0
+        self.forget_rows()
+
+    def forget_rows(self) -> None:
+        self.start_from(self.x)
+        self._estimate.correction[:] = 0
+        self._filters.mean[:] = self._estimate.rows
+        self._filters.variance[:] = UNKNOWN
+        self._filters.change[:] = 0
+
+    def start_from(self, x: Floats) -> None:
+        self.x[:] = x
+        self._estimate.rows[:] = self._rows.forward(x)
+
+    def begin(self, y: Floats, subset: RowSubset, bias: float) -> tuple[Comparison, MotionSums]:
+        values = self._rows.values(y)
+        n_read = len(values)
+        self.innovation, off_target, self.residual = np.empty((3, n_read), dtype=np.float32)
+        self._measured = kernels.Measured(
+            *(self._rows.read, values, self.innovation, subset.innovation),
+            *(off_target, self.residual),
+        )
+        self._scratch = _scratch(self._sizes)
+
+        power, largest, change, *sums = self._loops.begin(
+            kernels.Received(self._rows.order, subset.y, subset.ones),
+            bias,
+            self._measured,
+            self._estimate,
+            self._neighbours,
+            self._transform,
+            self._scratch.slopes,
+        )
+        return Comparison(power, largest, change), MotionSums._make([*sums, n_read, self._rows.n])
+
+    def predict(self, motion: Motion) -> Innovation:
+        sums = self._loops.predict(
+            *(self._estimate, kernels.MotionWeights(*motion), self._scratch.slopes),
+            *(self._transform, self._measured, self._prediction, self._filters, UNKNOWN),
+        )
+        self._estimates = self._prediction.x[None]
+        return Innovation._make((*sums, len(self.innovation)))
+
+    def filter_rows(self, variances: RowVariances) -> Filtered:
+        target_variance, n_known = self._loops.filter_rows(
+            *(self._measured, self._prediction, self._filters, self._targets, self._recall),
+            *(kernels.Variances(*variances), self._filter_constants),
+        )
+        return Filtered(target_variance, n_known)
+
+    def steps(self, plan: StepPlan) -> Steps:
+        scratch = _scratch(self._sizes)
+        n_formula = plan.n_formula
+        self._estimates = scratch.iterates.estimates[: plan.n]
+        if not self._has_gates:  # all steps are by the formula
+            n_formula = plan.n_formula + plan.n
+        scratch.iterates.z[:] = self._prediction.x
+
+        inputs = kernels.StepInputs(
+            transform=self._transform,
+            measured=self._measured,
+            targets=self._targets,
+            iterates=kernels.Iterates(scratch.iterates.z, self._estimates),
+            tiles=self._maps,
+            denoiser=kernels.Denoiser(self._weights, self._limits, scratch.steps),
+            plan=kernels.Plan(
+                n_formula=n_formula,
+                n=plan.n_formula + plan.n - n_formula,
+                first_shift=plan.first_shift,
+                target_variance=plan.target_variance,
+                floor=plan.floor,
+            ),
+            constants=self._step_constants,
+        )
+        return Steps(*self._loops.steps(inputs))
+
+    def clear(self) -> None:
+        self._prediction.x[:] = 0
+        self._estimates[:] = 0
+
+    def settle(self, blend: Blend, ones: Floats) -> Settled:
+        forces = np.empty(self._rows.n, dtype=np.float32)
+        sums = self._loops.settle(
+            *(self._estimates, self._prediction, self._measured, ones, self._transform),
+            *(self._estimate, kernels.BlendNumbers(*blend), forces),
+        )
+        return Settled(forces, *sums)
+
+    def mean_variance(self, forces: Floats, model: NoiseModel) -> float:
+        variance: float = self._loops.variance(forces, _noise_curve(model))
+        return variance
+
+
+class Loops(NamedTuple):
+    """The loops of a frame. Arguments of other types are not refused."""
+
+    begin: Callable[..., Any]
+    predict: Callable[..., Any]
+    filter_rows: Callable[..., Any]
+    steps: Callable[..., Any]
+    settle: Callable[..., Any]
+    variance: Callable[..., Any]
+
+
+@cache
+def _loops() -> Loops:
+    ready(*kernels.SKIN_LOOPS)
+    return Loops(
+        begin=entry_point(kernels.skin_begin),
+        predict=entry_point(kernels.skin_predict),
+        filter_rows=entry_point(kernels.skin_filter),
+        steps=entry_point(kernels.skin_steps),
+        settle=entry_point(kernels.skin_settle),
+        variance=entry_point(kernels.skin_variance),
+    )
+
+
+class ScratchSizes(NamedTuple):
+    """Sizes of the scratch of a frame."""
+
+    n: int  # taxels
+    n_averaged: int  # estimates that are averaged
+    n_cells: int  # cells of the canvas
+    n_windows: int
+    n_filters: int
+    n_hidden: int
+
+
+class Scratch(NamedTuple):
+    """Scratch of a frame."""
+
+    slopes: kernels.Slopes
+    iterates: kernels.Iterates
+    steps: Floats
+
+
+_OF_THREAD = threading.local()
+
+
+def _scratch(sizes: ScratchSizes) -> Scratch:
+    """Scratch that the solvers of a thread share, so that it stays in its cache: nothing in it
+    lasts from `predict` to `steps`.
+    """
+    if getattr(_OF_THREAD, "sizes", None) != sizes:
+        _OF_THREAD.sizes = sizes
+        _OF_THREAD.scratch = _make_scratch(sizes)
+    scratch: Scratch = _OF_THREAD.scratch
+    return scratch
+
+
+def _make_scratch(sizes: ScratchSizes) -> Scratch:
+    def floats(*shape: int) -> Floats:
+        return np.zeros(shape, dtype=np.float32)
+
+    n_steps = kernels.step_scratch_size(
+        *(sizes.n, sizes.n_cells, sizes.n_windows, sizes.n_filters, sizes.n_hidden)
+    )
+    iterates = kernels.Iterates(floats(sizes.n), floats(sizes.n_averaged, sizes.n))
+    slopes = kernels.Slopes(floats(2, sizes.n), floats(2, sizes.n))
+    return Scratch(slopes, iterates, floats(n_steps))
+
+
+@lru_cache(maxsize=16)
+def _maps(tiles: Tiles) -> kernels.TileMaps:
+    """Maps of a skin, of the windows with a taxel alone."""
+    places = np.arange(tiles.canvas.size).reshape(tiles.canvas.shape)
+    begins = np.zeros((len(SHIFTS), tiles.most), np.uint32)
+    shares = np.zeros((len(SHIFTS), tiles.most), np.float32)
+    counts = np.zeros(len(SHIFTS), np.int64)
+    for shift, share in enumerate(tiles.shares):
+        has_taxel = share > 0
+        count = np.count_nonzero(has_taxel)
+        counts[shift] = count
+        begins[shift, :count] = tiles.cut(places, shift)[has_taxel, 0]
+        shares[shift, :count] = share[has_taxel]
+
+    width = tiles.canvas.shape[1]
+    row, col = np.divmod(tiles.cells, tiles.shape[1])
+    cells = (row + MARGIN) * width + col + MARGIN
+    canvas = tiles.canvas.reshape(-1)
+    return kernels.TileMaps(
+        canvas.astype(np.uint32), cells.astype(np.uint32), begins, shares, counts, width
+    )
+
+
+@lru_cache(maxsize=16)
+def _neighbours(tiles: Tiles) -> kernels.A:
+    """Neighbours as of `skin_slopes`."""
+    return neighbours_of(tiles).reshape(4, -1).astype(np.uint32)
+
+
+def _weights(gates: Gates) -> kernels.Weights:
+    arrays = (
+        *(gates.filters, gates.hidden, gates.hidden_0, gates.gates, gates.gates_0),
+        *(gates.synthesis, gates.error[0]),
+    )
+    contiguous = [np.ascontiguousarray(array) for array in arrays]
+    return kernels.Weights._make([*contiguous, float(gates.error_0[0])])
+
+
+def _limits(strictness: float) -> kernels.Limits:
+    single, by_3, by_6, whole = (strictness * limit for limit in STANDS_OUT)
+    return kernels.Limits(single, by_3, by_6, whole, CLEARLY, QUIET, STRICT, LEAST)
+
+
+@lru_cache(maxsize=16)
+def _noise_curve(model: NoiseModel) -> kernels.NoiseCurve:
+    return kernels.NoiseCurve(
+        f_max=float(model.f_max),
+        sigma_mid=float(model.sigma_mid),
+        sigma_end=float(model.sigma_end),
+        clips=float(model.clips),
+        of_touched=float(model.of_touched),
+        clipped=CLIPPED,
+        clipped_below=CLIPPED_BELOW,
+    )

@@ -1,0 +1,327 @@
+"""The work on vectors of the default solver in numpy, for the rows of any Phi."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
+from sparseskin.nodes.sensor.noise import NoiseModel
+
+from .formula import shrink
+from .gates import Gates
+from .prediction import Motion, MotionSums
+from .row_subset import Comparison, RowSubset
+from .rows import Rows
+from .tiles import SHIFTS, Tiles, neighbours_of
+from .tuning import SkinTuning
+from .vectors import (
+    UNKNOWN,
+    Blend,
+    Filtered,
+    Innovation,
+    RowVariances,
+    Settled,
+    StepPlan,
+    Steps,
+    Vectors,
+)
+
+NOTHING = np.zeros(1, dtype=np.float32)
+"""What cells without a taxel read."""
+
+
+class FrameVectors(Vectors):
+    """The readable form of `Vectors`.
+
+    Parameters
+    ----------
+    rows, tiles, gates
+        W; the windows of the skin; the weights of the denoiser: None for none.
+    tuning : SkinTuning
+    """
+
+    def __init__(self, rows: Rows, tiles: Tiles, gates: Gates | None, tuning: SkinTuning) -> None:
+        self._rows = rows
+        self._tiles = tiles
+        self._gates = gates
+        self._tuning = tuning
+        self._neighbours = neighbours_of(tiles)
+        self.forget()
+
+    def forget(self) -> None:
+        self.x = np.zeros(self._rows.n, dtype=np.float32)
+        self._predicted = self.x
+        self._recall = Recall()
+        self.forget_rows()
+
+    def forget_rows(self) -> None:
+        nothing = np.zeros(self._rows.n_rows, dtype=np.float32)
+        #: W times the last estimate, and times the prediction.
+        self._x_rows = self._rows.forward(self.x)
+        self._predicted_rows = nothing
+        #: W times what the last measurements changed.
+        self._correction = nothing
+        #: State of each row's filter: mean; variance that its measurements left; that of changes.
+        self._mean = self._x_rows.copy()
+        self._variance = nothing + np.float32(UNKNOWN)
+        self._change = nothing
+        #: Value that each row is expected to have, and the variance of its error.
+        self._target = nothing
+        self._target_variance = nothing
+
+    def start_from(self, x: Floats) -> None:
+        self.x = x
+        self._x_rows = self._rows.forward(x)
+
+    def begin(self, y: Floats, subset: RowSubset, bias: float) -> tuple[Comparison, MotionSums]:
+        self._values = self._rows.values(y) - np.float32(bias) * subset.ones
+        self._last_innovation = subset.innovation
+        comparison = Comparison(
+            power=_total(np.square(y, dtype=np.float64)) / len(y),
+            largest=float(np.abs(y).max()),
+            change=float(np.abs(y - subset.y).max()),
+        )
+        return comparison, self._motion_sums()
+
+    def _motion_sums(self) -> MotionSums:
+        read = self._rows.read
+        following, previous = self.x[self._neighbours]
+        self._slopes = following - previous
+        down, across = map(self._rows.forward, self._slopes)
+        a = self._x_rows[read]
+        b = down[read]
+        c = across[read]
+        change = self._values - a
+        return MotionSums(
+            aa=_dot(a, a),
+            ab=_dot(a, b),
+            ac=_dot(a, c),
+            bb=_dot(b, b),
+            bc=_dot(b, c),
+            cc=_dot(c, c),
+            a_change=_dot(a, change),
+            b_change=_dot(b, change),
+            c_change=_dot(c, change),
+            energy=_dot(self.x, self.x),
+            largest=float(self.x.max()),
+            n_read=len(read),
+            n=self._rows.n,
+        )
+
+    def predict(self, motion: Motion) -> Innovation:
+        read = self._rows.read
+        growth, down, across = (np.float32(weight) for weight in motion[:3])
+        moved = self.x + (growth * self.x + down * self._slopes[0] + across * self._slopes[1])
+        self._predicted = np.minimum(moved.clip(0, None), np.float32(motion.bound))
+        self._predicted_rows = self._rows.forward(self._predicted)
+        self.innovation = self._values - self._predicted_rows[read]
+        self._estimates = [self._predicted]
+
+        # The mean of a row moves as its prediction does.
+        self._mean = self._mean + (self._predicted_rows - self._x_rows)
+        self._off_mean = self._values - self._mean[read]
+        self._expected = (self._variance + self._change)[read]
+        self._is_known: Mask = self._expected < UNKNOWN
+
+        correction = self._correction[read]
+        return Innovation(
+            squares=_dot(self.innovation, self.innovation),
+            correction_squares=_dot(correction, correction),
+            products=_dot(self.innovation, correction),
+            repeating=_dot(self._last_innovation, self._last_innovation - self.innovation),
+            n_read=len(read),
+            n_known=int(np.count_nonzero(self._is_known)),
+            filter_squares=_total(self._off_mean * self._off_mean * self._is_known),
+            filter_variances=_total(self._expected * self._is_known),
+        )
+
+    def filter_rows(self, variances: RowVariances) -> Filtered:
+        self._set_targets(variances)
+        self._read_values(variances)
+        target_variance = self._target_variance[self._rows.read]
+        return Filtered(
+            target_variance=_total(target_variance) / len(target_variance),
+            n_known=int(np.count_nonzero(self._variance < UNKNOWN)),
+        )
+
+    def _set_targets(self, variances: RowVariances) -> None:
+        """Combine the prediction and the filter of each row, by their precisions."""
+        self._change = (self._change + np.float32(variances.change)).clip(None, UNKNOWN)
+        change = self._tuning.of_dependent(self._change.astype(np.float64), variances.noise)
+        change_32 = change.clip(None, UNKNOWN).astype(np.float32)
+        prior: Any = np.float32(variances.prediction)
+        share = prior / (prior + self._variance + change_32)
+        correction = share * (self._mean - self._predicted_rows)
+
+        recalled: Any = self._recall.follow(
+            self.innovation * self._is_known,
+            correction[self._rows.read] * self._is_known,
+            int(np.count_nonzero(self._is_known)),
+            variances.noise,
+            self._tuning,
+        )
+        self._target = self._predicted_rows + recalled * correction
+        self._target_variance = prior * (1 - recalled * share)
+
+    def _read_values(self, variances: RowVariances) -> None:
+        """Update the targets and the filters of the rows read by their values."""
+        read = self._rows.read
+        noise = np.float32(variances.noise)
+        floor = np.float32(variances.floor)
+
+        target = self._target[read]
+        variance = self._target_variance[read]
+        gain = variance / (variance + noise)
+        self._target[read] = target + gain * (self._values - target)
+        self._target_variance[read] = np.maximum(gain * noise, floor)
+        self._off_target = self._values - self._target[read]
+
+        expected = self._expected + np.float32(variances.change)
+        gain = expected / (expected + noise)
+        self._mean[read] += gain * self._off_mean
+        self._variance = self._variance.copy()
+        self._variance[read] = np.maximum(gain * noise, floor)
+        self._change[read] = 0
+
+    def steps(self, plan: StepPlan) -> Steps:
+        self._z = self._predicted
+        self._estimates = []
+        expected2 = []
+        residual2 = []
+        for k in range(plan.n_formula + plan.n):
+            shift = (plan.first_shift + k) % len(SHIFTS)
+            x, error2, before2 = self._step(shift, plan, by_formula=k < plan.n_formula)
+            if k >= plan.n_formula:
+                self._estimates.append(x)
+                expected2.append(error2)
+                residual2.append(before2)
+
+        # Errors of steps with other tiles differ: their mean has less.
+        averaged = self._tuning.averaged
+        self._estimates = self._estimates[-averaged:]
+        return Steps(_mean(expected2[-averaged:]), _mean(residual2[-averaged:]))
+
+    def _step(self, shift: int, plan: StepPlan, *, by_formula: bool) -> tuple[Floats, float, float]:
+        """Move z, with the tiles of a shift; by `shrink` in place of the weights if by_formula, and
+        where there are none.
+
+        Returns
+        -------
+        x : array of float32, shape (n,)
+            The estimate of this step.
+        error2 : float
+            Its expected mean squared error.
+        residual2 : float
+            Mean squared residual of z before the step, of the rows read.
+        """
+        tuning = self._tuning
+        z = self._z
+        off = self._target - self._rows.forward(z)
+        off_read = off[self._rows.read]
+        residual = off_read + self._off_target
+        residual2 = _dot(residual, residual) / len(residual)
+
+        # Error variance of z, seen by the rows read.
+        off2 = _dot(off_read, off_read) / len(off_read)
+        least_tau = tuning.least_tau * max(off2, plan.target_variance)
+        tau = max(off2 - plan.target_variance, least_tau) + plan.floor
+
+        # u is the truth and noise of deviation s.
+        weight = np.float32(tau) / (np.float32(tau) + self._target_variance)
+        mean_weight = _total(weight) / self._rows.n
+        s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + plan.floor
+        s = np.float32(math.sqrt(s2))
+        u = z + self._rows.adjoint(weight * off) / np.float32(mean_weight)
+
+        denoise = shrink if by_formula or self._gates is None else self._gates.denoise
+        windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
+        tiles, tile_error = denoise(windows, self._tiles.strictness)
+        x = self._tiles.taxels(tiles, shift) * s
+        expected = _dot(tile_error, self._tiles.shares[shift])
+
+        # Towards the estimate whose errors are not correlated with those of u.
+        alpha: Any = np.float32(min(expected, tuning.most_alpha))
+        free = (x - alpha * u) / (1 - alpha)
+        self._z = z + tuning.damping * (free - z)
+        return x, expected * float(s) ** 2, residual2
+
+    def clear(self) -> None:
+        self._predicted = np.zeros_like(self._predicted)
+        self._estimates = [self._predicted] * len(self._estimates)
+
+    def settle(self, blend: Blend, ones: Floats) -> Settled:
+        weight = np.float32((1 - blend.part) / len(self._estimates))
+        mean = sum(self._estimates[1:], self._estimates[0]) * weight
+        self.start_from(mean + np.float32(blend.part) * self._predicted)
+        self._correction = self._x_rows - self._predicted_rows
+        self.residual = self._values - self._x_rows[self._rows.read]
+
+        # A taxel within the noise counts as unpressed.
+        x = self.x
+        near = (x / np.float32(2 * blend.noise_sd + math.sqrt(TINY))).clip(None, 8)
+        unpressed = np.exp(-near * near)
+        return Settled(
+            forces=_unclipped(x, blend),
+            power=_dot(x, x) / len(x),
+            residual2=_dot(self.residual, self.residual) / len(self.residual),
+            along_ones=_dot(ones, self.residual),
+            unpressed=_dot(x, unpressed),
+            pressed=_total((1 - unpressed) ** 2) / len(x),
+        )
+
+    def mean_variance(self, forces: Floats, model: NoiseModel) -> float:
+        return _total(model.variance(forces)) / len(forces)
+
+
+class Recall:
+    """Part of the correction by the rows' own filters that is used, 0 to 1.
+
+    By regression: how much of it the rows that are read now confirm, in this frame and before.
+    """
+
+    def __init__(self) -> None:
+        self._products = 0.0  # of innovation and correction
+        self._squares = 0.0  # of the correction
+        self._count = 0.0  # of values
+
+    def follow(
+        self,
+        innovation: Floats,
+        correction: Floats,
+        count: int,
+        noise: float,
+        tuning: SkinTuning,
+    ) -> np.float32:
+        """Return the part, after innovation and correction of the rows read, 0 where unknown."""
+        memory = tuning.recall_memory
+        self._products = memory * self._products + _dot(innovation, correction)
+        self._squares = memory * self._squares + _dot(correction, correction)
+        self._count = memory * self._count + count
+
+        ridge = tuning.recall_ridge * noise * self._count
+        part = (self._products + ridge) / (self._squares + ridge + TINY)
+        return np.float32(min(max(part, 0.0), 1.0))
+
+
+def _unclipped(x: Floats, blend: Blend) -> Floats:
+    """Forces whose readings, clipped at 0, exceed the bias by x."""
+    forces = x
+    if blend.bias > 0:
+        bias = np.float32(blend.bias)
+        forces = x + bias * (1 - np.exp(-x / bias))
+    return forces * (forces >= np.float32(blend.least_force))
+
+
+def _dot(a: Floats, b: Floats) -> float:
+    return float(a @ b)
+
+
+def _total(a: Floats | Doubles) -> float:
+    return float(a.sum(dtype=np.float64))
+
+
+def _mean(numbers: list[float]) -> float:
+    return sum(numbers) / len(numbers)

@@ -1,0 +1,146 @@
+"""The error of an estimate that is published, and whether the estimate is trusted."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from sparseskin.nodes.numerics.arrays import TINY
+
+from .noise_level import NoiseLevel
+from .row_subset import FrameNumbers
+from .tuning import SkinTuning
+from .vectors import Settled, Steps
+
+
+class Fit(NamedTuple):
+    """The estimate of a frame and how it fits the measurements."""
+
+    steps: Steps
+    settled: Settled
+    part: float  # weight of the prediction in the estimate
+    inherited2: float  # squared error that repeated measurements leave as it was
+    has_unread_rows: bool  # many rows were never read
+
+
+class TaxelNoise(NamedTuple):
+    """Noise of a frame, as far as the skin states it."""
+
+    variance: float  # mean variance of a reading
+    missing: float  # what the residual lacks of it
+    is_stated: bool
+
+
+def estimate_error2(
+    steps: Steps, noise: float, n_read: int, doubtful: float = 1.0, optimism: float = 1.0
+) -> float:
+    """Return the mean squared error of the mean of the last estimates.
+
+    The errors of z do not depend on the noise of the measurements: their mean squared residual
+    exceeds the noise by them. Where that is not significant, within `doubtful` sampling deviations,
+    `optimism` times the expectation of the denoiser counts.
+    """
+    excess = max(steps.residual2 - noise, 0.0)
+    deviation = doubtful * (excess + noise) * math.sqrt(2 / n_read)
+    share = excess * excess / (excess * excess + deviation * deviation + TINY)
+    return share * excess + (1 - share) * (optimism * steps.expected2)
+
+
+class StatedError:
+    """Estimated RMS error of a taxel, for those who use the forces.
+
+    Attributes
+    ----------
+    value : float
+        That of the last frame.
+    """
+
+    def __init__(self, tuning: SkinTuning) -> None:
+        self._tuning = tuning
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as if no frame had been measured."""
+        self.value = 0.0
+        self._n_repeats = 0.0
+
+    def follow(self, fit: Fit, noise: TaxelNoise, frame: FrameNumbers) -> float:
+        """Update the error; return its square."""
+        tuning = self._tuning
+        error2 = (1 - fit.part) * estimate_error2(
+            fit.steps, noise.variance, frame.n_read, tuning.significant / 2, tuning.optimism
+        )
+
+        # Without noise, the errors are between the residuals before a fit and after it.
+        fitted = math.sqrt(math.sqrt(fit.steps.residual2**3 * fit.settled.residual2))
+        of_few_rows = (1 + 1 / math.sqrt(frame.n_read)) ** 2
+        error2 = of_few_rows * min(error2, fitted)
+
+        # Where many rows are never read, the same measurements leave the same errors: repeats lower
+        # them at most as other measurements would.
+        again = 0.0
+        if fit.has_unread_rows:
+            again = frame.repeated
+        self._n_repeats = again * (self._n_repeats + 1)
+        least = again * self.value**2 * self._n_repeats / (self._n_repeats + 1)
+
+        error2 = max(error2, fit.inherited2, noise.missing, least)
+        self.value = math.sqrt(error2)
+        return error2
+
+
+class Trust:
+    """Whether an estimate is trusted: the skin is untouched, or the error is small.
+
+    Attributes
+    ----------
+    holds : bool
+        True if the last estimate is trusted.
+    """
+
+    def __init__(self, tuning: SkinTuning) -> None:
+        self._tuning = tuning
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as if no frame had been measured."""
+        self.holds = True
+        self._silence = 0.0  # average of the frames without any measurement but 0
+
+    def follow_silence(self, is_silent: bool) -> None:
+        """Note whether a frame was silent."""
+        tuning = self._tuning
+        if is_silent:
+            self._silence = self._silence + tuning.noise_rate * (1 - self._silence)
+        else:
+            self._silence = tuning.silence_kept * self._silence
+
+    def noise_of_skin(
+        self, noise: float, level: NoiseLevel, frame: FrameNumbers, stated_sd: float
+    ) -> float:
+        """Return the noise variance of the skin, whatever passes for it in motion."""
+        # Of a skin that was silent, what no force explains is hardly noise, unless it is stated.
+        if not frame.is_silent:
+            noise = max(noise * (1 - self._silence), stated_sd**2)
+        return noise / level.trust
+
+    def judge(
+        self, settled: Settled, error2: float, of_skin: float, excess: float, bias_is_known: bool
+    ) -> None:
+        """Decide by squared error and noise variance of the skin; `excess` is the part by which the
+        squared residual of an untouched skin exceeds the noise at most.
+        """
+        tuning = self._tuning
+        # Until it is known, the bias passes for forces on all taxels.
+        bound = tuning.untouched if bias_is_known else tuning.most_bias**2
+        is_weak = settled.power <= bound * of_skin
+        is_explained = settled.residual2 <= (1 + excess) * of_skin
+        is_accurate = error2 <= tuning.trusted**2 * settled.power
+        self.holds = (is_weak and is_explained) or is_accurate
+
+    def excess(self, noise: TaxelNoise, n_read: int, bias_is_known: bool) -> float:
+        """Return `excess` of `judge`."""
+        tuning = self._tuning
+        if noise.is_stated and bias_is_known:
+            return min(tuning.unexplained, tuning.unresolved * math.sqrt(2 / n_read))
+        return tuning.unexplained
