@@ -55,6 +55,8 @@ class FrameVectors(Vectors):
         self.x = np.zeros(self._rows.n, dtype=np.float32)
         self._predicted = self.x
         self._recall = Recall()
+        self._growth = ConfirmedMotion()
+        self._translation = ConfirmedMotion()
         self.forget_rows()
 
     def forget_rows(self) -> None:
@@ -118,13 +120,12 @@ class FrameVectors(Vectors):
         self._predicted = np.minimum(moved.clip(0, None), np.float32(motion.bound))
         self._predicted_rows = self._rows.forward(self._predicted)
         self.innovation = self._values - self._predicted_rows[read]
-        self._estimates = [self._predicted]
+        self._estimate = self._predicted
 
-        # The mean of a row moves as its prediction does.
-        self._mean = self._mean + (self._predicted_rows - self._x_rows)
-        self._off_mean = self._values - self._mean[read]
         self._expected = (self._variance + self._change)[read]
         self._is_known: Mask = self._expected < UNKNOWN
+        self._move_means(growth)
+        self._off_mean = self._values - self._mean[read]
 
         correction = self._correction[read]
         return Innovation(
@@ -137,6 +138,20 @@ class FrameVectors(Vectors):
             filter_squares=_total(self._off_mean * self._off_mean * self._is_known),
             filter_variances=_total(self._expected * self._is_known),
         )
+
+    def _move_means(self, growth: np.float32) -> None:
+        """Move the means of the filters as the prediction moves, so far as their rows confirm it:
+        in an estimate that has not converged, an error passes for a motion.
+        """
+        read = self._rows.read
+        grown = growth * self._x_rows
+        translated = (self._predicted_rows - self._x_rows) - grown
+        unexpected = (self._values - self._mean[read]) * self._is_known
+
+        memory = self._tuning.motion_memory
+        growth_part = self._growth.follow(grown[read] * self._is_known, unexpected, memory)
+        part = self._translation.follow(translated[read] * self._is_known, unexpected, memory)
+        self._mean = self._mean + (growth_part * grown + part * translated)
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
         self._set_targets(variances)
@@ -153,7 +168,8 @@ class FrameVectors(Vectors):
         change = self._tuning.of_dependent(self._change.astype(np.float64), variances.noise)
         change_32 = change.clip(None, UNKNOWN).astype(np.float32)
         prior: Any = np.float32(variances.prediction)
-        share = prior / (prior + self._variance + change_32)
+        of_filter = self._variance + change_32
+        share = prior / (prior + of_filter)
         correction = share * (self._mean - self._predicted_rows)
 
         recalled: Any = self._recall.follow(
@@ -164,7 +180,10 @@ class FrameVectors(Vectors):
             self._tuning,
         )
         self._target = self._predicted_rows + recalled * correction
-        self._target_variance = prior * (1 - recalled * share)
+        # Between the variances without the filter and with it, by their logarithms: the mean of the
+        # variances would be that of the prediction as soon as a part of it counts, so that an
+        # estimate that has not converged never would.
+        self._target_variance = prior * (of_filter / (prior + of_filter)) ** recalled
 
     def _read_values(self, variances: RowVariances) -> None:
         """Update the targets and the filters of the rows read by their values."""
@@ -188,25 +207,36 @@ class FrameVectors(Vectors):
 
     def steps(self, plan: StepPlan) -> Steps:
         self._z = self._predicted
-        self._estimates = []
+        estimates = []
         expected2 = []
         residual2 = []
         for k in range(plan.n_formula + plan.n):
-            shift = (plan.first_shift + k) % len(SHIFTS)
-            x, error2, before2 = self._step(shift, plan, by_formula=k < plan.n_formula)
+            x, error2, before2 = self._step(k, plan)
             if k >= plan.n_formula:
-                self._estimates.append(x)
+                estimates.append(x)
                 expected2.append(error2)
                 residual2.append(before2)
 
         # Errors of steps with other tiles differ: their mean has less.
-        averaged = self._tuning.averaged
-        self._estimates = self._estimates[-averaged:]
-        return Steps(_mean(expected2[-averaged:]), _mean(residual2[-averaged:]))
+        weights = self._weights_of(np.array(residual2), plan)
+        self._estimate = np.zeros_like(self._z)
+        for weight, x in zip(weights.astype(np.float32), estimates, strict=True):
+            self._estimate += weight * x
+        return Steps(float(weights @ expected2), float(weights @ residual2))
 
-    def _step(self, shift: int, plan: StepPlan, *, by_formula: bool) -> tuple[Floats, float, float]:
-        """Move z, with the tiles of a shift; by `shrink` in place of the weights if by_formula, and
-        where there are none.
+    def _weights_of(self, residual2: Doubles, plan: StepPlan) -> Doubles:
+        """Return the weights of the estimates of steps in their mean, by the residual before each:
+        of an iteration that diverges, the steps before it does count.
+        """
+        tuning = self._tuning
+        rising = np.arange(1, plan.n + 1) / max(1, plan.n + 1 - tuning.fully_averaged)
+        weights = np.minimum(rising, 1) ** tuning.rise_power
+        weights /= (residual2 + plan.floor) ** tuning.residual_power
+        return weights / weights.sum()
+
+    def _step(self, k: int, plan: StepPlan) -> tuple[Floats, float, float]:
+        """Move z, in step k; by `shrink` in place of the weights where the plan says so, and where
+        there are none.
 
         Returns
         -------
@@ -218,6 +248,8 @@ class FrameVectors(Vectors):
             Mean squared residual of z before the step, of the rows read.
         """
         tuning = self._tuning
+        shift = (plan.first_shift + k) % len(SHIFTS)
+        by_formula = k < plan.n_formula
         z = self._z
         off = self._target - self._rows.forward(z)
         off_read = off[self._rows.read]
@@ -245,17 +277,17 @@ class FrameVectors(Vectors):
         # Towards the estimate whose errors are not correlated with those of u.
         alpha: Any = np.float32(min(expected, tuning.most_alpha))
         free = (x - alpha * u) / (1 - alpha)
-        self._z = z + tuning.damping * (free - z)
+        damping = tuning.damping * min(1.0, tuning.damped_from / (k + 1))
+        self._z = z + np.float32(damping) * (free - z)
         return x, expected * float(s) ** 2, residual2
 
     def clear(self) -> None:
         self._predicted = np.zeros_like(self._predicted)
-        self._estimates = [self._predicted] * len(self._estimates)
+        self._estimate = self._predicted
 
     def settle(self, blend: Blend, ones: Floats) -> Settled:
-        weight = np.float32((1 - blend.part) / len(self._estimates))
-        mean = sum(self._estimates[1:], self._estimates[0]) * weight
-        self.start_from(mean + np.float32(blend.part) * self._predicted)
+        part = np.float32(blend.part)
+        self.start_from((1 - part) * self._estimate + part * self._predicted)
         self._correction = self._x_rows - self._predicted_rows
         self.residual = self._values - self._x_rows[self._rows.read]
 
@@ -306,6 +338,29 @@ class Recall:
         return np.float32(min(max(part, 0.0), 1.0))
 
 
+class ConfirmedMotion:
+    """Part of a motion of the rows' means that their own values confirm, 0 to 1.
+
+    By regression of what the filters had not expected on the motion, in this frame and before. A
+    row counts less the more it moves beyond the others: the few sums of blocks are wrong together.
+    """
+
+    def __init__(self) -> None:
+        self._products = 0.0
+        self._squares = 0.0
+
+    def follow(self, motion: Floats, unexpected: Floats, memory: float) -> np.float32:
+        """Return the part, after the motion of the rows read and what they exceed the means of
+        their filters by; both are 0 where a row is unknown.
+        """
+        squares = np.square(motion)
+        weights = 1 / (_total(squares) / len(motion) + squares + TINY)
+        self._products = memory * self._products + _dot(unexpected * weights, motion)
+        self._squares = memory * self._squares + _dot(motion * weights, motion)
+        part = self._products / (self._squares + TINY)
+        return np.float32(min(max(part, 0.0), 1.0))
+
+
 def _unclipped(x: Floats, blend: Blend) -> Floats:
     """Forces whose readings, clipped at 0, exceed the bias by x."""
     forces = x
@@ -321,7 +376,3 @@ def _dot(a: Floats, b: Floats) -> float:
 
 def _total(a: Floats | Doubles) -> float:
     return float(a.sum(dtype=np.float64))
-
-
-def _mean(numbers: list[float]) -> float:
-    return sum(numbers) / len(numbers)

@@ -55,7 +55,7 @@ class SkinSolver(Solver):
     name = "skin"
     rotates = True
     adaptive = True
-    paces = (1, 3, 5, 8)
+    paces = (1, 3, 5, 8, 12, 16, 24)
     #: The sum of squares of larger ones could overflow float32.
     y_max = 1e14
 
@@ -65,7 +65,7 @@ class SkinSolver(Solver):
         basis: Basis,
         mask: Mask | None = None,
         *,
-        iterations: int = 8,
+        iterations: int = 24,
         fast: str = "auto",
         gates: Gates | str | None = None,
         tuning: SkinTuning | None = None,

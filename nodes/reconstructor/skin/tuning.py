@@ -16,10 +16,16 @@ class SkinTuning:
     a reason stated.
     """
 
-    #: Part of a step towards the divergence-free estimate: 1 diverges at M <= N/3.
+    #: Part of a step towards the divergence-free estimate: 1 diverges at M <= N/3. From this number
+    #: of steps on it falls, as their number rises: without that, dense loads diverge at N/8.
     damping: float = 0.5
-    #: Estimates of a frame that are averaged, each with a shift of its own.
-    averaged: int = 3
+    damped_from: int = 8
+    #: Weights of the estimates of a frame in their mean, each with a shift of its own: the power of
+    #: the mean squared residual that divides them, and that of a rise, which ends so many steps
+    #: before the last one. By larger powers of residuals, steps amplify rounding.
+    residual_power: float = 2.0
+    rise_power: float = 4.0
+    fully_averaged: int = 3
     #: Least error variance of z, in mean squared residuals.
     least_tau: float = 0.05
     #: Largest expected error of the denoiser, in noise variances: 1 / (1 - alpha) stays bounded.
@@ -47,6 +53,8 @@ class SkinTuning:
     #: ridge in noise variances, which draws it to 1.
     recall_memory: float = 0.8
     recall_ridge: float = 0.3
+    #: The same weight in the regressions of what the rows' filters had not expected on the motion.
+    motion_memory: float = 0.8
     #: Weight of the prediction in the estimate, E / (E + b P) by the error variances of both, whose
     #: errors are not independent: b.
     blend: float = 2.0

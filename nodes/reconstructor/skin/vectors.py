@@ -71,7 +71,7 @@ class StepPlan(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Means over the steps of a frame that are averaged."""
+    """Means over the steps of a frame, weighted as their estimates are."""
 
     expected2: float  # squared error that the denoiser expects
     residual2: float  # squared residual of the rows read, before the step
@@ -143,7 +143,7 @@ class Vectors(ABC):
 
     @abstractmethod
     def steps(self, plan: StepPlan) -> Steps:
-        """Iterate from the prediction; keep the last `SkinTuning.averaged` estimates."""
+        """Iterate from the prediction; keep a mean of the estimates."""
 
     @abstractmethod
     def clear(self) -> None:
