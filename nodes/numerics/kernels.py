@@ -38,8 +38,14 @@ _64 = np.float32(64)
 
 # Types of arguments: vector, matrix, places and tables of them, groups, list, numbers and tables of
 # them.
-V, M, P, P2 = float32[::1], float32[:, ::1], uint32[::1], uint32[:, ::1]
-G, L, D, DM = int64[:, ::1], int64[::1], float64[::1], float64[:, ::1]
+V = float32[::1]
+M = float32[:, ::1]
+P = uint32[::1]
+P2 = uint32[:, ::1]
+G = int64[:, ::1]
+L = int64[::1]
+D = float64[::1]
+DM = float64[:, ::1]
 
 
 class Transform(NamedTuple):
@@ -412,8 +418,11 @@ def fista(
 ) -> None:  # fmt: skip
     """Iterations of FISTA, one for each of betas; the two thetas alternate, the first is newest."""
     for beta in betas:
+        # Momentum.
         for k in range(z.size):
             z[k] = theta[k] + beta * (theta[k] - before[k])
+
+        # From coefficients to rows, of which those read become their measurements, and back.
         haar_transposed(z, grid[0], grid[1], half)
         for p in range(deal.size):
             v[p] = z[deal[p]]
@@ -424,6 +433,8 @@ def fista(
         for p in range(deal.size):
             z[deal[p]] = v[p]
         haar(z, grid[0], grid[1], half)
+
+        # Soft threshold.
         for k in range(z.size):
             u = weights2[k] * z[k]
             before[k] = u - min(max(u, -threshold[k]), threshold[k])
@@ -497,7 +508,10 @@ def product(w: A, matrix: A, out: A) -> None:
         y = w[u]
         for begin in range(0, n_columns, 4):
             j = min(begin, n_columns - 4)
-            p, q, r, s = matrix[j], matrix[j + 1], matrix[j + 2], matrix[j + 3]
+            p = matrix[j]
+            q = matrix[j + 1]
+            r = matrix[j + 2]
+            s = matrix[j + 3]
             xp = xq = xr = xs = _0
             yp = yq = yr = ys = _0
             for k in range(p.size):
@@ -543,9 +557,14 @@ def haar_shrink(w: A, limits: A, s: A, d: A) -> None:
     while n > 1:
         for k in range(n * n // 4):
             at = begin + 2 * (k // (n // 2)) * n + 2 * (k % (n // 2))
-            a, b, c, e = s[at], s[at + 1], s[at + n], s[at + n + 1]
+            a = s[at]
+            b = s[at + 1]
+            c = s[at + n]
+            e = s[at + n + 1]
             total = s[begin + n * n + k]
-            x, y, z = d[place], d[place + 1], d[place + 2]
+            x = d[place]
+            y = d[place + 1]
+            z = d[place + 2]
             for t in range(n_tiles):
                 up = a[t] + b[t]
                 down = c[t] + e[t]
@@ -585,9 +604,14 @@ def haar_shrink(w: A, limits: A, s: A, d: A) -> None:
         place -= 3 * n * n // 4
         for k in range(n * n // 4):
             at = begin + 2 * (k // (n // 2)) * n + 2 * (k % (n // 2))
-            a, b, c, e = s[at], s[at + 1], s[at + n], s[at + n + 1]
+            a = s[at]
+            b = s[at + 1]
+            c = s[at + n]
+            e = s[at + n + 1]
             total = s[begin + n * n + k]
-            x, y, z = d[place + 3 * k], d[place + 3 * k + 1], d[place + 3 * k + 2]
+            x = d[place + 3 * k]
+            y = d[place + 3 * k + 1]
+            z = d[place + 3 * k + 2]
             for t in range(n_tiles):
                 up = total[t] + x[t]
                 down = total[t] - x[t]

@@ -105,23 +105,26 @@ class AdaptiveSkinSolver(Solver):
         self._predicted: tuple[Doubles, Doubles] | None = None
         self._errors = [0.0, 0.0]
         self._changed = 1.0
-        self.error, self.trusted = None, True
+        self.error = None
+        self.trusted = True
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         y = self._checked_y(y)
-        phi, held = self._rows_of, self._held
-        rows = phi.rows
+        rows = self._rows_of.rows
         if self._predicted is not None:
             for k, predicted in enumerate(self._predicted):
                 error = float(np.mean(np.square(y - predicted[rows])))
                 self._errors[k] = MEMORY * self._errors[k] + (1 - MEMORY) * error
+
         self._age += 1
-        expected, before = self._expected(), held.now.copy()
-        held.begin()
-        held.read(rows, y)
-        self._x = np.maximum(held.update(), 0).astype(np.float32)
-        self._learn(expected, before)
-        held.end()
+        expected = self._expected()
+        last_details = self._held.now.copy()
+        self._held.begin()
+        self._held.read(rows, y)
+        self._x = np.maximum(self._held.update(), 0).astype(np.float32)
+        self._learn(expected, last_details)
+        self._held.end()
+
         # Rows that are not read again show no noise.
         self._filter.noise_sd = max(self.noise_sd, math.sqrt(self._rows_of.variance))
         self._filter.noise_model = self._noise_of_touched
@@ -141,7 +144,7 @@ class AdaptiveSkinSolver(Solver):
         forces = self._filter.finish()
         tree = self._rows_of.tree
         filtered = tree.analysis(forces.reshape(-1)[self.taxels])
-        self._predicted = tree.analysis(self._x), filtered
+        self._predicted = (tree.analysis(self._x), filtered)
         direct = self._errors[0] < CLEARLY * self._errors[1]
         if direct:
             forces = np.zeros(self.mask.size, dtype=np.float32)
@@ -152,27 +155,28 @@ class AdaptiveSkinSolver(Solver):
 
     def _expected(self) -> Doubles:
         """Expected squared change of each node's details since they were read."""
-        held = self._held
-        expected = held.changed2() + self._drift * np.minimum(self._age, SATURATED)
+        expected = self._held.changed2() + self._drift * np.minimum(self._age, SATURATED)
         # Forces are not negative: of an untouched node all are known.
-        expected[held.sums <= self._rows_of.untouched] = 0
+        expected[self._held.sums <= self._rows_of.untouched] = 0
         return expected
 
     @property
     def _noise_of_touched(self) -> NoiseModel | None:
         return self.noise_model and replace(self.noise_model, of_touched=True)
 
-    def _learn(self, expected: Doubles, before: Doubles) -> None:
+    def _learn(self, expected: Doubles, last_details: Doubles) -> None:
         """Compare the expected changes of the nodes that are read with the ones they had."""
-        nodes, held = self._rows_of.chosen, self._held
+        nodes = self._rows_of.chosen
         expected = np.maximum(expected, self._expected())[nodes]
         noise = 2 * self._rows_of.variance * self._rows_of.tree.n_details[nodes]
-        change = np.square(held.now[nodes] - before[nodes]).sum(axis=1)
+        change = np.square(self._held.now[nodes] - last_details[nodes]).sum(axis=1)
         change = np.maximum(change - noise, 0)
+
         total = float(expected.sum())
         if total > 0:
-            found = min(float(change.sum()) / total, 1.0)
-            self._changed = MEMORY * self._changed + (1 - MEMORY) * found
+            quotient = min(float(change.sum()) / total, 1.0)
+            self._changed = MEMORY * self._changed + (1 - MEMORY) * quotient
+
         drift = change / self._age[nodes]
         self._drift[nodes] = DRIFT_MEMORY * self._drift[nodes] + (1 - DRIFT_MEMORY) * drift
         self._age[nodes] = 0
@@ -181,14 +185,19 @@ class AdaptiveSkinSolver(Solver):
         """Set the error of the estimate, and whether it is trusted."""
         n = self._rows_of.n
         if self._rows_of.m == n:
-            self.error, self.trusted = None, True
+            self.error = None
+            self.trusted = True
             return
+
         missed = self._changed * float(self._expected().sum()) / n
         assert self._filter.error is not None
         # Frames after each other hold the same noise where they hold the same reading.
         noise = self._noise_of_touched
-        held = 0.0 if noise is None else KEPT * float(noise.variance(x).sum()) / n
-        error2 = max(missed, self._filter.error**2, held)
+        kept2 = 0.0
+        if noise is not None:
+            kept2 = KEPT * float(noise.variance(x).sum()) / n
+        error2 = max(missed, self._filter.error**2, kept2)
+
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
         noise2 = max(self._filter.noise2, self._rows_of.variance)

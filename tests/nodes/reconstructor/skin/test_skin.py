@@ -265,3 +265,24 @@ def test_directions_that_are_hardly_measured_are_left_out():
     rows = rows_of(phi)
     assert isinstance(rows, WhitenedRows)
     assert rows.n_rows == phi.m - 5
+
+
+@pytest.mark.parametrize("fast", ["on", "off"])
+def test_innovation_and_residual_are_those_of_the_rows_read(fast):
+    if fast == "on":
+        pytest.importorskip("numba")
+    phis, frames = phis_of(ROTATING), noisy(sliding_disc(SHAPE, 12))
+    solver = solver_of(phis, fast=fast)
+    for k, frame in enumerate(frames):
+        phi = phis[k % len(phis)]
+        y = phi.forward(frame.reshape(-1))
+        solver.use(phi)
+        solver.setup(y)
+        innovation = solver.innovation.copy()
+        for _ in range(solver.n_steps):
+            solver.step()
+        solver.finish()
+        assert solver.innovation.shape == solver.residual.shape == solver.read_rows.shape
+        np.testing.assert_array_equal(solver.innovation, innovation)
+    assert 0 < np.std(solver.residual) < np.std(solver.innovation)
+    assert solver.residual.dtype == solver.innovation.dtype == np.float32
