@@ -11,7 +11,7 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from .bias import Bias
 from .noise_level import NoiseLevel
 from .prediction import PredictionError, motion_of
-from .row_subset import FrameNumbers, RowSubset
+from .row_subset import FrameNumbers, Level, RowSubset
 from .rows import Rows
 from .tiles import SHIFTS
 from .trust import Fit, StatedError, TaxelNoise, Trust, estimate_error2
@@ -105,6 +105,7 @@ class SkinEstimator:
         self.stated_error.forget()
         self.trust.forget()
         self.error = 0.0
+        self._level = Level()
         self._n_shifts = 0
 
     def begin(self, fingerprint: str, y: Floats) -> None:
@@ -114,12 +115,13 @@ class SkinEstimator:
         if fingerprint not in self._subsets:
             self._subsets[fingerprint] = RowSubset(self._rows, len(y))
         subset = self._subsets[fingerprint]
-        comparison, sums = self.vectors.begin(y, subset, self.bias.value)
-        frame = subset.numbers(comparison)
+        last_noise = self.noise_level.variance
+        comparison, sums = self.vectors.begin(y, subset, self.bias.value, last_noise)
+        frame = subset.numbers(comparison, self._level)
         self._subset = subset
         self._frame = frame
 
-        noise = max(self.noise_level.variance, frame.floor)
+        noise = max(last_noise, frame.floor)
         motion = motion_of(sums, noise, self.error**2, self._tuning)
         innovation = self.vectors.predict(motion)
         noise = self._follow_noise(innovation, frame)
@@ -175,9 +177,7 @@ class SkinEstimator:
         """
         if n:
             self._iterate(n, n_formula)
-        if self._frame.is_silent:
-            self.vectors.clear()
-
+        self.vectors.fade(self._frame.silent)
         fit = self._settle(self._steps, self._frame)
         self._judge(fit, self._frame)
         self.bias.follow(
@@ -227,7 +227,7 @@ class SkinEstimator:
         """Set the stated error, and whether the estimate is trusted."""
         noise = self._taxel_noise(fit.settled)
         error2 = self.stated_error.follow(fit, noise, frame)
-        self.trust.follow_silence(frame.is_silent)
+        self.trust.follow_silence(frame.silent)
 
         level = self.noise_level
         of_skin = self.trust.noise_of_skin(self._noise, level, frame, self.noise_sd)

@@ -18,6 +18,9 @@ from .rows import Rows
 from .tiles import SHIFTS, Tiles, neighbours_of
 from .tuning import SkinTuning
 from .vectors import (
+    CERTAIN,
+    CLEAR_RATIO,
+    OUTLYING,
     UNKNOWN,
     Blend,
     Filtered,
@@ -78,15 +81,37 @@ class FrameVectors(Vectors):
         self.x = x
         self._x_rows = self._rows.forward(x)
 
-    def begin(self, y: Floats, subset: RowSubset, bias: float) -> tuple[Comparison, MotionSums]:
+    def begin(
+        self, y: Floats, subset: RowSubset, bias: float, noise: float
+    ) -> tuple[Comparison, MotionSums]:
         self._values = self._rows.values(y) - np.float32(bias) * subset.ones
         self._last_innovation = subset.innovation
+        self._doubt_values(subset, noise)
         comparison = Comparison(
             power=_total(np.square(y, dtype=np.float64)) / len(y),
             largest=float(np.abs(y).max()),
             change=float(np.abs(y - subset.y).max()),
         )
         return comparison, self._motion_sums()
+
+    def _doubt_values(self, subset: RowSubset, noise: float) -> None:
+        """Set the part of each value that is doubted, and the variance that it adds."""
+        squares = np.square(self._values - self._x_rows[self._rows.read], dtype=np.float64)
+        self.doubt = np.zeros(len(squares), dtype=np.float32)
+        for number in range(subset.n_blocks):
+            peers = np.flatnonzero(subset.block == number)
+            if len(peers) == 0:
+                continue
+            of_peers = squares[peers]
+            second, largest = np.partition(of_peers, -2)[-2:]
+            largest_other = np.where(of_peers == largest, second, largest)
+            others = (of_peers.sum() - of_peers - largest_other) / (len(peers) - 2)
+            ratio = of_peers / (OUTLYING * (others + noise) + TINY)
+            power = np.minimum(ratio, CLEAR_RATIO) ** 4
+            self.doubt[peers] = power / (1 + power)
+        self._certain = 1 - self.doubt
+        excess = self.doubt * squares / (self._certain + CERTAIN)
+        self._excess = excess.astype(np.float32)
 
     def _motion_sums(self) -> MotionSums:
         read = self._rows.read
@@ -96,7 +121,7 @@ class FrameVectors(Vectors):
         a = self._x_rows[read]
         b = down[read]
         c = across[read]
-        change = self._values - a
+        change = self._certain * (self._values - a)
         return MotionSums(
             aa=_dot(a, a),
             ab=_dot(a, b),
@@ -119,13 +144,14 @@ class FrameVectors(Vectors):
         moved = self.x + (growth * self.x + down * self._slopes[0] + across * self._slopes[1])
         self._predicted = np.minimum(moved.clip(0, None), np.float32(motion.bound))
         self._predicted_rows = self._rows.forward(self._predicted)
-        self.innovation = self._values - self._predicted_rows[read]
+        self.innovation = self._certain * (self._values - self._predicted_rows[read])
         self._estimate = self._predicted
 
         self._expected = (self._variance + self._change)[read]
         self._is_known: Mask = self._expected < UNKNOWN
         self._move_means(growth)
         self._off_mean = self._values - self._mean[read]
+        unexpected = self._certain * self._off_mean * self._is_known
 
         correction = self._correction[read]
         return Innovation(
@@ -135,7 +161,7 @@ class FrameVectors(Vectors):
             repeating=_dot(self._last_innovation, self._last_innovation - self.innovation),
             n_read=len(read),
             n_known=int(np.count_nonzero(self._is_known)),
-            filter_squares=_total(self._off_mean * self._off_mean * self._is_known),
+            filter_squares=_total(unexpected * unexpected),
             filter_variances=_total(self._expected * self._is_known),
         )
 
@@ -146,7 +172,7 @@ class FrameVectors(Vectors):
         read = self._rows.read
         grown = growth * self._x_rows
         translated = (self._predicted_rows - self._x_rows) - grown
-        unexpected = (self._values - self._mean[read]) * self._is_known
+        unexpected = self._certain * (self._values - self._mean[read]) * self._is_known
 
         memory = self._tuning.motion_memory
         growth_part = self._growth.follow(grown[read] * self._is_known, unexpected, memory)
@@ -188,7 +214,7 @@ class FrameVectors(Vectors):
     def _read_values(self, variances: RowVariances) -> None:
         """Update the targets and the filters of the rows read by their values."""
         read = self._rows.read
-        noise = np.float32(variances.noise)
+        noise = np.float32(variances.noise) + self._excess
         floor = np.float32(variances.floor)
 
         target = self._target[read]
@@ -196,7 +222,7 @@ class FrameVectors(Vectors):
         gain = variance / (variance + noise)
         self._target[read] = target + gain * (self._values - target)
         self._target_variance[read] = np.maximum(gain * noise, floor)
-        self._off_target = self._values - self._target[read]
+        self._off_target = self._certain * (self._values - self._target[read])
 
         expected = self._expected + np.float32(variances.change)
         gain = expected / (expected + noise)
@@ -281,15 +307,15 @@ class FrameVectors(Vectors):
         self._z = z + np.float32(damping) * (free - z)
         return x, expected * float(s) ** 2, residual2
 
-    def clear(self) -> None:
-        self._predicted = np.zeros_like(self._predicted)
-        self._estimate = self._predicted
+    def fade(self, part: float) -> None:
+        self._predicted = np.float32(1 - part) * self._predicted
+        self._estimate = np.float32(1 - part) * self._estimate
 
     def settle(self, blend: Blend, ones: Floats) -> Settled:
         part = np.float32(blend.part)
         self.start_from((1 - part) * self._estimate + part * self._predicted)
         self._correction = self._x_rows - self._predicted_rows
-        self.residual = self._values - self._x_rows[self._rows.read]
+        self.residual = self._certain * (self._values - self._x_rows[self._rows.read])
 
         # A taxel within the noise counts as unpressed.
         x = self.x

@@ -33,12 +33,15 @@ class Rows(ABC):
         Place p of a vector of taxels holds taxel[p].
     read : ndarray of intp, shape (m,)
         Rows that this frame reads, ascending.
+    blocks : ndarray of int64, shape (m,), or None
+        Number of the block of taxels that each of them sums; None where rows are no blocks.
     """
 
     n: int
     n_rows: int
     taxel: Indices
     read: Indices
+    blocks: Indices | None = None
 
     @abstractmethod
     def use(self, phi: Phi) -> bool:
@@ -69,6 +72,7 @@ class ReadRows(NamedTuple):
     read: Indices  # ascending
     order: Indices  # of the measurements, so that their rows ascend
     places: Indices  # the row of each measurement
+    blocks: Indices  # block of the rows, in their order
 
 
 class HadamardRows(Rows):
@@ -100,6 +104,7 @@ class HadamardRows(Rows):
         subset = self._of(phi)
         self.read = subset.read
         self.order = subset.order
+        self.blocks = subset.blocks
         return True
 
     def _of(self, phi: Phi) -> ReadRows:
@@ -107,7 +112,9 @@ class HadamardRows(Rows):
             assert isinstance(phi, SbhePhi)
             places = self._place_of_row[phi.rows]
             order = np.argsort(places)
-            subset = ReadRows(shared(places[order]), shared(order), shared(places))
+            ends = np.cumsum(phi.sizes)
+            blocks = np.searchsorted(ends, phi.rows[order], side="right")
+            subset = ReadRows(*map(shared, (places[order], order, places, blocks)))
             self._subsets[phi.fingerprint] = subset
         return self._subsets[phi.fingerprint]
 

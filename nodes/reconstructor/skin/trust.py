@@ -107,21 +107,20 @@ class Trust:
         self.holds = True
         self._silence = 0.0  # average of the frames without any measurement but 0
 
-    def follow_silence(self, is_silent: bool) -> None:
-        """Note whether a frame was silent."""
+    def follow_silence(self, silent: float) -> None:
+        """Update the silence by the part by which a frame was silent."""
         tuning = self._tuning
-        if is_silent:
-            self._silence = self._silence + tuning.noise_rate * (1 - self._silence)
-        else:
-            self._silence = tuning.silence_kept * self._silence
+        rising = self._silence + tuning.noise_rate * (1 - self._silence)
+        falling = tuning.silence_kept * self._silence
+        self._silence = silent * rising + (1 - silent) * falling
 
     def noise_of_skin(
         self, noise: float, level: NoiseLevel, frame: FrameNumbers, stated_sd: float
     ) -> float:
         """Return the noise variance of the skin, whatever passes for it in motion."""
         # Of a skin that was silent, what no force explains is hardly noise, unless it is stated.
-        if not frame.is_silent:
-            noise = max(noise * (1 - self._silence), stated_sd**2)
+        heard = (1 - frame.silent) * self._silence
+        noise = max(noise * (1 - heard), min(noise, stated_sd**2))
         return noise / level.trust
 
     def judge(

@@ -15,6 +15,14 @@ from .row_subset import Comparison, RowSubset
 UNKNOWN = 1e34
 """Variance of a row that was not read yet, beyond that of any measurement."""
 
+OUTLYING = 64.0
+"""Squared change of a measurement, in the mean of its block, at which half of it is doubted.
+Derived: signs of rows are random, so that 8 deviations occur in one of 10^15 measurements."""
+CLEAR_RATIO = 1e4
+"""The same in `OUTLYING`, beyond which a larger change does not count: its power stays finite."""
+CERTAIN = 1e-6
+"""Least part of a measurement that is not doubted: its variance stays finite."""
+
 NEGLIGIBLE = 1e-3
 """Length of a change, in that of an innovation, which does not show its direction."""
 
@@ -107,13 +115,16 @@ class Vectors(ABC):
     ----------
     x : ndarray, shape (n,)
         The last estimate.
+    doubt : ndarray, shape (n_read,)
+        Part of each value of the rows read that no force explains, 0 to 1; set by `begin`.
     innovation : ndarray, shape (n_read,)
-        Values of the rows read less those predicted; set by `predict`.
+        Values of the rows read less those predicted, without what is doubted; set by `predict`.
     residual : ndarray, shape (n_read,)
-        Values of the rows read less W x of the estimate; set by `settle`.
+        Values of the rows read less W x of the estimate, without what is doubted; set by `settle`.
     """
 
     x: Floats
+    doubt: Floats
     innovation: Floats
     residual: Floats
 
@@ -130,8 +141,16 @@ class Vectors(ABC):
         """Take x, float32 (n,), for the last estimate."""
 
     @abstractmethod
-    def begin(self, y: Floats, subset: RowSubset, bias: float) -> tuple[Comparison, MotionSums]:
-        """Begin a frame of measurements y, float32 (m,), of a row subset; subtract the bias."""
+    def begin(
+        self, y: Floats, subset: RowSubset, bias: float, noise: float
+    ) -> tuple[Comparison, MotionSums]:
+        """Begin a frame of measurements y, float32 (m,), of a row subset, whose noise variance was
+        `noise`: subtract the bias, and doubt those that no force explains.
+
+        All rows of a block but its sum add its taxels with random signs: a change of forces moves
+        all of them alike. So a squared change is compared with the mean of the others in its block,
+        but for the largest, which may be faulty, too.
+        """
 
     @abstractmethod
     def predict(self, motion: Motion) -> Innovation:
@@ -146,8 +165,8 @@ class Vectors(ABC):
         """Iterate from the prediction; keep a mean of the estimates."""
 
     @abstractmethod
-    def clear(self) -> None:
-        """Replace prediction and estimates of the frame by 0: nothing presses."""
+    def fade(self, part: float) -> None:
+        """Subtract a part of prediction and estimate of the frame: 1 where nothing presses."""
 
     @abstractmethod
     def settle(self, blend: Blend, ones: Floats) -> Settled:
