@@ -30,6 +30,12 @@ class Reason(StrEnum):
         "measurements repeat exactly",
         "The measurements repeat exactly, on a skin with noise.",
     )
+    QUIET = (
+        "quiet",
+        "measurements lack the noise of the skin",
+        "The measurements have less noise than the skin states and has shown: they are scaled "
+        "down, or what they measure stands still.",
+    )
     CLIPPED = (
         "clipped",
         "many measurements share an extreme value",

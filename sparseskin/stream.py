@@ -16,6 +16,7 @@ from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import suggestion
 from sparseskin.nodes.numerics.arrays import real_floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise, solve_watched
 from sparseskin.nodes.reconstructor.limits import options_for_range
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 from sparseskin.nodes.reconstructor.solvers.base import (
@@ -74,7 +75,10 @@ class Stream:
         RMS error of a taxel of the last reconstructed frame as the solver estimates it, newtons,
         where it does.
     trusted : bool
-        False if that error is a large part of the forces; True also where it is not estimated.
+        False if the frame is not to be acted on, as `reason` states.
+    reason : str
+        Word of the `messages.Reason`, such as "error" where that error is a large part of the
+        forces, or "frozen"; "" if there is none.
 
     Raises
     ------
@@ -143,6 +147,7 @@ class Stream:
         self._host.check_phi(phi)
         self._n_compressed = self._n_reconstructed = 0
         self.error: float | None = None
+        self.reason = ""
         self.trusted = True
 
     def __repr__(self) -> str:
@@ -161,8 +166,15 @@ class Stream:
         options = options_for_range(name, chosen, skin.f_max, phi)
         fast = self._host.fast
         solver = make_rotating_solver(name, self._phis, basis, skin.mask, fast=fast, **options)
-        solver.noise_sd, solver.noise_model = self._noise_sd, self._noise_model
+        solver.noise_sd = self._noise_sd
+        solver.noise_model = self._noise_model
         return solver
+
+    @cached_property
+    def _watch(self) -> FaultWatch:
+        """What looks at each frame, as in a graph."""
+        noise = Noise(self._skin.f_max, self._noise_sd, self._noise_model)
+        return FaultWatch(noise, self._skin.exists)
 
     def compress(self, frame: Floats) -> Floats:
         """Measure the next frame.
@@ -229,15 +241,21 @@ class Stream:
             allowed = "allowed: a whole number, 0 or more"
             raise SolverError(f"stream: k = {k!r} is not allowed; {allowed}")
         self._n_reconstructed = int(k) + 1
+        phi = self._phis[k % len(self._phis)]
         if len(self._phis) > 1:
-            self._solver.use(self._phis[k % len(self._phis)])
-        forces = self._solver.solve(y)
-        self.error, self.trusted = estimated_error(self._solver)
-        return forces
+            self._solver.use(phi)
+        verdict = solve_watched(self._solver, self._watch, phi, y)
+        self.error, _ = estimated_error(self._solver)
+        self.reason = str(verdict.reason)
+        self.trusted = not self.reason
+        return verdict.forces
 
     def reset(self) -> None:
         """Forget all frames: the next one is number 0."""
         self._n_compressed = self._n_reconstructed = 0
-        self.error, self.trusted = None, True
+        self.error = None
+        self.reason = ""
+        self.trusted = True
         if "_solver" in vars(self):
             self._solver.reset()
+            self._watch.reset()

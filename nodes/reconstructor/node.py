@@ -332,7 +332,6 @@ def _is_alike(message: Message, known: Message) -> bool:
 
 def _rehearse(settings: ReconstructorSettings) -> None:
     """Reconstruct one empty frame of a small skin: no frame of the graph waits for an import."""
-    np.median(np.zeros(1))  # numpy.ma, which the watch of faults would wait for
     chosen = dict(settings.chosen())
     names = chosen.pop("solver"), chosen.pop("basis")
     if any(":" in name for name in names):

@@ -17,7 +17,7 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
-from sparseskin.nodes.reconstructor.faults.watch import FaultWatch
+from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise
 from sparseskin.nodes.reconstructor.solvers.base import (
     Solver,
     estimated_error,
@@ -25,7 +25,6 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     measured,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.touch import in_contact
 
 from .budget import SHARE, steps_within
 from .limits import (
@@ -41,6 +40,10 @@ from .settings import PRESETS, ReconstructorSettings
 
 if TYPE_CHECKING:
     from .contact_tracks import ContactTracker, Followed
+
+
+OF_MEASUREMENTS = (Reason.CONSTANT, Reason.FROZEN, Reason.CLIPPED)
+"""Reasons that measurements show as they are received: they come before others."""
 
 
 class Solved(NamedTuple):
@@ -64,12 +67,13 @@ class Patch:
         self.settings = settings
         self.log = log
         self.solver: Solver | None = None
-        self.faults = FaultWatch(settings.watch_rows, settings.watch_taxels, log)
+        self.faults = FaultWatch(Noise(1.0), np.ones((1, 1), dtype=np.bool_))  # until `set_up`
         self.solved: Solved | None = None
         #: Steps of a frame that the budget allows.
         self.most_steps = 0
         self._error: float | None = None
-        self._trusted = True
+        self._believed: Floats | None = None
+        self._found = ""
         self._f_max = 0.0
         self._missing: Mask | None = None
         self._blind = False  # a reading is missing whose neighbours are missing, too
@@ -133,7 +137,7 @@ class Patch:
                 )
         self.settings, self.solver, self._subsets = settings, solver, subsets
         self.most_steps = most_steps
-        self.faults.set_up({one.fingerprint: one for one in subsets}, state, solver.mask)
+        self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
             name = chosen["solver"]
             self._uncertainty = Uncertainty(solver.mask, phi.ratio, name, announced.rows, phi.rule)
@@ -157,15 +161,22 @@ class Patch:
             "frame_ms": frame_ms,
         }
 
+    def _watch_faults(self, settings: ReconstructorSettings, skin: SkinState, mask: Mask) -> None:
+        """Watch the frames of a skin from now on."""
+        self.faults = FaultWatch(
+            Noise(skin.f_max, skin.least_sd, _noise_model(skin)),
+            mask,
+            self.log,
+            watch_rows=settings.watch_rows,
+            watch_taxels=settings.watch_taxels,
+        )
+
     def set_noise(self, skin: SkinState) -> None:
         """Hand the noise that the skin states to the solver."""
         self._f_max = skin.f_max
         if isinstance(self.solver, Solver):
             self.solver.noise_sd = skin.least_sd
-            if skin.sigma_mid:
-                sigmas = skin.sigma_mid, skin.sigma_end
-                model = NoiseModel(skin.f_max, *sigmas, clips=skin.clips_noise)
-                self.solver.noise_model = model
+            self.solver.noise_model = _noise_model(skin)
         if self._tracker is not None:
             self._tracker.set_noise(skin)
 
@@ -187,11 +198,9 @@ class Patch:
         assert self.solver is not None
         if len(self._subsets) > 1:
             self.solver.use(phi)
-        self.faults.watch_repeats(phi, y)
-        self._phi, self._given, self._y = phi, y, y
-        self._constant = self.faults.is_constant(y)
-        if not self._constant:
-            self._given, self._y = self.faults.cleaned(phi, y, self._last)
+        self._phi = phi
+        self._believed = self.faults.receive(self.solver, phi, y)
+        self._y = y if self._believed is None else self._believed
 
     @property
     def resultant(self) -> Estimate | None:
@@ -201,68 +210,54 @@ class Patch:
     def solve(self) -> None:
         """Reconstruct the frame within its budget. Raises SolverError if the solver cannot."""
         assert self.solver is not None
-        if self._constant:  # it measures nothing: the last forces, or none
-            if self._last is None:
-                self._last = np.zeros(self.solver.mask.shape, dtype=np.float32)
-            self._n_steps = self._solve_ns = 0
+        self._n_steps = 0
+        self._solve_ns = 0
+        if self._believed is None:  # it holds nothing of the skin
             return
         begin_ns = time.perf_counter_ns()
-        self.solver.setup(self._y, self._warm)
+        self.solver.setup(self._believed, self._warm)
         self._n_steps = min(self.most_steps, self.solver.n_steps)
         for _ in range(self._n_steps):
             self.solver.step()
         self._last = self.solver.finish()
-        self._error, self._trusted = estimated_error(self.solver)
+        self._error, _ = estimated_error(self.solver)
         self._solve_ns = time.perf_counter_ns() - begin_ns
         self._warm = None
 
     def check(self) -> Solved:
-        """Compare the frame that was solved with its measurements."""
+        """Look at the frame that was solved, and compare it with its measurements."""
         assert self.solver is not None
-        assert self._last is not None
-        forces = self._last
-        following = (self._subsets.index(self._phi) + 1) % len(self._subsets)
-        self._following = self._subsets[following]
-        self._fitted, self._next = measured(self.solver, forces, self._phi, self._following)
-        left = np.subtract(self._y, self._fitted, dtype=np.float64)
-        bound = self._error or 0.0 if self._trusted else math.inf
-        filled, reason = self.faults.checked(forces, left, bound)
-        residual = math.sqrt(float(np.dot(left, left)) / left.size)
-        sd = None if self._uncertainty is None else self._uncertainty.update(forces, residual)
-        if sd is not None and self._missing is not None:
-            sd[self._missing] = self._f_max  # nothing is known of them
-        error, reason = self._error, self._reason(reason)
-        self.solved = Solved(filled, sd, self._n_steps, residual, self._solve_ns, error, reason)
+        if self._believed is None:
+            verdict = self.faults.nothing()
+        else:
+            assert self._last is not None
+            verdict = self.faults.look(self.solver, self._phi, self._last)
+        forces = verdict.forces if self._last is None else self._last
+        (self._fitted,) = measured(self.solver, forces, self._phi)
+        residuals = np.subtract(self._y, self._fitted, dtype=np.float64)
+        residual = math.sqrt(float(np.dot(residuals, residuals)) / residuals.size)
+
+        sd = None
+        if self._uncertainty is not None:
+            sd = self._uncertainty.update(forces, residual)
+            if self._missing is not None:
+                sd[self._missing] = self._f_max  # nothing is known of them
+        self._found = verdict.reason
+        reason = self._reason(verdict.reason)
+        numbers = self._n_steps, residual, self._solve_ns, self._error
+        self.solved = Solved(verdict.forces, sd, *numbers, reason)
         return self.solved
 
-    def _reason(self, of_forces: str) -> str:
-        """Why the frame is not to be trusted; "" if it is. `of_forces` is that of its forces."""
-        reasons = (
-            (Reason.CONSTANT, self._constant),
-            (Reason.FROZEN, self.faults.frozen),
-            (Reason.MISSING, self._blind),
-            (Reason.WEAK if self._is_weak else Reason.ERROR, not self._trusted),
-            (Reason.ROWS, self.faults.swamped),
-            (Reason.STUCK, self.faults.doubts_taxels),
-        )
-        return next((reason for reason, applies in reasons if applies), of_forces)
-
-    @property
-    def _is_weak(self) -> bool:
-        """True if a frame is not trusted, though neither its forces nor its estimated error stand
-        out of the noise of the skin.
-        """
-        noise, error, forces = getattr(self.solver, "noise_sd", 0.0), self._error, self._last
-        if self._trusted or error is None or forces is None or error > noise:
-            return False
-        return not in_contact(forces, self._f_max, noise)
+    def _reason(self, of_frame: str) -> str:
+        """Why the frame is not to be trusted; "" if it is. `of_frame` is what was found of it."""
+        if self._blind and of_frame not in OF_MEASUREMENTS:
+            return Reason.MISSING
+        return of_frame
 
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""
         assert self.solved is not None
-        self.faults.watch_repeats(phi, y)
-        self._constant = self.faults.is_constant(y)
-        reason = self._reason("")
+        reason = self.faults.glance(phi, y) or self._reason(self._found)
         self.solved = self.solved._replace(iterations=0, solve_ns=0, reason=reason)
 
     def contacts(self, stamp_ns: int) -> Followed | None:
@@ -273,18 +268,20 @@ class Patch:
 
     def learn(self) -> None:
         """Learn from the frame that was solved, once it is published."""
-        assert self.solver is not None
-        assert self.solved is not None
-        solver, forces, phi = self.solver, self._last, self._phi
-        assert forces is not None
-        if self._constant:
+        if self._believed is None or self._resultant is None:
             return
-        if self.faults.update(phi, self._given, self._y, forces, self._fitted):
-            # The effect of faulty measurements on the estimate would last for long.
-            self._warm, self._last = np.zeros_like(forces), None
-        else:
-            self.faults.expect(self._following, self._next)
-        if self._resultant is not None:
-            x, bias = forces.reshape(-1)[solver.taxels], getattr(solver, "bias", 0.0)
-            self._resultant.learn(phi, self._y, x, self._fitted, bias)
-            self._resultant.prepare(self._following)
+        assert self.solver is not None
+        assert self._last is not None
+        following = (self._subsets.index(self._phi) + 1) % len(self._subsets)
+        x = self._last.reshape(-1)[self.solver.taxels]
+        bias = getattr(self.solver, "bias", 0.0)
+        self._resultant.learn(self._phi, self._y, x, self._fitted, bias)
+        self._resultant.prepare(self._subsets[following])
+
+
+def _noise_model(skin: SkinState) -> NoiseModel | None:
+    """The noise that a skin states; None if it states none."""
+    if not skin.sigma_mid:
+        return None
+    sigmas = skin.sigma_mid, skin.sigma_end
+    return NoiseModel(skin.f_max, *sigmas, clips=skin.clips_noise)

@@ -1,219 +1,376 @@
-"""Faulty measurements and taxels: found, excluded from the frames, and logged."""
+"""Faults of frames: found in measurements, innovations and forces, marked, and kept from them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sparseskin.messages import SkinState
+from sparseskin.messages import Reason
 from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+from sparseskin.nodes.reconstructor.solvers.base import Solver
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.touch import in_contact
 
-from .frame import FrameWatch, FrozenWatch
-from .rows import RowWatch
-from .taxels import TaxelWatch, listed
+from .noise import NoiseWatch
+from .offset import OffsetWatch
+from .repeats import RepeatWatch
+from .stuck import PRESSED, Evidence, StuckTaxels
+
+LEAST_MIXED = 8.0
+"""Least number of taxels that a measurement sums, of rows that are compared."""
+N_PROBED = 8
+"""Rows that are probed for it."""
+LEAST_BACKGROUND = 0.05
+"""Least variance of a stuck taxel's innovation, in that of a working one: all of it is known where
+all taxels are read. Chosen."""
+BEYOND = 0.1
+"""Part of f_max by which the error of a reconstruction may exceed it: such forces are f_max."""
+SWAMPED = 0.25
+"""Largest part of the measurements that may be faulty; with more, something else is wrong."""
+DOUBTED, DOUBT_RATE = 0.5, 0.2
+"""Mean doubt of a measurement from which on it is named, and its rate per frame."""
+MOST_NAMED = 8
+"""Most measurements or taxels that a line names."""
+MAX_CELLS = 256
+"""Most stuck taxels whose cells are published: more are no single faults."""
+
+
+class Noise(NamedTuple):
+    """Noise of the readings of a skin, in the unit of the forces, as far as it states it."""
+
+    f_max: float
+    least_sd: float = 0.0  # least standard deviation; 0: not stated
+    model: NoiseModel | None = None
+
+
+class Verdict(NamedTuple):
+    """What is found of a frame: forces with stuck taxels filled in, float32 (n_rows, n_cols); why
+    they are not to be trusted, "" if they are; faulty measurements by number; stuck taxels by cell.
+    """
+
+    forces: Floats
+    reason: str
+    rows: tuple[int, ...] = ()
+    taxels: tuple[int, ...] = ()
 
 
 class FaultWatch:
-    """Detects faulty measurements and taxels, and excludes them from the frames.
+    """Looks at the frames of one patch, for a solver that reconstructs them.
 
-    Of a Phi that chooses its taxels or rows anew in each frame there are no rows to follow.
+    `receive` looks at the measurements before they are solved, `look` at the result: the graph,
+    `Stream` and `reconstruct` call both through `solve_watched`. No measurement is ever replaced.
+    Those that no force explains have a larger variance in the solver; of a fault that is known, a
+    constant reading or offset, that constant is subtracted; all others are marked.
 
     Parameters
     ----------
-    watch_rows, watch_taxels : bool
-        Search for faulty measurements; for faulty taxels.
+    noise : Noise
+    exists : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
     log : callable
         Receives one line of text.
+    watch_rows, watch_taxels : bool
+        Search for faulty measurements; for stuck taxels.
     """
 
-    def __init__(self, watch_rows: bool, watch_taxels: bool, log: Callable[[str], None]) -> None:
-        self._watch_rows, self._watch_taxels = watch_rows, watch_taxels
-        self._log = log
-        self._rows: dict[str, RowWatch] = {}
-        self._rows_text = ""
-        self._taxels: TaxelWatch | None = None
-        self._noisy = self._chosen = False
-        self._frozen = FrozenWatch(0.0)
-        self._frame: FrameWatch | None = None
-        self._expected: tuple[str, Floats] | None = None
-        self._constant = self._outlying = False
+    def __init__(
+        self,
+        noise: Noise,
+        exists: Mask,
+        log: Callable[[str], None] | None = None,
+        *,
+        watch_rows: bool = True,
+        watch_taxels: bool = True,
+    ) -> None:
+        self._noise = noise
+        self._exists = exists
+        self._cells = np.flatnonzero(exists)
+        self._log = log or _no_log
+        self._watch_rows = watch_rows
+        self._watch_taxels = watch_taxels
+        self.reset()
 
-    @property
-    def frozen(self) -> bool:
-        """True while all measurements repeat exactly, as those of a board that hangs."""
-        return self._frozen.frozen
+    def reset(self) -> None:
+        """Forget all frames."""
+        noise = self._noise
+        self._repeats = RepeatWatch(noise.least_sd)
+        self._measured_noise = NoiseWatch()
+        self._offset: OffsetWatch | None = None
+        if noise.least_sd > 0:
+            self._offset = OffsetWatch(noise.least_sd)
+        self._stuck = StuckTaxels(len(self._cells))
+        self._subtracted: dict[str, Floats] = {}
+        self._doubts: dict[str, Floats] = {}
+        self._last_forces: Floats | None = None
+        self._received: Reason | None = None
+        self._n_logged: dict[str, int] = {}
+        self._mixing: dict[str, bool] = {}
+        self._was_offset = False
 
     @property
     def text(self) -> str:
-        """What is excluded from the measurements now, and whether all repeat; "" if nothing is."""
-        frozen = "all measurements repeat exactly" if self.frozen else ""
-        offset = 0.0 if self._frame is None else self._frame.offset
-        common = f"offset of all measurements subtracted: {offset:.2g}" if offset else ""
-        taxels = "" if self._taxels is None else self._taxels.text
-        return "; ".join(filter(None, (frozen, common, self._rows_text, taxels)))
+        """What is subtracted or doubted now; "" if nothing is."""
+        parts = []
+        if self._received is Reason.FROZEN:
+            parts.append(Reason.FROZEN.phrase)
+        if self._offset is not None and self._offset.value:
+            parts.append(f"offset of all measurements subtracted: {self._offset.value:.2g}")
+        doubted = self._doubted_rows()
+        if doubted:
+            parts.append(f"measurements doubted: {listed(doubted)}")
+        if self._stuck.is_stuck.any():
+            parts.append(f"stuck taxels left out: {self._names(self._stuck.is_stuck.nonzero()[0])}")
+        return "; ".join(parts)
 
     @property
     def taxels(self) -> list[int]:
-        """Flat cells of the taxels excluded now, as in `TaxelWatch`."""
-        return [] if self._taxels is None else self._taxels.cells
+        """Flat cells of the stuck taxels, in order; of many the first `MAX_CELLS`."""
+        cells = self._cells[self._stuck.is_stuck]
+        return [int(cell) for cell in cells[:MAX_CELLS]]
 
     @property
     def swamped(self) -> bool:
-        """True if so many measurements disagree that excluding them would be no remedy."""
-        contradicted = self._frame is not None and self._frame.contradicted
-        return contradicted or any(watch.swamped for watch in self._rows.values())
+        """True if so many measurements are doubted that something else is wrong."""
+        return any(float(doubt.mean()) > SWAMPED for doubt in self._doubts.values())
 
     @property
-    def doubts_taxels(self) -> bool:
-        """True while a row, column or square of taxels may be stuck; as in `TaxelWatch`."""
-        return self._taxels is not None and self._taxels.doubts
+    def last_forces(self) -> Floats:
+        """The last frame, float32 (n_rows, n_cols); zeros if there is none."""
+        if self._last_forces is None:
+            return np.zeros(self._exists.shape, dtype=np.float32)
+        return self._last_forces
 
-    def set_up(self, subsets: dict[str, Phi], state: SkinState, mask: Mask) -> None:
-        """Watch these row subsets, by fingerprint, and the skin with existing taxels `mask`."""
-        # On a skin that does not state its noise, constant readings may be right.
-        self._noisy = state.sigma_mid > 0
-        self._chosen = any(isinstance(phi, ActsPhi | AdaptivePhi) for phi in subsets.values())
-        self._frozen = FrozenWatch(state.least_sd)
-        self._frame = FrameWatch(state, mask) if self._noisy else None
-        self._expected = None
-        self._mask = mask
-        self._rows = {
-            fingerprint: self._rows.get(fingerprint) or RowWatch(phi)
-            for fingerprint, phi in subsets.items()
-        }
-        self._describe_rows()
-        self._taxels = None
-        if self._watch_taxels and self._noisy:
-            noise = NoiseModel(state.f_max, state.sigma_mid, state.sigma_end)
-            self._taxels = TaxelWatch(mask, noise, self._log)
-
-    def watch_repeats(self, phi: Phi, y: Floats) -> None:
-        """Process measurements as they were received, float32 (m,)."""
-        if isinstance(phi, AdaptivePhi):
-            y = y[: phi.tree.n_tiles]  # the rows that all frames have
-        if self._frozen.update(phi.fingerprint, y):
-            if self.frozen:
-                self._log(
-                    "all measurements repeat exactly, on a skin with noise: not trusted until they "
-                    "change; does the board hang?"
-                )
-            else:
-                self._log("measurements change again")
-
-    def is_constant(self, y: Floats) -> bool:
-        """True if measurements as they were received, float32 (m,), hold nothing: all are equal."""
-        constant = self._frame is not None and self._frame.is_constant(y)
-        if constant and not self._constant:
-            self._log(
-                f"all measurements of a frame are {float(y[0]):.3g}, on a skin with noise: such "
-                "frames are left out, and not trusted; does the converter or the link drop out?"
-            )
-        self._constant |= constant
-        return constant
-
-    def expect(self, phi: Phi, measured: Floats) -> None:
-        """Take Phi times the last frame, float32 (m,), for what the next frame is compared with."""
-        if not self._chosen:
-            self._expected = phi.fingerprint, measured
-
-    def cleaned(self, phi: Phi, y: Floats, last: Floats | None) -> tuple[Floats, Floats]:
-        """Return y without the readings of stuck taxels and the offset of all measurements; and
-        with Phi `last` for faulty measurements, too.
-
-        y and both results are float32 (m,); `last` is the last frame as the solver reconstructed
-        it, float32 (n_rows, n_cols), or None.
+    def receive(self, solver: Solver, phi: Phi, y: Floats) -> Floats | None:
+        """Look at measurements as received, float32 (m,), newtons; return those to be solved, or
+        None if they hold nothing of the skin. y is kept, not copied.
         """
-        given = y if self._taxels is None else self._taxels.cleaned(phi, y)
-        if not (self._watch_rows and self._noisy) or isinstance(phi, ActsPhi):
-            return given, given
-        assert self._frame is not None
-        known, self._expected = self._expected, None
-        if last is None:
-            expected = np.zeros(phi.m, dtype=np.float32)
-        elif known is not None and known[0] == phi.fingerprint:
-            expected = known[1]
+        if self.glance(phi, y) in (Reason.CONSTANT, Reason.FROZEN):
+            return None
+
+        believed = y
+        if self._stuck.is_stuck.any():
+            believed = np.subtract(y, self._stuck_readings(phi))
+        expected = getattr(solver, "expected", None)
+        if self._watch_rows and expected is not None:
+            believed = self._without_offset(phi, believed, expected(phi))
+            solver.faulty = self._repeats.faulty
+        return believed
+
+    def glance(self, phi: Phi, y: Floats) -> str:
+        """Look at measurements as received alone; return why they cannot be right, "" if they can.
+        """
+        reason = None
+        if self._mixes(phi):
+            reason = self._repeats.look(phi.fingerprint, y)
+        if reason is not self._received and reason is not None:
+            self._note(reason, f"{reason.phrase}: not trusted")
+        self._received = reason
+        return reason or ""
+
+    def _stuck_readings(self, phi: Phi) -> Floats:
+        """What a phi measures of the readings of stuck taxels."""
+        if phi.fingerprint not in self._subtracted:
+            self._subtracted[phi.fingerprint] = phi.forward(self._stuck.value)
+        return self._subtracted[phi.fingerprint]
+
+    def _without_offset(self, phi: Phi, y: Floats, expected: Floats) -> Floats:
+        if self._offset is None:
+            return y
+        offset = self._offset.look(phi, np.asarray(y - expected))
+        if bool(offset) != self._was_offset:
+            self._was_offset = bool(offset)
+            change = f"an offset of {offset:.2g}, which is subtracted" if offset else "no offset"
+            self._note("offset", f"all measurements have {change}")
+        return np.asarray(y - np.float32(offset)) if offset else y
+
+    def look(self, solver: Solver, phi: Phi, forces: Floats) -> Verdict:
+        """Look at the frame that a solver reconstructed of what `receive` returned, float32
+        (n_rows, n_cols), by phi.
+        """
+        innovation = getattr(solver, "innovation", None)
+        if innovation is not None:
+            self._follow_noise(innovation, forces)
+            self._follow_doubt(solver, phi)
+            if self._watch_taxels:
+                self._look_for_stuck(solver, forces)
+        if self._stuck.is_stuck.any():
+            forces = self._stuck.filled(forces, self._exists)
+        forces, is_beyond = self._within_range(forces)
+        self._last_forces = forces
+        return self._verdict(forces, self._reason(solver, phi, forces, is_beyond=is_beyond))
+
+    def nothing(self) -> Verdict:
+        """The verdict of a frame that holds nothing: the last forces, not trusted."""
+        assert self._received is not None
+        return self._verdict(self.last_forces, self._received)
+
+    def _mixes(self, phi: Phi) -> bool:
+        """True if each measurement sums several taxels: single ones may well repeat, clipped at 0."""
+        if phi.fingerprint not in self._mixing:
+            chooses = isinstance(phi, ActsPhi | AdaptivePhi)
+            self._mixing[phi.fingerprint] = not chooses and mixed_taxels(phi) >= LEAST_MIXED
+        return self._mixing[phi.fingerprint]
+
+    def _verdict(self, forces: Floats, reason: str) -> Verdict:
+        return Verdict(forces, reason, self._doubted_rows(), tuple(self.taxels))
+
+    def _follow_noise(self, innovation: Floats, forces: Floats) -> None:
+        """Compare the innovation with the noise that the skin states."""
+        model = self._noise.model
+        if model is None:
+            return
+        stated = float(model.variance(forces[self._exists]).mean())
+        self._measured_noise.look(float(innovation @ innovation) / len(innovation), stated)
+
+    def _follow_doubt(self, solver: Solver, phi: Phi) -> None:
+        """Follow the doubt of each measurement of a row subset."""
+        doubt = getattr(solver, "doubt", None)
+        if doubt is None:
+            return
+        mean = self._doubts.get(phi.fingerprint)
+        if mean is None:
+            mean = np.zeros(phi.m, dtype=np.float32)
+            self._doubts[phi.fingerprint] = mean
+        was_doubted = mean > DOUBTED
+        mean += np.float32(DOUBT_RATE) * (doubt - mean)
+        new = np.flatnonzero((mean > DOUBTED) & ~was_doubted)
+        if len(new):
+            self._note("rows", f"measurements doubted, no force explains them: {listed(new)}")
+
+    def _doubted_rows(self) -> tuple[int, ...]:
+        rows = {int(row) for mean in self._doubts.values() for row in np.flatnonzero(mean > DOUBTED)}
+        return tuple(sorted(rows))
+
+    def _look_for_stuck(self, solver: Solver, forces: Floats) -> None:
+        evidence = self._evidence(solver, forces[self._exists])
+        if evidence is None:
+            return
+        least_force = PRESSED * (self._noise.least_sd or math.sqrt(self._least_noise(solver)))
+        last_value = self._stuck.value.copy()
+        new = self._stuck.look(evidence, least_force)
+        change = self._stuck.value - last_value
+        if not change.any():
+            return
+        self._subtracted.clear()
+        if len(new):
+            values = self._stuck.value[new]
+            self._note("stuck", f"taxels {self._names(new)} are stuck at {values.mean():.3g}")
+        image = np.zeros(self._exists.shape, dtype=np.float32)
+        image[self._exists] = change
+        solver.subtract(image)
+
+    def _evidence(self, solver: Solver, forces: Floats) -> Evidence | None:
+        """What a frame shows of each taxel; None where nothing is known of its noise."""
+        model = self._noise.model
+        if model is not None:
+            if not self._measured_noise.is_shown:
+                return None
+            noise = model.variance(forces).astype(np.float64)
         else:
-            expected = phi.forward(last[self._mask])
-        was_off = bool(self._frame.offset)
-        if isinstance(phi, AdaptivePhi):
-            given = believed = self._frame.cleaned_of_choice(phi, y, expected)
-        else:
-            watch = self._rows[phi.fingerprint]
-            given, believed = self._frame.cleaned(watch.rows, given, expected)
-            if watch.n_out:
-                believed = np.where(watch.left_out, expected, believed).astype(np.float32)
-        self._log_frame(was_off)
-        return given, believed
+            least = self._least_noise(solver)
+            if not least:
+                return None
+            noise = np.full(len(forces), least)
+        project: Any = getattr(solver, "projection", None)
+        projection = None if project is None else project()
+        if projection is None:
+            return None
+        own = projection.own * noise
+        background = np.maximum(projection.background, LEAST_BACKGROUND * own)
+        return Evidence(forces, projection.projected, background, own)
 
-    def _log_frame(self, was_off: bool) -> None:
-        """Log the first outliers, and an offset that begins or ends."""
-        assert self._frame is not None
-        if self._frame.n_outlying and not self._outlying:
-            self._outlying = True
-            self._log(
-                "measurements of a frame contradict the others and the frame before: such "
-                "measurements are left out of their frame"
-            )
-        offset = self._frame.offset
-        if offset and not was_off:
-            self._log(f"all measurements share an offset of {offset:.2g}, which is subtracted")
-        elif was_off and not offset:
-            self._log("all measurements have no offset any more")
+    def _least_noise(self, solver: Solver) -> float:
+        """Noise variance of an untouched taxel, as far as measurements show it; 0: not known."""
+        if not self._repeats.is_lively:
+            return 0.0
+        return float(getattr(solver, "least_noise2", 0.0))
 
-    def checked(self, forces: Floats, left: Doubles, error: float) -> tuple[Floats, str]:
-        """Return the frame with faulty taxels filled in and forces within the range, and why they
-        cannot be right; arguments as in `FrameWatch.checked`.
-        """
-        if self._taxels is not None:
-            forces = self._taxels.filled(forces)
-        return (forces, "") if self._frame is None else self._frame.checked(forces, left, error)
+    def _within_range(self, forces: Floats) -> tuple[Floats, bool]:
+        """Forces of at most f_max; True if one is beyond it by more than an error."""
+        f_max = self._noise.f_max
+        largest = float(forces.max(initial=0))
+        if largest <= f_max:
+            return forces, False
+        if largest > (1 + BEYOND) * f_max:
+            return forces, True
+        return np.minimum(forces, np.float32(f_max)), False
 
-    def update(
-        self, phi: Phi, given: Floats, believed: Floats, forces: Floats, fitted: Floats
-    ) -> bool:
-        """Process a frame as the solver reconstructed it.
+    def _reason(self, solver: Solver, phi: Phi, forces: Floats, *, is_beyond: bool) -> str:
+        """Why a frame is not to be trusted; "" if it is."""
+        if self._received is not None:
+            return self._received
+        if is_beyond:
+            return Reason.RANGE
+        if not getattr(solver, "trusted", True):
+            return Reason.WEAK if self._is_weak(solver, forces) else Reason.ERROR
+        if self._measured_noise.is_quiet:
+            return Reason.QUIET
+        if self._watch_rows and self.swamped:
+            return Reason.ROWS
+        if self._stuck.is_doubted or self._stuck.is_blind(self._exists):
+            return Reason.STUCK
+        if self._offset is not None and self._watch_rows:
+            if self._offset.looks_alike(phi, forces[self._exists]):
+                return Reason.OFFSET
+        return ""
 
-        `given` and `believed` are as `cleaned` returned them, `fitted` is Phi times the forces.
-        Return True if a faulty measurement was found that the estimate has used so far.
-        """
-        if self._taxels is not None and isinstance(phi, AdaptivePhi):
-            self._taxels.search(forces)
-        if self._chosen or not self._noisy:
+    def _is_weak(self, solver: Solver, forces: Floats) -> bool:
+        """True if neither the forces nor the estimated error stand out of the stated noise."""
+        error = getattr(solver, "error", None)
+        noise_sd = self._noise.least_sd
+        if error is None or error > noise_sd:
             return False
-        residual = believed - fitted
-        if self._taxels is not None:
-            self._taxels.update(phi, forces, residual)
-        if not self._watch_rows:
-            return False
-        left = residual if given is believed else given - fitted
-        return self._update_rows(self._rows[phi.fingerprint], given, left)
+        return not in_contact(forces, self._noise.f_max, noise_sd)
 
-    def _update_rows(self, watch: RowWatch, y: Floats, residual: Floats) -> bool:
-        before, was_swamped = watch.left_out, watch.swamped
-        if watch.update(y, residual):
-            self._describe_rows()
-            new, healed = watch.left_out & ~before, before & ~watch.left_out
-            for rows, what in ((new, "left out, faulty"), (healed, "used again")):
-                if rows.any():
-                    self._log(f"measurements {what}: {listed(np.flatnonzero(rows).tolist())}")
-            return bool(new.any())
-        if watch.swamped and not was_swamped:
-            self._log(
-                "a quarter of all measurements and more do not fit each other: none more is left "
-                "out; is the skin's mask right?"
-            )
-        return False
+    def _names(self, taxels: Indices) -> str:
+        n_cols = self._exists.shape[1]
+        cells = self._cells[taxels].tolist()
+        return listed([f"({cell // n_cols}, {cell % n_cols})" for cell in cells])
 
-    def _describe_rows(self) -> None:
-        several = len(self._rows) > 1
-        parts = []
-        for subset, watch in enumerate(self._rows.values()):
-            if out := np.flatnonzero(watch.left_out).tolist():
-                where = f" of row subset {subset}" if several else ""
-                parts.append(f"{len(out)} of {watch.left_out.size}{where} ({listed(out)})")
-        self._rows_text = f"faulty measurements left out: {'; '.join(parts)}" if parts else ""
+    def _note(self, kind: str, line: str) -> None:
+        """Log a line; of one kind the first ones, then each tenth, hundredth ..."""
+        count = self._n_logged.get(kind, 0) + 1
+        self._n_logged[kind] = count
+        if count <= 3 or math.log10(count).is_integer():
+            self._log(line)
+
+
+def solve_watched(solver: Solver, watch: FaultWatch, phi: Phi, y: Floats) -> Verdict:
+    """Reconstruct a frame of measurements y, float32 (m,), of a row subset, and look at it.
+
+    Raises SolverError as `Solver.solve` does.
+    """
+    believed = watch.receive(solver, phi, y)
+    if believed is None:
+        return watch.nothing()
+    return watch.look(solver, phi, solver.solve(believed))
+
+
+def mixed_taxels(phi: Phi) -> float:
+    """Return the smallest participation ratio of some rows: how many taxels each sums, at least."""
+    probes = np.linspace(0, phi.m - 1, min(N_PROBED, phi.m)).astype(np.intp)
+    least = math.inf
+    for row in probes:
+        unit = np.zeros(phi.m, dtype=np.float32)
+        unit[row] = 1
+        weights = np.square(phi.adjoint(unit), dtype=np.float64)
+        least = min(least, float(weights.sum() ** 2 / max(np.square(weights).sum(), TINY)))
+    return least
+
+
+def listed(names: Sequence[object] | Indices) -> str:
+    """The first `MOST_NAMED` of some names, and how many more there are."""
+    text = ", ".join(str(name) for name in names[:MOST_NAMED])
+    if len(names) > MOST_NAMED:
+        text += f" and {len(names) - MOST_NAMED} more"
+    return text
+
+
+def _no_log(_: str) -> None:
+    """Log nothing."""

@@ -108,13 +108,16 @@ class SkinEstimator:
         self._level = Level()
         self._n_shifts = 0
 
-    def begin(self, fingerprint: str, y: Floats) -> None:
+    def begin(self, fingerprint: str, y: Floats, faulty: Floats | None = None) -> None:
         """Begin a frame of measurements y, float32 (m,), of the row subset that the rows are for,
         which has this fingerprint: predict it, and set the targets of its rows.
+
+        `faulty`, float32 (n_read,), is 1 for a row read whose value is not to count; None: all do.
         """
         if fingerprint not in self._subsets:
             self._subsets[fingerprint] = RowSubset(self._rows, len(y))
         subset = self._subsets[fingerprint]
+        subset.faulty[:] = 0 if faulty is None else faulty
         last_noise = self.noise_level.variance
         comparison, sums = self.vectors.begin(y, subset, self.bias.value, last_noise)
         frame = subset.numbers(comparison, self._level)

@@ -91,6 +91,8 @@ class RowSubset:
         The last measurements of this subset.
     innovation : ndarray of float32, shape (n_read,)
         Of its last frame.
+    faulty : ndarray of float32, shape (n_read,)
+        1 for a measurement that is not to count, else 0.
     was_read : bool
         True if there was a frame of this subset; y and innovation are 0 else.
     """
@@ -103,6 +105,7 @@ class RowSubset:
         self.n_blocks = int(self.block.max(initial=-1)) + 1
         self.y = np.zeros(m, dtype=np.float32)
         self.innovation = np.zeros(len(self.ones), dtype=np.float32)
+        self.faulty = np.zeros(len(self.ones), dtype=np.float32)
         self.was_read = False
 
     def keep(self, y: Floats, innovation: Floats) -> None:

@@ -35,6 +35,8 @@ class Rows(ABC):
         Rows that this frame reads, ascending.
     blocks : ndarray of int64, shape (m,), or None
         Number of the block of taxels that each of them sums; None where rows are no blocks.
+    block_of_taxel : ndarray of int64, shape (n,)
+        Number of the block of each place of a vector of taxels; 0 where rows are no blocks.
     """
 
     n: int
@@ -42,6 +44,7 @@ class Rows(ABC):
     taxel: Indices
     read: Indices
     blocks: Indices | None = None
+    block_of_taxel: Indices
 
     @abstractmethod
     def use(self, phi: Phi) -> bool:
@@ -91,6 +94,7 @@ class HadamardRows(Rows):
         self.n_rows = phi.n
         taxels, rows = self._transform_of(phi)
         self.taxel = shared(phi.permutation[taxels])
+        self.block_of_taxel = shared(np.searchsorted(np.cumsum(phi.sizes), taxels, side="right"))
         self._place_of_row = shared(np.argsort(rows))
         self._subsets: dict[str, ReadRows] = {}
         self.use(phi)
@@ -106,6 +110,12 @@ class HadamardRows(Rows):
         self.order = subset.order
         self.blocks = subset.blocks
         return True
+
+    def in_order(self, of_read: Floats, phi: Phi) -> Floats:
+        """Numbers of the rows read, float32 (m,), in the order of the measurements of a phi."""
+        of_measurements = np.empty_like(of_read)
+        of_measurements[self._of(phi).order] = of_read
+        return of_measurements
 
     def _of(self, phi: Phi) -> ReadRows:
         if phi.fingerprint not in self._subsets:
@@ -172,6 +182,7 @@ class WhitenedRows(Rows):
     def __init__(self, phi: Phi) -> None:
         self.n = phi.n
         self.taxel = np.arange(phi.n)
+        self.block_of_taxel = np.zeros(phi.n, dtype=np.intp)
         self._subsets: dict[str, tuple[Phi, Floats | None]] = {}
         self._phi = phi
         self.use(phi)

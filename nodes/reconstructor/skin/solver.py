@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, shared
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
@@ -16,10 +18,18 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
 from .frame_vectors import FrameVectors
 from .gates import Gates, gates_of
-from .rows import CompiledRows, rows_of
+from .rows import CompiledRows, HadamardRows, rows_of
 from .tiles import tiles_of
 from .tuning import SkinTuning
 from .vectors import Vectors
+
+
+class Projection(NamedTuple):
+    """What a change shows of each taxel; vectors (n,), of the taxels in row-major order."""
+
+    projected: Floats  # the change, projected back to the taxels
+    background: Doubles  # its variance by the errors of the other taxels
+    own: Doubles  # its variance by an error of the taxel, in the variance of that
 
 
 class SkinSolver(Solver):
@@ -127,9 +137,59 @@ class SkinSolver(Solver):
         return self._estimator.noise_level.variance
 
     @property
-    def read_rows(self) -> Indices:
-        """Rows of W that the measurements of the row subset read, ascending, intp (n_read,)."""
-        return self._rows.read
+    def least_noise2(self) -> float:
+        """That of an untouched skin, as known so far; 0: not known."""
+        level = self._estimator.noise_level
+        return level.least if level.is_known else 0.0
+
+    @property
+    def doubt(self) -> Floats | None:
+        """Part of each measurement that no force explains, float32 (m,), 0 to 1; after `setup`.
+        None where measurements are no rows of W.
+        """
+        if not isinstance(self._rows, HadamardRows):
+            return None
+        return self._rows.in_order(self._estimator.vectors.doubt, self.phi)
+
+    def expected(self, phi: Phi) -> Floats:
+        """Return what a phi measures of the last estimate and the bias, float32 (m,)."""
+        (measured,) = self._rows.measured(self._estimator.vectors.x, phi)
+        if self.bias:
+            ones = phi.forward(np.ones(phi.n, dtype=np.float32))
+            measured = measured + np.float32(self.bias) * ones
+        return measured
+
+    def subtract(self, forces: Floats) -> None:
+        """Subtract forces, float32 (n_rows, n_cols), from the state of the last frame: the next
+        ones are measured without them.
+        """
+        self._estimator.vectors.subtract(forces.reshape(-1)[self._cells])
+
+    def projection(self) -> Projection | None:
+        """Return what the change of measurements since the last estimate shows of each taxel; None
+        for single taxels, of which most frames show nothing.
+
+        It is not the innovation: the motion that is fitted to a few taxels takes up their noise.
+        """
+        if isinstance(self.phi, SubsamplePhi):
+            return None
+        rows = self._rows
+        change = self._estimator.vectors.change
+        of_rows = np.zeros(rows.n_rows, dtype=np.float32)
+        of_rows[rows.read] = change
+
+        # The mean square of the change is that of the errors of the taxels.
+        blocks = np.zeros(len(rows.read), dtype=np.intp) if rows.blocks is None else rows.blocks
+        sizes = np.bincount(rows.block_of_taxel)
+        n_read = np.bincount(blocks, minlength=len(sizes))
+        squares = np.bincount(blocks, weights=np.square(change), minlength=len(sizes))
+        seen = n_read / sizes
+        background = seen * (1 - seen) * squares / np.maximum(n_read, 1)
+
+        place = self._place.flat[self.taxels]
+        block = rows.block_of_taxel[place]
+        projected = rows.adjoint(of_rows)[place]
+        return Projection(projected, background[block], np.square(seen)[block])
 
     @property
     def innovation(self) -> Floats:
@@ -151,7 +211,10 @@ class SkinSolver(Solver):
             estimator.vectors.start_from(np.maximum(forces, 0))
         estimator.noise_sd = self.noise_sd
         estimator.noise_model = self.noise_model
-        estimator.begin(self.phi.fingerprint, y)
+        faulty = None
+        if self.faulty is not None and isinstance(self._rows, HadamardRows):
+            faulty = self._rows.values(self.faulty.astype(np.float32))
+        estimator.begin(self.phi.fingerprint, y, faulty)
         self._steps_left = self.n_steps
 
     def measured(self, forces: Floats, *phis: Phi) -> list[Floats]:

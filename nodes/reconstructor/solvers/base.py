@@ -90,6 +90,8 @@ class Solver(ABC):
     #: forces.
     trusted: bool = True
     noise_sd: float = 0.0
+    #: Measurements of the next frame that are not to count, bool (m,); None: all count.
+    faulty: Mask | None = None
     #: Noise of the readings, as the skin states it; None where it does not.
     noise_model: NoiseModel | None = None
 
@@ -196,6 +198,11 @@ class Solver(ABC):
         if not self.rotates and phi.fingerprint != self.phi.fingerprint:
             raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
         self._subset_stated = True
+
+    def subtract(self, forces: Floats) -> None:
+        """Note that the next frames are measured without forces, float32 (n_rows, n_cols), that
+        those before had: nothing is done by solvers without a state of measurements.
+        """
 
     def use_pace(self, n_steps: int) -> None:
         """Do this many steps in each frame from now on; one of `paces`."""

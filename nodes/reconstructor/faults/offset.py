@@ -1,0 +1,130 @@
+"""An offset that all measurements share, as of a converter that drifts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, shared
+
+SIGNIFICANT = 6.0
+"""Deviations of its mean that a common change has at least. Derived: of normal innovations one of
+10^9 has it."""
+UNLIKE = 4.0
+"""Deviations by which the mean of a block may differ from a common change. Derived: of 100 blocks
+one differs by it in one of 150 frames."""
+HEAVY = 0.25
+"""Share of the largest |Phi 1| beyond which a row shows any contact more than an offset."""
+MOST_ALIKE = 0.3
+"""Part of the energy of any taxel's press that a common change may explain: on skins of less than
+four blocks the press of one taxel looks like an offset."""
+LONE = 0.9
+"""Part of the squared forces of a frame on the taxels that an offset looks like."""
+
+
+class OffsetRows:
+    """What does not change of the rows of a Phi.
+
+    Attributes
+    ----------
+    is_told_apart : bool
+        True if no taxel's press looks like an offset.
+    taxels : ndarray of intp
+        Taxels, in row-major order, whose press together looks like one: one of each block.
+    block, starts : ndarray of intp, shape (m,), (n_blocks,)
+        Block of each row, and the first row of each block.
+    light : ndarray of bool, shape (m,)
+        Rows that sum taxels with random signs.
+    n_light : ndarray of float32, shape (n_blocks,)
+        Number of those of each block, 1 if there is none.
+    """
+
+    def __init__(self, phi: Phi) -> None:
+        sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
+        alike = phi.n / phi.m**2 * float(np.square(sums).max())
+        self.is_told_apart = alike <= MOST_ALIKE
+        self.taxels: Indices = np.flatnonzero(sums > 0.9 * sums.max())
+
+        size = np.abs(phi.forward(np.ones(phi.n, dtype=np.float32)))
+        self.light: Mask = shared(size <= HEAVY * size.max())
+        _, self.starts, block = np.unique(_blocks_of(phi), return_index=True, return_inverse=True)
+        self.block = shared(block)
+        n_light = np.add.reduceat(self.light.astype(np.float32), self.starts)
+        self.n_light: Floats = np.maximum(n_light, 1)
+
+
+def _blocks_of(phi: Phi) -> Indices:
+    """Number of the block of taxels that each row sums; 0 if there are no blocks."""
+    if not isinstance(phi, SbhePhi):
+        return np.zeros(phi.m, dtype=np.intp)
+    ends = np.cumsum(phi.sizes)
+    return np.searchsorted(ends, phi.rows, side="right")
+
+
+class OffsetWatch:
+    """Follows an offset of all measurements: a significant change that is the same in all blocks.
+
+    Forces change the measurements of blocks in different ways. Where a skin has few blocks the two
+    cannot be told apart, and no offset is subtracted.
+
+    Parameters
+    ----------
+    noise_sd : float
+        Least standard deviation of a measurement, in the unit of the forces, above 0.
+
+    Attributes
+    ----------
+    value : float
+        The offset now, in the unit of the forces.
+    """
+
+    def __init__(self, noise_sd: float) -> None:
+        self._noise_sd = noise_sd
+        self._rows: dict[str, OffsetRows] = {}
+        self.value = 0.0
+
+    def rows_of(self, phi: Phi) -> OffsetRows:
+        """What does not change of the rows of a Phi."""
+        if phi.fingerprint not in self._rows:
+            self._rows[phi.fingerprint] = OffsetRows(phi)
+        return self._rows[phi.fingerprint]
+
+    def look(self, phi: Phi, innovation: Floats) -> float:
+        """Update the offset by what measurements exceed their expectation by, float32 (m,); return
+        it.
+        """
+        rows = self.rows_of(phi)
+        if not rows.is_told_apart:
+            return 0.0
+        change = float(innovation.mean()) - self.value
+        # As in nearly all frames.
+        if innovation.size * change**2 <= (SIGNIFICANT * self._noise_sd) ** 2 / 2:
+            return self.value
+
+        light = np.where(rows.light, innovation - np.float32(self.value), 0)
+        means = np.add.reduceat(light, rows.starts) / rows.n_light
+        common = float(light.sum() / rows.n_light.sum())
+        within = rows.light * (light - means[rows.block])
+        variance = max(float(within @ within) / innovation.size, self._noise_sd**2)
+        weight = innovation.size / variance
+        apart = rows.n_light * np.square(means - common) / variance
+        if weight * common**2 > SIGNIFICANT**2 and apart.max() < UNLIKE**2:
+            self.value += common
+            if weight * self.value**2 < SIGNIFICANT**2:
+                self.value = 0.0
+        return self.value
+
+    def looks_alike(self, phi: Phi, forces: Floats) -> bool:
+        """True if forces, float32 (n,), of the taxels in row-major order, are those that an offset
+        looks like, where the skin does not tell them apart.
+        """
+        rows = self.rows_of(phi)
+        if rows.is_told_apart:
+            return False
+        lone = forces[rows.taxels]
+        if lone.min(initial=math.inf) < SIGNIFICANT * self._noise_sd:
+            return False
+        return float(lone @ lone) > LONE * float(forces @ forces)

@@ -1,0 +1,145 @@
+"""Measurements without noise, on a skin with noise: equal, clipped or repeated ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparseskin.messages import Reason
+from sparseskin.messages.quantised import step_of
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+
+LEAST_NOISE = 0.5
+"""Least deviation of the noise, in steps of the quantiser, at which measurements cannot repeat by
+themselves."""
+LIVELY, LEARNING = 0.98, 10
+"""Part of the measurements that change from frame to frame, and the number of frames that show it,
+from which on a skin that states no noise has some. Chosen: of recordings whose untouched taxels
+read 0 some measurements repeat."""
+LIVELY_RATE = 0.05
+"""Rate per frame of that part."""
+CHANCE = 1e-9
+"""Probability of a chance event that passes for a fault."""
+RARE = 1e-3
+"""Least probability that a measurement repeats by chance: with it, 3 repeats are a fault."""
+FRAMES = 4
+"""Least number of frames in a row that repeat exactly. Chosen: a link or a driver that delivers a
+frame twice is no fault."""
+
+
+@dataclass
+class _Subset:
+    """State of the rows of a subset."""
+
+    y: Floats  # last measurements
+    n_repeats: np.ndarray[tuple[int], np.dtype[np.int64]]  # of each measurement, in a row
+
+
+class RepeatWatch:
+    """Finds frames and measurements that lack the noise of the skin.
+
+    Noise makes all measurements of a frame differ, and each of them differ from frame to frame. A
+    frame of equal ones is "constant", one in which many share an extreme value "clipped"; frames
+    that repeat are "frozen". A single measurement that repeats is faulty.
+
+    Parameters
+    ----------
+    least_sd : float
+        Least standard deviation of the noise of a taxel that the skin states, in the unit of the
+        forces; 0 where it states none: then the measurements show whether there is noise.
+
+    Attributes
+    ----------
+    faulty : ndarray of bool, shape (m,), or None
+        Measurements of the last frame that repeat alone; None: there are none.
+    """
+
+    def __init__(self, least_sd: float) -> None:
+        self._least_sd = least_sd
+        self._subsets: dict[str, _Subset] = {}
+        self._last_y: Floats | None = None
+        self._lively = 0.0
+        self._n_compared = 0
+        self._n_frozen = 0
+        self.faulty: Mask | None = None
+
+    @property
+    def is_lively(self) -> bool:
+        """True if nearly all measurements so far changed from frame to frame."""
+        return self._n_compared >= LEARNING and self._lively >= LIVELY
+
+    def look(self, subset: str, y: Floats) -> Reason | None:
+        """Process measurements of a row subset as received, float32 (m,); return why the frame
+        cannot be right, if so. y is kept, not copied; `subset` is the fingerprint of its Phi.
+        """
+        self.faulty = None
+        known = self._subsets.get(subset)
+        is_repeated = self._repeats_last(y) or (known is not None and _are_equal(known.y, y))
+        self._n_frozen = self._n_frozen + 1 if is_repeated else 0
+        self._last_y = y
+
+        has_noise = self._has_noise(y)
+        reason = None
+        if has_noise:
+            reason = self._reason(y)
+        if known is None:
+            self._subsets[subset] = _Subset(y, np.zeros(y.size, dtype=np.int64))
+        elif reason is None and not is_repeated:
+            self._compare(known, y, has_noise)
+        return reason
+
+    def _repeats_last(self, y: Floats) -> bool:
+        """True if a frame repeats the one before, whatever its rows: a hung board sends it."""
+        return self._last_y is not None and _are_equal(self._last_y, y)
+
+    def _has_noise(self, y: Floats) -> bool:
+        if self._least_sd > 0:
+            return self._least_sd > LEAST_NOISE * step_of(y)
+        return self.is_lively
+
+    def _reason(self, y: Floats) -> Reason | None:
+        n_least = least_ties(y.size, step_of(y) > 0)
+        n_lowest = int(np.count_nonzero(y == y.min()))
+        if n_lowest == y.size and y.size >= n_least:
+            return Reason.CONSTANT
+        if self._n_frozen >= FRAMES and CHANCE > 0.5 ** (self._n_frozen * y.size):
+            return Reason.FROZEN
+        n_highest = int(np.count_nonzero(y == y.max()))
+        if max(n_lowest, n_highest) >= n_least:
+            return Reason.CLIPPED
+        return None
+
+    def _compare(self, known: _Subset, y: Floats, has_noise: bool) -> None:
+        """Compare the measurements with the last ones of their subset."""
+        repeats = known.y == y
+        known.y = y
+        known.n_repeats = np.where(repeats, known.n_repeats + 1, 0)
+        chance = max(1 - self._lively, RARE)
+        if has_noise:
+            # After so many repeats no chance is left.
+            n_needed = math.ceil(math.log(CHANCE) / math.log(min(chance, 0.5)))
+            faulty = known.n_repeats >= n_needed
+            if faulty.any():
+                self.faulty = faulty
+
+        self._n_compared += 1
+        rate = max(LIVELY_RATE, 1 / self._n_compared)
+        changed = 1 - np.count_nonzero(repeats) / y.size
+        self._lively += rate * (changed - self._lively)
+
+
+def least_ties(m: int, is_quantised: bool) -> int:
+    """Least number of the m measurements of a frame that share an extreme value not by chance.
+
+    Two float32 numbers of noise are hardly ever equal. Steps of a quantiser, of twice the noise at
+    most, hold half of the measurements of an untouched skin, but not at an end.
+    """
+    if is_quantised:
+        return max(8, m // 4)
+    return 4
+
+
+def _are_equal(a: Floats, b: Floats) -> bool:
+    return a.size == b.size and a[0] == b[0] and bool(np.array_equal(a, b))
