@@ -40,7 +40,6 @@ _QUARTER = np.float32(1 / 4)
 _FIFTH = np.float32(1 / 5)
 _SIXTH = np.float32(1 / 6)
 _SEVENTH = np.float32(1 / 7)
-_EIGHTH = np.float32(1 / 8)
 _NINTH = np.float32(1 / 9)
 # A float32 is 9 bits, of sign and exponent, and the 23 of its mantissa.
 _N_MANTISSA = np.uint32(23)
@@ -981,10 +980,10 @@ def follow_recall(
 @compiled(sums_in_any_order=True)
 def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
     """Replace numbers of 0 to 1 by factor * number^exponent, where the exponent is 0 to 1, to the
-    rounding of float32: in a fifth of the time of pow, which is not computed on several at once.
+    rounding of float32: in a quarter of the time of pow, which is not computed on several at once.
 
-    A number is sqrt(2) 2^k (1 + q) / (1 - q), with abs(q) < 0.172: the factor that 2^k stands for
-    is found in a table by the bits of k, and the rest is exp(2 exponent artanh(q)).
+    A number is sqrt(2) 2^k (1 + q) / (1 - q), with abs(q) < 0.172. What comes of 2^k is in a table,
+    by the bits of k; the rest is exp(2 exponent artanh(q)).
     """
     per_binade = np.exp2(np.float64(exponent))
     of_binade = np.empty(256, np.float32)
@@ -994,19 +993,23 @@ def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
         power /= per_binade
     of_binade[128:] = of_binade[127]
 
-    double = np.float32(2 * exponent)
+    # Split each number into that of its table and its mantissa.
+    factors = np.empty(numbers.size, np.float32)
     bits = numbers.view(np.uint32)
     for p in range(numbers.size):
-        mantissa = np.uint32(bits[p] & _MANTISSA | _BITS_OF_1).view(np.float32)
-        q = (mantissa - _ROOT_2) / (mantissa + _ROOT_2)
+        factors[p] = of_binade[bits[p] >> _N_MANTISSA]
+        bits[p] = bits[p] & _MANTISSA | _BITS_OF_1
+
+    double = np.float32(2 * exponent)
+    for p in range(numbers.size):
+        q = (numbers[p] - _ROOT_2) / (numbers[p] + _ROOT_2)
         q2 = q * q
         artanh = q * (_1 + q2 * (_THIRD + q2 * (_FIFTH + q2 * (_SEVENTH + q2 * _NINTH))))
         e = double * artanh
-        series = _1 + e * _SEVENTH * (_1 + e * _EIGHTH)
-        series = _1 + e * _FIFTH * (_1 + e * _SIXTH * series)
-        series = _1 + e * _THIRD * (_1 + e * _QUARTER * series)
-        series = _1 + e * (_1 + e * _HALF * series)
-        numbers[p] = of_binade[bits[p] >> _N_MANTISSA] * series
+        series = _1 + e * _SIXTH * (_1 + e * _SEVENTH)
+        series = _1 + e * _QUARTER * (_1 + e * _FIFTH * series)
+        series = _1 + e * _HALF * (_1 + e * _THIRD * series)
+        numbers[p] = factors[p] * (_1 + e * series)
 
 
 @compiled(sums_in_any_order=True)
