@@ -1032,12 +1032,14 @@ def set_targets(
     for p in range(n):
         change[p] = min(change[p] + new_change, unknown)
 
-    # For now the variance without the share of the filter, and its correction.
+    # For now the part of the variance that the filter leaves, and its correction. A quotient and
+    # a product in one loop could be computed in another order, and overflow.
     for p in range(n):
         of_filter = variance[p] + of_dependent(change[p], factor, doubt, unknown)
-        total = prior + of_filter
-        target_variance[p] = of_filter / total
-        target[p] = (prior / total) * (mean[p] - predicted_rows[p])
+        target_variance[p] = of_filter / (prior + of_filter)
+        target[p] = prior / (prior + of_filter)
+    for p in range(n):
+        target[p] *= mean[p] - predicted_rows[p]
 
     recalled = follow_recall(recall, measured, target, filters, variances, constants)
     raise_all(target_variance, recalled, prior)
