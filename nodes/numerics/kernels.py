@@ -260,15 +260,14 @@ class StepConstants(NamedTuple):
 
 
 class StepInputs(NamedTuple):
-    """All that the steps of a frame take."""
+    """What the steps of all frames take: it is made once, as long as the scratch is the same."""
 
     transform: Transform
-    measured: Measured
+    prediction: Prediction
     targets: Targets
     iterates: Iterates
     tiles: TileMaps
     denoiser: Denoiser
-    plan: Plan
     constants: StepConstants
 
 
@@ -319,8 +318,8 @@ FILTER_CONSTANTS = group(FilterConstants, *(6 * [float64]))
 PLAN = group(Plan, int64, int64, int64, float64, float64)
 STEP_CONSTANTS = group(StepConstants, *(7 * [float64]))
 STEP_INPUTS = group(
-    *(StepInputs, TRANSFORM, MEASURED, TARGETS, ITERATES),
-    *(TILE_MAPS, DENOISER, PLAN, STEP_CONSTANTS),
+    *(StepInputs, TRANSFORM, PREDICTION, TARGETS, ITERATES),
+    *(TILE_MAPS, DENOISER, STEP_CONSTANTS),
 )
 BLEND_NUMBERS = group(BlendNumbers, *(4 * [float64]))
 NOISE_CURVE = group(NoiseCurve, *(7 * [float64]))
@@ -665,9 +664,9 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def compare(received: A, bias: Any, values: A) -> tuple[float, float, float]:
-    """Subtract the bias from measurements in the order of the rows read. Return their sum of
-    squares, the largest one and the largest change since the last ones.
+def compare(y: A, received: A, bias: Any, values: A) -> tuple[float, float, float]:
+    """Set values to measurements y in the order of the rows read, less the bias. Return their sum
+    of squares, the largest one and the largest change since the last ones.
     """
     order = received.order
     last_y = received.last_y
@@ -676,11 +675,11 @@ def compare(received: A, bias: Any, values: A) -> tuple[float, float, float]:
     largest = _0
     change = _0
     for i in range(values.size):
-        y = values[i]
-        squares += np.float64(y) ** 2
-        largest = max(largest, abs(y))
-        change = max(change, abs(y - last_y[order[i]]))
-        values[i] = y - bias * ones[i]
+        measurement = y[order[i]]
+        squares += np.float64(measurement) ** 2
+        largest = max(largest, abs(measurement))
+        change = max(change, abs(measurement - last_y[order[i]]))
+        values[i] = measurement - bias * ones[i]
     return squares, np.float64(largest), np.float64(change)
 
 
@@ -753,12 +752,13 @@ def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[flo
 
 @compiled(
     (
-        *(RECEIVED, float64, float64, DOUBT_CONSTANTS),
+        *(V, RECEIVED, float64, float64, DOUBT_CONSTANTS),
         *(MEASURED, ESTIMATE, P2, TRANSFORM, SLOPES),
     ),
     sums_in_any_order=True,
 )
 def skin_begin(
+    y: A,
     received: A,
     bias: float,
     noise: float,
@@ -769,14 +769,14 @@ def skin_begin(
     transform: A,
     slopes: A,
 ) -> tuple[float, ...]:
-    """Begin a frame, as in `FrameVectors`: measured.values are the measurements in the order of the
-    rows read, and become their values. Set the slopes of the last estimate. Return the numbers of
-    `Comparison` and the sums of `MotionSums`.
+    """Begin a frame of measurements y, as in `FrameVectors`. Set the values of the rows read and
+    the slopes of the last estimate. Return the numbers of `Comparison` and the sums of
+    `MotionSums`.
 
     neighbours are the places of the next and the previous neighbour of each taxel along rows and
     columns, uint32 (4, n).
     """
-    squares, largest_y, change_y = compare(received, np.float32(bias), measured.values)
+    squares, largest_y, change_y = compare(y, received, np.float32(bias), measured.values)
     doubt_values(received, measured, estimate.rows, noise, constants)
 
     x = estimate.x
@@ -1373,7 +1373,7 @@ class StepMeans(NamedTuple):
 
 
 @compiled(sums_in_any_order=True)
-def skin_step(inputs: A, scratch: A, k: int, means: A) -> StepMeans:
+def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMeans) -> StepMeans:
     """Step k, as in `FrameVectors`: z becomes the next, and its estimate is added to their mean.
     Return the means with this step.
     """
@@ -1381,12 +1381,11 @@ def skin_step(inputs: A, scratch: A, k: int, means: A) -> StepMeans:
     z = iterates.z
     u = iterates.u
     tiles = inputs.tiles
-    plan = inputs.plan
     constants = inputs.constants
     limits = inputs.denoiser.limits
     v = scratch.v
     shift = (plan.first_shift + k) % tiles.counts.size
-    off2, residual2 = target_residual(z, inputs.transform, inputs.measured, inputs.targets, u, v)
+    off2, residual2 = target_residual(z, inputs.transform, measured, inputs.targets, u, v)
 
     # Error variance of z, seen by the rows read.
     least_tau = constants.least_tau * max(off2, plan.target_variance)
@@ -1421,18 +1420,18 @@ def skin_step(inputs: A, scratch: A, k: int, means: A) -> StepMeans:
     )
 
 
-@compiled((STEP_INPUTS,), sums_in_any_order=True)
-def skin_steps(inputs: A) -> tuple[float, float]:
-    """The steps of a frame from z, which set the mean of the estimates. Return the same means of
-    the expected squared error and of the squared residual before the step.
+@compiled((STEP_INPUTS, MEASURED, PLAN), sums_in_any_order=True)
+def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float]:
+    """The steps of a frame from its prediction, which set the mean of the estimates. Return the
+    same means of the expected squared error and of the squared residual before the step.
     """
-    plan = inputs.plan
     iterates = inputs.iterates
     scratch = step_scratch(inputs.denoiser, inputs.tiles, iterates.z.size)
+    iterates.z[:] = inputs.prediction.x
     iterates.mean[:] = _0
     means = StepMeans(0.0, 0.0, 0.0)
     for k in range(plan.n_formula + plan.n):
-        means = skin_step(inputs, scratch, k, means)
+        means = skin_step(inputs, measured, plan, scratch, k, means)
     return means.expected2, means.residual2
 
 

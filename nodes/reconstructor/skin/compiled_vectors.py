@@ -92,6 +92,7 @@ class CompiledVectors(Vectors):
         self._filters = kernels.Filters(*vectors[5:8], confirmed=np.zeros(4))
         self._targets = kernels.Targets(*vectors[8:])
         self._recall = np.zeros(3)
+        self._step_scratch: Scratch | None = None
         self.x = self._estimate.x
         self.forget()
 
@@ -115,42 +116,33 @@ class CompiledVectors(Vectors):
     def begin(
         self, y: Floats, subset: RowSubset, bias: float, noise: float
     ) -> tuple[Comparison, MotionSums]:
-        values = self._rows.values(y)
-        n_read = len(values)
-        innovation, off_target, residual, doubt, excess = np.empty((5, n_read), dtype=np.float32)
+        rows = self._rows
+        read = rows.read
+        n_read = len(read)
+        vectors = np.empty((6, n_read), dtype=np.float32)
+        values, innovation, off_target, residual, doubt, excess = vectors
         self.innovation = innovation
         self.residual = residual
         self.doubt = doubt
-        self._measured = kernels.Measured(
-            read=self._rows.read,
-            values=values,
-            innovation=innovation,
-            last_innovation=subset.innovation,
-            off_target=off_target,
-            residual=residual,
-            doubt=doubt,
-            excess=excess,
+        measured = kernels.Measured(
+            *(read, values, innovation, subset.innovation),
+            *(off_target, residual, doubt, excess),
         )
-        self._scratch = _scratch(self._sizes)
+        self._measured = measured
 
-        power, largest, change, *sums = self._loops.begin(
-            kernels.Received(
-                self._rows.order, subset.y, subset.ones, subset.block, subset.n_blocks
-            ),
-            bias,
-            noise,
-            DOUBT_CONSTANTS,
-            self._measured,
-            self._estimate,
-            self._neighbours,
-            self._transform,
-            self._scratch.slopes,
+        slopes = _scratch(self._sizes).slopes
+        self._slopes = slopes
+        sums = self._loops.begin(
+            y,
+            kernels.Received(rows.order, subset.y, subset.ones, subset.block, subset.n_blocks),
+            *(bias, noise, DOUBT_CONSTANTS),
+            *(measured, self._estimate, self._neighbours, self._transform, slopes),
         )
-        return Comparison(power, largest, change), MotionSums._make([*sums, n_read, self._rows.n])
+        return Comparison._make(sums[:3]), MotionSums._make((*sums[3:], n_read, rows.n))
 
     def predict(self, motion: Motion) -> Innovation:
         sums = self._loops.predict(
-            *(self._estimate, kernels.MotionWeights(*motion), self._scratch.slopes),
+            *(self._estimate, motion, self._slopes),
             *(self._transform, self._measured, self._prediction, self._filters),
             self._filter_constants,
         )
@@ -160,26 +152,28 @@ class CompiledVectors(Vectors):
     def filter_rows(self, variances: RowVariances) -> Filtered:
         target_variance, n_known = self._loops.filter_rows(
             *(self._measured, self._prediction, self._filters, self._targets, self._recall),
-            *(kernels.Variances(*variances), self._filter_constants),
+            *(variances, self._filter_constants),
         )
         return Filtered(target_variance, n_known)
 
     def steps(self, plan: StepPlan) -> Steps:
         scratch = _scratch(self._sizes)
-        scratch.iterates.z[:] = self._prediction.x
+        if scratch is not self._step_scratch:
+            self._step_scratch = scratch
+            self._step_inputs = self._inputs_with(scratch)
         self._of_steps = scratch.iterates.mean
+        return Steps._make(self._loops.steps(self._step_inputs, self._measured, plan))
 
-        inputs = kernels.StepInputs(
+    def _inputs_with(self, scratch: Scratch) -> kernels.StepInputs:
+        return kernels.StepInputs(
             transform=self._transform,
-            measured=self._measured,
+            prediction=self._prediction,
             targets=self._targets,
             iterates=scratch.iterates,
             tiles=self._maps,
             denoiser=kernels.Denoiser(self._weights, self._limits, scratch.steps, self._has_gates),
-            plan=kernels.Plan(*plan),
             constants=self._step_constants,
         )
-        return Steps(*self._loops.steps(inputs))
 
     def fade(self, part: float) -> None:
         rest = np.float32(1 - part)
@@ -193,7 +187,7 @@ class CompiledVectors(Vectors):
         forces = np.empty(self._rows.n, dtype=np.float32)
         sums = self._loops.settle(
             *(self._of_steps, self._prediction, self._measured, ones, self._transform),
-            *(self._estimate, kernels.BlendNumbers(*blend), forces),
+            *(self._estimate, blend, forces),
         )
         return Settled(forces, *sums)
 
@@ -203,7 +197,9 @@ class CompiledVectors(Vectors):
 
 
 class Loops(NamedTuple):
-    """The loops of a frame. Arguments of other types are not refused."""
+    """The loops of a frame. Arguments of other types are not refused: a NamedTuple of numbers may
+    be another class with the same fields.
+    """
 
     begin: Callable[..., Any]
     predict: Callable[..., Any]
