@@ -690,35 +690,42 @@ def doubt_values(received: A, measured: A, x_rows: A, noise: float, constants: A
     values = measured.values
     block = received.block
     n_blocks = received.n_blocks
-    count = np.zeros(n_blocks)
-    total = np.zeros(n_blocks)
-    largest = np.zeros(n_blocks)
-    second = np.zeros(n_blocks)
+    # The last place, -1, is of the values that are not compared.
+    count = np.zeros(n_blocks + 1)
+    total = np.zeros(n_blocks + 1)
+    largest = np.zeros(n_blocks + 1)
+    second = np.zeros(n_blocks + 1)
+    squares = np.empty(read.size)
     for i in range(read.size):
         number = block[i]
-        if number < 0:
-            continue
         square = np.float64(values[i] - x_rows[read[i]]) ** 2
+        squares[i] = square
         count[number] += 1
         total[number] += square
         second[number] = max(second[number], min(square, largest[number]))
         largest[number] = max(largest[number], square)
 
+    expected = np.empty(read.size)
+    per_other = 1 / np.maximum(count - 2, 1.0)
+    for i in range(read.size):
+        number = block[i]
+        square = squares[i]
+        largest_other = second[number] if square == largest[number] else largest[number]
+        others = (total[number] - square - largest_other) * per_other[number]
+        expected[i] = others + noise if number >= 0 else np.inf
+
+    # A loop without choices: its quotients are computed several at once.
     doubt = measured.doubt
     excess = measured.excess
+    outlying = constants.outlying
+    clear_ratio = constants.clear_ratio
+    certain = constants.certain
     for i in range(read.size):
-        doubt[i] = _0
-        excess[i] = _0
-        number = block[i]
-        if number < 0:
-            continue
-        square = np.float64(values[i] - x_rows[read[i]]) ** 2
-        largest_other = second[number] if square == largest[number] else largest[number]
-        others = (total[number] - square - largest_other) / (count[number] - 2)
-        ratio = min(square / (constants.outlying * (others + noise) + TINY), constants.clear_ratio)
+        ratio = min(squares[i] / (outlying * expected[i] + TINY), clear_ratio)
         power = ratio * ratio * ratio * ratio
-        doubt[i] = power / (1 + power)
-        excess[i] = doubt[i] * square / (_1 - doubt[i] + constants.certain)
+        doubted = power / (1 + power)
+        doubt[i] = doubted
+        excess[i] = doubted * squares[i] / (np.float64(_1 - np.float32(doubted)) + certain)
 
 
 @compiled(sums_in_any_order=True)
