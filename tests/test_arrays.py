@@ -77,7 +77,7 @@ def test_row_subsets_measure_frames_in_turn():
 
 @pytest.mark.parametrize("solver", ["skin", "fista"])
 def test_arrays_give_the_bits_of_the_nodes_by_default(solver):
-    stated = {"skin": "iterations=8", "fista": "preset=paper"}[solver]
+    stated = {"skin": "iterations=24", "fista": "preset=paper"}[solver]
     settings = ["sensor.first=310", f"reconstructor.{stated}"]  # touched from frame 320 on
     launch = sparseskin.load_launch("lift_box_40", settings)
     frames = list(sparseskin.run_launch(launch, 30))

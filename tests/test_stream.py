@@ -20,7 +20,7 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
 @pytest.mark.parametrize(
     ("settings", "chosen"),
     [
-        (["sensor.first=310", "reconstructor.iterations=8"], {}),  # touched from frame 320 on
+        (["sensor.first=310", "reconstructor.iterations=24"], {}),  # touched from frame 320 on
         (
             ["compressor.rows=paper", "compressor.ratio=4", "reconstructor.preset=paper"],
             {"rows": "paper", "ratio": 4, "preset": "paper"},

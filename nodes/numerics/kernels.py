@@ -35,6 +35,16 @@ _HALF = np.float32(0.5)
 _3 = np.float32(3)
 _4 = np.float32(4)
 _64 = np.float32(64)
+_THIRD = np.float32(1 / 3)
+_QUARTER = np.float32(1 / 4)
+_FIFTH = np.float32(1 / 5)
+_SIXTH = np.float32(1 / 6)
+_SEVENTH = np.float32(1 / 7)
+_NINTH = np.float32(1 / 9)
+# A float32 is 9 bits, of sign and exponent, and the 23 of its mantissa.
+_N_MANTISSA = np.uint32(23)
+_MANTISSA = np.uint32(0x007FFFFF)
+_BITS_OF_1 = np.uint32(0x3F800000)
 
 # Types of arguments: vector, matrix, places and tables of them, groups, list, numbers and tables of
 # them.
@@ -64,6 +74,8 @@ class Measured(NamedTuple):
     last_innovation: A  # when these rows were read before
     off_target: A  # values less their targets
     residual: A  # values less W x of the estimate
+    doubt: A  # part of each value that no force explains, 0 to 1
+    excess: A  # variance that this adds to that of its noise
 
 
 class Received(NamedTuple):
@@ -72,6 +84,16 @@ class Received(NamedTuple):
     order: A  # int64 (n_read,): order of the measurements in which their rows ascend
     last_y: A  # its last measurements, float32 (n_read,)
     ones: A  # Phi 1, in the order of the rows read
+    block: A  # int64 (n_read,): block that each row is compared within, -1 for none
+    n_blocks: int
+
+
+class DoubtConstants(NamedTuple):
+    """Constants of `doubt_values`."""
+
+    outlying: float  # squared change, in that of others, at which half of a value is doubted
+    clear_ratio: float  # the same in `outlying`, beyond which a larger one does not count
+    certain: float  # least part that is not doubted
 
 
 class Estimate(NamedTuple):
@@ -102,6 +124,9 @@ class Filters(NamedTuple):
     mean: A
     variance: A  # that its measurements left
     change: A  # of what has changed since
+    #: float64 (4,): sums of the regressions of `move_means`, products and squares, of the growth
+    #: and then of the translation.
+    confirmed: A
 
 
 class Targets(NamedTuple):
@@ -112,10 +137,11 @@ class Targets(NamedTuple):
 
 
 class Iterates(NamedTuple):
-    """State of the steps of a frame, and their last estimates; scratch."""
+    """State of the steps of a frame; scratch."""
 
     z: A
-    estimates: A  # float32 (averaged, n)
+    u: A  # truth and noise, of a step
+    mean: A  # of the estimates so far
 
 
 class TileMaps(NamedTuple):
@@ -179,6 +205,7 @@ class Denoiser(NamedTuple):
     weights: Weights
     limits: Limits
     scratch: A  # as of `step_scratch`
+    has_gates: int  # 0: all steps are by the formula
 
 
 class MotionWeights(NamedTuple):
@@ -200,12 +227,13 @@ class Variances(NamedTuple):
 
 
 class FilterConstants(NamedTuple):
-    """Constants of `skin_filter`."""
+    """Constants of `skin_predict` and `skin_filter`."""
 
     prior: float
     doubt: float
     recall_memory: float
     recall_ridge: float
+    motion_memory: float
     unknown: float  # variance of a row that was not read yet
 
 
@@ -223,20 +251,23 @@ class StepConstants(NamedTuple):
     """Constants of `skin_steps`."""
 
     damping: float
+    damped_from: float
     least_tau: float
     most_alpha: float
+    residual_power: float
+    rise_power: float
+    fully_averaged: float
 
 
 class StepInputs(NamedTuple):
-    """All that the steps of a frame take."""
+    """What the steps of all frames take: it is made once, as long as the scratch is the same."""
 
     transform: Transform
-    measured: Measured
+    prediction: Prediction
     targets: Targets
     iterates: Iterates
     tiles: TileMaps
     denoiser: Denoiser
-    plan: Plan
     constants: StepConstants
 
 
@@ -268,26 +299,27 @@ def group(kind: Any, *fields: Any) -> Any:
 
 
 TRANSFORM = group(Transform, G, V)
-MEASURED = group(Measured, L, V, V, V, V, V)
-RECEIVED = group(Received, L, V, V)
+MEASURED = group(Measured, L, *(7 * [V]))
+RECEIVED = group(Received, L, V, V, L, int64)
+DOUBT_CONSTANTS = group(DoubtConstants, *(3 * [float64]))
 ESTIMATE = group(Estimate, V, V, V)
 PREDICTION = group(Prediction, V, V)
 SLOPES = group(Slopes, M, M)
-FILTERS = group(Filters, V, V, V)
+FILTERS = group(Filters, V, V, V, D)
 TARGETS = group(Targets, V, V)
-ITERATES = group(Iterates, V, M)
+ITERATES = group(Iterates, V, V, V)
 TILE_MAPS = group(TileMaps, P, P, P2, M, L, int64)
 WEIGHTS = group(Weights, M, M, V, M, V, M, V, float64)
 LIMITS = group(Limits, *(8 * [float64]))
-DENOISER = group(Denoiser, WEIGHTS, LIMITS, V)
+DENOISER = group(Denoiser, WEIGHTS, LIMITS, V, int64)
 MOTION_WEIGHTS = group(MotionWeights, *(4 * [float64]))
 VARIANCES = group(Variances, *(4 * [float64]))
-FILTER_CONSTANTS = group(FilterConstants, *(5 * [float64]))
+FILTER_CONSTANTS = group(FilterConstants, *(6 * [float64]))
 PLAN = group(Plan, int64, int64, int64, float64, float64)
-STEP_CONSTANTS = group(StepConstants, *(3 * [float64]))
+STEP_CONSTANTS = group(StepConstants, *(7 * [float64]))
 STEP_INPUTS = group(
-    *(StepInputs, TRANSFORM, MEASURED, TARGETS, ITERATES),
-    *(TILE_MAPS, DENOISER, PLAN, STEP_CONSTANTS),
+    *(StepInputs, TRANSFORM, PREDICTION, TARGETS, ITERATES),
+    *(TILE_MAPS, DENOISER, STEP_CONSTANTS),
 )
 BLEND_NUMBERS = group(BlendNumbers, *(4 * [float64]))
 NOISE_CURVE = group(NoiseCurve, *(7 * [float64]))
@@ -632,9 +664,9 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def compare(received: A, bias: Any, values: A) -> tuple[float, float, float]:
-    """Subtract the bias from measurements in the order of the rows read. Return their sum of
-    squares, the largest one and the largest change since the last ones.
+def compare(y: A, received: A, bias: Any, values: A) -> tuple[float, float, float]:
+    """Set values to measurements y in the order of the rows read, less the bias. Return their sum
+    of squares, the largest one and the largest change since the last ones.
     """
     order = received.order
     last_y = received.last_y
@@ -643,12 +675,57 @@ def compare(received: A, bias: Any, values: A) -> tuple[float, float, float]:
     largest = _0
     change = _0
     for i in range(values.size):
-        y = values[i]
-        squares += np.float64(y) ** 2
-        largest = max(largest, abs(y))
-        change = max(change, abs(y - last_y[order[i]]))
-        values[i] = y - bias * ones[i]
+        measurement = y[order[i]]
+        squares += np.float64(measurement) ** 2
+        largest = max(largest, abs(measurement))
+        change = max(change, abs(measurement - last_y[order[i]]))
+        values[i] = measurement - bias * ones[i]
     return squares, np.float64(largest), np.float64(change)
+
+
+@compiled(sums_in_any_order=True)
+def doubt_values(received: A, measured: A, x_rows: A, noise: float, constants: A) -> None:
+    """Set doubt and excess of the values, as in `FrameVectors`."""
+    read = measured.read
+    values = measured.values
+    block = received.block
+    n_blocks = received.n_blocks
+    # The last place, -1, is of the values that are not compared.
+    count = np.zeros(n_blocks + 1)
+    total = np.zeros(n_blocks + 1)
+    largest = np.zeros(n_blocks + 1)
+    second = np.zeros(n_blocks + 1)
+    squares = np.empty(read.size)
+    for i in range(read.size):
+        number = block[i]
+        square = np.float64(values[i] - x_rows[read[i]]) ** 2
+        squares[i] = square
+        count[number] += 1
+        total[number] += square
+        second[number] = max(second[number], min(square, largest[number]))
+        largest[number] = max(largest[number], square)
+
+    expected = np.empty(read.size)
+    per_other = 1 / np.maximum(count - 2, 1.0)
+    for i in range(read.size):
+        number = block[i]
+        square = squares[i]
+        largest_other = second[number] if square == largest[number] else largest[number]
+        others = (total[number] - square - largest_other) * per_other[number]
+        expected[i] = others + noise if number >= 0 else np.inf
+
+    # A loop without choices: its quotients are computed several at once.
+    doubt = measured.doubt
+    excess = measured.excess
+    outlying = constants.outlying
+    clear_ratio = constants.clear_ratio
+    certain = constants.certain
+    for i in range(read.size):
+        ratio = min(squares[i] / (outlying * expected[i] + TINY), clear_ratio)
+        power = ratio * ratio * ratio * ratio
+        doubted = power / (1 + power)
+        doubt[i] = doubted
+        excess[i] = doubted * squares[i] / (np.float64(_1 - np.float32(doubted)) + certain)
 
 
 @compiled(sums_in_any_order=True)
@@ -658,6 +735,7 @@ def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[flo
     """
     read = measured.read
     values = measured.values
+    doubt = measured.doubt
     x_rows = estimate.rows
     aa = ab = ac = bb = bc = cc = 0.0
     a_change = b_change = c_change = 0.0
@@ -666,7 +744,7 @@ def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[flo
         a = np.float64(x_rows[r])
         b = np.float64(by_down[r])
         c = np.float64(by_across[r])
-        change = np.float64(values[i] - x_rows[r])
+        change = np.float64((_1 - doubt[i]) * (values[i] - x_rows[r]))
         aa += a * a
         ab += a * b
         ac += a * c
@@ -679,18 +757,34 @@ def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[flo
     return aa, ab, ac, bb, bc, cc, a_change, b_change, c_change
 
 
-@compiled((RECEIVED, float64, MEASURED, ESTIMATE, P2, TRANSFORM, SLOPES), sums_in_any_order=True)
+@compiled(
+    (
+        *(V, RECEIVED, float64, float64, DOUBT_CONSTANTS),
+        *(MEASURED, ESTIMATE, P2, TRANSFORM, SLOPES),
+    ),
+    sums_in_any_order=True,
+)
 def skin_begin(
-    received: A, bias: float, measured: A, estimate: A, neighbours: A, transform: A, slopes: A
+    y: A,
+    received: A,
+    bias: float,
+    noise: float,
+    constants: A,
+    measured: A,
+    estimate: A,
+    neighbours: A,
+    transform: A,
+    slopes: A,
 ) -> tuple[float, ...]:
-    """Begin a frame, as in `FrameVectors`: measured.values are the measurements in the order of the
-    rows read, and become their values. Set the slopes of the last estimate. Return the numbers of
-    `Comparison` and the sums of `MotionSums`.
+    """Begin a frame of measurements y, as in `FrameVectors`. Set the values of the rows read and
+    the slopes of the last estimate. Return the numbers of `Comparison` and the sums of
+    `MotionSums`.
 
     neighbours are the places of the next and the previous neighbour of each taxel along rows and
     columns, uint32 (4, n).
     """
-    squares, largest_y, change_y = compare(received, np.float32(bias), measured.values)
+    squares, largest_y, change_y = compare(y, received, np.float32(bias), measured.values)
+    doubt_values(received, measured, estimate.rows, noise, constants)
 
     x = estimate.x
     n = x.size
@@ -716,12 +810,66 @@ def skin_begin(
 
 
 @compiled(sums_in_any_order=True)
+def confirmed_part(sums: A, motion: A, unexpected: A, memory: float) -> Any:
+    """As `ConfirmedMotion.follow`; sums are its two."""
+    energy = 0.0
+    for i in range(motion.size):
+        energy += np.float64(motion[i] * motion[i])
+    mean_square = np.float32(energy / motion.size + TINY)
+
+    products = 0.0
+    squares = 0.0
+    for i in range(motion.size):
+        weighted = motion[i] / (mean_square + motion[i] * motion[i])
+        products += np.float64(weighted * unexpected[i])
+        squares += np.float64(weighted * motion[i])
+    sums[0] = memory * sums[0] + products
+    sums[1] = memory * sums[1] + squares
+    return np.float32(min(max(sums[0] / (sums[1] + TINY), 0.0), 1.0))
+
+
+@compiled(sums_in_any_order=True)
+def move_means(
+    measured: A, estimate: A, prediction: A, filters: A, growth: Any, constants: A
+) -> None:
+    """Move the means of the filters as the prediction moves, so far as their rows confirm it."""
+    read = measured.read
+    values = measured.values
+    doubt = measured.doubt
+    x_rows = estimate.rows
+    predicted_rows = prediction.rows
+    mean = filters.mean
+    variance = filters.variance
+    change = filters.change
+    unknown = np.float32(constants.unknown)
+    grown = np.zeros(read.size, np.float32)
+    translated = np.zeros(read.size, np.float32)
+    unexpected = np.zeros(read.size, np.float32)
+    for i in range(read.size):
+        r = read[i]
+        if variance[r] + change[r] < unknown:
+            grown[i] = growth * x_rows[r]
+            translated[i] = (predicted_rows[r] - x_rows[r]) - grown[i]
+            unexpected[i] = (_1 - doubt[i]) * (values[i] - mean[r])
+
+    confirmed = filters.confirmed
+    memory = constants.motion_memory
+    growth_part = confirmed_part(confirmed[:2], grown, unexpected, memory)
+    part = confirmed_part(confirmed[2:], translated, unexpected, memory)
+    for p in range(mean.size):
+        row_grown = growth * x_rows[p]
+        row_translated = (predicted_rows[p] - x_rows[p]) - row_grown
+        mean[p] += growth_part * row_grown + part * row_translated
+
+
+@compiled(sums_in_any_order=True)
 def filter_sums(measured: A, filters: A, unknown: float) -> tuple[int, float, float]:
     """Number of the rows read that are known, and the sums of squared innovation and variance of
     their filters.
     """
     read = measured.read
     values = measured.values
+    doubt = measured.doubt
     mean = filters.mean
     variance = filters.variance
     change = filters.change
@@ -734,19 +882,26 @@ def filter_sums(measured: A, filters: A, unknown: float) -> tuple[int, float, fl
         expected = variance[r] + change[r]
         if expected < limit:
             n_known += 1
-            filter_squares += np.float64(values[i] - mean[r]) ** 2
+            unexpected = (_1 - doubt[i]) * (values[i] - mean[r])
+            filter_squares += np.float64(unexpected) ** 2
             filter_variances += expected
     return n_known, filter_squares, filter_variances
 
 
 @compiled(
-    (ESTIMATE, MOTION_WEIGHTS, SLOPES, TRANSFORM, MEASURED, PREDICTION, FILTERS, float64),
+    (ESTIMATE, MOTION_WEIGHTS, SLOPES, TRANSFORM, MEASURED, PREDICTION, FILTERS, FILTER_CONSTANTS),
     sums_in_any_order=True,
 )
 def skin_predict(
-    estimate: A, motion: A, slopes: A, transform: A, measured: A, prediction: A, filters: A,
-    unknown: float,
-) -> tuple[float, float, float, float, int, float, float]:  # fmt: skip
+    estimate: A,
+    motion: A,
+    slopes: A,
+    transform: A,
+    measured: A,
+    prediction: A,
+    filters: A,
+    constants: A,
+) -> tuple[float, float, float, float, int, float, float]:
     """Predict a frame, as in `FrameVectors`, and move the means of the filters with it. Return the
     sums of `Innovation`, in its order.
     """
@@ -766,13 +921,11 @@ def skin_predict(
     predicted_rows = prediction.rows
     predicted_rows[:] = predicted
     orthonormal(predicted_rows, transform.groups, transform.scale)
-    mean = filters.mean
-    x_rows = estimate.rows
-    for p in range(n):
-        mean[p] += predicted_rows[p] - x_rows[p]
+    move_means(measured, estimate, prediction, filters, growth, constants)
 
     read = measured.read
     values = measured.values
+    doubt = measured.doubt
     innovation = measured.innovation
     last_innovation = measured.last_innovation
     correction = estimate.correction
@@ -781,7 +934,7 @@ def skin_predict(
     correction_squares = 0.0
     products = 0.0
     for i in range(read.size):
-        innovation[i] = values[i] - predicted_rows[read[i]]
+        innovation[i] = (_1 - doubt[i]) * (values[i] - predicted_rows[read[i]])
         new = np.float64(innovation[i])
         corrected = np.float64(correction[read[i]])
         last = np.float64(last_innovation[i])
@@ -791,7 +944,7 @@ def skin_predict(
         repeating += last * (last - new)
 
     of_innovation = (squares, correction_squares, products, repeating)
-    return *of_innovation, *filter_sums(measured, filters, unknown)
+    return *of_innovation, *filter_sums(measured, filters, constants.unknown)
 
 
 @compiled()
@@ -832,6 +985,41 @@ def follow_recall(
 
 
 @compiled(sums_in_any_order=True)
+def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
+    """Replace numbers of 0 to 1 by factor * number^exponent, where the exponent is 0 to 1, to the
+    rounding of float32: in a quarter of the time of pow, which is not computed on several at once.
+
+    A number is sqrt(2) 2^k (1 + q) / (1 - q), with abs(q) < 0.172. What comes of 2^k is in a table,
+    by the bits of k; the rest is exp(2 exponent artanh(q)).
+    """
+    per_binade = np.exp2(np.float64(exponent))
+    of_binade = np.empty(256, np.float32)
+    power = np.float64(factor) * np.sqrt(per_binade)
+    for k in range(127, -1, -1):
+        of_binade[k] = power
+        power /= per_binade
+    of_binade[128:] = of_binade[127]
+
+    # Split each number into that of its table and its mantissa.
+    factors = np.empty(numbers.size, np.float32)
+    bits = numbers.view(np.uint32)
+    for p in range(numbers.size):
+        factors[p] = of_binade[bits[p] >> _N_MANTISSA]
+        bits[p] = bits[p] & _MANTISSA | _BITS_OF_1
+
+    double = np.float32(2 * exponent)
+    for p in range(numbers.size):
+        q = (numbers[p] - _ROOT_2) / (numbers[p] + _ROOT_2)
+        q2 = q * q
+        artanh = q * (_1 + q2 * (_THIRD + q2 * (_FIFTH + q2 * (_SEVENTH + q2 * _NINTH))))
+        e = double * artanh
+        series = _1 + e * _SIXTH * (_1 + e * _SEVENTH)
+        series = _1 + e * _QUARTER * (_1 + e * _FIFTH * series)
+        series = _1 + e * _HALF * (_1 + e * _THIRD * series)
+        numbers[p] = factors[p] * (_1 + e * series)
+
+
+@compiled(sums_in_any_order=True)
 def set_targets(
     measured: A, prediction: A, filters: A, targets: A, recall: A, variances: A, constants: A
 ) -> None:
@@ -851,16 +1039,17 @@ def set_targets(
     for p in range(n):
         change[p] = min(change[p] + new_change, unknown)
 
-    # For now the share of the filter, and its correction.
+    # For now the part of the variance that the filter leaves, and its correction. A quotient and
+    # a product in one loop could be computed in another order, and overflow.
     for p in range(n):
         of_filter = variance[p] + of_dependent(change[p], factor, doubt, unknown)
-        target_variance[p] = prior / (prior + of_filter)
+        target_variance[p] = of_filter / (prior + of_filter)
+        target[p] = prior / (prior + of_filter)
     for p in range(n):
-        target[p] = target_variance[p] * (mean[p] - predicted_rows[p])
+        target[p] *= mean[p] - predicted_rows[p]
 
     recalled = follow_recall(recall, measured, target, filters, variances, constants)
-    for p in range(n):
-        target_variance[p] = prior * (_1 - recalled * target_variance[p])
+    raise_all(target_variance, recalled, prior)
     for p in range(n):
         target[p] = predicted_rows[p] + recalled * target[p]
 
@@ -872,18 +1061,21 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
     """
     read = measured.read
     values = measured.values
+    doubt = measured.doubt
+    excess = measured.excess
     off_target = measured.off_target
     target = targets.value
     target_variance = targets.variance
-    noise = np.float32(variances.noise)
+    noise_of_all = np.float32(variances.noise)
     floor = np.float32(variances.floor)
     total = 0.0
     for i in range(read.size):
         r = read[i]
+        noise = noise_of_all + excess[i]
         gain = target_variance[r] / (target_variance[r] + noise)
         target[r] += gain * (values[i] - target[r])
         target_variance[r] = max(gain * noise, floor)
-        off_target[i] = values[i] - target[r]
+        off_target[i] = (_1 - doubt[i]) * (values[i] - target[r])
         total += target_variance[r]
 
     mean = filters.mean
@@ -891,6 +1083,7 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
     change = filters.change
     for i in range(read.size):
         r = read[i]
+        noise = noise_of_all + excess[i]
         expected = variance[r] + change[r]
         gain = expected / (expected + noise)
         mean[r] += gain * (values[i] - mean[r])
@@ -1152,37 +1345,63 @@ def gate_tiles(tiles: A, shift: int, weights: A, limits: A, scratch: A, n_busy: 
 
 
 @compiled(sums_in_any_order=True)
-def move_iterate(z: A, u: A, x: A, alpha: Any, damping: Any) -> None:
-    """Move z towards the estimate whose errors are not correlated with those of u; set u to x."""
+def move_iterate(iterates: A, x: A, alpha: Any, damping: Any, part: Any) -> None:
+    """Move z towards the estimate whose errors are not correlated with those of u; move the mean
+    of the estimates by a part towards x.
+    """
+    z = iterates.z
+    u = iterates.u
+    mean = iterates.mean
     per_free = _1 / (_1 - alpha)
     for p in range(z.size):
         z[p] += damping * ((x[p] - alpha * u[p]) * per_free - z[p])
-        u[p] = x[p]
+        mean[p] += part * (x[p] - mean[p])
+
+
+@compiled()
+def weight_of(k: int, residual2: float, plan: A, constants: A) -> float:
+    """Weight of the estimate of step k in their mean, as `FrameVectors._weights_of` without a
+    common factor; residual2 is the mean squared residual before the step.
+    """
+    if k < plan.n_formula:
+        return 0.0
+    rising = (k + 1 - plan.n_formula) / max(1.0, plan.n + 1 - constants.fully_averaged)
+    rise = min(rising, 1.0) ** constants.rise_power
+    weight: float = rise / (residual2 + plan.floor) ** constants.residual_power
+    return weight
+
+
+class StepMeans(NamedTuple):
+    """Means over the steps so far, weighted as their estimates are."""
+
+    weight: float  # sum of the weights
+    expected2: float  # squared error that the denoiser expects
+    residual2: float  # squared residual before the step
 
 
 @compiled(sums_in_any_order=True)
-def skin_step(
-    inputs: A, scratch: A, place: int, shift: int, by_formula: bool
-) -> tuple[float, float]:
-    """A step, as in `FrameVectors`: z and the estimate at a place become the next. Return the
-    expected squared error and the mean squared residual before it.
+def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMeans) -> StepMeans:
+    """Step k, as in `FrameVectors`: z becomes the next, and its estimate is added to their mean.
+    Return the means with this step.
     """
-    z = inputs.iterates.z
-    x = inputs.iterates.estimates[place]
+    iterates = inputs.iterates
+    z = iterates.z
+    u = iterates.u
     tiles = inputs.tiles
-    plan = inputs.plan
+    constants = inputs.constants
     limits = inputs.denoiser.limits
     v = scratch.v
-    off2, residual2 = target_residual(z, inputs.transform, inputs.measured, inputs.targets, x, v)
+    shift = (plan.first_shift + k) % tiles.counts.size
+    off2, residual2 = target_residual(z, inputs.transform, measured, inputs.targets, u, v)
 
     # Error variance of z, seen by the rows read.
-    least_tau = inputs.constants.least_tau * max(off2, plan.target_variance)
+    least_tau = constants.least_tau * max(off2, plan.target_variance)
     tau = np.float32(max(off2 - plan.target_variance, least_tau) + plan.floor)
-    s = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, x, v)
+    s = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, u, v)
 
     scratch.denoised[:] = _0
     n_busy, expected = busy_windows(tiles, shift, limits, scratch)
-    if n_busy and by_formula:
+    if n_busy and (k < plan.n_formula or not inputs.denoiser.has_gates):
         expected += shrink_tiles(tiles, shift, limits, scratch, n_busy, s)
     elif n_busy:
         weights = inputs.denoiser.weights
@@ -1192,32 +1411,35 @@ def skin_step(
     denoised = scratch.denoised
     for p in range(z.size):
         v[p] = denoised[cells[p]]
-    alpha = np.float32(min(expected, inputs.constants.most_alpha))
-    move_iterate(z, x, v, alpha, np.float32(inputs.constants.damping))
-    return expected * np.float64(s) ** 2, residual2
+
+    weight = weight_of(k, residual2, plan, constants)
+    total = means.weight + weight
+    part = weight / total if weight > 0 else 0.0
+    alpha = np.float32(min(expected, constants.most_alpha))
+    damping = constants.damping * min(1.0, constants.damped_from / (k + 1))
+    move_iterate(iterates, v, alpha, np.float32(damping), np.float32(part))
+
+    error2 = expected * np.float64(s) ** 2
+    return StepMeans(
+        total,
+        means.expected2 + part * (error2 - means.expected2),
+        means.residual2 + part * (residual2 - means.residual2),
+    )
 
 
-@compiled((STEP_INPUTS,), sums_in_any_order=True)
-def skin_steps(inputs: A) -> tuple[float, float]:
-    """The steps of a frame from z; the last ones set the estimates. Return the means over these of
-    the expected squared error and of the squared residual before the step.
+@compiled((STEP_INPUTS, MEASURED, PLAN), sums_in_any_order=True)
+def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float]:
+    """The steps of a frame from its prediction, which set the mean of the estimates. Return the
+    same means of the expected squared error and of the squared residual before the step.
     """
-    plan = inputs.plan
-    n_steps = plan.n_formula + plan.n
-    n_shifts = inputs.tiles.counts.size
-    n_averaged = inputs.iterates.estimates.shape[0]
-    scratch = step_scratch(inputs.denoiser, inputs.tiles, inputs.iterates.z.size)
-    expected2 = 0.0
-    residual2 = 0.0
-    for k in range(n_steps):
-        shift = (plan.first_shift + k) % n_shifts
-        place = k - (n_steps - n_averaged)
-        by_formula = k < plan.n_formula
-        error2, before2 = skin_step(inputs, scratch, max(0, place), shift, by_formula)
-        if place >= 0:
-            expected2 += error2 / n_averaged
-            residual2 += before2 / n_averaged
-    return expected2, residual2
+    iterates = inputs.iterates
+    scratch = step_scratch(inputs.denoiser, inputs.tiles, iterates.z.size)
+    iterates.z[:] = inputs.prediction.x
+    iterates.mean[:] = _0
+    means = StepMeans(0.0, 0.0, 0.0)
+    for k in range(plan.n_formula + plan.n):
+        means = skin_step(inputs, measured, plan, scratch, k, means)
+    return means.expected2, means.residual2
 
 
 @compiled(sums_in_any_order=True)
@@ -1253,10 +1475,10 @@ def settle_forces(x: A, blend: A, forces: A) -> tuple[float, float]:
 
 
 @compiled(
-    (M, PREDICTION, MEASURED, V, TRANSFORM, ESTIMATE, BLEND_NUMBERS, V), sums_in_any_order=True
+    (V, PREDICTION, MEASURED, V, TRANSFORM, ESTIMATE, BLEND_NUMBERS, V), sums_in_any_order=True
 )
 def skin_settle(
-    estimates: A,
+    of_steps: A,
     prediction: A,
     measured: A,
     ones: A,
@@ -1268,18 +1490,12 @@ def skin_settle(
     """Settle a frame, as in `FrameVectors`; return what it does but for the forces."""
     x = estimate.x
     n = x.size
-    n_estimates = len(estimates)
-    x[:] = estimates[0]
-    for k in range(1, n_estimates):
-        for p in range(n):
-            x[p] += estimates[k, p]
-
     predicted = prediction.x
     part = np.float32(blend.part)
-    weight = np.float32((1 - blend.part) / n_estimates)
+    rest = _1 - part
     power = _0
     for p in range(n):
-        x[p] = x[p] * weight + part * predicted[p]
+        x[p] = rest * of_steps[p] + part * predicted[p]
         power += x[p] * x[p]
 
     x_rows = estimate.rows
@@ -1292,11 +1508,12 @@ def skin_settle(
 
     read = measured.read
     values = measured.values
+    doubt = measured.doubt
     residual = measured.residual
     residual2 = 0.0
     along_ones = 0.0
     for i in range(read.size):
-        residual[i] = values[i] - x_rows[read[i]]
+        residual[i] = (_1 - doubt[i]) * (values[i] - x_rows[read[i]])
         residual2 += residual[i] * residual[i]
         along_ones += ones[i] * residual[i]
     unpressed, pressed = settle_forces(x, blend, forces)

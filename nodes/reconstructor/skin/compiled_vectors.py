@@ -22,6 +22,9 @@ from .rows import CompiledRows
 from .tiles import MARGIN, SHIFTS, Tiles, neighbours_of
 from .tuning import SkinTuning
 from .vectors import (
+    CERTAIN,
+    CLEAR_RATIO,
+    OUTLYING,
     UNKNOWN,
     Blend,
     Filtered,
@@ -32,6 +35,8 @@ from .vectors import (
     Steps,
     Vectors,
 )
+
+DOUBT_CONSTANTS = kernels.DoubtConstants(OUTLYING, CLEAR_RATIO, CERTAIN)
 
 
 class CompiledVectors(Vectors):
@@ -53,35 +58,47 @@ class CompiledVectors(Vectors):
         self._transform = kernels.Transform(rows.groups, rows.scale)
         self._maps = _maps(tiles)
         self._neighbours = _neighbours(tiles)
-        self._has_gates = gates is not None
         self._weights = _weights(gates or Gates.zero())
         self._limits = _limits(tiles.strictness)
         self._sizes = ScratchSizes(
             n=n,
-            n_averaged=tuning.averaged,
             n_cells=tiles.canvas.size,
             n_windows=tiles.most,
             n_filters=len(self._weights.filters),
             n_hidden=len(self._weights.hidden_0),
         )
+        self._has_gates = int(gates is not None)
         self._step_constants = kernels.StepConstants(
-            tuning.damping, tuning.least_tau, tuning.most_alpha
+            damping=tuning.damping,
+            damped_from=tuning.damped_from,
+            least_tau=tuning.least_tau,
+            most_alpha=tuning.most_alpha,
+            residual_power=tuning.residual_power,
+            rise_power=tuning.rise_power,
+            fully_averaged=tuning.fully_averaged,
         )
         self._filter_constants = kernels.FilterConstants(
-            *(tuning.prior, tuning.doubt, tuning.recall_memory, tuning.recall_ridge, UNKNOWN)
+            prior=tuning.prior,
+            doubt=tuning.doubt,
+            recall_memory=tuning.recall_memory,
+            recall_ridge=tuning.recall_ridge,
+            motion_memory=tuning.motion_memory,
+            unknown=UNKNOWN,
         )
 
         vectors = np.zeros((10, n), dtype=np.float32)
         self._estimate = kernels.Estimate(*vectors[:3])
         self._prediction = kernels.Prediction(*vectors[3:5])
-        self._filters = kernels.Filters(*vectors[5:8])
+        self._filters = kernels.Filters(*vectors[5:8], confirmed=np.zeros(4))
         self._targets = kernels.Targets(*vectors[8:])
         self._recall = np.zeros(3)
+        self._step_scratch: Scratch | None = None
         self.x = self._estimate.x
         self.forget()
 
     def forget(self) -> None:
         self._recall[:] = 0
+        self._filters.confirmed[:] = 0
         self.x[:] = 0
         self.forget_rows()
 
@@ -96,77 +113,81 @@ class CompiledVectors(Vectors):
         self.x[:] = x
         self._estimate.rows[:] = self._rows.forward(x)
 
-    def begin(self, y: Floats, subset: RowSubset, bias: float) -> tuple[Comparison, MotionSums]:
-        values = self._rows.values(y)
-        n_read = len(values)
-        self.innovation, off_target, self.residual = np.empty((3, n_read), dtype=np.float32)
-        self._measured = kernels.Measured(
-            *(self._rows.read, values, self.innovation, subset.innovation),
-            *(off_target, self.residual),
+    def begin(
+        self, y: Floats, subset: RowSubset, bias: float, noise: float
+    ) -> tuple[Comparison, MotionSums]:
+        rows = self._rows
+        read = rows.read
+        n_read = len(read)
+        vectors = np.empty((6, n_read), dtype=np.float32)
+        values, innovation, off_target, residual, doubt, excess = vectors
+        self.innovation = innovation
+        self.residual = residual
+        self.doubt = doubt
+        measured = kernels.Measured(
+            *(read, values, innovation, subset.innovation),
+            *(off_target, residual, doubt, excess),
         )
-        self._scratch = _scratch(self._sizes)
+        self._measured = measured
 
-        power, largest, change, *sums = self._loops.begin(
-            kernels.Received(self._rows.order, subset.y, subset.ones),
-            bias,
-            self._measured,
-            self._estimate,
-            self._neighbours,
-            self._transform,
-            self._scratch.slopes,
+        slopes = _scratch(self._sizes).slopes
+        self._slopes = slopes
+        sums = self._loops.begin(
+            y,
+            kernels.Received(rows.order, subset.y, subset.ones, subset.block, subset.n_blocks),
+            *(bias, noise, DOUBT_CONSTANTS),
+            *(measured, self._estimate, self._neighbours, self._transform, slopes),
         )
-        return Comparison(power, largest, change), MotionSums._make([*sums, n_read, self._rows.n])
+        return Comparison._make(sums[:3]), MotionSums._make((*sums[3:], n_read, rows.n))
 
     def predict(self, motion: Motion) -> Innovation:
         sums = self._loops.predict(
-            *(self._estimate, kernels.MotionWeights(*motion), self._scratch.slopes),
-            *(self._transform, self._measured, self._prediction, self._filters, UNKNOWN),
+            *(self._estimate, motion, self._slopes),
+            *(self._transform, self._measured, self._prediction, self._filters),
+            self._filter_constants,
         )
-        self._estimates = self._prediction.x[None]
+        self._of_steps = self._prediction.x
         return Innovation._make((*sums, len(self.innovation)))
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
         target_variance, n_known = self._loops.filter_rows(
             *(self._measured, self._prediction, self._filters, self._targets, self._recall),
-            *(kernels.Variances(*variances), self._filter_constants),
+            *(variances, self._filter_constants),
         )
         return Filtered(target_variance, n_known)
 
     def steps(self, plan: StepPlan) -> Steps:
         scratch = _scratch(self._sizes)
-        n_formula = plan.n_formula
-        self._estimates = scratch.iterates.estimates[: plan.n]
-        if not self._has_gates:  # all steps are by the formula
-            n_formula = plan.n_formula + plan.n
-        scratch.iterates.z[:] = self._prediction.x
+        if scratch is not self._step_scratch:
+            self._step_scratch = scratch
+            self._step_inputs = self._inputs_with(scratch)
+        self._of_steps = scratch.iterates.mean
+        return Steps._make(self._loops.steps(self._step_inputs, self._measured, plan))
 
-        inputs = kernels.StepInputs(
+    def _inputs_with(self, scratch: Scratch) -> kernels.StepInputs:
+        return kernels.StepInputs(
             transform=self._transform,
-            measured=self._measured,
+            prediction=self._prediction,
             targets=self._targets,
-            iterates=kernels.Iterates(scratch.iterates.z, self._estimates),
+            iterates=scratch.iterates,
             tiles=self._maps,
-            denoiser=kernels.Denoiser(self._weights, self._limits, scratch.steps),
-            plan=kernels.Plan(
-                n_formula=n_formula,
-                n=plan.n_formula + plan.n - n_formula,
-                first_shift=plan.first_shift,
-                target_variance=plan.target_variance,
-                floor=plan.floor,
-            ),
+            denoiser=kernels.Denoiser(self._weights, self._limits, scratch.steps, self._has_gates),
             constants=self._step_constants,
         )
-        return Steps(*self._loops.steps(inputs))
 
-    def clear(self) -> None:
-        self._prediction.x[:] = 0
-        self._estimates[:] = 0
+    def fade(self, part: float) -> None:
+        rest = np.float32(1 - part)
+        if rest == 1:
+            return
+        self._prediction.x[:] *= rest
+        if self._of_steps is not self._prediction.x:
+            self._of_steps[:] *= rest
 
     def settle(self, blend: Blend, ones: Floats) -> Settled:
         forces = np.empty(self._rows.n, dtype=np.float32)
         sums = self._loops.settle(
-            *(self._estimates, self._prediction, self._measured, ones, self._transform),
-            *(self._estimate, kernels.BlendNumbers(*blend), forces),
+            *(self._of_steps, self._prediction, self._measured, ones, self._transform),
+            *(self._estimate, blend, forces),
         )
         return Settled(forces, *sums)
 
@@ -176,7 +197,9 @@ class CompiledVectors(Vectors):
 
 
 class Loops(NamedTuple):
-    """The loops of a frame. Arguments of other types are not refused."""
+    """The loops of a frame. Arguments of other types are not refused: a NamedTuple of numbers may
+    be another class with the same fields.
+    """
 
     begin: Callable[..., Any]
     predict: Callable[..., Any]
@@ -203,7 +226,6 @@ class ScratchSizes(NamedTuple):
     """Sizes of the scratch of a frame."""
 
     n: int  # taxels
-    n_averaged: int  # estimates that are averaged
     n_cells: int  # cells of the canvas
     n_windows: int
     n_filters: int
@@ -239,7 +261,7 @@ def _make_scratch(sizes: ScratchSizes) -> Scratch:
     n_steps = kernels.step_scratch_size(
         *(sizes.n, sizes.n_cells, sizes.n_windows, sizes.n_filters, sizes.n_hidden)
     )
-    iterates = kernels.Iterates(floats(sizes.n), floats(sizes.n_averaged, sizes.n))
+    iterates = kernels.Iterates(*floats(3, sizes.n))
     slopes = kernels.Slopes(floats(2, sizes.n), floats(2, sizes.n))
     return Scratch(slopes, iterates, floats(n_steps))
 
