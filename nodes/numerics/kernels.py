@@ -76,6 +76,7 @@ class Measured(NamedTuple):
     residual: A  # values less W x of the estimate
     doubt: A  # part of each value that no force explains, 0 to 1
     excess: A  # variance that this adds to that of its noise
+    change: A  # values less those of the last estimate, without what is doubted
 
 
 class Received(NamedTuple):
@@ -86,6 +87,7 @@ class Received(NamedTuple):
     ones: A  # Phi 1, in the order of the rows read
     block: A  # int64 (n_read,): block that each row is compared within, -1 for none
     n_blocks: int
+    faulty: A  # 1 for a measurement that is not to count, else 0
 
 
 class DoubtConstants(NamedTuple):
@@ -299,8 +301,8 @@ def group(kind: Any, *fields: Any) -> Any:
 
 
 TRANSFORM = group(Transform, G, V)
-MEASURED = group(Measured, L, *(7 * [V]))
-RECEIVED = group(Received, L, V, V, L, int64)
+MEASURED = group(Measured, L, *(8 * [V]))
+RECEIVED = group(Received, L, V, V, L, int64, V)
 DOUBT_CONSTANTS = group(DoubtConstants, *(3 * [float64]))
 ESTIMATE = group(Estimate, V, V, V)
 PREDICTION = group(Prediction, V, V)
@@ -717,13 +719,14 @@ def doubt_values(received: A, measured: A, x_rows: A, noise: float, constants: A
     # A loop without choices: its quotients are computed several at once.
     doubt = measured.doubt
     excess = measured.excess
+    faulty = received.faulty
     outlying = constants.outlying
     clear_ratio = constants.clear_ratio
     certain = constants.certain
     for i in range(read.size):
         ratio = min(squares[i] / (outlying * expected[i] + TINY), clear_ratio)
         power = ratio * ratio * ratio * ratio
-        doubted = power / (1 + power)
+        doubted = max(power / (1 + power), np.float64(faulty[i]))
         doubt[i] = doubted
         excess[i] = doubted * squares[i] / (np.float64(_1 - np.float32(doubted)) + certain)
 
@@ -736,6 +739,7 @@ def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[flo
     read = measured.read
     values = measured.values
     doubt = measured.doubt
+    changes = measured.change
     x_rows = estimate.rows
     aa = ab = ac = bb = bc = cc = 0.0
     a_change = b_change = c_change = 0.0
@@ -744,7 +748,8 @@ def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[flo
         a = np.float64(x_rows[r])
         b = np.float64(by_down[r])
         c = np.float64(by_across[r])
-        change = np.float64((_1 - doubt[i]) * (values[i] - x_rows[r]))
+        changes[i] = (_1 - doubt[i]) * (values[i] - x_rows[r])
+        change = np.float64(changes[i])
         aa += a * a
         ab += a * b
         ac += a * c
@@ -820,7 +825,7 @@ def confirmed_part(sums: A, motion: A, unexpected: A, memory: float) -> Any:
     products = 0.0
     squares = 0.0
     for i in range(motion.size):
-        weighted = motion[i] / (mean_square + motion[i] * motion[i])
+        weighted = motion[i] * (mean_square / (mean_square + motion[i] * motion[i]))
         products += np.float64(weighted * unexpected[i])
         squares += np.float64(weighted * motion[i])
     sums[0] = memory * sums[0] + products

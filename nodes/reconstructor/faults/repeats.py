@@ -104,7 +104,7 @@ class RepeatWatch:
         n_lowest = int(np.count_nonzero(y == y.min()))
         if n_lowest == y.size and y.size >= n_least:
             return Reason.CONSTANT
-        if self._n_frozen >= FRAMES and CHANCE > 0.5 ** (self._n_frozen * y.size):
+        if self._n_frozen >= FRAMES and 0.5 ** (self._n_frozen * y.size) < CHANCE:
             return Reason.FROZEN
         n_highest = int(np.count_nonzero(y == y.max()))
         if max(n_lowest, n_highest) >= n_least:

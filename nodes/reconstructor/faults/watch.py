@@ -163,8 +163,7 @@ class FaultWatch:
         return believed
 
     def glance(self, phi: Phi, y: Floats) -> str:
-        """Look at measurements as received alone; return why they cannot be right, "" if they can.
-        """
+        """Look at measurements as received alone; return why they cannot be right, "" if they can."""
         reason = None
         if self._mixes(phi):
             reason = self._repeats.look(phi.fingerprint, y)
@@ -244,7 +243,9 @@ class FaultWatch:
             self._note("rows", f"measurements doubted, no force explains them: {listed(new)}")
 
     def _doubted_rows(self) -> tuple[int, ...]:
-        rows = {int(row) for mean in self._doubts.values() for row in np.flatnonzero(mean > DOUBTED)}
+        rows = {
+            int(row) for mean in self._doubts.values() for row in np.flatnonzero(mean > DOUBTED)
+        }
         return tuple(sorted(rows))
 
     def _look_for_stuck(self, solver: Solver, forces: Floats) -> None:

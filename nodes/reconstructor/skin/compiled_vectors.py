@@ -113,20 +113,25 @@ class CompiledVectors(Vectors):
         self.x[:] = x
         self._estimate.rows[:] = self._rows.forward(x)
 
+    def subtract(self, forces: Floats) -> None:
+        self.start_from(np.maximum(self.x - forces, 0))
+        self._filters.mean[:] -= self._rows.forward(forces)
+
     def begin(
         self, y: Floats, subset: RowSubset, bias: float, noise: float
     ) -> tuple[Comparison, MotionSums]:
         rows = self._rows
         read = rows.read
         n_read = len(read)
-        vectors = np.empty((6, n_read), dtype=np.float32)
-        values, innovation, off_target, residual, doubt, excess = vectors
+        vectors = np.empty((7, n_read), dtype=np.float32)
+        values, innovation, off_target, residual, doubt, excess, change = vectors
         self.innovation = innovation
         self.residual = residual
         self.doubt = doubt
+        self.change = change
         measured = kernels.Measured(
             *(read, values, innovation, subset.innovation),
-            *(off_target, residual, doubt, excess),
+            *(off_target, residual, doubt, excess, change),
         )
         self._measured = measured
 
@@ -134,7 +139,10 @@ class CompiledVectors(Vectors):
         self._slopes = slopes
         sums = self._loops.begin(
             y,
-            kernels.Received(rows.order, subset.y, subset.ones, subset.block, subset.n_blocks),
+            kernels.Received(
+                *(rows.order, subset.y, subset.ones),
+                *(subset.block, subset.n_blocks, subset.faulty),
+            ),
             *(bias, noise, DOUBT_CONSTANTS),
             *(measured, self._estimate, self._neighbours, self._transform, slopes),
         )

@@ -385,7 +385,8 @@ class ConfirmedMotion:
         their filters by; both are 0 where a row is unknown.
         """
         squares = np.square(motion)
-        weights = 1 / (_total(squares) / len(motion) + squares + TINY)
+        mean = np.float32(_total(squares) / len(motion) + TINY)
+        weights = mean / (mean + squares)
         self._products = memory * self._products + _dot(unexpected * weights, motion)
         self._squares = memory * self._squares + _dot(motion * weights, motion)
         part = self._products / (self._squares + TINY)
