@@ -175,8 +175,10 @@ class FrameVectors(Vectors):
         unexpected = self._certain * (self._values - self._mean[read]) * self._is_known
 
         memory = self._tuning.motion_memory
-        growth_part = self._growth.follow(grown[read] * self._is_known, unexpected, memory)
-        part = self._translation.follow(translated[read] * self._is_known, unexpected, memory)
+        of_growth = grown[read] * self._is_known
+        of_translation = translated[read] * self._is_known
+        growth_part: Any = self._growth.follow(of_growth, unexpected, memory)
+        part: Any = self._translation.follow(of_translation, unexpected, memory)
         self._mean = self._mean + (growth_part * grown + part * translated)
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
