@@ -26,6 +26,7 @@ from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.numerics.arrays import real_floats
 from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.faults.watch import solve_watched, watch_of
 from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
 from sparseskin.nodes.recorder.bag.frames import (
@@ -176,7 +177,9 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     Returns
     -------
     ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
-        Forces, newtons, 0 or more; 0 where no taxel exists.
+        Forces, newtons, 0 or more; 0 where no taxel exists. `solver.reason` states why the last
+        frame is not to be trusted, "" if it is, as in a graph; `solver.noise_sd` and
+        `solver.noise_model`, which the caller may set before the first frame, help it to see.
 
     Raises
     ------
@@ -210,7 +213,10 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     for k, measured in enumerate(np.atleast_2d(y)):
         if subsets:
             solver.use(subsets[k % len(subsets)])
-        made.append(solver.solve(measured))
+        verdict = solve_watched(solver, watch_of(solver), solver.phi, measured)
+        solver.reason = str(verdict.reason)
+        solver.trusted = not solver.reason
+        made.append(verdict.forces)
     if y.ndim == 1:
         return made[0]
     return np.stack(made) if made else np.zeros((0, *solver.mask.shape), dtype=np.float32)

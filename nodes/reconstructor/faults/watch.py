@@ -163,7 +163,7 @@ class FaultWatch:
         return believed
 
     def glance(self, phi: Phi, y: Floats) -> str:
-        """Look at measurements as received alone; return why they cannot be right, "" if they can."""
+        """Look at measurements as they are received; return why they cannot be right, or none."""
         reason = None
         if self._mixes(phi):
             reason = self._repeats.look(phi.fingerprint, y)
@@ -210,7 +210,7 @@ class FaultWatch:
         return self._verdict(self.last_forces, self._received)
 
     def _mixes(self, phi: Phi) -> bool:
-        """True if each measurement sums several taxels: single ones may well repeat, clipped at 0."""
+        """True if each measurement sums several taxels: single ones repeat where they are 0."""
         if phi.fingerprint not in self._mixing:
             chooses = isinstance(phi, ActsPhi | AdaptivePhi)
             self._mixing[phi.fingerprint] = not chooses and mixed_taxels(phi) >= LEAST_MIXED
@@ -316,10 +316,14 @@ class FaultWatch:
             return Reason.ROWS
         if self._stuck.is_doubted or self._stuck.is_blind(self._exists):
             return Reason.STUCK
-        if self._offset is not None and self._watch_rows:
-            if self._offset.looks_alike(phi, forces[self._exists]):
-                return Reason.OFFSET
+        if self._looks_like_an_offset(phi, forces):
+            return Reason.OFFSET
         return ""
+
+    def _looks_like_an_offset(self, phi: Phi, forces: Floats) -> bool:
+        if self._offset is None or not self._watch_rows:
+            return False
+        return self._offset.looks_alike(phi, forces[self._exists])
 
     def _is_weak(self, solver: Solver, forces: Floats) -> bool:
         """True if neither the forces nor the estimated error stand out of the stated noise."""
@@ -371,6 +375,16 @@ def listed(names: Sequence[object] | Indices) -> str:
     if len(names) > MOST_NAMED:
         text += f" and {len(names) - MOST_NAMED} more"
     return text
+
+
+def watch_of(solver: Solver) -> FaultWatch:
+    """The watch of a solver that is used by itself, by the noise that it was told; made once."""
+    if solver.watch is None:
+        model = solver.noise_model
+        f_max = math.inf if model is None else model.f_max
+        solver.watch = FaultWatch(Noise(f_max, solver.noise_sd, model), solver.mask)
+    watch: FaultWatch = solver.watch
+    return watch
 
 
 def _no_log(_: str) -> None:

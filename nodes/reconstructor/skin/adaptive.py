@@ -78,7 +78,7 @@ class AdaptiveSkinSolver(Solver):
         basis: Basis,
         mask: Mask | None = None,
         *,
-        iterations: int = 8,
+        iterations: int = 24,
         fast: str = "auto",
     ) -> None:
         super().__init__(phi, basis, mask)
@@ -100,6 +100,7 @@ class AdaptiveSkinSolver(Solver):
     def reset(self) -> None:
         self._filter.reset()
         self._held.reset()
+        self.watch = None
         self._age.fill(0)
         self._drift.fill(0)
         self._predicted: tuple[Doubles, Doubles] | None = None

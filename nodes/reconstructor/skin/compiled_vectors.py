@@ -89,7 +89,8 @@ class CompiledVectors(Vectors):
         vectors = np.zeros((10, n), dtype=np.float32)
         self._estimate = kernels.Estimate(*vectors[:3])
         self._prediction = kernels.Prediction(*vectors[3:5])
-        self._filters = kernels.Filters(*vectors[5:8], confirmed=np.zeros(4))
+        mean, variance, change = vectors[5:8]
+        self._filters = kernels.Filters(mean, variance, change, confirmed=np.zeros(4))
         self._targets = kernels.Targets(*vectors[8:])
         self._recall = np.zeros(3)
         self._step_scratch: Scratch | None = None

@@ -114,7 +114,7 @@ class FrameVectors(Vectors):
             power = np.minimum(ratio, CLEAR_RATIO) ** 4
             self.doubt[peers] = power / (1 + power)
         self.doubt = np.maximum(self.doubt, subset.faulty)
-        self._certain = 1 - self.doubt
+        self._certain: Any = np.float32(1) - self.doubt
         excess = self.doubt * squares / (self._certain + CERTAIN)
         self._excess = excess.astype(np.float32)
 
@@ -180,8 +180,10 @@ class FrameVectors(Vectors):
         unexpected = self._certain * (self._values - self._mean[read]) * self._is_known
 
         memory = self._tuning.motion_memory
-        growth_part = self._growth.follow(grown[read] * self._is_known, unexpected, memory)
-        part = self._translation.follow(translated[read] * self._is_known, unexpected, memory)
+        of_growth = grown[read] * self._is_known
+        of_translation = translated[read] * self._is_known
+        growth_part: Any = self._growth.follow(of_growth, unexpected, memory)
+        part: Any = self._translation.follow(of_translation, unexpected, memory)
         self._mean = self._mean + (growth_part * grown + part * translated)
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
@@ -261,9 +263,10 @@ class FrameVectors(Vectors):
         """
         tuning = self._tuning
         rising = np.arange(1, plan.n + 1) / max(1, plan.n + 1 - tuning.fully_averaged)
-        weights = np.minimum(rising, 1) ** tuning.rise_power
+        weights: Doubles = np.minimum(rising, 1) ** tuning.rise_power
         weights /= (residual2 + plan.floor) ** tuning.residual_power
-        return weights / weights.sum()
+        weights /= weights.sum()
+        return weights
 
     def _step(self, k: int, plan: StepPlan) -> tuple[Floats, float, float]:
         """Move z, in step k; by `shrink` in place of the weights where the plan says so, and where
@@ -317,7 +320,7 @@ class FrameVectors(Vectors):
         self._estimate = np.float32(1 - part) * self._estimate
 
     def settle(self, blend: Blend, ones: Floats) -> Settled:
-        part = np.float32(blend.part)
+        part: Any = np.float32(blend.part)
         self.start_from((1 - part) * self._estimate + part * self._predicted)
         self._correction = self._x_rows - self._predicted_rows
         self.residual = self._certain * (self._values - self._x_rows[self._rows.read])
@@ -385,8 +388,8 @@ class ConfirmedMotion:
         their filters by; both are 0 where a row is unknown.
         """
         squares = np.square(motion)
-        mean = np.float32(_total(squares) / len(motion) + TINY)
-        weights = mean / (mean + squares)
+        mean: Any = np.float32(_total(squares) / len(motion) + TINY)
+        weights: Any = mean / (mean + squares)
         self._products = memory * self._products + _dot(unexpected * weights, motion)
         self._squares = memory * self._squares + _dot(motion * weights, motion)
         part = self._products / (self._squares + TINY)

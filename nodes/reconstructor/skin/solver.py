@@ -112,6 +112,7 @@ class SkinSolver(Solver):
     def reset(self) -> None:
         self._estimator.forget()
         self._steps_left = 0
+        self.watch = None
         self.error = None
         self.trusted = True
 

@@ -90,6 +90,10 @@ class Solver(ABC):
     #: forces.
     trusted: bool = True
     noise_sd: float = 0.0
+    #: Why the last frame that `sparseskin.reconstruct` made is not trusted, "" if it is.
+    reason: str = ""
+    #: What looks at the frames of a solver that is used by itself: a `FaultWatch`, or None.
+    watch: Any = None
     #: Measurements of the next frame that are not to count, bool (m,); None: all count.
     faulty: Mask | None = None
     #: Noise of the readings, as the skin states it; None where it does not.
@@ -199,9 +203,9 @@ class Solver(ABC):
             raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
         self._subset_stated = True
 
-    def subtract(self, forces: Floats) -> None:
+    def subtract(self, forces: Floats) -> None:  # noqa: B027
         """Note that the next frames are measured without forces, float32 (n_rows, n_cols), that
-        those before had: nothing is done by solvers without a state of measurements.
+        those before had. Solvers without a state of measurements do nothing.
         """
 
     def use_pace(self, n_steps: int) -> None:
@@ -302,7 +306,10 @@ class RotatingSolver(Solver):
         return forces
 
     def reset(self) -> None:
-        self._last, self.error, self.trusted = None, None, True
+        self._last = None
+        self.error = None
+        self.trusted = True
+        self.watch = None
         for solver in self._solvers.values():
             solver.reset()
 

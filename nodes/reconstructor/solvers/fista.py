@@ -188,3 +188,4 @@ class FistaSolver(Solver):
 
     def reset(self) -> None:
         self._fista.reset()
+        self.watch = None

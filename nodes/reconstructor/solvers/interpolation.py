@@ -89,7 +89,7 @@ class InterpolationSolver(Solver):
         return image
 
     def reset(self) -> None:
-        """Do nothing: no state is carried from frame to frame."""
+        self.watch = None  # no other state is carried from frame to frame
 
 
 class LineInterpolation:

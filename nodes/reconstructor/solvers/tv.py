@@ -98,6 +98,7 @@ class TvSolver(Solver):
         return self._final_forces(self._image.copy())
 
     def reset(self) -> None:
+        self.watch = None
         for array in (self._image, *self._duals):
             array.fill(0)
 
