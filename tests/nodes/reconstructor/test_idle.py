@@ -13,7 +13,7 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.reconstructor.faults.frame import FRAMES
+from sparseskin.nodes.reconstructor.faults.repeats import FRAMES
 from sparseskin.nodes.reconstructor.idle import FALSE_ALARMS, REFRESH, IdleWatch
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.scenes.tiled import TiledScene
