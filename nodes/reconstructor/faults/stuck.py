@@ -9,10 +9,10 @@ import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask, of_nine
 
-WORKS = 0.4
-"""Noise variance of a working taxel, in the stated one: one of a fifth and more shows that it works
+WORKS = 0.7
+"""Noise variance of a working taxel, in the stated one: one of a third and more shows that it works
 by and by, one of less that it is stuck. Chosen: skins state it to a factor of two."""
-ENOUGH = 12.0
+ENOUGH = 10.0
 """Logarithm of the odds at which taxels are stuck. Derived: no chance of a year at 100 Hz."""
 MEMBER = 0.95
 """Least probability of a taxel to be one of those that are stuck, by the part of these. Chosen."""
@@ -48,12 +48,16 @@ class Evidence(NamedTuple):
 class StuckTaxels:
     """Finds stuck taxels of any number and shape.
 
-    The innovation e of a frame, projected back to a taxel, has two parts: its own error, of which
-    the noise of a working one is never absent, and the background of the others. The logarithm of
-    the likelihood ratio of both hypotheses adds up over frames (Wald, "Sequential analysis", 1947).
-    One stuck taxel is found by itself; of many, which show little each, the mixture of stuck and
-    working ones tells that there are some: its likelihood, for the best part of stuck ones, beside
-    that of none.
+    The change of a frame, projected back to a taxel, has two parts: its own error, of which the
+    noise of a working one is never absent, and the background of the others. The logarithm of the
+    likelihood ratio of both hypotheses adds up over frames (Wald, "Sequential analysis", 1947), and
+    over taxels: those beside each other that are pressed alike, and all of them, of which any part
+    may be stuck (`mixture_of`).
+
+    Parameters
+    ----------
+    exists : ndarray of bool, shape (n_rows, n_cols)
+        True where a taxel exists.
 
     Attributes
     ----------
@@ -64,7 +68,9 @@ class StuckTaxels:
         Readings of stuck taxels; 0 elsewhere.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, exists: Mask) -> None:
+        n = int(np.count_nonzero(exists))
+        self._beside = beside(exists)
         self._odds = np.zeros(n)
         self._reference = np.zeros(n, dtype=np.float32)
         self._n_doubted = 0  # frames of doubt in a row
@@ -114,18 +120,46 @@ class StuckTaxels:
         self._n_clear += 1
         if len(watched):
             mixture = mixture_of(self._odds[watched])
-            if mixture.odds > ENOUGH:
+            if max(mixture.odds, self._odds_of_group(watched)) > ENOUGH:
                 self._n_clear = 0
         self.is_doubted = self._n_clear < SETTLED
         self._n_doubted = self._n_doubted + 1 if self.is_doubted else 0
         if self._n_clear > 0 or self._n_doubted < SETTLED:
             return watched[:0]
-        members = watched[mixture.posterior > MEMBER]
+        members = self._members(watched, mixture)
         self.is_stuck[members] = True
         self.value[members] = self._reference[members]
         self._odds[members] = 0.0
         self._n_doubted = 0
         return members
+
+    def _odds_of_group(self, watched: Indices) -> float:
+        """Largest odds of a taxel and those beside it that are pressed alike, less that of its
+        choice.
+        """
+        suspects = watched[self._odds[watched] > 0]
+        if len(suspects) == 0:
+            return 0.0
+        odds = self._group_odds(suspects)
+        return float(odds.max()) - math.log(len(self._odds))
+
+    def _group_odds(self, suspects: Indices) -> Doubles:
+        """Odds of each suspect and the watched taxels beside it that are pressed alike."""
+        places = self._beside[suspects]
+        reference = np.append(self._reference, np.float32(0))
+        difference = np.abs(reference[places] - self._reference[suspects, None])
+        is_alike = difference < HELD * self._reference[suspects, None]
+        odds: Doubles = (np.append(self._odds, 0.0)[places] * is_alike).sum(axis=1)
+        return odds
+
+    def _members(self, watched: Indices, mixture: Mixture) -> Indices:
+        """The watched taxels that are stuck: by themselves, or with those beside them."""
+        is_member = mixture.posterior > MEMBER
+        is_member &= mixture.odds > ENOUGH
+        suspects = np.flatnonzero(self._odds[watched] > 0)
+        group = self._group_odds(watched[suspects]) - math.log(len(self._odds))
+        is_member[suspects] |= group > ENOUGH
+        return watched[is_member]
 
     def filled(self, image: Floats, exists: Mask) -> Floats:
         """Return forces, float32 (n_rows, n_cols), with stuck taxels as the mean of the working
@@ -144,6 +178,17 @@ class StuckTaxels:
         works[exists] = ~self.is_stuck
         beside = of_nine(works, np.logical_or)
         return bool((exists & ~beside).any())
+
+
+def beside(exists: Mask) -> Indices:
+    """Numbers of the taxels within two rows and columns of each, itself included, intp (n, 25); n
+    where there is none.
+    """
+    n = int(np.count_nonzero(exists))
+    number = np.full((exists.shape[0] + 4, exists.shape[1] + 4), n)
+    number[2:-2, 2:-2][exists] = np.arange(n)
+    windows = np.lib.stride_tricks.sliding_window_view(number, (5, 5))
+    return windows[exists].reshape(n, 25)
 
 
 class Mixture(NamedTuple):

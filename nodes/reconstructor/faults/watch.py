@@ -23,7 +23,7 @@ from .repeats import RepeatWatch
 from .stuck import PRESSED, Evidence, StuckTaxels
 
 LEAST_MIXED = 8.0
-"""Least number of taxels that a measurement sums, of rows that are compared."""
+"""Least number of taxels that most measurements sum, where measurements are compared."""
 N_PROBED = 8
 """Rows that are probed for it."""
 LEAST_BACKGROUND = 0.05
@@ -104,7 +104,7 @@ class FaultWatch:
         self._offset: OffsetWatch | None = None
         if noise.least_sd > 0:
             self._offset = OffsetWatch(noise.least_sd)
-        self._stuck = StuckTaxels(len(self._cells))
+        self._stuck = StuckTaxels(self._exists)
         self._subtracted: dict[str, Floats] = {}
         self._doubts: dict[str, Floats] = {}
         self._last_forces: Floats | None = None
@@ -358,15 +358,14 @@ def solve_watched(solver: Solver, watch: FaultWatch, phi: Phi, y: Floats) -> Ver
 
 
 def mixed_taxels(phi: Phi) -> float:
-    """Return the smallest participation ratio of some rows: how many taxels each sums, at least."""
-    probes = np.linspace(0, phi.m - 1, min(N_PROBED, phi.m)).astype(np.intp)
-    least = math.inf
-    for row in probes:
+    """Return the median participation ratio of some rows: how many taxels a row sums."""
+    ratios = []
+    for row in np.linspace(0, phi.m - 1, min(N_PROBED, phi.m)).astype(np.intp):
         unit = np.zeros(phi.m, dtype=np.float32)
         unit[row] = 1
         weights = np.square(phi.adjoint(unit), dtype=np.float64)
-        least = min(least, float(weights.sum() ** 2 / max(np.square(weights).sum(), TINY)))
-    return least
+        ratios.append(weights.sum() ** 2 / max(np.square(weights).sum(), TINY))
+    return float(np.median(ratios))
 
 
 def listed(names: Sequence[object] | Indices) -> str:
