@@ -13,7 +13,7 @@ from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
-from sparseskin.nodes.reconstructor.solvers.base import Solver
+from sparseskin.nodes.reconstructor.solvers.base import Solver, checked_measurements
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.touch import in_contact
 
@@ -149,7 +149,10 @@ class FaultWatch:
     def receive(self, solver: Solver, phi: Phi, y: Floats) -> Floats | None:
         """Look at measurements as received, float32 (m,), newtons; return those to be solved, or
         None if they hold nothing of the skin. y is kept, not copied.
+
+        Raises SolverError where the solver would, and looks at none of y then.
         """
+        checked_measurements(y, phi.m, getattr(solver, "y_max", Solver.y_max))
         if self.glance(phi, y) in (Reason.CONSTANT, Reason.FROZEN):
             return None
 
