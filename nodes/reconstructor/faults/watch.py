@@ -199,7 +199,8 @@ class FaultWatch:
         if innovation is not None:
             self._follow_noise(innovation, forces)
             self._follow_doubt(solver, phi)
-            if self._watch_taxels:
+            # Of forces that have not converged, the errors are no noise.
+            if self._watch_taxels and solver.trusted:
                 self._look_for_stuck(solver, forces)
         if self._stuck.is_stuck.any():
             forces = self._stuck.filled(forces, self._exists)
@@ -368,7 +369,7 @@ def mixed_taxels(phi: Phi) -> float:
         unit[row] = 1
         weights = np.square(phi.adjoint(unit), dtype=np.float64)
         ratios.append(weights.sum() ** 2 / max(np.square(weights).sum(), TINY))
-    return float(np.median(ratios))
+    return float(sorted(ratios)[len(ratios) // 2])
 
 
 def listed(names: Sequence[object] | Indices) -> str:
