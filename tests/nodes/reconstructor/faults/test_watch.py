@@ -222,7 +222,9 @@ def test_single_taxels_may_repeat():
     assert [watch.glance(phi, zero) for _ in range(20)] == [""] * 20
 
 
-@pytest.mark.parametrize(("kind", "is_mixed"), [("sbhe", True), ("gaussian", True), ("full", False)])
+@pytest.mark.parametrize(
+    ("kind", "is_mixed"), [("sbhe", True), ("gaussian", True), ("full", False)]
+)
 def test_measurements_mix_taxels_but_for_single_ones(kind, is_mixed):
     phi = make_phi(kind, 256, 256 if kind == "full" else 85, seed=0)
     assert (mixed_taxels(phi) >= 8) == is_mixed
