@@ -163,8 +163,8 @@ class ReconstructorSettings(PatchesSettings):
     )
     watch_rows: bool = setting(
         True,
-        "give measurements that repeat alone no weight, on a skin with noise; subtract an offset of "
-        "all, where the noise is stated",
+        "give no weight to measurements that repeat alone, on a skin with noise; subtract an "
+        "offset of all, where the noise is stated",
     )
     fast: str = setting(
         "auto",
