@@ -157,7 +157,7 @@ class FaultWatch:
         if self._stuck.is_stuck.any():
             believed = np.subtract(y, self._stuck_readings(phi))
         expected = getattr(solver, "expected", None)
-        if self._watch_rows and expected is not None:
+        if self._watch_rows and expected is not None and self._mixes(phi):
             believed = self._without_offset(phi, believed, expected(phi))
             solver.faulty = self._repeats.faulty
         return believed
@@ -196,7 +196,7 @@ class FaultWatch:
         if innovation is not None:
             self._follow_noise(innovation, forces)
             self._follow_doubt(solver, phi)
-            if self._watch_taxels:
+            if self._watch_taxels and self._received is None:
                 self._look_for_stuck(solver, forces)
         if self._stuck.is_stuck.any():
             forces = self._stuck.filled(forces, self._exists)
@@ -270,7 +270,8 @@ class FaultWatch:
         """What a frame shows of each taxel; None where nothing is known of its noise."""
         model = self._noise.model
         if model is not None:
-            if not self._measured_noise.is_shown:
+            # Without the noise of the skin, all taxels seem to be stuck.
+            if not self._measured_noise.is_present:
                 return None
             noise = model.variance(forces).astype(np.float64)
         else:
@@ -321,7 +322,7 @@ class FaultWatch:
         return ""
 
     def _looks_like_an_offset(self, phi: Phi, forces: Floats) -> bool:
-        if self._offset is None or not self._watch_rows:
+        if self._offset is None or not (self._watch_rows and self._mixes(phi)):
             return False
         return self._offset.looks_alike(phi, forces[self._exists])
 
