@@ -11,7 +11,7 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask, of_nine
 
 WORKS = 0.7
-"""Noise variance of a working taxel, in the stated one: one of a third and more shows that it works
+"""Noise variance of a working taxel, in that of pressed ones by the stated noise: one of a third and more shows that it works
 by and by, one of less that it is stuck. Chosen: skins state it to a factor of two."""
 FIRST_SCALE, SCALE_RATE = 0.3, 0.05
 """Noise variance of pressed taxels, in the stated one, before any was measured, and the rate per
@@ -112,7 +112,7 @@ class StuckTaxels:
         if not self.is_doubted:
             self._follow_scale(shown2 - background, stated)
 
-        noise = min(self._scale, WORKS) * stated
+        noise = WORKS * self._scale * stated
         stuck2 = np.maximum(background, LEAST_BACKGROUND * noise) + TINY
         works2 = stuck2 + noise
         change = 0.5 * (np.log(works2 / stuck2) - shown2 * (1 / stuck2 - 1 / works2))

@@ -283,10 +283,10 @@ class FaultWatch:
             return None
 
         def noise(taxels: Indices) -> Doubles:
-            own = projection.own[taxels]
+            own: Doubles = projection.own[taxels]
             if model is None:
                 return own * least
-            return own * model.variance(forces[taxels])
+            return own * model.variance(forces[taxels]).astype(np.float64)
 
         return Evidence(forces, projection.projected, projection.background, noise)
 
