@@ -25,7 +25,7 @@ WINDOWS = {
 }
 #: Rows, and iterations, of each preset.
 ROWS = {"paper": ("paper", "rotating"), "skin": ("fixed", "rotating")}
-ITERATIONS = {"paper": 30, "skin": 8}
+ITERATIONS = {"paper": 30, "skin": 24}
 
 
 def golden(scenes: Iterable[str] = WINDOWS, kernel: str | None = "Haswell") -> dict[str, Any]:

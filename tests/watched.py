@@ -1,4 +1,4 @@
-"""A reconstructor and a skin under the watch for faults: what their tests share."""
+"""A reconstructor node that watches for faults: what tests of it share."""
 
 import importlib.util
 import itertools
@@ -14,16 +14,10 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, row_subsets
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.faults.taxels import TaxelWatch
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
-from sparseskin.nodes.reconstructor.solvers.base import make_solver
-from sparseskin.nodes.sensor.noise import NoiseModel
 
 DESK_SHAPE, N = (40, 40), 1600
 FAST = "on" if importlib.util.find_spec("numba") else "off"
-SKIN_SHAPE = (28, 28)
-NOISE = NoiseModel()
 
 
 class Desk:
@@ -69,32 +63,3 @@ class Desk:
     def restore(self, y: Iterable[Floats | Quantised]) -> Floats:
         """Forces of the frames of measurements y."""
         return np.array([m.forces[0] for m in self.reconstructions(y)])
-
-
-class Skin:
-    """A skin that is restored frame by frame under the watch, and what was said of it."""
-
-    def __init__(self, phi: Phi, noise: NoiseModel = NOISE) -> None:
-        self.lines: list[str] = []
-        self.phi, self.noise = phi, noise
-        mask = np.ones(SKIN_SHAPE, np.bool_)
-        self.watch = TaxelWatch(mask, NOISE, self.lines.append)
-        self.solver = make_solver("skin", phi, make_basis("haar", *SKIN_SHAPE), mask, fast=FAST)
-        self.rng = np.random.default_rng(0)
-
-    def read(self, truth: Floats, reads: dict[tuple[int, int], float] | None = None) -> Floats:
-        """The reconstruction published for a frame; `reads` are the readings of faulty taxels."""
-        taxels = self.noise.apply(truth, self.rng)
-        for cell, value in (reads or {}).items():
-            taxels[cell] = value
-        y = self.watch.cleaned(self.phi, self.phi.forward(taxels.reshape(-1)))
-        forces = self.solver.solve(y)
-        self.watch.update(self.phi, forces, y - self.phi.forward(forces.reshape(-1)))
-        return self.watch.filled(forces)
-
-
-def pad(*cells: tuple[slice, slice], force: float = 1.0) -> Floats:
-    frame = np.zeros(SKIN_SHAPE, np.float32)
-    for cell in cells:
-        frame[cell] = force
-    return frame

@@ -50,8 +50,9 @@ class OffsetRows:
 
         size = np.abs(phi.forward(np.ones(phi.n, dtype=np.float32)))
         self.light: Mask = shared(size <= HEAVY * size.max())
-        _, self.starts, block = np.unique(_blocks_of(phi), return_index=True, return_inverse=True)
-        self.block = shared(block)
+        is_first = np.diff(_blocks_of(phi), prepend=-1) > 0
+        self.starts = np.flatnonzero(is_first)
+        self.block = shared(np.cumsum(is_first) - 1)
         n_light = np.add.reduceat(self.light.astype(np.float32), self.starts)
         self.n_light: Floats = np.maximum(n_light, 1)
 

@@ -20,6 +20,12 @@ from which on a skin that states no noise has some. Chosen: of recordings whose 
 read 0 some measurements repeat."""
 LIVELY_RATE = 0.05
 """Rate per frame of that part."""
+TIED, TIED_DEVIATIONS = 0.17, 3.4
+"""Number of measurements that share an extreme value of a quantiser, in m and in its root, which
+chance exceeds in one of 10^9 frames. Computed for steps of up to twice the noise and m of 128 and
+more; of fewer, more frames do."""
+MOST_LIKELY = 0.75
+"""Largest probability of a value of a quantiser. Derived: a step of twice the noise has 0.68."""
 CHANCE = 1e-9
 """Probability of a chance event that passes for a fault."""
 RARE = 1e-3
@@ -118,8 +124,11 @@ class RepeatWatch:
         known.n_repeats = np.where(repeats, known.n_repeats + 1, 0)
         chance = max(1 - self._lively, RARE)
         if has_noise:
+            if step_of(y) > 0:
+                # The mean probability to repeat is at least the square of the largest one.
+                chance = math.sqrt(chance)
             # After so many repeats no chance is left.
-            n_needed = math.ceil(math.log(CHANCE) / math.log(min(chance, 0.5)))
+            n_needed = math.ceil(math.log(CHANCE) / math.log(min(chance, MOST_LIKELY)))
             faulty = known.n_repeats >= n_needed
             if faulty.any():
                 self.faulty = faulty
@@ -134,10 +143,10 @@ def least_ties(m: int, is_quantised: bool) -> int:
     """Least number of the m measurements of a frame that share an extreme value not by chance.
 
     Two float32 numbers of noise are hardly ever equal. Steps of a quantiser, of twice the noise at
-    most, hold half of the measurements of an untouched skin, but not at an end.
+    most, hold half of the measurements of an untouched skin, but hardly at an end.
     """
     if is_quantised:
-        return max(8, m // 4)
+        return math.ceil(TIED * m + TIED_DEVIATIONS * math.sqrt(m))
     return 4
 
 

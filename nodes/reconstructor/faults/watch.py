@@ -13,7 +13,7 @@ from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
-from sparseskin.nodes.reconstructor.solvers.base import Solver
+from sparseskin.nodes.reconstructor.solvers.base import Solver, checked_measurements
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.touch import in_contact
 
@@ -148,7 +148,10 @@ class FaultWatch:
     def receive(self, solver: Solver, phi: Phi, y: Floats) -> Floats | None:
         """Look at measurements as received, float32 (m,), newtons; return those to be solved, or
         None if they hold nothing of the skin. y is kept, not copied.
+
+        Raises SolverError where the solver would, and looks at none of y then.
         """
+        checked_measurements(y, phi.m, getattr(solver, "y_max", Solver.y_max))
         if self.glance(phi, y) in (Reason.CONSTANT, Reason.FROZEN):
             return None
 
@@ -195,7 +198,8 @@ class FaultWatch:
         if innovation is not None:
             self._follow_noise(solver, innovation)
             self._follow_doubt(solver, phi)
-            if self._watch_taxels and self._received is None:
+            # Of forces that have not converged, the errors are no noise.
+            if self._watch_taxels and self._received is None and solver.trusted:
                 self._look_for_stuck(solver, forces)
         if self._stuck.is_stuck.any():
             forces = self._stuck.filled(forces, self._exists)
@@ -369,7 +373,7 @@ def mixed_taxels(phi: Phi) -> float:
         unit[row] = 1
         weights = np.square(phi.adjoint(unit), dtype=np.float64)
         ratios.append(weights.sum() ** 2 / max(np.square(weights).sum(), TINY))
-    return float(np.median(ratios))
+    return float(sorted(ratios)[len(ratios) // 2])
 
 
 def listed(names: Sequence[object] | Indices) -> str:

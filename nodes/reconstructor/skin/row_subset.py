@@ -25,8 +25,7 @@ above the resolution of float32, below that of any converter."""
 CLEAR_CHANGE = 1e3
 """The same in `SAME`, beyond which a larger change does not count: its power stays finite."""
 LEVEL_KEPT = 0.5
-"""Part of the level of measurements that a frame keeps. Chosen: one frame of garbage is forgotten
-in a few others."""
+"""Part of the level of measurements that a frame keeps. Chosen."""
 SILENCE_KEPT = 0.98
 """The same of a silent frame. Chosen: steps of a walk are silent for 20 frames."""
 
@@ -56,17 +55,27 @@ class FrameNumbers(NamedTuple):
 class Level:
     """Magnitude of the measurements so far, beside which others are 0.
 
-    It is the RMS of a frame without its largest measurement, which may be faulty. It falls by a
-    half per frame, and slowly while the skin is silent.
+    It is the RMS of a frame without its largest measurement, which may be faulty, and not more than
+    that of the next frame: one frame may be garbage. It falls by a half per frame, and slowly while
+    the skin is silent.
+
+    Attributes
+    ----------
+    value : float
+        The level.
+    last : float
+        RMS of the last frame.
     """
 
     def __init__(self) -> None:
         self.value = 0.0
+        self.last = 0.0
 
     def follow(self, rms: float, silent: float) -> None:
         """Update the level by a frame."""
         kept = silent * SILENCE_KEPT + (1 - silent) * LEVEL_KEPT
-        self.value = max(rms, kept * self.value)
+        self.value = max(min(rms, self.last), kept * self.value)
+        self.last = rms
 
 
 class RowSubset:
@@ -120,9 +129,10 @@ class RowSubset:
         if self.was_read:
             repeated = _nothing_of(comparison.change, comparison.largest)
         silent = _nothing_of(comparison.largest, level.value)
+        # The state has the rounding of the last frame.
+        power = comparison.power + level.value**2 + level.last**2
+        floor = max(RESOLUTION**2 * power, TINY)
         level.follow(comparison.without_largest(len(self.ones)), silent)
-
-        floor = max(RESOLUTION**2 * (comparison.power + level.value**2), TINY)
         return FrameNumbers(len(self.ones), floor, repeated, silent)
 
 

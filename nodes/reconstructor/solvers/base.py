@@ -238,22 +238,7 @@ class Solver(ABC):
 
     def _checked_y(self, y: Floats) -> Floats:
         """Return y as contiguous float32, or raise SolverError."""
-        y = real_floats(y, "solver: y", SolverError)
-        if y.shape != (self.phi.m,):
-            raise SolverError(
-                f"solver: y has shape {y.shape}; expected ({self.phi.m},): m = {self.phi.m}"
-            )
-        # The sum of squares is found far sooner than the extremes, and is hardly ever as large.
-        if np.vdot(y, y) < self.y_max:
-            return y
-        if not np.isfinite(y).all():
-            bad = int(np.flatnonzero(~np.isfinite(y))[0])
-            raise SolverError(f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers")
-        if max(float(y.max()), -float(y.min())) > self.y_max:
-            raise SolverError(
-                f"solver: a measurement is beyond +-{self.y_max:g}: too large for float32"
-            )
-        return y
+        return checked_measurements(y, self.phi.m, self.y_max)
 
     def _checked_warm(self, warm: Floats) -> Floats:
         """Return a warm start as contiguous float32, or raise SolverError."""
@@ -357,6 +342,24 @@ def make_solver(
         raise SolverError(f'solver "{name}" is no solver: it lacks {", ".join(missing)}')
     solver: Solver = made
     return solver
+
+
+def checked_measurements(y: Floats, m: int, y_max: float) -> Floats:
+    """Return m measurements y as contiguous float32; raise SolverError where one is not finite or
+    beyond +-y_max.
+    """
+    y = real_floats(y, "solver: y", SolverError)
+    if y.shape != (m,):
+        raise SolverError(f"solver: y has shape {y.shape}; expected ({m},): m = {m}")
+    # The sum of squares is found far sooner than the extremes, and is hardly ever as large.
+    if np.vdot(y, y) < y_max:
+        return y
+    if not np.isfinite(y).all():
+        bad = int(np.flatnonzero(~np.isfinite(y))[0])
+        raise SolverError(f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers")
+    if max(float(y.max()), -float(y.min())) > y_max:
+        raise SolverError(f"solver: a measurement is beyond +-{y_max:g}: too large for float32")
+    return y
 
 
 def estimated_error(solver: Solver) -> tuple[float | None, bool]:

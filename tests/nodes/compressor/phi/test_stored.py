@@ -169,6 +169,7 @@ def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(tmp_path):
     np.save(tmp_path / "press.npy", press)
     chosen = [f"{node}.phi={kind}" for node in ("compressor", "reconstructor")]
     chosen += [f"sensor.source=file:{tmp_path}/press.npy", "sensor.unit=N", "sensor.rate_hz=100"]
+    chosen += ["sensor.f_max=2.5"]
     chosen += ["reconstructor.iterations=8"]
     frames = run_launch("replay", 9, chosen)
     stream = Stream((40, 40), phi=kind, iterations=8)

@@ -19,6 +19,10 @@ from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 SHAPE, N = (24, 24), 576
+PAPER = NoiseModel()
+SIGMAS = (PAPER.sigma_mid, PAPER.sigma_end)
+SIDES_AND_RATIOS = [(side, ratio) for side in (8, 16, 24, 40) for ratio in (2, 3, 8)]
+SIDES_AND_RATIOS[2] = (8, 4)  # of N/8, 8 measurements are left
 
 
 def solver_of(phis, **settings):
@@ -115,10 +119,11 @@ def test_repeats_of_fixed_rows_lower_the_estimated_error_as_independent_frames_a
     assert (np.array(errors) * np.sqrt(np.arange(1, 61)) >= 0.999 * errors[0]).all()
 
 
+@pytest.mark.parametrize("rows", [FIXED, ROTATING])
 @pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}])
-def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings):
+def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings, rows):
     pytest.importorskip("numba")
-    frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(ROTATING)
+    frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(rows)
     plain, errors = reconstructed(solver_of(phis, fast="off", **settings), phis, frames)
     found, more = reconstructed(solver_of(phis, fast="on", **settings), phis, frames)
     assert np.abs(found - plain).max() < 1e-4 * plain.max()
@@ -156,6 +161,57 @@ def test_a_taxel_that_moves_does_not_pass_for_noise(side, ratio, sd):
         read = np.maximum(truth + sd * rng.standard_normal(truth.shape), 0).astype(np.float32)
         error = np.linalg.norm(stream.reconstruct(stream.compress(read)) - truth)
         assert k < 20 or error < 0.3 or (sd == 0 and not stream.trusted)
+
+
+@pytest.mark.parametrize(("side", "ratio"), SIDES_AND_RATIOS)
+def test_a_rough_load_that_holds_still_is_reached_and_kept(side, ratio):
+    """Seven of ten taxels are pressed, each by another force, far from sparse."""
+    rng = np.random.default_rng(side + ratio)
+    is_pressed = rng.random((side, side)) < 0.7
+    truth = (is_pressed * rng.uniform(0.2, 1.5, (side, side))).astype(np.float32)
+    stream = Stream((side, side), ratio=ratio, rows=ROTATING, sigmas=SIGMAS)
+    n_settling = 5 * ratio + 20
+    ratios = []
+    for _ in range(n_settling + 100):
+        readings = PAPER.apply(truth, rng)
+        forces = stream.reconstruct(stream.compress(readings))
+        ratios.append(np.linalg.norm(forces - truth) / np.linalg.norm(readings - truth))
+    assert max(ratios[n_settling:]) < 2
+
+
+@pytest.mark.parametrize(("side", "ratio"), SIDES_AND_RATIOS)
+def test_an_even_press_on_all_taxels_comes_and_goes_within_three_cycles(side, ratio):
+    rng = np.random.default_rng(side + ratio)
+    stream = Stream((side, side), ratio=ratio, rows=ROTATING, sigmas=SIGMAS)
+    totals = []
+    for k in range(110):
+        truth = np.full((side, side), 0.5 * (30 <= k < 70), dtype=np.float32)
+        forces = stream.reconstruct(stream.compress(PAPER.apply(truth, rng)))
+        totals.append(float(forces.sum()) / (0.5 * side**2))
+    n_cycles = 3 * ratio
+    assert totals[30 + n_cycles : 70] == pytest.approx([1.0] * (40 - n_cycles), abs=0.1)
+    assert max(totals[70 + n_cycles :]) < 0.1
+
+
+@pytest.mark.parametrize("fast", ["on", "off"])
+@pytest.mark.parametrize("rows", [FIXED, ROTATING])
+@pytest.mark.parametrize("row", [5, 60, 190])
+def test_one_measurement_of_garbage_moves_no_force_and_is_doubted(rows, row, fast):
+    if fast == "on":
+        pytest.importorskip("numba")
+    phis, frames = phis_of(rows), noisy(sliding_disc(SHAPE, 40))
+    found = []
+    for garbage in (0.0, 60.0):
+        solver = solver_of(phis, fast=fast)
+        solver.noise_model = PAPER
+        reconstructed(solver, phis, frames[:30])
+        y = phis[0].forward(frames[30].reshape(-1))
+        y[row] += np.float32(garbage)
+        solver.use(phis[0])
+        found.append(solver.solve(y))
+    assert np.abs(found[1] - found[0]).max() < 0.1 * found[0].max()
+    assert solver.doubt[row] > 0.9
+    assert np.delete(solver.doubt, row).max() < 0.5
 
 
 @pytest.mark.parametrize("uneven", [0.0, 0.7])
@@ -282,7 +338,8 @@ def test_innovation_and_residual_are_those_of_the_rows_read(fast):
         for _ in range(solver.n_steps):
             solver.step()
         solver.finish()
-        assert solver.innovation.shape == solver.residual.shape == solver.read_rows.shape
+        assert solver.innovation.shape == (phi.m,)
+        assert solver.residual.shape == (phi.m,)
         np.testing.assert_array_equal(solver.innovation, innovation)
     assert 0 < np.std(solver.residual) < np.std(solver.innovation)
     assert solver.residual.dtype == solver.innovation.dtype == np.float32

@@ -1,0 +1,96 @@
+"""An offset of all measurements is found and subtracted; forces are no offset."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pressed import noisy, sliding_disc
+
+from sparseskin import Stream
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import ROTATING, row_subsets
+from sparseskin.nodes.reconstructor.faults.offset import OffsetWatch
+from sparseskin.nodes.sensor.noise import NoiseModel
+
+SIDE, N = 40, 1600
+PHI = make_phi("sbhe", N, N // 3, seed=0)
+NOISE = NoiseModel()
+LEAST_SD = 0.584 * NOISE.sigma_end
+SIGMAS = (NOISE.sigma_mid, NOISE.sigma_end)
+DISC = sliding_disc((SIDE, SIDE), 60, touch_at=10)
+
+
+def innovation(seed):
+    """Innovation of an untouched skin."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(0, LEAST_SD, PHI.m).astype(np.float32)
+
+
+@given(offset=st.floats(0.05, 30.0), sign=st.sampled_from([-1, 1]))
+def test_an_offset_is_known_while_it_lasts(offset, sign):
+    watch = OffsetWatch(LEAST_SD)
+    for seed in range(20):
+        value = watch.look(PHI, innovation(seed) + np.float32(sign * offset))
+        assert value == pytest.approx(sign * offset, abs=0.01)
+    assert watch.look(PHI, innovation(20)) == 0.0
+
+
+def test_noise_is_no_offset():
+    watch = OffsetWatch(LEAST_SD)
+    values = [watch.look(PHI, innovation(seed)) for seed in range(1000)]
+    assert not any(values)
+
+
+@given(
+    row=st.integers(0, SIDE - 1),
+    col=st.integers(0, SIDE - 1),
+    side=st.integers(1, SIDE),
+    force=st.floats(0.05, 2.5),
+    has_come=st.booleans(),
+)
+def test_a_press_that_comes_or_goes_is_no_offset(row, col, side, force, has_come):
+    frame = np.zeros((1, SIDE, SIDE), dtype=np.float32)
+    frame[0, row : row + side, col : col + side] = force
+    y = PHI.forward(noisy(frame)[0].reshape(-1))
+    watch = OffsetWatch(LEAST_SD)
+    assert watch.look(PHI, y if has_come else -y) == 0.0
+
+
+@pytest.mark.parametrize(("side", "is_told_apart"), [(16, False), (32, True), (40, True)])
+@pytest.mark.parametrize("ratio", [2, 3, 8])
+def test_an_offset_is_told_from_forces_on_skins_of_four_blocks(side, ratio, is_told_apart):
+    watch = OffsetWatch(LEAST_SD)
+    for phi in row_subsets(make_phi("sbhe", side**2, side**2 // ratio, seed=0), ROTATING):
+        assert watch.rows_of(phi).is_told_apart == is_told_apart
+
+
+def test_on_a_skin_of_one_block_the_press_that_looks_like_an_offset_is_marked():
+    phi = make_phi("sbhe", 256, 85, seed=0)
+    watch = OffsetWatch(LEAST_SD)
+    forces = np.zeros(256, dtype=np.float32)
+    assert not watch.looks_alike(phi, forces)
+    forces[watch.rows_of(phi).taxels] = 0.5
+    assert watch.looks_alike(phi, forces)
+    forces[100:110] = 0.5
+    assert not watch.looks_alike(phi, forces)
+
+
+def test_on_a_skin_of_one_block_no_offset_is_subtracted():
+    phi = make_phi("sbhe", 256, 85, seed=0)
+    assert OffsetWatch(LEAST_SD).look(phi, np.full(85, 0.5, dtype=np.float32)) == 0.0
+
+
+@pytest.mark.parametrize("rows", ["fixed", "rotating"])
+@pytest.mark.parametrize("offset", [-0.7, 0.1, 5.0])
+def test_frames_with_an_offset_are_those_without(rows, offset):
+    edge, plain, spoilt = (Stream((SIDE, SIDE), rows=rows, sigmas=SIGMAS) for _ in range(3))
+    for k, frame in enumerate(noisy(DISC)):
+        y = edge.compress(frame)
+        expected = plain.reconstruct(y)
+        added = np.float32(offset) if 20 <= k < 40 else np.float32(0)
+        found = spoilt.reconstruct(y + added)
+        if k < 20:
+            continue
+        error = np.linalg.norm(found - DISC[k]) / np.linalg.norm(DISC[k])
+        assert error < 1.5 * np.linalg.norm(expected - DISC[k]) / np.linalg.norm(DISC[k])
+        assert spoilt.trusted == plain.trusted

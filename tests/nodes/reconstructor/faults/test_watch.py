@@ -1,0 +1,253 @@
+"""The watch of a patch: no measurement is replaced, and all ways to it give the same reasons."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pressed import noisy, sliding_disc
+
+from sparseskin import Stream
+from sparseskin.messages import Reason
+from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.faults.watch import (
+    MAX_CELLS,
+    MOST_NAMED,
+    FaultWatch,
+    Noise,
+    listed,
+    mixed_taxels,
+    solve_watched,
+)
+from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.studies.stability import faults
+from sparseskin.studies.stability.verdicts import WAYS
+from sparseskin.studies.stability.worlds import Times, draw_world
+
+SHAPE, N, F_MAX = (40, 40), 1600, 2.5
+PHI = make_phi("sbhe", N, N // 2, seed=0)
+NOISE = NoiseModel()
+LEAST_SD = 0.584 * NOISE.sigma_end
+DISC = sliding_disc(SHAPE, 60, touch_at=10)
+TIMES = Times(touch=4, release=50, end=60, earliest_fault=10, latest_fault=30)
+
+
+class Watched:
+    """A solver under watch, and the lines of its log."""
+
+    def __init__(self, **settings):
+        self.lines = []
+        exists = np.ones(SHAPE, dtype=np.bool_)
+        self.subsets = row_subsets(PHI, "rotating")
+        self.solver = make_rotating_solver("skin", self.subsets, make_basis("haar", *SHAPE))
+        self.solver.noise_sd = LEAST_SD
+        self.solver.noise_model = NOISE
+        noise = Noise(F_MAX, LEAST_SD, NOISE)
+        self.watch = FaultWatch(noise, exists, self.lines.append, **settings)
+        self.n_frames = 0
+
+    def next_phi(self):
+        """Phi of the next frame, which the solver uses."""
+        phi = self.subsets[self.n_frames % len(self.subsets)]
+        self.solver.use(phi)
+        self.n_frames += 1
+        return phi
+
+    def frame(self, readings, spoil=None):
+        """Verdict on a frame whose measurements a function may spoil."""
+        phi = self.next_phi()
+        y = phi.forward(readings.reshape(-1))
+        if spoil is not None:
+            y = spoil(y)
+        return solve_watched(self.solver, self.watch, phi, y)
+
+
+class Plain:
+    """A solver that states nothing but what it has to."""
+
+
+@pytest.mark.parametrize(
+    ("largest", "returned", "reason"),
+    [(2.4, 2.4, ""), (2.6, 2.5, ""), (2.74, 2.5, ""), (2.8, 2.8, Reason.RANGE)],
+)
+def test_forces_beyond_the_range_by_more_than_a_tenth_are_marked(largest, returned, reason):
+    watch = FaultWatch(Noise(F_MAX), np.ones(SHAPE, dtype=np.bool_))
+    forces = np.zeros(SHAPE, dtype=np.float32)
+    forces[3, 4] = largest
+    verdict = watch.look(Plain(), PHI, forces)
+    assert verdict.forces[3, 4] == np.float32(returned)
+    assert verdict.reason == reason
+
+
+def spoilt_by(kind, rng):
+    """A function that spoils measurements."""
+
+    def spoil(y):
+        if kind == "garbage":
+            return rng.uniform(-5, 5, y.size).astype(np.float32)
+        if kind == "outlier":
+            y = y.copy()
+            y[rng.integers(y.size)] += 60
+            return y
+        if kind == "offset":
+            return y + np.float32(0.7)
+        if kind == "gain":
+            return y * np.float32(1.5)
+        return y
+
+    return spoil
+
+
+@settings(max_examples=15)
+@given(
+    kind=st.sampled_from(["garbage", "outlier", "offset", "gain", "stuck", "none"]),
+    seed=st.integers(0, 99),
+)
+def test_no_measurement_is_replaced(kind, seed):
+    """All that is subtracted is one number, and what stuck taxels read."""
+    watched = Watched()
+    rng = np.random.default_rng(seed)
+    spoil = spoilt_by(kind, rng)
+    for k, readings in enumerate(noisy(DISC, seed)):
+        if kind == "stuck" and k > 5:
+            readings[20:22, 30:33] = 1.7
+        phi = watched.next_phi()
+        y = phi.forward(readings.reshape(-1))
+        if k >= 30:
+            y = spoil(y)
+        of_stuck = phi.forward(watched.watch._stuck.value)
+        believed = watched.watch.receive(watched.solver, phi, y)
+        assert believed is not None
+        subtracted = y - believed - of_stuck
+        np.testing.assert_allclose(subtracted, np.median(subtracted), atol=1e-5)
+        watched.watch.look(watched.solver, phi, watched.solver.solve(believed))
+
+
+@settings(max_examples=12)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from(sorted(faults.KINDS)),
+    rows=st.sampled_from(["fixed", "rotating"]),
+)
+def test_all_ways_give_the_same_reasons(seed, kind, rows):
+    world = draw_world(seed, True, fault=kind, rows=rows, sides=(12, 16), times=TIMES)
+    world = replace(world, noise=world.noise._replace(kind="paper", is_stated=True))
+    reasons = {}
+    for way, stream in WAYS.items():
+        answers = [answer for _, answer in stream(world, "off")]
+        reasons[way] = ["lost" if answer is None else answer.reason for answer in answers]
+    assert reasons["arrays"] == reasons["Stream"]
+    assert reasons["graph"] == reasons["Stream"]
+
+
+@pytest.mark.parametrize("reason", [Reason.CONSTANT, Reason.FROZEN])
+def test_frames_that_hold_nothing_are_the_last_one_and_logged_once(reason):
+    watched = Watched()
+    frames = noisy(DISC)
+    for readings in frames[:40]:
+        last = watched.frame(readings)
+    assert last.reason == ""
+
+    held = PHI.forward(frames[40].reshape(-1))
+    if reason is Reason.CONSTANT:
+        held = np.full_like(held, 0.3)
+    verdicts = [watched.frame(frames[40], lambda _: held) for _ in range(12)]
+    assert [verdict.reason for verdict in verdicts[5:]] == [reason] * 7
+    for verdict in verdicts[6:]:
+        np.testing.assert_array_equal(verdict.forces, verdicts[5].forces)
+    assert watched.lines == [f"{reason.phrase}: not trusted"]
+
+    # The frames after it are right again.
+    for readings in frames[41:]:
+        verdict = watched.frame(readings)
+    error = np.linalg.norm(verdict.forces - DISC[-1]) / np.linalg.norm(DISC[-1])
+    assert error < 0.1
+    assert verdict.reason == ""
+
+
+def test_clipped_measurements_are_marked_and_solved():
+    watched = Watched()
+    frames = noisy(DISC)
+    for readings in frames[:30]:
+        watched.frame(readings)
+    verdict = watched.frame(frames[30], lambda y: np.maximum(y, 0))
+    assert verdict.reason == Reason.CLIPPED
+
+
+def test_what_is_subtracted_or_doubted_is_stated_and_logged():
+    watched = Watched()
+    frames = noisy(DISC)
+
+    def spoil(y):
+        y = y + np.float32(0.7)
+        y[[7, 300]] += 40
+        return y
+
+    assert watched.watch.text == ""
+    for k, readings in enumerate(frames):
+        verdict = watched.frame(readings, spoil if k >= 30 else None)
+    assert verdict.rows == (7, 300)
+    offset, doubted = watched.watch.text.split("; ")
+    assert offset == "offset of all measurements subtracted: 0.7"
+    assert doubted == "measurements doubted: 7, 300"
+    assert "all measurements have an offset of 0.7, which is subtracted" in watched.lines
+    assert "measurements doubted, no force explains them: 7, 300" in watched.lines
+
+
+def test_a_watch_that_is_reset_has_forgotten_all():
+    watched = Watched()
+    for readings in noisy(DISC):
+        watched.frame(readings, lambda y: y + np.float32(0.7))
+    assert watched.watch.text != ""
+    watched.watch.reset()
+    assert watched.watch.text == ""
+    assert not watched.watch.last_forces.any()
+
+
+def test_where_rows_are_not_watched_no_offset_is_subtracted():
+    watched = Watched(watch_rows=False)
+    for k, readings in enumerate(noisy(DISC)):
+        watched.frame(readings, (lambda y: y + np.float32(0.7)) if k >= 30 else None)
+    assert "offset" not in watched.watch.text
+
+
+def test_single_taxels_may_repeat():
+    phi = make_phi("subsample", 256, 85, seed=0)
+    watch = FaultWatch(Noise(F_MAX, LEAST_SD, NOISE), np.ones((16, 16), dtype=np.bool_))
+    zero = np.zeros(85, dtype=np.float32)
+    assert [watch.glance(phi, zero) for _ in range(20)] == [""] * 20
+
+
+@pytest.mark.parametrize(
+    ("kind", "is_mixed"), [("sbhe", True), ("gaussian", True), ("full", False)]
+)
+def test_measurements_mix_taxels_but_for_single_ones(kind, is_mixed):
+    phi = make_phi(kind, 256, 256 if kind == "full" else 85, seed=0)
+    assert (mixed_taxels(phi) >= 8) == is_mixed
+
+
+def test_of_many_stuck_taxels_the_first_cells_are_published():
+    watch = FaultWatch(Noise(F_MAX), np.ones(SHAPE, dtype=np.bool_))
+    watch._stuck.is_stuck[100:] = True
+    assert watch.taxels == [*range(100, 100 + MAX_CELLS)]
+    assert watch.text.endswith(f"(2, 27) and {1500 - MOST_NAMED} more")
+
+
+def test_few_names_are_listed_and_more_counted():
+    assert listed([3, 5]) == "3, 5"
+    assert listed([*range(MOST_NAMED + 2)]).endswith(f", {MOST_NAMED - 1} and 2 more")
+
+
+def test_a_stream_that_is_reset_looks_at_frames_anew():
+    stream = Stream((16, 16), noise_sd=0.01)
+    y = stream.compress(np.ones((16, 16), dtype=np.float32))
+    for _ in range(8):
+        stream.reconstruct(y)
+    assert stream.reason == Reason.FROZEN
+    stream.reset()
+    stream.reconstruct(y)
+    assert stream.reason != Reason.FROZEN
