@@ -163,7 +163,8 @@ class ReconstructorSettings(PatchesSettings):
     )
     watch_rows: bool = setting(
         True,
-        "exclude measurements that read 0, a constant or garbage, on a skin that states its noise",
+        "give no weight to measurements that repeat alone, on a skin with noise; subtract an "
+        "offset of all, where the noise is stated",
     )
     fast: str = setting(
         "auto",
@@ -171,7 +172,7 @@ class ReconstructorSettings(PatchesSettings):
         choices=FAST,
     )
     watch_taxels: bool = setting(
-        True, "exclude taxels that are stuck, dead or saturated, on a skin that states its noise"
+        True, "leave out taxels that are stuck, on a skin with noise; neighbours fill them in"
     )
     phi: str = setting(
         ANNOUNCED,

@@ -22,6 +22,8 @@ class NoiseWatch:
     is_shown : bool
         True once the skin has shown the noise that it states: one that states too much, or whose
         untouched taxels read 0, never does.
+    is_present : bool
+        True while it has shown it, and has it.
     is_quiet : bool
         True while it has shown it, and lacks it now: measurements are scaled down, or repeat.
     """
@@ -30,6 +32,7 @@ class NoiseWatch:
         self._ratio = 0.0
         self._n_shown = 0
         self.is_shown = False
+        self.is_present = False
         self.is_quiet = False
 
     def look(self, innovation2: float, stated: float) -> None:
@@ -41,4 +44,5 @@ class NoiseWatch:
         if self._ratio > SHOWN:
             self._n_shown += 1
         self.is_shown = self._n_shown >= LEARNING
+        self.is_present = self.is_shown and self._ratio > SHOWN
         self.is_quiet = self.is_shown and self._ratio < QUIET

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,14 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask, of_nine
 
 WORKS = 0.7
-"""Noise variance of a working taxel, in the stated one: one of a third and more shows that it works
+"""Noise variance of a working taxel, in that of pressed ones by the stated noise: one of a third and more shows that it works
 by and by, one of less that it is stuck. Chosen: skins state it to a factor of two."""
+FIRST_SCALE, SCALE_RATE = 0.3, 0.05
+"""Noise variance of pressed taxels, in the stated one, before any was measured, and the rate per
+frame at which it is followed. Chosen."""
+LEAST_BACKGROUND = 0.05
+"""Least variance of a stuck taxel's change, in that of a working one: all of it is known where all
+taxels are read. Chosen."""
 ENOUGH = 10.0
 """Logarithm of the odds at which taxels are stuck. Derived: no chance of a year at 100 Hz."""
 MEMBER = 0.95
@@ -42,7 +49,8 @@ class Evidence(NamedTuple):
     forces: Floats
     projected: Floats  # innovation, projected back to the taxels
     background: Doubles  # its variance by the noise of the other taxels
-    noise: Doubles  # its further variance by the noise of the taxel, if it is as stated
+    #: Its further variance by the noise of some taxels, if that is as stated; by their numbers.
+    noise: Callable[[Indices], Doubles]
 
 
 class StuckTaxels:
@@ -73,6 +81,7 @@ class StuckTaxels:
         self._beside = beside(exists)
         self._odds = np.zeros(n)
         self._reference = np.zeros(n, dtype=np.float32)
+        self._scale = FIRST_SCALE
         self._n_doubted = 0  # frames of doubt in a row
         self._n_clear = SETTLED  # frames without evidence in a row
         self.is_doubted = False
@@ -97,9 +106,15 @@ class StuckTaxels:
 
     def _update(self, watched: Indices, evidence: Evidence) -> None:
         """Add what a frame shows to the odds of the watched taxels."""
-        stuck2 = evidence.background[watched] + TINY
-        works2 = stuck2 + WORKS * evidence.noise[watched]
+        background = evidence.background[watched]
         shown2 = np.square(evidence.projected[watched], dtype=np.float64)
+        stated = evidence.noise(watched)
+        if not self.is_doubted:
+            self._follow_scale(shown2 - background, stated)
+
+        noise = WORKS * self._scale * stated
+        stuck2 = np.maximum(background, LEAST_BACKGROUND * noise) + TINY
+        works2 = stuck2 + noise
         change = 0.5 * (np.log(works2 / stuck2) - shown2 * (1 / stuck2 - 1 / works2))
         odds = self._odds[watched] + np.maximum(change, -SUDDEN)
 
@@ -115,16 +130,26 @@ class StuckTaxels:
         least = np.where(self.is_stuck[watched], -np.inf, -FORGOTTEN)
         self._odds[watched] = np.clip(odds, least, 2 * ENOUGH)
 
+    def _follow_scale(self, own2: Doubles, stated: Doubles) -> None:
+        """Follow the noise of pressed taxels, in what is stated: skins may state too much."""
+        total = float(stated.sum())
+        if total > 0:
+            scale = min(max(float(own2.sum()) / total, 0.0), 1.0)
+            self._scale += SCALE_RATE * (scale - self._scale)
+
     def _new(self, watched: Indices) -> Indices:
         """Return the watched taxels that are stuck, by the odds of all."""
         self._n_clear += 1
-        if len(watched):
-            mixture = mixture_of(self._odds[watched])
+        mixture = None
+        odds = self._odds[watched]
+        # No choice of taxels has larger odds than those that are above 0.
+        if odds[odds > 0].sum() > ENOUGH:
+            mixture = mixture_of(odds)
             if max(mixture.odds, self._odds_of_group(watched)) > ENOUGH:
                 self._n_clear = 0
         self.is_doubted = self._n_clear < SETTLED
         self._n_doubted = self._n_doubted + 1 if self.is_doubted else 0
-        if self._n_clear > 0 or self._n_doubted < SETTLED:
+        if mixture is None or self._n_clear > 0 or self._n_doubted < SETTLED:
             return watched[:0]
         members = self._members(watched, mixture)
         self.is_stuck[members] = True

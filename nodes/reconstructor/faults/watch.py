@@ -12,7 +12,7 @@ from sparseskin.messages import Reason
 from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.solvers.base import Solver, checked_measurements
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.touch import in_contact
@@ -26,9 +26,6 @@ LEAST_MIXED = 8.0
 """Least number of taxels that most measurements sum, where measurements are compared."""
 N_PROBED = 8
 """Rows that are probed for it."""
-LEAST_BACKGROUND = 0.05
-"""Least variance of a stuck taxel's innovation, in that of a working one: all of it is known where
-all taxels are read. Chosen."""
 BEYOND = 0.1
 """Part of f_max by which the error of a reconstruction may exceed it: such forces are f_max."""
 SWAMPED = 0.25
@@ -107,6 +104,7 @@ class FaultWatch:
         self._stuck = StuckTaxels(self._exists)
         self._subtracted: dict[str, Floats] = {}
         self._doubts: dict[str, Floats] = {}
+        self._rows_doubted: tuple[int, ...] = ()
         self._last_forces: Floats | None = None
         self._received: Reason | None = None
         self._n_logged: dict[str, int] = {}
@@ -121,9 +119,8 @@ class FaultWatch:
             parts.append(Reason.FROZEN.phrase)
         if self._offset is not None and self._offset.value:
             parts.append(f"offset of all measurements subtracted: {self._offset.value:.2g}")
-        doubted = self._doubted_rows()
-        if doubted:
-            parts.append(f"measurements doubted: {listed(doubted)}")
+        if self._rows_doubted:
+            parts.append(f"measurements doubted: {listed(self._rows_doubted)}")
         if self._stuck.is_stuck.any():
             parts.append(f"stuck taxels left out: {self._names(self._stuck.is_stuck.nonzero()[0])}")
         return "; ".join(parts)
@@ -137,6 +134,8 @@ class FaultWatch:
     @property
     def swamped(self) -> bool:
         """True if so many measurements are doubted that something else is wrong."""
+        if len(self._rows_doubted) == 0:
+            return False
         return any(float(doubt.mean()) > SWAMPED for doubt in self._doubts.values())
 
     @property
@@ -160,7 +159,7 @@ class FaultWatch:
         if self._stuck.is_stuck.any():
             believed = np.subtract(y, self._stuck_readings(phi))
         expected = getattr(solver, "expected", None)
-        if self._watch_rows and expected is not None:
+        if self._watch_rows and expected is not None and self._mixes(phi):
             believed = self._without_offset(phi, believed, expected(phi))
             solver.faulty = self._repeats.faulty
         return believed
@@ -197,10 +196,10 @@ class FaultWatch:
         """
         innovation = getattr(solver, "innovation", None)
         if innovation is not None:
-            self._follow_noise(innovation, forces)
+            self._follow_noise(solver, innovation)
             self._follow_doubt(solver, phi)
             # Of forces that have not converged, the errors are no noise.
-            if self._watch_taxels and solver.trusted:
+            if self._watch_taxels and self._received is None and solver.trusted:
                 self._look_for_stuck(solver, forces)
         if self._stuck.is_stuck.any():
             forces = self._stuck.filled(forces, self._exists)
@@ -221,15 +220,13 @@ class FaultWatch:
         return self._mixing[phi.fingerprint]
 
     def _verdict(self, forces: Floats, reason: str) -> Verdict:
-        return Verdict(forces, reason, self._doubted_rows(), tuple(self.taxels))
+        return Verdict(forces, reason, self._rows_doubted, tuple(self.taxels))
 
-    def _follow_noise(self, innovation: Floats, forces: Floats) -> None:
+    def _follow_noise(self, solver: Solver, innovation: Floats) -> None:
         """Compare the innovation with the noise that the skin states."""
-        model = self._noise.model
-        if model is None:
-            return
-        stated = float(model.variance(forces[self._exists]).mean())
-        self._measured_noise.look(float(innovation @ innovation) / len(innovation), stated)
+        stated = getattr(solver, "stated_noise2", 0.0)
+        if self._noise.model is not None and stated:
+            self._measured_noise.look(float(innovation @ innovation) / len(innovation), stated)
 
     def _follow_doubt(self, solver: Solver, phi: Phi) -> None:
         """Follow the doubt of each measurement of a row subset."""
@@ -242,7 +239,11 @@ class FaultWatch:
             self._doubts[phi.fingerprint] = mean
         was_doubted = mean > DOUBTED
         mean += np.float32(DOUBT_RATE) * (doubt - mean)
-        new = np.flatnonzero((mean > DOUBTED) & ~was_doubted)
+        is_doubted = mean > DOUBTED
+        if np.array_equal(is_doubted, was_doubted):
+            return
+        self._rows_doubted = self._doubted_rows()
+        new = np.flatnonzero(is_doubted & ~was_doubted)
         if len(new):
             self._note("rows", f"measurements doubted, no force explains them: {listed(new)}")
 
@@ -273,22 +274,25 @@ class FaultWatch:
     def _evidence(self, solver: Solver, forces: Floats) -> Evidence | None:
         """What a frame shows of each taxel; None where nothing is known of its noise."""
         model = self._noise.model
-        if model is not None:
-            if not self._measured_noise.is_shown:
-                return None
-            noise = model.variance(forces).astype(np.float64)
-        else:
+        least = 0.0
+        if model is None:
             least = self._least_noise(solver)
             if not least:
                 return None
-            noise = np.full(len(forces), least)
+        elif not self._measured_noise.is_present:
+            return None  # without the noise of the skin, all taxels seem to be stuck
         project: Any = getattr(solver, "projection", None)
         projection = None if project is None else project()
         if projection is None:
             return None
-        own = projection.own * noise
-        background = np.maximum(projection.background, LEAST_BACKGROUND * own)
-        return Evidence(forces, projection.projected, background, own)
+
+        def noise(taxels: Indices) -> Doubles:
+            own: Doubles = projection.own[taxels]
+            if model is None:
+                return own * least
+            return own * model.variance(forces[taxels]).astype(np.float64)
+
+        return Evidence(forces, projection.projected, projection.background, noise)
 
     def _least_noise(self, solver: Solver) -> float:
         """Noise variance of an untouched taxel, as far as measurements show it; 0: not known."""
@@ -325,7 +329,7 @@ class FaultWatch:
         return ""
 
     def _looks_like_an_offset(self, phi: Phi, forces: Floats) -> bool:
-        if self._offset is None or not self._watch_rows:
+        if self._offset is None or not (self._watch_rows and self._mixes(phi)):
             return False
         return self._offset.looks_alike(phi, forces[self._exists])
 

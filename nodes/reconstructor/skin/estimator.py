@@ -39,18 +39,26 @@ class SkinEstimator:
        are read again (`NoiseLevel`). P + R is its mean square: P, averaged over frames, is the
        error variance of the prediction (`PredictionError`).
     4. Each row has a Kalman filter of its own, of mean w and variance n + g: what the noise of its
-       measurements left, and what has changed since. The mean moves as the prediction does; what
-       the mean squared innovation of the rows read exceeds n + g + R by has changed in all rows.
-       The prediction, of variance L = c P (1 + d P / R), and the filter give the expected value of
-       each row, by their precisions; regression on the rows read gives the part of what the filter
-       adds that counts. With the measurements, these are the target of each row, of variance v.
-    5. Steps from z = x_p: r = target - W z; tau = mean r^2, less the mean v, of the rows read;
-       D = tau / (tau + v); s^2 = tau (1 - mean D) / mean D; u = z + W^T (D r) / mean D;
-       x, alpha = `Gates` of u / s, or `shrink` of it in the first steps of a frame that has few;
-       z moves half the way to (x - alpha u) / (1 - alpha).
-    6. The errors of z do not depend on the noise of the measurements: their mean squared residual
-       less R is the error variance E of the last three x; where that is within the noise, alpha s^2
-       counts. The estimate is the mean of these x and of x_p, by E and P.
+       measurements left, and what has changed since. The mean moves as the prediction does, in the
+       part that the innovations of the filters confirm. What the mean squared innovation of the
+       rows read exceeds n + g + R by has changed in all rows.
+    5. The prediction, of variance L = c P (1 + d P / R), and the filter give the expected value of
+       each row, by their precisions. Regression on the rows read gives the part h of what the
+       filter adds that counts. The variance is L^(1-h) C^h, with C of both together. With the
+       measurements, these are the target of each row, of variance v.
+    6. Steps k = 1, 2 ... from z = x_p: r = target - W z; tau = mean r^2, less the mean v, of the
+       rows read; D = tau / (tau + v); s^2 = tau (1 - mean D) / mean D;
+       u = z + W^T (D r) / mean D; x, alpha = `Gates` of u / s, or `shrink` of it in the first steps
+       of a frame that has few; z moves by min(1, 8 / k) / 2 of the way to
+       (x - alpha u) / (1 - alpha).
+    7. The errors of z do not depend on the noise of the measurements: their mean squared residual
+       less R is the error variance E of the mean of all x. Its weights rise with k, and are divided
+       by the square of that residual. Where E is within the noise, alpha s^2 counts. The estimate
+       is the mean of this mean and of x_p, by E and P.
+
+    A measurement that no force explains has a larger variance than R: its part p that is doubted
+    (`Vectors.begin`) adds p e^2 / (1 - p), with its change e since the last frame. It is never
+    replaced by another value.
 
     Numbers are decided here and in the classes named above; `Vectors` does the work on vectors.
 
@@ -105,6 +113,7 @@ class SkinEstimator:
         self.stated_error.forget()
         self.trust.forget()
         self.error = 0.0
+        self.stated_noise2 = 0.0
         self._level = Level()
         self._n_shifts = 0
 
@@ -243,6 +252,7 @@ class SkinEstimator:
         if self.noise_model is None:
             return TaxelNoise(level.bounded(level.variance), missing=0.0, is_stated=False)
         stated = self.vectors.mean_variance(settled.forces, self.noise_model)
+        self.stated_noise2 = stated
         variance = min(stated, level.variance)
         # Gates keep or drop: the noise that the residual lacks is in the estimate.
         return TaxelNoise(variance, missing=variance - settled.residual2, is_stated=True)

@@ -95,6 +95,9 @@ class SkinSolver(Solver):
         place = np.zeros(self.mask.shape, dtype=np.intp)
         place.flat[self._cells] = np.arange(phi.n)
         self._place = shared(place)  # of each taxel, as in `Rows.taxel`
+        self._place_of_taxel = shared(place.flat[self.taxels])
+        self._block_of_taxel = shared(self._rows.block_of_taxel[self._place_of_taxel])
+        self._block_sizes = shared(np.bincount(self._rows.block_of_taxel))
         self._holes = None if phi.n == self.mask.size else ~self.mask
 
         vectors = self._make_vectors(gates_of(gates), tuning)
@@ -144,6 +147,11 @@ class SkinSolver(Solver):
         return level.least if level.is_known else 0.0
 
     @property
+    def stated_noise2(self) -> float:
+        """Mean noise variance of the readings of the last frame, as the skin states it; 0: none."""
+        return self._estimator.stated_noise2
+
+    @property
     def doubt(self) -> Floats | None:
         """Part of each measurement that no force explains, float32 (m,), 0 to 1; after `setup`.
         None where measurements are no rows of W.
@@ -180,17 +188,18 @@ class SkinSolver(Solver):
         of_rows[rows.read] = change
 
         # The mean square of the change is that of the errors of the taxels.
-        blocks = np.zeros(len(rows.read), dtype=np.intp) if rows.blocks is None else rows.blocks
-        sizes = np.bincount(rows.block_of_taxel)
-        n_read = np.bincount(blocks, minlength=len(sizes))
-        squares = np.bincount(blocks, weights=np.square(change), minlength=len(sizes))
-        seen = n_read / sizes
+        blocks = rows.blocks
+        if blocks is None:
+            blocks = np.zeros(len(rows.read), dtype=np.intp)
+        n_blocks = len(self._block_sizes)
+        n_read = np.bincount(blocks, minlength=n_blocks)
+        squares = np.bincount(blocks, weights=change * change, minlength=n_blocks)
+        seen = n_read / self._block_sizes
         background = seen * (1 - seen) * squares / np.maximum(n_read, 1)
 
-        place = self._place.flat[self.taxels]
-        block = rows.block_of_taxel[place]
-        projected = rows.adjoint(of_rows)[place]
-        return Projection(projected, background[block], np.square(seen)[block])
+        projected = rows.adjoint(of_rows).take(self._place_of_taxel)
+        block = self._block_of_taxel
+        return Projection(projected, background.take(block), (seen * seen).take(block))
 
     @property
     def innovation(self) -> Floats:

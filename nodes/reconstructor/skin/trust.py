@@ -34,7 +34,7 @@ class TaxelNoise(NamedTuple):
 def estimate_error2(
     steps: Steps, noise: float, n_read: int, doubtful: float = 1.0, optimism: float = 1.0
 ) -> float:
-    """Return the mean squared error of the mean of the last estimates.
+    """Return the mean squared error of the mean of the estimates of steps.
 
     The errors of z do not depend on the noise of the measurements: their mean squared residual
     exceeds the noise by them. Where that is not significant, within `doubtful` sampling deviations,
