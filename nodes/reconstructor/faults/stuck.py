@@ -11,8 +11,9 @@ import numpy as np
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask, of_nine
 
 WORKS = 0.7
-"""Noise variance of a working taxel, in that of pressed ones by the stated noise: one of a third and more shows that it works
-by and by, one of less that it is stuck. Chosen: skins state it to a factor of two."""
+"""Noise variance of a working taxel, in that of pressed ones by the stated noise: one of a third
+and more shows that it works by and by, one of less that it is stuck. Chosen: skins state it to a
+factor of two."""
 FIRST_SCALE, SCALE_RATE = 0.3, 0.05
 """Noise variance of pressed taxels, in the stated one, before any was measured, and the rate per
 frame at which it is followed. Chosen."""
