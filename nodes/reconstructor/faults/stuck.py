@@ -111,7 +111,8 @@ class StuckTaxels:
         shown2 = np.square(evidence.projected[watched], dtype=np.float64)
         stated = evidence.noise(watched)
         if not self.is_doubted:
-            self._follow_scale(shown2 - background, stated)
+            works = ~self.is_stuck[watched]
+            self._follow_scale((shown2 - background)[works], stated[works])
 
         noise = WORKS * self._scale * stated
         stuck2 = np.maximum(background, LEAST_BACKGROUND * noise) + TINY

@@ -178,24 +178,37 @@ def test_clipped_measurements_are_marked_and_solved():
     assert verdict.reason == Reason.CLIPPED
 
 
-def test_what_is_subtracted_or_doubted_is_stated_and_logged():
+def test_an_offset_is_stated_and_logged_until_it_ends():
     watched = Watched()
-    frames = noisy(DISC)
+    for k, readings in enumerate(noisy(DISC)):
+        is_spoilt = 30 <= k < 50
+        offset = np.float32(0.7) if is_spoilt else np.float32(0)
+        watched.frame(readings, lambda y, offset=offset: y + offset)
+        text = "offset of all measurements subtracted: 0.7" if is_spoilt else ""
+        assert watched.watch.text == text
+    began = "all measurements have an offset of 0.7, which is subtracted"
+    assert watched.lines == [began, "all measurements have no offset"]
+
+
+def test_doubted_measurements_are_stated_and_logged_until_they_are_right_again():
+    watched = Watched()
 
     def spoil(y):
-        y = y + np.float32(0.7)
+        y = y.copy()
         y[[7, 300]] += 40
         return y
 
-    assert watched.watch.text == ""
-    for k, readings in enumerate(frames):
+    frames = noisy(DISC)
+    for k, readings in enumerate(frames[:45]):
         verdict = watched.frame(readings, spoil if k >= 30 else None)
     assert verdict.rows == (7, 300)
-    offset, doubted = watched.watch.text.split("; ")
-    assert offset == "offset of all measurements subtracted: 0.7"
-    assert doubted == "measurements doubted: 7, 300"
-    assert "all measurements have an offset of 0.7, which is subtracted" in watched.lines
+    assert watched.watch.text == "measurements doubted: 7, 300"
     assert "measurements doubted, no force explains them: 7, 300" in watched.lines
+
+    for readings in frames[45:]:
+        verdict = watched.frame(readings)
+    assert verdict.rows == ()
+    assert watched.watch.text == ""
 
 
 def test_a_watch_that_is_reset_has_forgotten_all():
