@@ -198,8 +198,8 @@ class FaultWatch:
         if innovation is not None:
             self._follow_noise(solver, innovation)
             self._follow_doubt(solver, phi)
-            # Of forces that have not converged, the errors are no noise; but a taxel that is left out
-            # and works again makes them so.
+            # Of forces that have not converged, the errors are no noise; but a taxel that is left
+            # out and works again makes them so.
             is_evidence = solver.trusted or bool(self._stuck.is_stuck.any())
             if self._watch_taxels and self._received is None and is_evidence:
                 self._look_for_stuck(solver, forces)
