@@ -236,6 +236,8 @@ class FilterConstants(NamedTuple):
     recall_memory: float
     recall_ridge: float
     motion_memory: float
+    most_recalled: float
+    most_confirmed: float
     unknown: float  # variance of a row that was not read yet
 
 
@@ -316,7 +318,7 @@ LIMITS = group(Limits, *(8 * [float64]))
 DENOISER = group(Denoiser, WEIGHTS, LIMITS, V, int64)
 MOTION_WEIGHTS = group(MotionWeights, *(4 * [float64]))
 VARIANCES = group(Variances, *(4 * [float64]))
-FILTER_CONSTANTS = group(FilterConstants, *(6 * [float64]))
+FILTER_CONSTANTS = group(FilterConstants, *(8 * [float64]))
 PLAN = group(Plan, int64, int64, int64, float64, float64)
 STEP_CONSTANTS = group(StepConstants, *(7 * [float64]))
 STEP_INPUTS = group(
@@ -815,7 +817,7 @@ def skin_begin(
 
 
 @compiled(sums_in_any_order=True)
-def confirmed_part(sums: A, motion: A, unexpected: A, memory: float) -> Any:
+def confirmed_part(sums: A, motion: A, unexpected: A, constants: A) -> Any:
     """As `ConfirmedMotion.follow`; sums are its two."""
     energy = 0.0
     for i in range(motion.size):
@@ -828,9 +830,11 @@ def confirmed_part(sums: A, motion: A, unexpected: A, memory: float) -> Any:
         weighted = motion[i] * (mean_square / (mean_square + motion[i] * motion[i]))
         products += np.float64(weighted * unexpected[i])
         squares += np.float64(weighted * motion[i])
-    sums[0] = memory * sums[0] + products
-    sums[1] = memory * sums[1] + squares
-    return np.float32(min(max(sums[0] / (sums[1] + TINY), 0.0), 1.0))
+    sums *= constants.motion_memory
+    sums[0] += products
+    sums[1] += squares
+    part = sums[0] / (sums[1] + TINY)
+    return np.float32(min(max(part, 0.0), constants.most_confirmed))
 
 
 @compiled(sums_in_any_order=True)
@@ -858,9 +862,8 @@ def move_means(
             unexpected[i] = (_1 - doubt[i]) * (values[i] - mean[r])
 
     confirmed = filters.confirmed
-    memory = constants.motion_memory
-    growth_part = confirmed_part(confirmed[:2], grown, unexpected, memory)
-    part = confirmed_part(confirmed[2:], translated, unexpected, memory)
+    growth_part = confirmed_part(confirmed[:2], grown, unexpected, constants)
+    part = confirmed_part(confirmed[2:], translated, unexpected, constants)
     for p in range(mean.size):
         row_grown = growth * x_rows[p]
         row_translated = (predicted_rows[p] - x_rows[p]) - row_grown
@@ -986,7 +989,7 @@ def follow_recall(
     recall[2] += n_known
     ridge = constants.recall_ridge * variances.noise * recall[2]
     part = (recall[0] + ridge) / (recall[1] + ridge + TINY)
-    return np.float32(min(max(part, 0.0), 1.0))
+    return np.float32(min(max(part, 0.0), constants.most_recalled))
 
 
 @compiled(sums_in_any_order=True)

@@ -174,7 +174,9 @@ class Runs:
         names = (DEFAULT, SKIN, PAPER, "lattice", "hold")
         return self._rows("sizes", frames, names, ERRORS)
 
-    def constants(self, candidates: Mapping[str, Candidate]) -> pd.DataFrame:
+    def constants(
+        self, candidates: Mapping[str, Candidate], label: str = "constants"
+    ) -> pd.DataFrame:
         """Candidates at the largest ratio, fixed and rotating rows: on recordings, half as long as
         those of `recordings`; on bodies that move, and on a sudden contact.
         """
@@ -187,7 +189,7 @@ class Runs:
         ]
         measurements = [Measurement(ratio, rows) for rows in ROWS]
         scores = ("median", "flagged_wrong", "n_wrong", "mean_db")
-        return self._run("constants", frames, measurements, candidates, scores)
+        return self._run(label, frames, measurements, candidates, scores)
 
     def frames_alone(self) -> pd.DataFrame:
         """Single frames without a past, beside total variation and Haar, each weight by itself."""

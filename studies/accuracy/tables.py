@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.baselines.sampling import CODECS, DEAD_ZONE_N, JUMP_SIGMAS, NEWEST
 from sparseskin.studies.evaluate import (
     CLOSE,
@@ -22,12 +23,13 @@ from sparseskin.studies.evaluate import (
     WRONG,
 )
 from sparseskin.studies.frames import part_of, scene_of
-from sparseskin.studies.harness import unrefused
+from sparseskin.studies.harness import Candidate, unrefused
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
+from sparseskin.studies.stability.tables import FAR_FROM_READING, RESIDUE
 
-from . import contacts, rounding
-from .constants import LEAST_ERROR, candidates, table
+from . import contacts, rounding, rules
+from .constants import LEAST_ERROR, UNCHANGED, candidates, table
 from .experiments import (
     ALL,
     ALONE,
@@ -84,6 +86,7 @@ def run(
     lines.append(rounding.section(page, executor, of_contacts, seed))
     if constants:
         varied(page, runs)
+        without_rules(page, runs, executor, quick, seed)
     lines += [single(page, runs)] if alone else []
     page.write(lines)
     return lines
@@ -286,6 +289,18 @@ def varied(page: Page, runs: Runs) -> None:
     names = rows["path"].map(lambda path: Path(path).name, "ignore")
     page.csv("constants", rows.assign(recording=names).drop(columns=["path"]))
     page.section("Constants", changes, least=LEAST_ERROR, ratio=max(RATIOS), wrong=100 * WRONG)
+
+
+def without_rules(page: Page, runs: Runs, executor: str, quick: bool, seed: int) -> None:
+    """Rules of the default solver and of the search for faults, each switched off."""
+    rows = runs.constants({UNCHANGED: Candidate(PRESETS["skin"]), **rules.candidates()}, "rules")
+    n_worlds = rules.QUICK_WORLDS if quick else rules.N_WORLDS
+    of_worlds = rules.worlds(page.out, executor, n_worlds, seed)
+    lines = rules.table(rows, of_worlds)
+    print(markdown(lines))
+    page.csv("rules", of_worlds)
+    names = {"far": f"{FAR_FROM_READING:g}", "residue": f"{RESIDUE:.0%}", "n": n_worlds}
+    page.section("Rules", lines, ratio=max(RATIOS), **names)
 
 
 def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:

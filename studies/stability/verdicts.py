@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.node import Reconstructor
+from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.reconstructor.solvers.base import estimated_error
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.evaluate import WRONG
@@ -92,12 +93,15 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
         yield frame, Answer(forces, host.trusted, getattr(host, "reason", ""), spoiler.is_empty)
 
 
-def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
-    """Through the functions `compress`, `make_solver`, `reconstruct`."""
+def through_arrays(
+    world: World, fast: str, tuning: SkinTuning | None = None
+) -> Iterator[tuple[Frame, Answer | None]]:
+    """Through the functions `compress`, `make_solver`, `reconstruct`; `tuning`: of an ablation."""
     n = int(np.count_nonzero(world.exists))
     phi = make_phi("sbhe", n, m_of(n, world.ratio, world.rows), seed=world.seed % 5)
     basis = make_basis("haar", *world.shape)
-    solver: Any = make_solver("skin", phi, basis, world.exists, fast=fast, rows=world.rows)
+    settings: dict[str, Any] = {"fast": fast, "rows": world.rows, "tuning": tuning}
+    solver: Any = make_solver("skin", phi, basis, world.exists, **settings)
     _state_noise(solver, world)
     subsets = getattr(solver, "subsets", ())
     frames = list(world.frames())
@@ -179,6 +183,11 @@ WAYS: dict[str, Way] = {
 
 def judge(world: World, through: str = "Stream", fast: str = "auto") -> Verdict:
     """Stream a world through a way of `WAYS`, and judge its frames."""
+    return verdict_on(world, WAYS[through](world, fast))
+
+
+def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> Verdict:
+    """Judge the frames of a world by their answers."""
     times = world.times
     frames = [world.truth(k) for k in range(times.end)]
     norms = np.array([np.linalg.norm(truth) for truth in frames])
@@ -192,7 +201,7 @@ def judge(world: World, through: str = "Stream", fast: str = "auto") -> Verdict:
     is_empty = np.zeros(times.end, dtype=np.bool_)
     residue = 0.0
     reasons: Counter[str] = Counter()
-    for k, (frame, answer) in enumerate(WAYS[through](world, fast)):
+    for k, (frame, answer) in enumerate(answers):
         reading[k] = np.linalg.norm(frame.healthy - frame.truth) / scale[k]
         if answer is None:
             continue

@@ -149,8 +149,9 @@ def test_total_variation_of_sigpy_finds_an_even_box():
 
 def test_every_constant_has_a_candidate_halved_and_doubled():
     assert set(constants.PARTS + constants.GROWTHS) <= set(constants.VALUES)
+    assert set(constants.SWITCHES) == set(vars(SkinTuning())) - set(constants.VALUES)
     tunings = [one.settings.get("tuning", {}) for one in constants.candidates().values()]
-    for name in vars(SkinTuning()):
+    for name in constants.VALUES:
         low, high = (tuning[name] for tuning in tunings if name in tuning)
         assert low < getattr(SkinTuning(), name) < high
 

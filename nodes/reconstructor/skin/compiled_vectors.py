@@ -24,7 +24,6 @@ from .tuning import SkinTuning
 from .vectors import (
     CERTAIN,
     CLEAR_RATIO,
-    OUTLYING,
     UNKNOWN,
     Blend,
     Filtered,
@@ -35,8 +34,6 @@ from .vectors import (
     Steps,
     Vectors,
 )
-
-DOUBT_CONSTANTS = kernels.DoubtConstants(OUTLYING, CLEAR_RATIO, CERTAIN)
 
 
 class CompiledVectors(Vectors):
@@ -68,6 +65,7 @@ class CompiledVectors(Vectors):
             n_hidden=len(self._weights.hidden_0),
         )
         self._has_gates = int(gates is not None)
+        self._doubt_constants = kernels.DoubtConstants(tuning.outlying, CLEAR_RATIO, CERTAIN)
         self._step_constants = kernels.StepConstants(
             damping=tuning.damping,
             damped_from=tuning.damped_from,
@@ -83,6 +81,8 @@ class CompiledVectors(Vectors):
             recall_memory=tuning.recall_memory,
             recall_ridge=tuning.recall_ridge,
             motion_memory=tuning.motion_memory,
+            most_recalled=tuning.most_recalled,
+            most_confirmed=tuning.most_confirmed,
             unknown=UNKNOWN,
         )
 
@@ -144,7 +144,7 @@ class CompiledVectors(Vectors):
                 *(rows.order, subset.y, subset.ones),
                 *(subset.block, subset.n_blocks, subset.faulty),
             ),
-            *(bias, noise, DOUBT_CONSTANTS),
+            *(bias, noise, self._doubt_constants),
             *(measured, self._estimate, self._neighbours, self._transform, slopes),
         )
         return Comparison._make(sums[:3]), MotionSums._make((*sums[3:], n_read, rows.n))

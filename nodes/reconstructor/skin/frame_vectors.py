@@ -20,7 +20,6 @@ from .tuning import SkinTuning
 from .vectors import (
     CERTAIN,
     CLEAR_RATIO,
-    OUTLYING,
     UNKNOWN,
     Blend,
     Filtered,
@@ -110,7 +109,7 @@ class FrameVectors(Vectors):
             second, largest = np.partition(of_peers, -2)[-2:]
             largest_other = np.where(of_peers == largest, second, largest)
             others = (of_peers.sum() - of_peers - largest_other) / (len(peers) - 2)
-            ratio = of_peers / (OUTLYING * (others + noise) + TINY)
+            ratio = of_peers / (self._tuning.outlying * (others + noise) + TINY)
             power = np.minimum(ratio, CLEAR_RATIO) ** 4
             self.doubt[peers] = power / (1 + power)
         self.doubt = np.maximum(self.doubt, subset.faulty)
@@ -179,11 +178,10 @@ class FrameVectors(Vectors):
         translated = (self._predicted_rows - self._x_rows) - grown
         unexpected = self._certain * (self._values - self._mean[read]) * self._is_known
 
-        memory = self._tuning.motion_memory
         of_growth = grown[read] * self._is_known
         of_translation = translated[read] * self._is_known
-        growth_part: Any = self._growth.follow(of_growth, unexpected, memory)
-        part: Any = self._translation.follow(of_translation, unexpected, memory)
+        growth_part: Any = self._growth.follow(of_growth, unexpected, self._tuning)
+        part: Any = self._translation.follow(of_translation, unexpected, self._tuning)
         self._mean = self._mean + (growth_part * grown + part * translated)
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
@@ -369,7 +367,7 @@ class Recall:
 
         ridge = tuning.recall_ridge * noise * self._count
         part = (self._products + ridge) / (self._squares + ridge + TINY)
-        return np.float32(min(max(part, 0.0), 1.0))
+        return np.float32(min(max(part, 0.0), tuning.most_recalled))
 
 
 class ConfirmedMotion:
@@ -383,17 +381,18 @@ class ConfirmedMotion:
         self._products = 0.0
         self._squares = 0.0
 
-    def follow(self, motion: Floats, unexpected: Floats, memory: float) -> np.float32:
+    def follow(self, motion: Floats, unexpected: Floats, tuning: SkinTuning) -> np.float32:
         """Return the part, after the motion of the rows read and what they exceed the means of
         their filters by; both are 0 where a row is unknown.
         """
+        memory = tuning.motion_memory
         squares = np.square(motion)
         mean: Any = np.float32(_total(squares) / len(motion) + TINY)
         weights: Any = mean / (mean + squares)
         self._products = memory * self._products + _dot(unexpected * weights, motion)
         self._squares = memory * self._squares + _dot(motion * weights, motion)
         part = self._products / (self._squares + TINY)
-        return np.float32(min(max(part, 0.0), 1.0))
+        return np.float32(min(max(part, 0.0), tuning.most_confirmed))
 
 
 def _unclipped(x: Floats, blend: Blend) -> Floats:

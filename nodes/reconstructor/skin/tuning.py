@@ -55,6 +55,13 @@ class SkinTuning:
     recall_ridge: float = 0.3
     #: The same weight in the regressions of what the rows' filters had not expected on the motion.
     motion_memory: float = 0.8
+    #: Largest part of a correction by the rows' filters, and of a motion of their means, that these
+    #: regressions find; 0 switches the filters, or their motion, off.
+    most_recalled: float = 1.0
+    most_confirmed: float = 1.0
+    #: Squared change of a measurement, in the mean of its block, at which half of it is doubted.
+    #: Derived: signs of rows are random: 8 deviations occur in one of 10^15 measurements.
+    outlying: float = 64.0
     #: Weight of the prediction in the estimate, E / (E + b P) by the error variances of both, whose
     #: errors are not independent: b.
     blend: float = 2.0

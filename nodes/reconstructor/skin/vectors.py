@@ -15,11 +15,9 @@ from .row_subset import Comparison, RowSubset
 UNKNOWN = 1e34
 """Variance of a row that was not read yet, beyond that of any measurement."""
 
-OUTLYING = 64.0
-"""Squared change of a measurement, in the mean of its block, at which half of it is doubted.
-Derived: signs of rows are random, so that 8 deviations occur in one of 10^15 measurements."""
 CLEAR_RATIO = 1e4
-"""The same in `OUTLYING`, beyond which a larger change does not count: its power stays finite."""
+"""The same in `SkinTuning.outlying`, beyond which a larger change does not count: its power stays
+finite."""
 CERTAIN = 1e-6
 """Least part of a measurement that is not doubted: its variance stays finite."""
 

@@ -1,0 +1,329 @@
+"""Each rule of the default solver and of the search for faults switched off: what gets worse."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+import pandas as pd
+
+from sparseskin.nodes.compressor.phi.rotation import ROTATING
+from sparseskin.nodes.reconstructor.faults.stuck import Mixture
+from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
+from sparseskin.studies.harness import Candidate
+from sparseskin.studies.points import compute_rows
+from sparseskin.studies.stability.tables import FAR_FROM_READING, RESIDUE
+from sparseskin.studies.stability.verdicts import GOOD, through_arrays, verdict_on
+from sparseskin.studies.stability.worlds import draw_world
+
+from .constants import UNCHANGED, changes, figures
+
+OFF = 1e30
+"""Value of a constant that is beyond all others."""
+SKIN = "sparseskin.nodes.reconstructor.skin"
+FAULTS = "sparseskin.nodes.reconstructor.faults"
+
+
+def _always(value: Any) -> Any:
+    """An attribute of a class that keeps a value, whatever its instances set."""
+    return property(lambda self: value, lambda self, _: None)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule in words, and what switches it off: fields of `SkinTuning`, and attributes of modules
+    or classes by module and name.
+    """
+
+    does: str
+    tuning: Mapping[str, float] = field(default_factory=dict)
+    patches: Mapping[tuple[str, str], Any] = field(default_factory=dict)
+
+    @property
+    def switch(self) -> str:
+        """What switches it off, in one line."""
+        fields = [f"{name} = {value:g}" for name, value in self.tuning.items()]
+        names = [f"{module.rsplit('.', 1)[1]}.{name}" for module, name in self.patches]
+        return ", ".join([*fields, *names])
+
+
+def _constant(does: str, **tuning: float) -> Rule:
+    """A rule that fields of `SkinTuning` switch off."""
+    return Rule(does, tuning)
+
+
+def _patched(does: str, *patches: tuple[str, str, Any]) -> Rule:
+    """A rule that other values of attributes switch off."""
+    return Rule(does, patches={(module, name): value for module, name, value in patches})
+
+
+RULES: dict[str, Rule] = {
+    "falling damping": _constant("later steps of a frame are smaller", damped_from=1000),
+    "weights by residuals": _constant(
+        "estimates of steps count by their residuals", residual_power=0
+    ),
+    "rise": _constant("later steps count more", rise_power=0),
+    "least error of z": _constant(
+        "the error variance of z is a part of the residual at least", least_tau=0
+    ),
+    "bound of alpha": _constant(
+        "the denoiser's expected error is bounded in the iteration", most_alpha=0.9999
+    ),
+    "motion of the prediction": _constant("the last estimate is moved and scaled", motion=OFF),
+    "ridge of the motion": _constant("energies of the motion have a ridge", ridge=0),
+    "least measurements of a motion": _constant("few measurements show no motion", least_read=0),
+    "mean of the noise": _constant("the noise level is averaged over frames", noise_rate=1),
+    "bound of the noise's growth": _constant(
+        "the noise level grows by a factor per frame at most", noise_growth=OFF
+    ),
+    "bound by the least noise": _constant(
+        "the noise level is bounded by the least one and the pressed part", pressed_noise=OFF
+    ),
+    "louder": _constant("what exceeds the least noise is no noise of a skin", louder=OFF),
+    "significance": _constant(
+        "an excess counts as far as noise does not explain it", significant=1e-6
+    ),
+    "mean of the prediction's error": _constant(
+        "the error of the prediction is averaged over frames", signal_rate=1
+    ),
+    "dependent errors": _constant(
+        "errors of a prediction count as dependent on each other", prior=1, doubt=0
+    ),
+    "filters of the rows": _constant("each row remembers its measurements", most_recalled=0),
+    "recall": _constant(
+        "a regression finds the part of the filters' correction that counts", recall_ridge=OFF
+    ),
+    "memory of the recall": _constant("that regression keeps past frames", recall_memory=0),
+    "motion of the filters": _constant(
+        "means of the filters move as the prediction does", most_confirmed=0
+    ),
+    "memory of their motion": _constant("its regressions keep past frames", motion_memory=0),
+    "blend with the prediction": _constant(
+        "the estimate is a mean of the steps and the prediction", blend=OFF
+    ),
+    "trust in the noise": _constant(
+        "the noise level counts less where the estimate lags behind", lagging=OFF
+    ),
+    "least trust": _constant("that trust has a least value", least_trust=1e-9),
+    "bias": _constant("the mean of clipped noise is subtracted", most_bias=0),
+    "first rate of the bias": _constant("the bias is learned faster at first", bias_begins=0),
+    "growth of the least noise": _constant(
+        "the least noise so far is forgotten slowly", bias_forgotten=1
+    ),
+    "optimism": _constant("estimates err more than the gates expect", optimism=1),
+    "silence": _constant("after silence, a noise that is not stated is doubted", silence_kept=0),
+    "unexplained residual": _constant(
+        "an untouched skin has a residual of noise alone", unexplained=OFF, unresolved=OFF
+    ),
+    "unresolved residual": _constant(
+        "the same more strictly, where the noise is stated", unresolved=OFF
+    ),
+    "untouched": _constant("weak forces are trusted as those of an untouched skin", untouched=0),
+    "error of the estimate": _constant("a large error is not trusted", trusted=OFF),
+    "doubt of measurements": _constant(
+        "measurements that no force explains are doubted", outlying=OFF
+    ),
+    "sums of blocks": _patched(
+        "sums of blocks are not compared with other rows", (f"{SKIN}.row_subset", "HEAVY", OFF)
+    ),
+    "what stands out": _patched(
+        "tiles in which nothing stands out of the noise are 0",
+        (f"{SKIN}.gates", "STANDS_OUT", (1e-6,) * 4),
+        (f"{SKIN}.compiled_vectors", "STANDS_OUT", (1e-6,) * 4),
+    ),
+    "repeated measurements": _patched(
+        "a measurement that repeats exactly counts once", (f"{SKIN}.estimator", "REPEATED", 0.0)
+    ),
+    "repeats and silence": _patched(
+        "frames that repeat or are 0 beside others show nothing new",
+        (f"{SKIN}.row_subset", "_nothing_of", lambda value, scale: 0.0),
+    ),
+    "constant and clipped frames": _patched(
+        "frames whose measurements share a value are marked",
+        (f"{FAULTS}.repeats", "least_ties", lambda m, is_quantised: m + 1),
+    ),
+    "frozen frames": _patched(
+        "frames that repeat exactly are marked", (f"{FAULTS}.repeats", "FRAMES", OFF)
+    ),
+    "repeating measurements": _patched(
+        "a measurement that repeats alone does not count",
+        (f"{FAULTS}.repeats", "RepeatWatch.faulty", _always(None)),
+    ),
+    "quiet frames": _patched(
+        "frames that lack the stated noise are marked", (f"{FAULTS}.noise", "QUIET", 0.0)
+    ),
+    "offset": _patched(
+        "an offset of all measurements is subtracted", (f"{FAULTS}.offset", "SIGNIFICANT", math.inf)
+    ),
+    "press like an offset": _patched(
+        "forces that an offset looks like are marked", (f"{FAULTS}.offset", "LONE", math.inf)
+    ),
+    "stuck taxels": _patched(
+        "pressed taxels without noise are found", (f"{FAULTS}.watch", "PRESSED", math.inf)
+    ),
+    "groups of stuck taxels": _patched(
+        "stuck taxels beside each other add their evidence",
+        (f"{FAULTS}.stuck", "StuckTaxels._group_odds", lambda self, taxels: np.zeros(len(taxels))),
+    ),
+    "mixture of stuck taxels": _patched(
+        "all pressed taxels add their evidence",
+        (f"{FAULTS}.stuck", "mixture_of", lambda odds: Mixture(-math.inf, np.zeros(len(odds)))),
+    ),
+    "noise before stuck taxels": _patched(
+        "stuck taxels are searched while measurements have the stated noise",
+        (f"{FAULTS}.noise", "NoiseWatch.is_present", _always(True)),
+    ),
+    "blind taxels": _patched(
+        "stuck taxels without a working one beside them are marked",
+        (f"{FAULTS}.stuck", "StuckTaxels.is_blind", lambda self, exists: False),
+    ),
+    "range": _patched("forces beyond the range are marked", (f"{FAULTS}.watch", "BEYOND", OFF)),
+    "many doubted measurements": _patched(
+        "frames of which many measurements are doubted are marked",
+        (f"{FAULTS}.watch", "SWAMPED", 2.0),
+    ),
+}
+"""Rules by name."""
+
+N_WORLDS = 60
+QUICK_WORLDS = 2
+"""Drawn worlds without a fault, and as many with one."""
+WORLD_SIDES = (8, 10, 12, 16, 20, 24)
+"""Sides of their skins: small ones take less time."""
+
+_PATCHING = threading.Lock()
+"""Attributes of modules are those of all threads."""
+
+
+class Column(NamedTuple):
+    """A column of the table: format of its changes; least change that counts, below 0 where less is
+    worse. Chosen: about twice what rules without an effect on a column change it by.
+    """
+
+    spec: str
+    counts_from: float
+
+
+COLUMNS = {
+    "error, rotating rows, %": Column("+z.1f", 2.0),
+    "error, fixed rows, %": Column("+z.1f", 2.0),
+    "moving, dB": Column("+z.2f", -0.2),
+    "sudden, dB": Column("+z.2f", -0.2),
+    "wrong, %": Column("+z.2f", 0.2),
+    "silent, %": Column("+z.2f", 0.1),
+    "false alarms, %": Column("+z.2f", 0.2),
+    "far, worlds": Column("+.0f", 1.0),
+    "force stays, worlds": Column("+.0f", 1.0),
+    "wrong with faults, %": Column("+z.2f", 0.3),
+    "silent with faults, %": Column("+z.2f", 0.2),
+    "false alarms with faults, %": Column("+z.2f", 0.3),
+}
+NOTHING = "nothing"
+
+
+@contextmanager
+def switched_off(rule: Rule) -> Iterator[SkinTuning]:
+    """Switch a rule off; yield the constants of the solver without it."""
+    with _PATCHING, ExitStack() as stack:
+        for (module, name), value in rule.patches.items():
+            target: Any = importlib.import_module(module)
+            *owners, attribute = name.split(".")
+            for owner in owners:
+                target = getattr(target, owner)
+            # Attributes of instances are none of their class.
+            stack.enter_context(patch.object(target, attribute, value, create=bool(owners)))
+        yield SkinTuning(**rule.tuning)  # type: ignore[arg-type]
+
+
+def candidates() -> dict[str, Candidate]:
+    """The default solver without each rule that its constants switch off."""
+    return {
+        name: Candidate({**PRESETS["skin"], "tuning": dict(rule.tuning)})
+        for name, rule in RULES.items()
+        if rule.tuning
+    }
+
+
+def points(n_worlds: int, seed: int) -> list[dict[str, Any]]:
+    """Drawn worlds without and with a fault, each with all rules and without each of them."""
+    return [
+        {"rule": name, "seed": 1000 * seed + k, "has_fault": has_fault}
+        for k in range(n_worlds)
+        for has_fault in (False, True)
+        for name in (UNCHANGED, *RULES)
+    ]
+
+
+def measure(point: dict[str, Any]) -> dict[str, Any]:
+    """Verdict on a drawn world without a rule."""
+    world = draw_world(point["seed"], point["has_fault"], sides=WORLD_SIDES)
+    rule = RULES.get(point["rule"], Rule("all rules"))
+    with switched_off(rule) as tuning, np.errstate(all="ignore"):
+        verdict = verdict_on(world, through_arrays(world, "auto", tuning))
+    is_still = world.load.motion == "still" and world.rows == ROTATING
+    return {**vars(verdict), "is_still": is_still}
+
+
+def worlds(out: Path, executor: str, n_worlds: int, seed: int) -> pd.DataFrame:
+    """Verdicts on `points`."""
+    rows = pd.DataFrame(compute_rows(measure, points(n_worlds, seed), out, executor, "rules"))
+    return rows.drop(columns="reasons").astype({"error": float, "reading": float})
+
+
+def figures_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
+    """Figures of `worlds`, a line a rule: shares of their frames in %, and numbers of worlds."""
+    columns = []
+    for has_fault, ending in ((False, ""), (True, " with faults")):
+        sums = rows[rows["has_fault"] == has_fault].groupby("rule", sort=False)
+        counts = sums[["wrong", "silent", "alarms"]].sum()
+        shares = 100 * counts.div(sums["frames"].sum(), axis=0)
+        names = {"wrong": "wrong", "silent": "silent", "alarms": "false alarms"}
+        columns.append(shares.rename(columns={of: f"{names[of]}{ending}, %" for of in names}))
+
+    sound = rows[~rows["has_fault"]]
+    is_far = sound["is_still"] & (sound["reading"] < GOOD)
+    # An estimate that is no number is far, too.
+    is_far &= ~(sound["error"] <= FAR_FROM_READING * sound["reading"])
+    columns.append(is_far.groupby(sound["rule"]).sum().rename("far, worlds"))
+    stays = ~(sound["residue"] <= RESIDUE)
+    columns.append(stays.groupby(sound["rule"]).sum().rename("force stays, worlds"))
+    return pd.concat(columns, axis=1)
+
+
+def table(scores: pd.DataFrame, of_worlds: pd.DataFrame) -> pd.DataFrame:
+    """Figures with all rules, and a line a rule: their changes without it, and what gets worse.
+
+    `scores`: rows of `candidates` and of the default, as `constants.figures` takes them;
+    `of_worlds`: those of `worlds`.
+    """
+    of_scores = figures(scores)
+    in_worlds = figures_of_worlds(of_worlds)
+    base = pd.concat([of_scores.loc[UNCHANGED], in_worlds.loc[UNCHANGED]])
+    made = pd.concat([changes(of_scores), in_worlds - in_worlds.loc[UNCHANGED]], axis=1)
+
+    lines = [{"rule": UNCHANGED, "off by": "", **{key: f"{base[key]:.3g}" for key in COLUMNS}}]
+    for name, rule in RULES.items():
+        line = {"rule": name, "off by": rule.switch}
+        for key, column in COLUMNS.items():
+            change = made.loc[name, key]
+            line[key] = "-" if pd.isna(change) else format(change, column.spec)
+        lines.append({**line, "what gets worse": worse(made.loc[name])})
+    return pd.DataFrame(lines).fillna("")
+
+
+def worse(of_rule: pd.Series) -> str:
+    """The columns that are worse without a rule, the worst first."""
+    ratios = {key: of_rule[key] / column.counts_from for key, column in COLUMNS.items()}
+    worst = sorted((key for key in ratios if ratios[key] >= 1), key=lambda key: -ratios[key])
+    if not worst:
+        return NOTHING
+    return "; ".join([f"**{worst[0]}**", *worst[1:]])
