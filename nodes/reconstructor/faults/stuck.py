@@ -111,7 +111,7 @@ class StuckTaxels:
         shown2 = np.square(evidence.projected[watched], dtype=np.float64)
         stated = evidence.noise(watched)
         if not self.is_doubted:
-            works = ~self.is_stuck[watched]
+            works = ~self.is_stuck[watched] & (self._odds[watched] <= 0)
             self._follow_scale((shown2 - background)[works], stated[works])
 
         noise = WORKS * self._scale * stated
@@ -133,7 +133,9 @@ class StuckTaxels:
         self._odds[watched] = np.clip(odds, least, 2 * ENOUGH)
 
     def _follow_scale(self, own2: Doubles, stated: Doubles) -> None:
-        """Follow the noise of pressed taxels, in what is stated: skins may state too much."""
+        """Follow the noise of pressed taxels that seem to work, in what is stated: skins may state
+        too much.
+        """
         total = float(stated.sum())
         if total > 0:
             scale = min(max(float(own2.sum()) / total, 0.0), 1.0)
