@@ -23,7 +23,7 @@ from sparseskin.studies.harness import Candidate
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.stability.tables import FAR_FROM_READING, RESIDUE
 from sparseskin.studies.stability.verdicts import GOOD, through_arrays, verdict_on
-from sparseskin.studies.stability.worlds import draw_world
+from sparseskin.studies.stability.worlds import SIDES, draw_world
 
 from .constants import UNCHANGED, changes, figures
 
@@ -226,7 +226,8 @@ N_OWN = 12
 QUICK_OWN = 1
 """Those of the fault of a rule."""
 WORLD_SIDES = (8, 10, 12, 16, 20, 24)
-"""Sides of their skins: small ones take less time."""
+"""Sides of their skins: small ones take less time. Those of the fault of a rule are all of `SIDES`:
+small skins have too few blocks for some rules."""
 
 _PATCHING = threading.Lock()
 """Attributes of modules are those of all threads."""
@@ -309,7 +310,8 @@ def points(n_worlds: int, n_own: int, seed: int) -> list[dict[str, Any]]:
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Verdict on a drawn world without a rule."""
     fault = point.get("fault", "")
-    world = draw_world(point["seed"], point["has_fault"], fault=fault, sides=WORLD_SIDES)
+    sides = SIDES if fault else WORLD_SIDES
+    world = draw_world(point["seed"], point["has_fault"], fault=fault, sides=sides)
     rule = RULES.get(point["rule"], Rule("all rules"))
     with switched_off(rule) as tuning, np.errstate(all="ignore"):
         verdict = verdict_on(world, through_arrays(world, "auto", tuning))
