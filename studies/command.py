@@ -120,7 +120,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     for option, about in (
         (
             "--constants",
-            "with --recordings: the constants of the default solver halved and doubled",
+            "with --recordings: constants of the default solver halved and doubled, rules off",
         ),
         ("--alone", "single frames beside total variation (extra peers)"),
     ):

@@ -85,7 +85,9 @@ SPAN_S, QUICK_SPAN_S, BEFORE_S = 3.0, 0.7, 0.02
 """Time from shortly before the first contact on, and untouched time before it."""
 SIDES, QUICK_BODIES = (40, 64), ("wrench", "peg")
 SPEED, TOUCHED, PRESS_FRAMES = 0.25, 0.1, 160
-"""Of moving bodies: taxels a frame, part of the skin that is touched, frames."""
+QUICK_PRESS_FRAMES = 60
+"""Of moving bodies: taxels a frame, part of the skin that is touched, frames; of constants
+in a quick run."""
 SIZES = (*((shape, None) for shape in SKINS if shape[0] < 40), ((20, 20), None), ((20, 20), 42))
 """Small skins: shape, and number of scattered taxels (None: one in each cell)."""
 QUICK_SIZES = (((4, 4), None), ((10, 10), None))
@@ -181,9 +183,10 @@ class Runs:
         those of `recordings`; on bodies that move, and on a sudden contact.
         """
         ratio, side = max(RATIOS), SIDES[0]
+        n_frames = QUICK_PRESS_FRAMES if self._quick else PRESS_FRAMES
         frames: list[Frames] = [*self.recorded_frames(self._n_recorded // 2)]
         frames += [
-            PressFrames(body, (side, side), PRESS_FRAMES, course, SPEED, TOUCHED)
+            PressFrames(body, (side, side), n_frames, course, SPEED, TOUCHED)
             for course, bodies in (("moving", QUICK_BODIES), ("sudden", QUICK_BODIES[:1]))
             for body in bodies
         ]

@@ -23,7 +23,7 @@ from sparseskin.studies.harness import Candidate
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.stability.tables import FAR_FROM_READING, RESIDUE
 from sparseskin.studies.stability.verdicts import GOOD, through_arrays, verdict_on
-from sparseskin.studies.stability.worlds import draw_world
+from sparseskin.studies.stability.worlds import SIDES, draw_world
 
 from .constants import UNCHANGED, changes, figures
 
@@ -193,12 +193,41 @@ RULES: dict[str, Rule] = {
     ),
 }
 """Rules by name."""
+OWN_FAULTS = {
+    "louder": "loud noise",
+    "silence": "zeros",
+    "unexplained residual": "loud noise",
+    "unresolved residual": "hum of measurements",
+    "error of the estimate": "one-sided converter",
+    "doubt of measurements": "garbage for ever",
+    "sums of blocks": "garbage at times",
+    "repeated measurements": "frozen measurements",
+    "repeats and silence": "frames of zeros",
+    "constant and clipped frames": "all equal",
+    "frozen frames": "frozen measurements",
+    "repeating measurements": "stuck measurements",
+    "quiet frames": "scaled down",
+    "offset": "offset",
+    "press like an offset": "offset",
+    "stuck taxels": "stuck taxels",
+    "groups of stuck taxels": "stuck blob",
+    "mixture of stuck taxels": "stuck rows or columns",
+    "noise before stuck taxels": "scaled down",
+    "blind taxels": "stuck blob",
+    "range": "scaled up",
+    "many doubted measurements": "out of order",
+}
+"""Kind of fault that a rule is for, of which it has worlds of its own."""
 
 N_WORLDS = 60
 QUICK_WORLDS = 2
 """Drawn worlds without a fault, and as many with one."""
+N_OWN = 12
+QUICK_OWN = 1
+"""Those of the fault of a rule."""
 WORLD_SIDES = (8, 10, 12, 16, 20, 24)
-"""Sides of their skins: small ones take less time."""
+"""Sides of their skins: small ones take less time. Those of the fault of a rule are all of `SIDES`:
+small skins have too few blocks for some rules."""
 
 _PATCHING = threading.Lock()
 """Attributes of modules are those of all threads."""
@@ -226,7 +255,12 @@ COLUMNS = {
     "wrong with faults, %": Column("+z.2f", 0.3),
     "silent with faults, %": Column("+z.2f", 0.2),
     "false alarms with faults, %": Column("+z.2f", 0.3),
+    "wrong with its fault, %": Column("+z.1f", 1.0),
+    "silent with its fault, %": Column("+z.1f", 1.0),
+    "false alarms with its fault, %": Column("+z.1f", 1.0),
 }
+COUNTS = {"wrong": "wrong", "silent": "silent", "alarms": "false alarms"}
+"""Counts of `Verdict`, and their names in columns."""
 NOTHING = "nothing"
 
 
@@ -253,41 +287,54 @@ def candidates() -> dict[str, Candidate]:
     }
 
 
-def points(n_worlds: int, seed: int) -> list[dict[str, Any]]:
-    """Drawn worlds without and with a fault, each with all rules and without each of them."""
-    return [
+def points(n_worlds: int, n_own: int, seed: int) -> list[dict[str, Any]]:
+    """Drawn worlds without and with a fault, each with all rules and without each of them; and
+    those of `OWN_FAULTS`.
+    """
+    every = [
         {"rule": name, "seed": 1000 * seed + k, "has_fault": has_fault}
         for k in range(n_worlds)
         for has_fault in (False, True)
         for name in (UNCHANGED, *RULES)
     ]
+    own = [
+        {"rule": name, "seed": 1000 * seed + k, "has_fault": True, "fault": OWN_FAULTS[rule]}
+        for k in range(n_own)
+        for rule in OWN_FAULTS
+        if rule in RULES
+        for name in (UNCHANGED, rule)
+    ]
+    return own + every
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Verdict on a drawn world without a rule."""
-    world = draw_world(point["seed"], point["has_fault"], sides=WORLD_SIDES)
+    fault = point.get("fault", "")
+    sides = SIDES if fault else WORLD_SIDES
+    world = draw_world(point["seed"], point["has_fault"], fault=fault, sides=sides)
     rule = RULES.get(point["rule"], Rule("all rules"))
     with switched_off(rule) as tuning, np.errstate(all="ignore"):
         verdict = verdict_on(world, through_arrays(world, "auto", tuning))
     is_still = world.load.motion == "still" and world.rows == ROTATING
-    return {**vars(verdict), "is_still": is_still}
+    return {**vars(verdict), "is_still": is_still, "fault": fault}
 
 
-def worlds(out: Path, executor: str, n_worlds: int, seed: int) -> pd.DataFrame:
+def worlds(out: Path, executor: str, quick: bool, seed: int) -> pd.DataFrame:
     """Verdicts on `points`."""
-    rows = pd.DataFrame(compute_rows(measure, points(n_worlds, seed), out, executor, "rules"))
+    n_worlds, n_own = (QUICK_WORLDS, QUICK_OWN) if quick else (N_WORLDS, N_OWN)
+    asked = points(n_worlds, n_own, seed)
+    rows = pd.DataFrame(compute_rows(measure, asked, out, executor, "rules")).drop_duplicates(
+        ["rule", "seed", "has_fault", "fault"]
+    )
     return rows.drop(columns="reasons").astype({"error": float, "reading": float})
 
 
 def figures_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
     """Figures of `worlds`, a line a rule: shares of their frames in %, and numbers of worlds."""
+    rows = rows[rows["fault"] == ""]
     columns = []
     for has_fault, ending in ((False, ""), (True, " with faults")):
-        sums = rows[rows["has_fault"] == has_fault].groupby("rule", sort=False)
-        counts = sums[["wrong", "silent", "alarms"]].sum()
-        shares = 100 * counts.div(sums["frames"].sum(), axis=0)
-        names = {"wrong": "wrong", "silent": "silent", "alarms": "false alarms"}
-        columns.append(shares.rename(columns={of: f"{names[of]}{ending}, %" for of in names}))
+        columns.append(_shares(rows[rows["has_fault"] == has_fault], ending))
 
     sound = rows[~rows["has_fault"]]
     is_far = sound["is_still"] & (sound["reading"] < GOOD)
@@ -299,6 +346,23 @@ def figures_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(columns, axis=1)
 
 
+def _shares(rows: pd.DataFrame, ending: str) -> pd.DataFrame:
+    """Parts of the frames of some worlds in %, a line a rule; `ending`: of their columns."""
+    sums = rows.groupby("rule", sort=False)
+    shares = 100 * sums[list(COUNTS)].sum().div(sums["frames"].sum(), axis=0)
+    return shares.rename(columns={of: f"{name}{ending}, %" for of, name in COUNTS.items()})
+
+
+def changes_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
+    """Changes of the figures of `worlds` without each rule; also of those of its own fault."""
+    in_worlds = figures_of_worlds(rows)
+    of_own = []
+    for name in OWN_FAULTS.keys() & RULES.keys():
+        shares = _shares(rows[rows["fault"] == OWN_FAULTS[name]], " with its fault")
+        of_own.append((shares - shares.loc[UNCHANGED]).loc[[name]])
+    return pd.concat([in_worlds - in_worlds.loc[UNCHANGED], pd.concat(of_own)], axis=1)
+
+
 def table(scores: pd.DataFrame, of_worlds: pd.DataFrame) -> pd.DataFrame:
     """Figures with all rules, and a line a rule: their changes without it, and what gets worse.
 
@@ -308,11 +372,12 @@ def table(scores: pd.DataFrame, of_worlds: pd.DataFrame) -> pd.DataFrame:
     of_scores = figures(scores)
     in_worlds = figures_of_worlds(of_worlds)
     base = pd.concat([of_scores.loc[UNCHANGED], in_worlds.loc[UNCHANGED]])
-    made = pd.concat([changes(of_scores), in_worlds - in_worlds.loc[UNCHANGED]], axis=1)
+    made = pd.concat([changes(of_scores), changes_of_worlds(of_worlds)], axis=1)
 
-    lines = [{"rule": UNCHANGED, "off by": "", **{key: f"{base[key]:.3g}" for key in COLUMNS}}]
+    lines = [{"rule": UNCHANGED, "off by": "", "its fault": ""}]
+    lines[0] |= {key: f"{base[key]:.3g}" for key in COLUMNS if key in base}
     for name, rule in RULES.items():
-        line = {"rule": name, "off by": rule.switch}
+        line = {"rule": name, "off by": rule.switch, "its fault": OWN_FAULTS.get(name, "")}
         for key, column in COLUMNS.items():
             change = made.loc[name, key]
             line[key] = "-" if pd.isna(change) else format(change, column.spec)

@@ -295,7 +295,7 @@ def without_rules(page: Page, runs: Runs, executor: str, quick: bool, seed: int)
     """Rules of the default solver and of the search for faults, each switched off."""
     rows = runs.constants({UNCHANGED: Candidate(PRESETS["skin"]), **rules.candidates()}, "rules")
     n_worlds = rules.QUICK_WORLDS if quick else rules.N_WORLDS
-    of_worlds = rules.worlds(page.out, executor, n_worlds, seed)
+    of_worlds = rules.worlds(page.out, executor, quick, seed)
     lines = rules.table(rows, of_worlds)
     print(markdown(lines))
     page.csv("rules", of_worlds)

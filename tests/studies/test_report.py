@@ -1,6 +1,7 @@
 """Output of studies: tables, CSV files, charts and pages; accuracy over speed; refusals."""
 
 import csv
+import importlib
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from sparseskin.nodes.reconstructor.skin.gates import Gates
 from sparseskin.nodes.reconstructor.skin.tiles import WINDOW
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.studies import command
-from sparseskin.studies.accuracy import constants
+from sparseskin.studies.accuracy import constants, rules
 from sparseskin.studies.baselines.libraries import PEERS, Bpdn, TotalVariation
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page, cells, draw_lines, markdown
@@ -154,6 +155,35 @@ def test_every_constant_has_a_candidate_halved_and_doubled():
     for name in constants.VALUES:
         low, high = (tuning[name] for tuning in tunings if name in tuning)
         assert low < getattr(SkinTuning(), name) < high
+
+
+@pytest.mark.parametrize("name", rules.RULES)
+def test_every_rule_is_switched_off_and_on_again(name):
+    rule = rules.RULES[name]
+    before = {place: _attribute(*place) for place in rule.patches}
+    assert rule.switch
+    with rules.switched_off(rule) as tuning:
+        assert all(_attribute(*place) == value for place, value in rule.patches.items())
+        assert (tuning == SkinTuning()) == (not rule.tuning)
+    assert before == {place: _attribute(*place) for place in rule.patches}
+
+
+def _attribute(module, name):
+    place = importlib.import_module(module)
+    *owners, attribute = name.split(".")
+    for owner in owners:
+        place = getattr(place, owner)
+    return getattr(place, attribute, None)
+
+
+def test_the_worst_column_is_named_first():
+    unchanged = pd.Series(0.0, index=list(rules.COLUMNS))
+    assert rules.worse(unchanged) == rules.NOTHING
+    changed = unchanged.copy()
+    changed["sudden, dB"] = -0.5
+    changed["silent, %"] = 1.0
+    changed["moving, dB"] = 3.0
+    assert rules.worse(changed) == "**silent, %**; sudden, dB"
 
 
 def test_without_pytorch_the_study_names_what_to_install(tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ pytest.importorskip("matplotlib")
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.studies import command, frames, harness, needs
-from sparseskin.studies.accuracy import constants, contacts
+from sparseskin.studies.accuracy import constants, contacts, rules
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
 from sparseskin.studies.presses import N_BEFORE
@@ -41,6 +41,7 @@ SIZES = (
     (paper, {"BEFORE_MAPS": 0}),
     (phase, {"SUM_SOLVERS": SOLVERS, "N_STATIC": 6, "N_JUDGED": 2}),
     (stability, {"QUICK_KINDS": {"load": ("box",), "fault": ("zeros", "stuck blob")}}),
+    (rules, {"QUICK_WORLDS": 1, "RULES": {name: rules.RULES[name] for name in ("bias", "offset")}}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial", "QUICK_SCENES": SHORT_SCENES}),
     (sweeps, {"SUM_SOLVERS": ("fista",), "EXCERPTS": sweeps.EXCERPTS[:1]}),
