@@ -73,11 +73,6 @@ class Reason(StrEnum):
         "a force is beyond the range of the skin",
         "A force is beyond the range of the skin.",
     )
-    OFFSET = (
-        "offset",
-        "all measurements share an offset",
-        "All measurements share an offset, or taxels are pressed that look like one.",
-    )
 
 
 _REASONS = {reason.value: reason for reason in Reason}

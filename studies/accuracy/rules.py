@@ -164,9 +164,6 @@ RULES: dict[str, Rule] = {
     "offset": _patched(
         "an offset of all measurements is subtracted", (f"{FAULTS}.offset", "SIGNIFICANT", math.inf)
     ),
-    "press like an offset": _patched(
-        "forces that an offset looks like are marked", (f"{FAULTS}.offset", "LONE", math.inf)
-    ),
     "stuck taxels": _patched(
         "pressed taxels without noise are found", (f"{FAULTS}.watch", "PRESSED", math.inf)
     ),
@@ -208,7 +205,6 @@ OWN_FAULTS = {
     "repeating measurements": "stuck measurements",
     "quiet frames": "scaled down",
     "offset": "offset",
-    "press like an offset": "offset",
     "stuck taxels": "stuck taxels",
     "groups of stuck taxels": "stuck blob",
     "mixture of stuck taxels": "stuck rows or columns",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
@@ -21,8 +19,6 @@ HEAVY = 0.25
 MOST_ALIKE = 0.3
 """Part of the energy of any taxel's press that a common change may explain: on skins of less than
 four blocks the press of one taxel looks like an offset."""
-LONE = 0.9
-"""Part of the squared forces of a frame on the taxels that an offset looks like."""
 
 
 class OffsetRows:
@@ -117,15 +113,3 @@ class OffsetWatch:
             if weight * self.value**2 < SIGNIFICANT**2:
                 self.value = 0.0
         return self.value
-
-    def looks_alike(self, phi: Phi, forces: Floats) -> bool:
-        """True if forces, float32 (n,), of the taxels in row-major order, are those that an offset
-        looks like, where the skin does not tell them apart.
-        """
-        rows = self.rows_of(phi)
-        if rows.is_told_apart:
-            return False
-        lone = forces[rows.taxels]
-        if lone.min(initial=math.inf) < SIGNIFICANT * self._noise_sd:
-            return False
-        return float(lone @ lone) > LONE * float(forces @ forces)

@@ -207,7 +207,7 @@ class FaultWatch:
             forces = self._stuck.filled(forces, self._exists)
         forces, is_beyond = self._within_range(forces)
         self._last_forces = forces
-        return self._verdict(forces, self._reason(solver, phi, forces, is_beyond=is_beyond))
+        return self._verdict(forces, self._reason(solver, forces, is_beyond=is_beyond))
 
     def nothing(self) -> Verdict:
         """The verdict of a frame that holds nothing: the last forces, not trusted."""
@@ -312,7 +312,7 @@ class FaultWatch:
             return forces, True
         return np.minimum(forces, np.float32(f_max)), False
 
-    def _reason(self, solver: Solver, phi: Phi, forces: Floats, *, is_beyond: bool) -> str:
+    def _reason(self, solver: Solver, forces: Floats, *, is_beyond: bool) -> str:
         """Why a frame is not to be trusted; "" if it is."""
         if self._received is not None:
             return self._received
@@ -326,14 +326,7 @@ class FaultWatch:
             return Reason.ROWS
         if self._stuck.is_doubted or self._stuck.is_blind(self._exists):
             return Reason.STUCK
-        if self._looks_like_an_offset(phi, forces):
-            return Reason.OFFSET
         return ""
-
-    def _looks_like_an_offset(self, phi: Phi, forces: Floats) -> bool:
-        if self._offset is None or not (self._watch_rows and self._mixes(phi)):
-            return False
-        return self._offset.looks_alike(phi, forces[self._exists])
 
     def _is_weak(self, solver: Solver, forces: Floats) -> bool:
         """True if neither the forces nor the estimated error stand out of the stated noise."""

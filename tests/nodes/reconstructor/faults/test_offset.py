@@ -64,17 +64,6 @@ def test_an_offset_is_told_from_forces_on_skins_of_four_blocks(side, ratio, is_t
         assert watch.rows_of(phi).is_told_apart == is_told_apart
 
 
-def test_on_a_skin_of_one_block_the_press_that_looks_like_an_offset_is_marked():
-    phi = make_phi("sbhe", 256, 85, seed=0)
-    watch = OffsetWatch(LEAST_SD)
-    forces = np.zeros(256, dtype=np.float32)
-    assert not watch.looks_alike(phi, forces)
-    forces[watch.rows_of(phi).taxels] = 0.5
-    assert watch.looks_alike(phi, forces)
-    forces[100:110] = 0.5
-    assert not watch.looks_alike(phi, forces)
-
-
 def test_on_a_skin_of_one_block_no_offset_is_subtracted():
     phi = make_phi("sbhe", 256, 85, seed=0)
     assert OffsetWatch(LEAST_SD).look(phi, np.full(85, 0.5, dtype=np.float32)) == 0.0
