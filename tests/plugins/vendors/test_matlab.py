@@ -119,8 +119,11 @@ def test_bytes_at_which_scipy_may_end_the_process_are_refused_in_one_line(tmp_pa
     raw = bytearray(mat(False, forces=LAST.astype(float)))
     at = raw.index(struct.pack("<II", 9, 8 * LAST.size))  # 9: of float64
     raw[at] = 200
-    with pytest.raises(SourceError, match=r"^\S+ its reader (was ended|failed).*; a damaged"):
+    # What SciPy does with a type that it has no entry for depends on what its memory holds there.
+    ends = r"its reader (was ended|failed).*; a damaged"
+    with pytest.raises(SourceError, match=rf"^\S+any\.mat: ({ends}|cannot be read \()") as refused:
         read(tmp_path, "any.mat", bytes(raw))
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.isolated
