@@ -107,8 +107,8 @@ class OffsetWatch:
         within = rows.light * (light - means[rows.block])
         variance = max(float(within @ within) / innovation.size, self._noise_sd**2)
         weight = innovation.size / variance
-        apart = rows.n_light * np.square(means - common) / variance
-        if weight * common**2 > SIGNIFICANT**2 and apart.max() < UNLIKE**2:
+        z2_of_blocks = rows.n_light * np.square(means - common) / variance
+        if weight * common**2 > SIGNIFICANT**2 and z2_of_blocks.max() < UNLIKE**2:
             self.value += common
             if weight * self.value**2 < SIGNIFICANT**2:
                 self.value = 0.0

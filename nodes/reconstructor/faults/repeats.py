@@ -81,19 +81,22 @@ class RepeatWatch:
         cannot be right, if so. y is kept, not copied; `subset` is the fingerprint of its Phi.
         """
         self.faulty = None
-        known = self._subsets.get(subset)
-        is_repeated = self._repeats_last(y) or (known is not None and _are_equal(known.y, y))
+        state = self._subsets.get(subset)
+
+        # A hung board repeats whole frames; with rotating rows, those of other rows, too.
+        is_repeated = self._repeats_last(y) or (state is not None and _are_equal(state.y, y))
         self._n_frozen = self._n_frozen + 1 if is_repeated else 0
         self._last_y = y
 
+        # Without noise, equal measurements may be right.
         has_noise = self._has_noise(y)
         reason = None
         if has_noise:
             reason = self._reason(y)
-        if known is None:
+        if state is None:
             self._subsets[subset] = _Subset(y, np.zeros(y.size, dtype=np.int64))
         elif reason is None and not is_repeated:
-            self._compare(known, y, has_noise)
+            self._compare(state, y, has_noise)
         return reason
 
     def _repeats_last(self, y: Floats) -> bool:
@@ -117,11 +120,11 @@ class RepeatWatch:
             return Reason.CLIPPED
         return None
 
-    def _compare(self, known: _Subset, y: Floats, has_noise: bool) -> None:
+    def _compare(self, state: _Subset, y: Floats, has_noise: bool) -> None:
         """Compare the measurements with the last ones of their subset."""
-        repeats = known.y == y
-        known.y = y
-        known.n_repeats = np.where(repeats, known.n_repeats + 1, 0)
+        repeats = state.y == y
+        state.y = y
+        state.n_repeats = np.where(repeats, state.n_repeats + 1, 0)
         chance = max(1 - self._lively, RARE)
         if has_noise:
             if step_of(y) > 0:
@@ -129,7 +132,7 @@ class RepeatWatch:
                 chance = math.sqrt(chance)
             # After so many repeats no chance is left.
             n_needed = math.ceil(math.log(CHANCE) / math.log(min(chance, MOST_LIKELY)))
-            faulty = known.n_repeats >= n_needed
+            faulty = state.n_repeats >= n_needed
             if faulty.any():
                 self.faulty = faulty
 

@@ -109,12 +109,12 @@ class StuckTaxels:
         """Add what a frame shows to the odds of the watched taxels."""
         background = evidence.background[watched]
         shown2 = np.square(evidence.projected[watched], dtype=np.float64)
-        stated = evidence.noise(watched)
+        stated_noise = evidence.noise(watched)
         if not self.is_doubted:
             works = ~self.is_stuck[watched] & (self._odds[watched] <= 0)
-            self._follow_scale((shown2 - background)[works], stated[works])
+            self._follow_scale((shown2 - background)[works], stated_noise[works])
 
-        noise = WORKS * self._scale * stated
+        noise = WORKS * self._scale * stated_noise
         stuck2 = np.maximum(background, LEAST_BACKGROUND * noise) + TINY
         works2 = stuck2 + noise
         change = 0.5 * (np.log(works2 / stuck2) - shown2 * (1 / stuck2 - 1 / works2))
@@ -129,8 +129,9 @@ class StuckTaxels:
         self._reference[watched] = reference
         odds[has_moved] = 0.0
 
-        least = np.where(self.is_stuck[watched], -np.inf, -FORGOTTEN)
-        self._odds[watched] = np.clip(odds, least, 2 * ENOUGH)
+        # A stuck taxel is used again when the evidence that it works is large.
+        lower_bound = np.where(self.is_stuck[watched], -np.inf, -FORGOTTEN)
+        self._odds[watched] = np.clip(odds, lower_bound, 2 * ENOUGH)
 
     def _follow_scale(self, own2: Doubles, stated: Doubles) -> None:
         """Follow the noise of pressed taxels that seem to work, in what is stated: skins may state

@@ -226,9 +226,10 @@ class FaultWatch:
 
     def _follow_noise(self, solver: Solver, innovation: Floats) -> None:
         """Compare the innovation with the noise that the skin states."""
-        stated = getattr(solver, "stated_noise2", 0.0)
-        if self._noise.model is not None and stated:
-            self._measured_noise.look(float(innovation @ innovation) / len(innovation), stated)
+        stated_noise = getattr(solver, "stated_noise2", 0.0)
+        if self._noise.model is not None and stated_noise:
+            innovation2 = float(innovation @ innovation) / len(innovation)
+            self._measured_noise.look(innovation2, stated_noise)
 
     def _follow_doubt(self, solver: Solver, phi: Phi) -> None:
         """Follow the doubt of each measurement of a row subset."""
@@ -276,10 +277,10 @@ class FaultWatch:
     def _evidence(self, solver: Solver, forces: Floats) -> Evidence | None:
         """What a frame shows of each taxel; None where nothing is known of its noise."""
         model = self._noise.model
-        least = 0.0
+        untouched_noise = 0.0
         if model is None:
-            least = self._least_noise(solver)
-            if not least:
+            untouched_noise = self._least_noise(solver)
+            if not untouched_noise:
                 return None
         elif not self._measured_noise.is_present:
             return None  # without the noise of the skin, all taxels seem to be stuck
@@ -289,10 +290,10 @@ class FaultWatch:
             return None
 
         def noise(taxels: Indices) -> Doubles:
-            own: Doubles = projection.own[taxels]
+            share: Doubles = projection.own[taxels]
             if model is None:
-                return own * least
-            return own * model.variance(forces[taxels]).astype(np.float64)
+                return share * untouched_noise
+            return share * model.variance(forces[taxels]).astype(np.float64)
 
         return Evidence(forces, projection.projected, projection.background, noise)
 
