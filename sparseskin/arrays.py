@@ -334,7 +334,9 @@ class Frame:
     error: float | None = None
     """RMS error of a taxel of `forces` as the solver estimates it, newtons, where it does."""
     trusted: bool = True
-    """False if that error is a large part of the forces; True also where it is not estimated."""
+    """False if the frame is not to be acted on, as `reason` states."""
+    reason: str = ""
+    """Word of the `messages.Reason` for that; "" if there is none."""
     contacts: Contacts | None = None
     """Contacts of `forces`, arrays with an entry each, with `reconstructor.contacts=true`."""
     missing: Mask | None = None
@@ -410,7 +412,9 @@ def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator
             if isinstance(one, Taxels | Reconstruction):
                 parts["missing"] = one.missing_cells(one.forces.shape[1:])
             parts[_PARTS[type(one)]] = values.get("y", values.get("forces"))
-            parts |= {name: values[name] for name in ("error", "trusted") if name in values}
+            parts |= {
+                name: values[name] for name in ("error", "trusted", "reason") if name in values
+            }
     for (patch, stamp_ns), parts in found.items():
         yield Frame(patch, stamp_ns, **parts)
 

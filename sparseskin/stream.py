@@ -73,7 +73,7 @@ class Stream:
         Number of taxels that exist, and of measurements of a frame.
     error : float or None
         RMS error of a taxel of the last reconstructed frame as the solver estimates it, newtons,
-        where it does.
+        where it does; None also for measurements that hold nothing of the skin.
     trusted : bool
         False if the frame is not to be acted on, as `reason` states.
     reason : str
@@ -245,7 +245,9 @@ class Stream:
         if len(self._phis) > 1:
             self._solver.use(phi)
         verdict = solve_watched(self._solver, self._watch, phi, y)
-        self.error, _ = estimated_error(self._solver)
+        self.error = None
+        if verdict.is_solved:
+            self.error, _ = estimated_error(self._solver)
         self.reason = str(verdict.reason)
         self.trusted = not self.reason
         return verdict.forces

@@ -213,6 +213,7 @@ class Patch:
         self._n_steps = 0
         self._solve_ns = 0
         if self._believed is None:  # it holds nothing of the skin
+            self._error = None
             return
         begin_ns = time.perf_counter_ns()
         self.solver.setup(self._believed, self._warm)

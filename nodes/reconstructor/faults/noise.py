@@ -36,8 +36,8 @@ class NoiseWatch:
         self.is_quiet = False
 
     def look(self, innovation2: float, stated: float) -> None:
-        """Process the mean squared innovation of a frame, and the noise variance of a measurement
-        as the skin states it.
+        """Process the mean squared innovation of a frame, and the least noise variance of a
+        measurement that the skin states.
         """
         ratio = min(innovation2 / stated, LARGEST)
         self._ratio += RATE * (ratio - self._ratio)

@@ -55,6 +55,7 @@ class Verdict(NamedTuple):
     reason: str
     rows: tuple[int, ...] = ()
     taxels: tuple[int, ...] = ()
+    is_solved: bool = True  # False: the measurements hold nothing, the forces are the last ones
 
 
 class FaultWatch:
@@ -196,7 +197,7 @@ class FaultWatch:
         """
         innovation = getattr(solver, "innovation", None)
         if innovation is not None:
-            self._follow_noise(solver, innovation)
+            self._follow_noise(innovation)
             self._follow_doubt(solver, phi)
             # Of forces that have not converged, the errors are no noise; but a taxel that is left
             # out and works again makes them so.
@@ -212,7 +213,7 @@ class FaultWatch:
     def nothing(self) -> Verdict:
         """The verdict of a frame that holds nothing: the last forces, not trusted."""
         assert self._received is not None
-        return self._verdict(self.last_forces, self._received)
+        return self._verdict(self.last_forces, self._received)._replace(is_solved=False)
 
     def _mixes(self, phi: Phi) -> bool:
         """True if each measurement sums several taxels: single ones repeat where they are 0."""
@@ -224,12 +225,13 @@ class FaultWatch:
     def _verdict(self, forces: Floats, reason: str) -> Verdict:
         return Verdict(forces, reason, self._rows_doubted, tuple(self.taxels))
 
-    def _follow_noise(self, solver: Solver, innovation: Floats) -> None:
-        """Compare the innovation with the noise that the skin states."""
-        stated_noise = getattr(solver, "stated_noise2", 0.0)
-        if self._noise.model is not None and stated_noise:
+    def _follow_noise(self, innovation: Floats) -> None:
+        """Compare the innovation with the noise that the skin states of untouched taxels: pressed
+        ones have more, but those that are stuck have none.
+        """
+        if self._noise.model is not None and self._noise.least_sd > 0:
             innovation2 = float(innovation @ innovation) / len(innovation)
-            self._measured_noise.look(innovation2, stated_noise)
+            self._measured_noise.look(innovation2, self._noise.least_sd**2)
 
     def _follow_doubt(self, solver: Solver, phi: Phi) -> None:
         """Follow the doubt of each measurement of a row subset."""
@@ -321,12 +323,12 @@ class FaultWatch:
             return Reason.RANGE
         if not getattr(solver, "trusted", True):
             return Reason.WEAK if self._is_weak(solver, forces) else Reason.ERROR
-        if self._measured_noise.is_quiet:
-            return Reason.QUIET
         if self._watch_rows and self.swamped:
             return Reason.ROWS
         if self._stuck.is_doubted or self._stuck.is_blind(self._exists):
             return Reason.STUCK
+        if self._measured_noise.is_quiet:
+            return Reason.QUIET
         return ""
 
     def _is_weak(self, solver: Solver, forces: Floats) -> bool:

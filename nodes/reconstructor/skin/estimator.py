@@ -113,7 +113,6 @@ class SkinEstimator:
         self.stated_error.forget()
         self.trust.forget()
         self.error = 0.0
-        self.stated_noise2 = 0.0
         self._level = Level()
         self._n_shifts = 0
 
@@ -252,7 +251,6 @@ class SkinEstimator:
         if self.noise_model is None:
             return TaxelNoise(level.bounded(level.variance), missing=0.0, is_stated=False)
         stated = self.vectors.mean_variance(settled.forces, self.noise_model)
-        self.stated_noise2 = stated
         variance = min(stated, level.variance)
         # Gates keep or drop: the noise that the residual lacks is in the estimate.
         return TaxelNoise(variance, missing=variance - settled.residual2, is_stated=True)

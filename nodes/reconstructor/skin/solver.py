@@ -147,11 +147,6 @@ class SkinSolver(Solver):
         return level.least if level.is_known else 0.0
 
     @property
-    def stated_noise2(self) -> float:
-        """Mean noise variance of the readings of the last frame, as the skin states it; 0: none."""
-        return self._estimator.stated_noise2
-
-    @property
     def doubt(self) -> Floats | None:
         """Part of each measurement that no force explains, float32 (m,), 0 to 1; after `setup`.
         None where measurements are no rows of W.
