@@ -88,6 +88,11 @@ class SbhePhi(RotatingPhi):
         size = np.repeat(self.sizes, self.sizes)[rows].astype(np.float32)
         self.scale: Floats = np.reciprocal(np.sqrt(size))
 
+    @property
+    def block_of_row(self) -> Indices:
+        """Number of the block of taxels that each row sums, int64 (m,)."""
+        return np.searchsorted(np.cumsum(self.sizes), self.rows, side="right")
+
     def row_subsets(self) -> list[Phi]:
         """As in `RotatingPhi`; but by rule 1, the first one is not this matrix."""
         if self.rule == RANDOM:

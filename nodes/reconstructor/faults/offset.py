@@ -28,8 +28,6 @@ class OffsetRows:
     ----------
     is_told_apart : bool
         True if no taxel's press looks like an offset.
-    taxels : ndarray of intp
-        Taxels, in row-major order, whose press together looks like one: one of each block.
     block, starts : ndarray of intp, shape (m,), (n_blocks,)
         Block of each row, and the first row of each block.
     light : ndarray of bool, shape (m,)
@@ -42,7 +40,6 @@ class OffsetRows:
         sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
         alike = phi.n / phi.m**2 * float(np.square(sums).max())
         self.is_told_apart = alike <= MOST_ALIKE
-        self.taxels: Indices = np.flatnonzero(sums > 0.9 * sums.max())
 
         size = np.abs(phi.forward(np.ones(phi.n, dtype=np.float32)))
         self.light: Mask = shared(size <= HEAVY * size.max())
@@ -57,8 +54,7 @@ def _blocks_of(phi: Phi) -> Indices:
     """Number of the block of taxels that each row sums; 0 if there are no blocks."""
     if not isinstance(phi, SbhePhi):
         return np.zeros(phi.m, dtype=np.intp)
-    ends = np.cumsum(phi.sizes)
-    return np.searchsorted(ends, phi.rows, side="right")
+    return phi.block_of_row
 
 
 class OffsetWatch:

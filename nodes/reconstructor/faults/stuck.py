@@ -48,7 +48,7 @@ class Evidence(NamedTuple):
     """What a frame shows of each taxel; vectors (n,), of the taxels in row-major order."""
 
     forces: Floats
-    projected: Floats  # innovation, projected back to the taxels
+    projected: Floats  # change since the last estimate, projected back to the taxels
     background: Doubles  # its variance by the noise of the other taxels
     #: Its further variance by the noise of some taxels, if that is as stated; by their numbers.
     noise: Callable[[Indices], Doubles]
@@ -195,8 +195,7 @@ class StuckTaxels:
         """Return forces, float32 (n_rows, n_cols), with stuck taxels as the mean of the working
         ones beside them.
         """
-        works = exists.copy()
-        works[exists] = ~self.is_stuck
+        works = self._working(exists)
         n_working = of_nine(works.astype(np.float32), np.add)
         means = of_nine(np.where(works, image, 0), np.add) / np.maximum(n_working, 1)
         filled: Floats = np.where(exists & ~works, means, image)
@@ -204,10 +203,16 @@ class StuckTaxels:
 
     def is_blind(self, exists: Mask) -> bool:
         """True if a stuck taxel has no working one beside it."""
+        if not self.is_stuck.any():
+            return False
+        has_working = of_nine(self._working(exists), np.logical_or)
+        return bool((exists & ~has_working).any())
+
+    def _working(self, exists: Mask) -> Mask:
+        """True where a taxel exists and is not stuck, bool (n_rows, n_cols)."""
         works = exists.copy()
         works[exists] = ~self.is_stuck
-        beside = of_nine(works, np.logical_or)
-        return bool((exists & ~beside).any())
+        return works
 
 
 def beside(exists: Mask) -> Indices:

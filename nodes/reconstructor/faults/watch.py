@@ -159,9 +159,8 @@ class FaultWatch:
         believed = y
         if self._stuck.is_stuck.any():
             believed = np.subtract(y, self._stuck_readings(phi))
-        expected = getattr(solver, "expected", None)
-        if self._watch_rows and expected is not None and self._mixes(phi):
-            believed = self._without_offset(phi, believed, expected(phi))
+        if self._watch_rows and hasattr(solver, "expected") and self._mixes(phi):
+            believed = self._without_offset(solver, phi, believed)
             solver.faulty = self._repeats.faulty
         return believed
 
@@ -181,10 +180,11 @@ class FaultWatch:
             self._subtracted[phi.fingerprint] = phi.forward(self._stuck.value)
         return self._subtracted[phi.fingerprint]
 
-    def _without_offset(self, phi: Phi, y: Floats, expected: Floats) -> Floats:
-        if self._offset is None:
+    def _without_offset(self, solver: Any, phi: Phi, y: Floats) -> Floats:
+        # What is expected takes a transform.
+        if self._offset is None or not self._offset.rows_of(phi).is_told_apart:
             return y
-        offset = self._offset.look(phi, np.asarray(y - expected))
+        offset = self._offset.look(phi, np.asarray(y - solver.expected(phi)))
         if bool(offset) != self._was_offset:
             self._was_offset = bool(offset)
             change = f"an offset of {offset:.2g}, which is subtracted" if offset else "no offset"

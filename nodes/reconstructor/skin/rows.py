@@ -122,8 +122,7 @@ class HadamardRows(Rows):
             assert isinstance(phi, SbhePhi)
             places = self._place_of_row[phi.rows]
             order = np.argsort(places)
-            ends = np.cumsum(phi.sizes)
-            blocks = np.searchsorted(ends, phi.rows[order], side="right")
+            blocks = phi.block_of_row[order]
             subset = ReadRows(*map(shared, (places[order], order, places, blocks)))
             self._subsets[phi.fingerprint] = subset
         return self._subsets[phi.fingerprint]
