@@ -98,6 +98,7 @@ class SkinSolver(Solver):
         self._place_of_taxel = shared(place.flat[self.taxels])
         self._block_of_taxel = shared(self._rows.block_of_taxel[self._place_of_taxel])
         self._block_sizes = shared(np.bincount(self._rows.block_of_taxel))
+        self._ones: dict[str, Floats] = {}  # Phi 1, by row subset
         self._holes = None if phi.n == self.mask.size else ~self.mask
 
         vectors = self._make_vectors(gates_of(gates), tuning)
@@ -159,8 +160,10 @@ class SkinSolver(Solver):
         """Return what a phi measures of the last estimate and the bias, float32 (m,)."""
         (measured,) = self._rows.measured(self._estimator.vectors.x, phi)
         if self.bias:
-            ones = phi.forward(np.ones(phi.n, dtype=np.float32))
-            measured = measured + np.float32(self.bias) * ones
+            if phi.fingerprint not in self._ones:
+                all_ones = np.ones(phi.n, dtype=np.float32)
+                self._ones[phi.fingerprint] = shared(phi.forward(all_ones))
+            measured = measured + np.float32(self.bias) * self._ones[phi.fingerprint]
         return measured
 
     def subtract(self, forces: Floats) -> None:
