@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,12 +15,21 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
+from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.ranges import is_real
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.layout import (
+    EMPTY,
+    HOLD,
+    MASK,
+    ZERO,
+    Layout,
+    UnstatedError,
+)
+from sparseskin.nodes.sensor.layout.tally import Tally
 
 MAX_READING = float(np.float32(1e30))
 """Largest reading, chosen: float32 holds it, and the sum of a frame of such readings."""
@@ -31,52 +39,17 @@ COUNTS = "counts"
 """Unit of whole numbers that have none: readings of a converter, which a calibration converts."""
 ADD = "; add "
 """What stands in an error before the settings that are missing, as KEY=VALUE, in examples."""
-NAN_HINT = f"{ADD}nan=hold, or zero or mask"
-NEGATIVE_HINT = f"{ADD}negative=zero, or mask (offset raises every force until the lowest is 0)"
+NAN_HINT = "state nan=hold, zero or mask, or missing"
 MAX_LINE_BYTES = 1 << 26
 """Longest line of a text file; chosen: a line of 2**20 readings has 20 MB."""
-REFUSE, ZERO, HOLD, OFFSET, MASK = "refuse", "zero", "hold", "offset", "mask"
-NAN_WAYS = (REFUSE, ZERO, HOLD, MASK)
-"""Readings that are NaN or infinite: refused; or, as `MissingReadings`, they become 0, the last
-reading of their taxel (0 before the first), or the mean of its neighbours, where the taxels without
-any reading are masked."""
 FILLED = {
     ZERO: "set to 0",
     HOLD: "replaced by the last ones",
     MASK: "replaced by the mean of their neighbours",
 }
 """What is done with missing readings, for the log."""
-NEGATIVE_WAYS = (REFUSE, ZERO, OFFSET, MASK)
-"""Readings below 0: the file is refused; they become 0; the lowest reading is subtracted from all;
-or their taxels are masked."""
-
-
-READ_AS = ("n_rows", "n_cols", "unit", "f_max", "rate_hz", "columns", "topic", "nan", "negative")
-"""What may be stated of a file: arguments of `open_file`, and the ways of its `Policy`."""
-
-
-@dataclass(frozen=True)
-class Policy:
-    """Ways to treat invalid readings, one of `NAN_WAYS` and one of `NEGATIVE_WAYS`. `raw`: a
-    calibration converts the readings, which are of any unit, and below 0 where that is refused.
-    """
-
-    nan: str = REFUSE
-    negative: str = REFUSE
-    raw: bool = False
-
-    def __post_init__(self) -> None:
-        for name, ways in (("nan", NAN_WAYS), ("negative", NEGATIVE_WAYS)):
-            if (way := getattr(self, name)) not in ways:
-                raise SourceError(f"{name}: {shown(way)} is not known{nearest_of(str(way), ways)}")
-
-    @property
-    def masks(self) -> bool:
-        """True if the readings decide which cells are taxels."""
-        return MASK in (self.nan, self.negative)
-
-
-DEFAULT_POLICY = Policy()
+BLOCK_NUMBERS = 1 << 20
+"""Numbers of a block, about; chosen: 8 MB, so that memory does not grow with the file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,32 +70,104 @@ class Parsed:
     notes: tuple[str, ...] = ()  # for the log: what was taken, where the file can be read otherwise
 
 
-class Head(NamedTuple):
-    """What the begin of a recording states: shape of a frame, (n_rows, n_cols), or (n_cells,) where
-    it is not stated; the number of taxels, None where later frames decide which cells are taxels;
-    its unit, None where there is none; True if it has a rate or stamps.
+@dataclass(frozen=True, eq=False)
+class Head:
+    """What the begin of a recording states; None, "" or () where it states nothing.
+
+    An item is a line, a message, a frame of an array. `axes` are those of the numbers of one item;
+    of a single axis, `usable` are the entries that hold numbers and are no times.
     """
 
-    shape: tuple[int, ...]
-    n_taxels: int | None
+    axes: tuple[Axis, ...]
+    usable: tuple[int, ...] | None = None
+    is_timed: bool = False  # `Block.times` are known
+    time_unit: str = ""  # of `times.NS`
+    time_name: str = ""  # as the file calls it
     unit: str | None = None
-    is_timed: bool = True
+    asks_unit: bool = False  # the readings may be of any unit: it has to be stated
+    rate_hz: float | None = None
+    f_max: float | None = None  # upper end of the range, in `unit`
+    pitch_m: float | None = None  # between neighbouring taxels
+    mask: Mask | None = None  # (n_rows, n_cols), True where a taxel exists
+    points: npt.NDArray[Any] | None = None  # float32 (n_taxels, 6): places, m, and unit normals
+    point_rows: npt.NDArray[Any] | None = None  # int32 (n_taxels,): their rows in a file of points
+    n_items: int | None = None  # None: the end of the file shows it
+    notes: tuple[str, ...] = ()  # for the log: what was taken, where it can be read otherwise
+
+
+class Block(NamedTuple):
+    """Items in a row: their numbers (k, *sizes of the axes), of any real dtype, NaN where the file
+    holds no number; and k times in the unit of the head, whole where the file has whole ones.
+    """
+
+    numbers: npt.NDArray[Any]
+    times: Sequence[int | float] | None = None
 
 
 class Recording(ABC):
-    """An open file of a recording. Each method is called once, `head` first if at all."""
+    """An open file of a recording, which is decoded and no more: bytes become numbers, times and
+    labels; the layout makes frames of them.
+    """
 
+    #: What became of the lines, messages or frames of the last `blocks`.
+    tally: Tally
+
+    @abstractmethod
     def head(self) -> Head:
-        """Read the begin of the file, or all of it; SourceError if it is malformed."""
-        found = self.read()
-        shape, mask = found.forces.shape[1:], found.mask
-        timed = found.rate_hz is not None or found.stamp_ns is not None
-        n_taxels = math.prod(shape) if mask is None else int(mask.sum())
-        return Head(shape, n_taxels, found.unit, timed)
+        """Read the begin of the file. Raises SourceError if it is malformed."""
+
+    @abstractmethod
+    def blocks(self) -> Iterator[Block]:
+        """Read all items from the first one, some `BLOCK_NUMBERS` numbers at a time, each time that
+        it is called. Raises SourceError at the first malformed one.
+        """
+
+
+class WholeRecording(Recording):
+    """A recording of a format that states all of its layout, and is read whole."""
+
+    def __init__(self) -> None:
+        self.tally = Tally("frames")
+        self._parsed: Parsed | None = None
 
     @abstractmethod
     def read(self) -> Parsed:
-        """Read the whole recording; SourceError if anything in it is malformed."""
+        """Read the whole recording, once. Raises SourceError if anything in it is malformed."""
+
+    def head(self) -> Head:
+        parsed = self._parsed = self._parsed or self.read()
+        n_rows, n_cols = parsed.forces.shape[1:]
+        return Head(
+            (Axis(n_rows, "rows"), Axis(n_cols, "cols")),
+            is_timed=parsed.stamp_ns is not None,
+            time_unit="ns",
+            unit=parsed.unit,
+            rate_hz=parsed.rate_hz,
+            f_max=parsed.f_max,
+            pitch_m=parsed.pitch_m,
+            mask=parsed.mask,
+            points=parsed.points,
+            point_rows=parsed.point_rows,
+            n_items=len(parsed.forces),
+            notes=parsed.notes,
+        )
+
+    def blocks(self) -> Iterator[Block]:
+        self.head()
+        assert self._parsed is not None
+        forces = self._parsed.forces
+        stamps = self._parsed.stamp_ns
+        self.tally.begin()
+        size = frames_per_block(math.prod(forces.shape[1:]))
+        for first in range(0, len(forces), size):
+            part = forces[first : first + size]
+            self.tally.take(len(part), len(part))
+            yield Block(part, None if stamps is None else stamps[first : first + size])
+
+
+def frames_per_block(n_numbers: int) -> int:
+    """Items of a block, of so many numbers each."""
+    return max(1, BLOCK_NUMBERS // max(1, n_numbers))
 
 
 def shown(text: object, limit: int = 40) -> str:
@@ -138,28 +183,24 @@ def spelled(text: str, option: Callable[[str], str]) -> str:
 
 
 def choose(
-    found: Mapping[str, str],
-    stated: str | None,
-    name: str,
-    what: str,
-    key: str = "topic",
-    more: str = "",
+    candidates: Mapping[str, str], stated: str, name: str, what: str, key: str = "topic"
 ) -> str:
     """The key of one of several things in a file, each with a few words on it: the stated one, or
-    the only one. Raises SourceError if there is none, or not one; `key` is the setting, `more` what
-    else is missing.
+    the only one. Raises SourceError if there is none, UnstatedError if there are several; `key` is
+    the setting that states it.
     """
-    listed = ", ".join(f"{printable(key)} ({about})" for key, about in [*found.items()][:8])
-    if len(found) == 1 and stated is None:
-        return next(iter(found))
-    if stated in found:
-        return str(stated)
-    if not found:
+    listed = ", ".join(f"{printable(one)} ({about})" for one, about in [*candidates.items()][:8])
+    if stated in candidates:
+        return stated
+    if stated:
+        raise SourceError(f"{name}: holds no {key} {shown(stated)}; allowed: {listed or 'none'}")
+    if not candidates:
         raise SourceError(f"{name}: holds no {what}")
-    if stated is not None:
-        raise SourceError(f"{name}: holds no {key} {shown(stated)}; allowed: {listed}")
-    first = shlex.quote(printable(next(iter(found))))
-    raise SourceError(f"{name}: holds {len(found)} {what}: {listed}{ADD}{key}={first}{more}")
+    if len(candidates) > 1:
+        options = [{key: one} for one in candidates]
+        fault = f"holds {len(candidates)} {what}, which is not stated: {listed}"
+        raise UnstatedError(f"{name}: {fault}; state {key}", *options)
+    return next(iter(candidates))
 
 
 def rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
@@ -168,12 +209,6 @@ def rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
         if stamp < before:
             raise SourceError(f"{name}: the time of frame {k} is before that of the one before it")
     return tuple(s - stamps[0] for s in stamps) if len(set(stamps)) == len(stamps) else None
-
-
-def shape_text(n_cells: int) -> str:
-    """Settings of a shape of so many cells, the most square one."""
-    n_rows = max(k for k in range(1, math.isqrt(n_cells) + 1) if n_cells % k == 0)
-    return f"n_rows={n_rows} n_cols={n_cells // n_rows}"
 
 
 @contextmanager
@@ -208,19 +243,15 @@ def unreadable(name: str, error: Exception) -> SourceError:
 
 @dataclass(frozen=True)
 class File:
-    """An open file of a recording, the names of those that go on with it, and what is stated of it:
-    `columns` of a table, as in `TableRecording`, or the field of a point cloud; `topic` of a
-    recording, or name of an array.
+    """An open file of a recording, the names of those that go on with it, and what is stated of
+    it. `raw`: a calibration converts the readings, which are of any unit and sign.
     """
 
     file: IO[bytes]
     name: str
     parts: tuple[str, ...] = ()
-    n_rows: int | None = None
-    n_cols: int | None = None
-    columns: str | None = None
-    topic: str | None = None
-    policy: Policy = DEFAULT_POLICY
+    layout: Layout = EMPTY
+    raw: bool = False
 
     @property
     def lines(self) -> Lines:
@@ -320,25 +351,6 @@ def check_unit(where: str, unit: object) -> None:
     if unit is not None and not is_text:
         place = f"{where}: unit = {shown(unit)}"
         raise SourceError(f"{place}; expected 1 to 32 printable characters, as N or kPa")
-
-
-def check_grid(n_rows: int, n_cols: int, where: str) -> None:
-    """Raise SourceError unless both sides are in 1..4096 and the cells at most 2**20."""
-    n = n_rows * n_cols
-    if not (1 <= n_rows <= MAX_SIDE and 1 <= n_cols <= MAX_SIDE):
-        sides = f"{n_rows} rows x {n_cols} columns"
-        raise SourceError(f"{where}: {sides}; allowed are 1..{MAX_SIDE} of each")
-    if n > MAX_ELEMENTS:
-        raise SourceError(f"{where}: {n_rows} x {n_cols} = {n} cells; at most {MAX_ELEMENTS}")
-
-
-def check_stated_shape(
-    rows: int, cols: int, n_rows: int | None, n_cols: int | None, where: str
-) -> None:
-    """Raise SourceError if a stated side, `n_rows` or `n_cols`, is not that of the frames."""
-    for what, stated, actual in (("n_rows", n_rows, rows), ("n_cols", n_cols, cols)):
-        if stated is not None and stated != actual:
-            raise SourceError(f"{where}: {what} = {stated} is stated, but the frames have {actual}")
 
 
 def check_readings(

@@ -1,0 +1,226 @@
+"""From the numbers of one item (a line, a message, a frame of an array) to a frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Indices
+
+from .layout import Layout, UnstatedError
+from .names import COL_WORDS, NORMAL, ROW_WORDS, select
+
+ROWS = (*ROW_WORDS, "height", "row_count")
+COLS = (*COL_WORDS, "width", "col_count")
+CHANNELS = ("channel", "channels", "axis", "axes", "xyz", "component", "components", "dim")
+XYZ = ("x", "y", "z")
+MAX_WAYS = 8
+
+
+class Axis(NamedTuple):
+    """An axis of an item: its size, what the source calls it, and names of its entries."""
+
+    size: int
+    label: str = ""
+    names: tuple[str, ...] = ()
+
+
+class Arrangement(NamedTuple):
+    """Places of the taxels in an item: `index` (n_rows, n_cols) into its numbers in their order, or
+    None where they are a frame as they are.
+    """
+
+    shape: tuple[int, int]
+    index: Indices | None
+    notes: tuple[str, ...] = ()
+
+    def frames(self, numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Frames (k, n_rows, n_cols) of the numbers of k items, (k, ...)."""
+        flat = numbers.reshape(len(numbers), -1)
+        if self.index is None:
+            return flat.reshape(-1, *self.shape)
+        return flat[:, self.index]
+
+    @property
+    def columns(self) -> npt.NDArray[np.intp]:
+        """Numbers of an item that are read, each once, in the order of the taxels."""
+        if self.index is None:
+            return np.arange(math.prod(self.shape))
+        return self.index.ravel()
+
+
+def arrange(
+    layout: Layout, axes: Sequence[Axis], where: str, usable: Sequence[int] | None = None
+) -> Arrangement:
+    """Places of the taxels in items with these axes.
+
+    `usable` are the entries of a single named axis that hold numbers; None: all. Names and labels
+    of the source come first, then what is stated; of x, y and z the normal one is read. Raises
+    SourceError if what is stated contradicts the source, UnstatedError if the shape is missing.
+    """
+    n_numbers = math.prod(axis.size for axis in axes)
+    if not 1 <= n_numbers <= 16 * MAX_ELEMENTS:
+        raise SourceError(f"{where}: an item holds {n_numbers} numbers; allowed: 1..{MAX_ELEMENTS}")
+    places = np.arange(n_numbers).reshape([axis.size for axis in axes])
+    labelled = list(axes)
+    notes: tuple[str, ...] = ()
+
+    named = [at for at, axis in enumerate(labelled) if axis.names]
+    if len(labelled) == 1 and (named or usable is not None):
+        names = labelled[0].names or ("",) * labelled[0].size
+        kept = range(labelled[0].size) if usable is None else usable
+        selection = select(layout, names, kept, where)
+        places = places[list(selection.columns)]
+        notes = selection.notes
+        if selection.shape is not None:
+            places = places.reshape(selection.shape)
+            labelled = [Axis(selection.shape[0], "rows"), Axis(selection.shape[1], "cols")]
+        else:
+            labelled = [Axis(places.size, "taxels")]
+    else:
+        places, labelled, notes = _one_channel(layout, places, labelled, where)
+    places = _as_grid(layout, places, labelled, where)
+    check_grid(*places.shape, where)
+    places = _ordered(layout, places, where)
+    is_plain = places.size == n_numbers and bool((np.diff(places.ravel()) == 1).all())
+    return Arrangement((places.shape[0], places.shape[1]), None if is_plain else places, notes)
+
+
+def check_grid(n_rows: int, n_cols: int, where: str) -> None:
+    """Raise SourceError unless both sides are in 1..4096 and the cells at most 2**20."""
+    if not (1 <= n_rows <= MAX_SIDE and 1 <= n_cols <= MAX_SIDE):
+        sides = f"{n_rows} rows x {n_cols} columns"
+        raise SourceError(f"{where}: {sides}; allowed are 1..{MAX_SIDE} of each")
+    if n_rows * n_cols > MAX_ELEMENTS:
+        cells = f"{n_rows} x {n_cols} = {n_rows * n_cols} cells"
+        raise SourceError(f"{where}: {cells}; at most {MAX_ELEMENTS}")
+
+
+def order_of(text: str, n: int) -> list[int] | None:
+    """Places of n rows or columns as sent: "forward", "reversed" or "2,0,1"; None: other texts."""
+    if text == "forward":
+        return list(range(n))
+    if text == "reversed":
+        return list(range(n))[::-1]
+    parts = text.split(",")
+    if len(parts) != n or not all(p.strip().isdecimal() and len(p.strip()) < 6 for p in parts):
+        return None
+    order = [int(part) for part in parts]
+    return order if sorted(order) == list(range(n)) else None
+
+
+def shapes_of(n: int) -> str:
+    """Shapes of n taxels, the most square ones first: "2 x 3, 3 x 2, 1 x 6 or 6 x 1"."""
+    sides = [k for k in range(1, min(n, MAX_SIDE) + 1) if n % k == 0 and n // k <= MAX_SIDE]
+    sides.sort(key=lambda k: (abs(math.log(k * k / n)), k))
+    shown = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
+    return f"{', '.join(shown[:-1])} or {shown[-1]}" if len(shown) > 1 else "".join(shown)
+
+
+def _one_channel(
+    layout: Layout, places: npt.NDArray[Any], axes: list[Axis], where: str
+) -> tuple[npt.NDArray[Any], list[Axis], tuple[str, ...]]:
+    """The places of one channel, without axes of one entry."""
+    kept = [at for at, axis in enumerate(axes) if axis.size > 1 or len(axes) <= 2]
+    kept = kept or [len(axes) - 1]
+    places = places.reshape([axes[at].size for at in kept])
+    axes = [axes[at] for at in kept]
+    at = _channel_axis(layout, axes)
+    if at is None:
+        if len(axes) > 2:
+            sides = " x ".join(str(axis.size) for axis in axes)
+            hint = "state axes, as rows,cols,channel, and channel"
+            raise UnstatedError(f"{where}: an item has {len(axes)} axes, {sides}; {hint}")
+        return places, axes, ()
+    entry, note = _entry(layout, axes[at], where)
+    return np.take(places, entry, axis=at), axes[:at] + axes[at + 1 :], (note,)
+
+
+def _channel_axis(layout: Layout, axes: list[Axis]) -> int | None:
+    """The axis of the channels, by its label; the last of three where a channel is stated."""
+    for at, axis in enumerate(axes):
+        if axis.label.lower() in CHANNELS or tuple(map(str.lower, axis.names)) == XYZ:
+            return at
+    small_last = len(axes) > 1 and (len(axes) == 3 or bool(layout.channel and layout.n_stated))
+    n_others = math.prod(axis.size for axis in axes[:-1])
+    fits = layout.n_stated in (None, n_others)
+    return len(axes) - 1 if layout.channel and small_last and fits else None
+
+
+def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
+    """The entry of an axis of channels that is read, and what is to be said about it."""
+    names = tuple(map(str.lower, axis.names))
+    if not names and axis.size == len(XYZ) and axis.label.lower() in ("xyz", "axis", "axes"):
+        names = XYZ
+    wanted = layout.channel.lower()
+    if not wanted and NORMAL in names:
+        wanted = NORMAL
+    if wanted in names:
+        return names.index(wanted), f"channel {wanted} of {', '.join(names)}"
+    if not names and wanted in XYZ and axis.size == len(XYZ):
+        return XYZ.index(wanted), f"channel {wanted}, entry {XYZ.index(wanted)} of {axis.size}"
+    if wanted.isdecimal() and int(wanted) < axis.size:
+        return int(wanted), f"channel {wanted} of {axis.size}"
+    allowed = ", ".join(names) or f"0..{axis.size - 1}"
+    if wanted:
+        raise SourceError(f"{where}: channel: {wanted!r} is none of {allowed}")
+    raise UnstatedError(f"{where}: {axis.size} numbers per taxel; state channel, of {allowed}")
+
+
+def _as_grid(
+    layout: Layout, places: npt.NDArray[Any], axes: list[Axis], where: str
+) -> npt.NDArray[Any]:
+    """Places as rows and columns; UnstatedError if nothing states them."""
+    n_rows, n_cols = layout.n_rows, layout.n_cols
+    if len(axes) == 2:
+        labels = [axis.label.lower() for axis in axes]
+        is_transposed = labels[0] in COLS or (labels[1] in ROWS and labels[0] not in ROWS)
+        grid = places.T if is_transposed else places
+        is_stated_flat = 1 in grid.shape and layout.n_stated == grid.size
+        if not is_stated_flat:
+            check_stated_shape(*grid.shape, n_rows, n_cols, where)
+            return grid
+        places = grid
+    n = places.size
+    if not (n_rows or n_cols):
+        raise UnstatedError(
+            f"{where}: a frame holds {n} readings, in which shape is not stated: state n_rows and "
+            f"n_cols, {shapes_of(n)}"
+        )
+    n_rows = n_rows or max(1, n // (n_cols or 1))
+    n_cols = n_cols or max(1, n // n_rows)
+    if n_rows * n_cols != n:
+        needed = f"n_rows x n_cols = {n_rows} x {n_cols} needs {n_rows * n_cols}"
+        raise SourceError(f"{where}: a frame holds {n} readings, but {needed}")
+    flat = places.reshape(-1)
+    if layout.order == "columns":
+        return flat.reshape(n_cols, n_rows).T
+    return flat.reshape(n_rows, n_cols)
+
+
+def check_stated_shape(
+    rows: int, cols: int, n_rows: int | None, n_cols: int | None, where: str
+) -> None:
+    """Raise SourceError if a stated side, `n_rows` or `n_cols`, is not that of the frames."""
+    for what, stated, actual in (("n_rows", n_rows, rows), ("n_cols", n_cols, cols)):
+        if stated is not None and stated != actual:
+            raise SourceError(f"{where}: {what} = {stated} is stated, but the frames have {actual}")
+
+
+def _ordered(layout: Layout, places: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
+    """Places with rows and columns in their stated order: entry k as it comes is put at order[k]."""
+    for key, axis in (("row_order", 0), ("col_order", 1)):
+        text = getattr(layout, key)
+        n = places.shape[axis]
+        order = order_of(text, n)
+        if order is None:
+            allowed = f"allowed: forward, reversed, or each of 0..{n - 1} once, with commas"
+            raise SourceError(f"{where}: {key}: {text[:40]!r} is not allowed; {allowed}")
+        places = np.take(places, np.argsort(order), axis=axis)
+    return places

@@ -1,0 +1,157 @@
+"""What a user states of a source of readings, and a file, topic or array does not state itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from sparseskin.messages.fields import MAX_SIDE
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.settings import Settings, setting
+
+REFUSE, ZERO, HOLD, OFFSET, MASK, KEEP = "refuse", "zero", "hold", "offset", "mask", "keep"
+NAN_WAYS = (REFUSE, ZERO, HOLD, MASK)
+"""Ways to treat readings that are NaN or infinite. They are refused; or, as `MissingReadings`, they
+become 0, the last reading of their taxel, or the mean of its neighbours."""
+NEGATIVE_WAYS = (REFUSE, KEEP, ZERO, OFFSET, MASK)
+"""Ways to treat readings below 0. The file is refused; they are kept; they become 0; the lowest
+reading is subtracted from all; or their taxels are masked."""
+ORDERS = ("rows", "columns")
+TIME_UNITS = ("", "ns", "us", "ms", "s", "clock")
+"""Units of times; clock: hours, minutes and seconds of a day, which begins again at midnight."""
+AXES = ("frames", "rows", "cols", "taxels", "channel", "-")
+"""Names of the axes of an array; -: an axis of one entry."""
+CHANNEL = re.compile(r"\d{1,4}|[A-Za-z_]\w{0,31}")
+
+
+class UnstatedError(SourceError):
+    """Something that a source does not state, and that can be read in more than one way.
+
+    `options` are the settings that may be meant, each a mapping of key to text. Whoever knows the
+    whole source tries them, and proposes the one that reads it.
+    """
+
+    def __init__(self, text: str, *options: Mapping[str, str]) -> None:
+        super().__init__(text)
+        self.options = options
+
+
+@dataclass(frozen=True)
+class Layout(Settings):
+    """What is stated of a source; each key is a setting of the sensor, an argument of
+    `read_recording` and an option of the commands that read files.
+    """
+
+    n_rows: int | None = setting(
+        None,
+        "rows of a frame where the source does not state them, or those that it must have",
+        low=1,
+        high=MAX_SIDE,
+    )
+    n_cols: int | None = setting(None, "columns of a frame, as n_rows", low=1, high=MAX_SIDE)
+    axes: str = setting(
+        "",
+        "axes of an array in their order, as rows,cols,frames; of frames, rows, cols, taxels, "
+        "channel, and - for an axis of one entry",
+    )
+    order: str = setting(
+        "rows", "readings come row after row, or column after column", choices=ORDERS
+    )
+    row_order: str = setting("forward", "rows as they come: forward, reversed, or 2,0,1")
+    col_order: str = setting("forward", "the same of the columns")
+    columns: str = setting(
+        "", "taxels of a table: names as s*, or numbers from 1 as 2-65, separated by commas"
+    )
+    channel: str = setting(
+        "", "of several numbers per taxel the one that is read: a name as z, or a number from 0"
+    )
+    field: str = setting(
+        "", "field of a message that holds the readings, as sensors[0].taxels[].z"
+    )
+    time: str = setting(
+        "", "column, array or field of the times: its name or number; first; last; none"
+    )
+    time_unit: str = setting(
+        "", "unit of the times; clock: time of day, as 10:15:02.120", choices=TIME_UNITS
+    )
+    rate_hz: float | None = setting(
+        None, "frames per second, in place of the times of the file", low=1e-9, high=1e9
+    )
+    unit: str | None = setting(
+        None, "unit of a file's or driver's readings: N, kPa, counts or another text"
+    )
+    f_max: float | None = setting(
+        None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e30
+    )
+    missing: str = setting(
+        "", "numbers or texts that stand for no reading, as -1,OVR, separated by commas"
+    )
+    nan: str = setting(
+        REFUSE,
+        "readings that are not finite, which are counted, and marked in their frame: refuse the "
+        "file, end the driver, drop the board's frame; mask: mask taxels that give no number, and "
+        "fill in the mean of the neighbours where one gives none for a while; hold: the last "
+        "reading; zero",
+        choices=NAN_WAYS,
+    )
+    negative: str = setting(
+        REFUSE,
+        "readings of a file below 0; with a calibration, they are kept by default",
+        choices=NEGATIVE_WAYS,
+    )
+    topic: str = setting(
+        "", "topic of a recording (ROS, sparseskin), or name or path of the array in a file"
+    )
+    frame_id: str = setting("", "of the messages of a topic those whose header names this frame")
+    skip: int = setting(
+        0, "lines of a table, or messages, before the first that is read", low=0, high=2**31 - 1
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        unknown = [name for name in self.axis_names if name not in AXES]
+        if unknown:
+            allowed = f"allowed: {', '.join(AXES)}, separated by commas"
+            raise SourceError(f"axes: {unknown[0]!r} is no axis; {allowed}")
+        if self.channel and not CHANNEL.fullmatch(self.channel):
+            raise SourceError(f"channel: {self.channel!r}; allowed: a name as z, or a number")
+
+    @cached_property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the axes, () where none are stated."""
+        return tuple(name.strip() for name in self.axes.split(",")) if self.axes.strip() else ()
+
+    @cached_property
+    def n_stated(self) -> int | None:
+        """Number of taxels, where both sides are stated."""
+        return self.n_rows * self.n_cols if self.n_rows and self.n_cols else None
+
+    @cached_property
+    def missing_texts(self) -> frozenset[str]:
+        """Texts that stand for no reading, in small letters."""
+        return frozenset(text.strip().lower() for text in self.missing.split(",") if text.strip())
+
+    @cached_property
+    def missing_numbers(self) -> tuple[float, ...]:
+        """Numbers that stand for no reading."""
+        numbers = []
+        for text in self.missing_texts:
+            try:
+                numbers.append(float(text))
+            except ValueError:
+                continue
+        return tuple(numbers)
+
+    def stating(self, changes: Mapping[str, Any]) -> Layout:
+        """A copy with further keys stated. Raises SettingsError if a value is not allowed."""
+        values = {key: getattr(self, key) for key in KEYS}
+        return Layout(**{**values, **changes})
+
+
+KEYS = tuple(Layout.__dataclass_fields__)
+"""Names of all that can be stated."""
+EMPTY = Layout()
+"""Nothing is stated."""

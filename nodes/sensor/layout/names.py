@@ -1,0 +1,244 @@
+"""Taxels among named numbers: families of names, channels, places in a grid."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import NamedTuple
+
+from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
+
+from .layout import Layout, UnstatedError
+
+NORMAL = "z"
+"""The channel that is read of x, y and z: the force along the normal of the skin."""
+AXIS = re.compile(r"(?:^|(?<=[^a-z]))[ft]?([xyz])(?=$|[^a-z])")
+"""A letter of an axis in a name in small letters, as in p3_z, z_3, taxels[3].z, fz12."""
+ROW_WORDS, COL_WORDS = ("r", "row", "rows", "y", "line"), ("c", "col", "cols", "column", "x")
+MAX_SHOWN = 6
+
+
+class Family(NamedTuple):
+    """Names that differ in their numbers alone: the names with # for each number, and the channel
+    that they state, "" for none.
+    """
+
+    pattern: str
+    channel: str
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Columns of the taxels, in order, and what is to be said about the choice. `shape` and
+    `places`, one (row, column) of each, are known where names state them.
+    """
+
+    columns: tuple[int, ...]
+    shape: tuple[int, int] | None = None
+    notes: tuple[str, ...] = ()
+    places: tuple[tuple[int, int], ...] = field(default=())
+
+
+def select(layout: Layout, names: Sequence[str], usable: Sequence[int], where: str) -> Selection:
+    """The taxels among columns, of which `usable` hold numbers and are no times.
+
+    Columns that are stated are used. Else taxels are the columns whose names have numbers; of
+    several families the only ones that fill the stated shape; of x, y and z the normal one.
+    Raises SourceError if there are none, UnstatedError if there are several ways.
+    """
+    if layout.columns.strip():
+        columns = stated_columns(layout.columns, names, len(names), where)
+        columns = [k for k in columns if k in set(usable)] if layout.channel else columns
+        if layout.channel:
+            columns = _of_channel(layout.channel, names, columns, where)
+        return _placed(layout, names, columns, ())
+    families = _families(names, usable)
+    columns, notes = _chosen(layout, names, families, usable, where)
+    return _placed(layout, names, columns, notes)
+
+
+def stated_columns(text: str, names: Sequence[str], n: int, where: str) -> list[int]:
+    """The columns of a list such as "s*,70-72": names, patterns, numbers from 1. Raises
+    SourceError if a part of it is none.
+    """
+    columns: dict[int, None] = {}
+    for part in filter(None, map(str.strip, text.split(","))):
+        columns |= dict.fromkeys(matching(part, names, n, where, "columns"))
+    return list(columns)
+
+
+def matching(part: str, names: Sequence[str], n: int, where: str, key: str) -> list[int]:
+    """The columns of a name, a pattern, a number from 1 or a range. Raises SourceError if none."""
+    numbers = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", part)
+    columns: list[int] = []
+    if numbers and part not in names:
+        first, last = int(numbers[1]), int(numbers[2] or numbers[1])
+        if 1 <= first <= last <= n:
+            columns = list(range(first - 1, last))
+    else:
+        columns = [k for k, name in enumerate(names) if name == part]
+        columns = columns or [k for k, name in enumerate(names) if fnmatchcase(name, part)]
+    if not columns:
+        header = _listed(names) if any(names) else "no header"
+        allowed = "allowed: names, patterns as s*, numbers from 1 as 2-65"
+        raise SourceError(f"{where}: {key}: {part[:40]!r} is none of {n} columns ({header}); {allowed}")
+    return columns
+
+
+def _families(names: Sequence[str], usable: Sequence[int]) -> dict[Family, list[int]]:
+    """Columns by the family of their names, in order of their first one; names without a number
+    stand alone.
+    """
+    families: dict[Family, list[int]] = {}
+    for k in usable:
+        families.setdefault(_family(names[k]), []).append(k)
+    return families
+
+
+def _family(name: str) -> Family:
+    axis = AXIS.search(name.lower())
+    pattern = re.sub(r"\d+", "#", name)
+    return Family(pattern, axis[1] if axis else "")
+
+
+def _chosen(
+    layout: Layout,
+    names: Sequence[str],
+    families: dict[Family, list[int]],
+    usable: Sequence[int],
+    where: str,
+) -> tuple[list[int], tuple[str, ...]]:
+    """The taxels, and what is to be said."""
+    indexed = {family: columns for family, columns in families.items() if "#" in family.pattern}
+    channels = _channels(indexed)
+    if layout.channel or len(channels) > 1:
+        wanted = layout.channel or NORMAL
+        if wanted not in channels:
+            kinds = ", ".join(channels) or "none"
+            raise SourceError(f"{where}: channel: no columns of {wanted!r}; it has {kinds}")
+        columns = channels[wanted]
+        if layout.n_stated is None or len(columns) == layout.n_stated:
+            return columns, (f"channel {wanted} of {', '.join(channels)}",)
+
+    ways = [columns for columns in indexed.values() if len(columns) > 1]
+    ways.append(sorted(k for columns in ways for k in columns))
+    ways.append(sorted(k for columns in indexed.values() for k in columns))
+    ways.append(list(usable))
+    distinct = {tuple(sorted(columns)): columns for columns in ways if columns}
+    if layout.n_stated is not None:
+        distinct = {key: columns for key, columns in distinct.items() if len(key) == layout.n_stated}
+    elif len(indexed) == 1 and any(map(bool, names)):
+        (columns,) = indexed.values()
+        return columns, ()
+    if len(distinct) == 1:
+        return next(iter(distinct.values())), ()
+    return _undecided(layout, names, indexed, usable, list(distinct.values()), where)
+
+
+def _undecided(
+    layout: Layout,
+    names: Sequence[str],
+    indexed: dict[Family, list[int]],
+    usable: Sequence[int],
+    ways: list[list[int]],
+    where: str,
+) -> tuple[list[int], tuple[str, ...]]:
+    """Raise what is to be stated, where more than one choice of columns is possible, or none."""
+    if not usable:
+        raise SourceError(f"{where}: no column holds numbers; state columns")
+    kinds = "; ".join(
+        f"{len(columns)} named {printable(family.pattern)}" for family, columns in indexed.items()
+    )
+    about = f"{len(usable)} columns hold numbers" + f" ({kinds})" * bool(kinds)
+    if layout.n_stated is not None and not ways:
+        needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {layout.n_stated}"
+        raise SourceError(f"{where}: {about}, but {needed}; state columns, or another shape")
+    options = [{"columns": _as_text(names, columns)} for columns in ways]
+    raise UnstatedError(f"{where}: {about}: which are taxels is not stated", *options)
+
+
+def _channels(indexed: dict[Family, list[int]]) -> dict[str, list[int]]:
+    """Columns of each of x, y and z, if their families are as large as each other."""
+    found: dict[str, list[int]] = {}
+    for family, columns in indexed.items():
+        if family.channel:
+            found.setdefault(family.channel, []).extend(columns)
+    sizes = {len(columns) for columns in found.values()}
+    return found if len(found) > 1 and len(sizes) == 1 and NORMAL in found else {}
+
+
+def _of_channel(channel: str, names: Sequence[str], columns: list[int], where: str) -> list[int]:
+    chosen = [k for k in columns if _family(names[k]).channel == channel.lower()]
+    if not chosen:
+        raise SourceError(f"{where}: channel: no column of {channel!r} among the stated ones")
+    return chosen
+
+
+def _placed(
+    layout: Layout, names: Sequence[str], columns: list[int], notes: tuple[str, ...]
+) -> Selection:
+    """The columns in the order of the numbers in their names, and their places in a grid."""
+    patterns = {re.sub(r"\d+", "#", names[k]) for k in columns} if any(names) else set()
+    if len(patterns) != 1 or "#" not in next(iter(patterns)):
+        return Selection(tuple(columns), None, notes)
+    numbers = {k: tuple(map(int, re.findall(r"\d+", names[k]))) for k in columns}
+    by_number = sorted(columns, key=numbers.__getitem__)
+    varying = [
+        at for at in range(len(numbers[columns[0]])) if len({numbers[k][at] for k in columns}) > 1
+    ]
+    if len(varying) == 2:
+        grid = _grid(layout, names[columns[0]], {k: numbers[k] for k in columns}, varying)
+        if grid is not None:
+            return Selection(grid.columns, grid.shape, (*notes, *grid.notes), grid.places)
+    if by_number != columns and len(set(numbers.values())) == len(columns):
+        notes = (*notes, "columns are ordered by the numbers in their names")
+        columns = by_number
+    return Selection(tuple(columns), None, notes)
+
+
+def _grid(
+    layout: Layout, name: str, numbers: dict[int, tuple[int, ...]], varying: list[int]
+) -> Selection | None:
+    """Columns row after row, where two numbers in each name are a row and a column, and fill a
+    grid; None where they do not, or where nothing states which is which.
+    """
+    pairs = {(of[varying[0]], of[varying[1]]): k for k, of in numbers.items()}
+    firsts, seconds = ({pair[side] for pair in pairs} for side in (0, 1))
+    if len(pairs) != len(numbers) or len(firsts) * len(seconds) != len(pairs):
+        return None
+    words = re.split(r"\d+", name.lower())
+    first, second = (re.findall(r"[a-z]+", words[at])[-1:] for at in varying)
+    is_labelled = [*first, *second] != [] and all(
+        word in ROW_WORDS or word in COL_WORDS for word in (*first, *second)
+    )
+    rows_first = not first or first[0] not in COL_WORDS
+    notes: tuple[str, ...] = ()
+    shape = (len(firsts), len(seconds)) if rows_first else (len(seconds), len(firsts))
+    if not (is_labelled and first and second and (first[0] in ROW_WORDS) != (second[0] in ROW_WORDS)):
+        # Without words the order of a matrix is meant: row, then column. A stated shape decides.
+        if second:
+            return None
+        stated = (layout.n_rows, layout.n_cols)
+        rows_first = not (None not in stated and stated != shape and stated == shape[::-1])
+        shape = (len(firsts), len(seconds)) if rows_first else (len(seconds), len(firsts))
+        notes = (f"the numbers in the names are {'row, column' if rows_first else 'column, row'}",)
+    side = 0 if rows_first else 1
+    ordered = sorted(pairs, key=lambda pair: (pair[side], pair[1 - side]))
+    return Selection(tuple(pairs[pair] for pair in ordered), shape, notes)
+
+
+def _as_text(names: Sequence[str], columns: Sequence[int]) -> str:
+    """The setting `columns` of some columns: a range of numbers, or numbers."""
+    first, last = columns[0], columns[-1]
+    if list(columns) == list(range(first, last + 1)):
+        return f"{first + 1}-{last + 1}"
+    patterns = {re.sub(r"\d+", "*", names[k]) for k in columns}
+    return ",".join(sorted(patterns))
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(printable(name) for name in names[:MAX_SHOWN])
+    return shown + ", ..." * (len(names) > MAX_SHOWN)
