@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,10 +15,16 @@ from sparseskin.nodes.extensions import FILES, failures, loaded
 from .arrays import ArrayRecording
 from .bag import BagRecording, is_bag
 from .recording import File, Recording, shown
-from .table import TableRecording
+from .table.table import TableRecording
 
 HEAD_BYTES = 1 << 16
 """Bytes from the begin of a file by which its format is found, where several have its suffix."""
+BAG_METADATA = "metadata.yaml"
+"""File in the folder of a bag of ROS 2."""
+BAG_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
+MAX_PARTS = 1 << 20
+"""Most files of a folder that are read; chosen."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +38,14 @@ class Format:
     #: True if a file that begins with these bytes (at most `HEAD_BYTES`) is one of this format;
     #: None: every file with one of its suffixes that no other format recognises.
     recognises: Callable[[bytes], bool] | None = None
+    #: Of a format that is a folder: names of files in it, one of which every such folder has. That
+    #: file is the one that is opened.
+    markers: tuple[str, ...] = ()
 
 
 _NPZ = "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted"
 OWN = (
-    Format({".csv": "table with one frame a line"}, TableRecording),
+    Format(dict.fromkeys(TABLE_SUFFIXES, "table of text"), TableRecording),
     Format({".npy": "array (frames, rows, columns)", ".npz": _NPZ}, ArrayRecording),
     Format({".mcap": "recording of sparseskin"}, BagRecording, is_bag),
 )
@@ -44,30 +55,77 @@ OWN = (
 @cache
 def suffixes() -> dict[str, str]:
     """The suffixes of recordings that can be read, and what files of each hold."""
-    found: dict[str, list[str]] = {}
-    for one in (*OWN, *loaded(FILES).values()):
-        for suffix, about in one.suffixes.items():
-            found.setdefault(suffix, []).append(about)
-    return {suffix: " or ".join(abouts) for suffix, abouts in found.items()}
+    about: dict[str, list[str]] = {}
+    for format_ in (*OWN, *loaded(FILES).values()):
+        for suffix, words in format_.suffixes.items():
+            about.setdefault(suffix, []).append(words)
+    return {suffix: " or ".join(words) for suffix, words in about.items()}
 
 
 def recording_of(file: File) -> Recording:
     """The recording of an open file, by its suffix, and where several formats have it, by its
     begin. Raises SourceError if no format has it.
     """
-    suffix = Path(file.name).suffix.lower()
-    fitting = [one for one in OWN if suffix in one.suffixes]
+    path = Path(file.name)
+    suffix = path.suffix.lower()
+    for format_ in loaded(FILES).values():
+        if path.name in format_.markers:
+            return format_.open(file)
+    fitting = [format_ for format_ in OWN if suffix in format_.suffixes]
     # Plug-ins, which may have it too, are imported for these.
-    if suffix in (".csv", ".mcap") or not fitting:
+    if suffix in (".csv", ".txt", ".mcap") or not fitting:
         begin = file.file.read(HEAD_BYTES)
         file.file.seek(0)
-        if suffix == ".csv" and b"\0" in begin:
-            raise SourceError(f"{file.name}: not a text table in UTF-8: holds bytes of value 0")
-        fitting = [one for one in (*fitting, *loaded(FILES).values()) if suffix in one.suffixes]
+        plugins = [one for one in loaded(FILES).values() if suffix in one.suffixes]
+        fitting = [*fitting, *plugins]
         sure = [one for one in fitting if one.recognises is not None and one.recognises(begin)]
         fitting = sure or [one for one in fitting if one.recognises is None] or fitting
     if not fitting:
         allowed = f"allowed are {', '.join(suffixes())}{failures(FILES)}"
-        unknown = f"suffix {shown(Path(file.name).suffix)} is not known"
+        unknown = f"suffix {shown(path.suffix)} is not known"
         raise SourceError(f"{file.name}: {unknown}; {allowed}")
     return fitting[0].open(file)
+
+
+@contextmanager
+def folder_files(path: str) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """The file that is opened for a path, and those that go on with it: the files of a bag of
+    ROS 2, the marker of a format that is a folder, or files of one frame each, in the order of the
+    numbers in their names. Raises SourceError if a folder is none of these.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        yield path, ()
+        return
+    markers = [name for one in loaded(FILES).values() for name in one.markers]
+    for name in markers:
+        if (folder / name).is_file():
+            yield str(folder / name), ()
+            return
+    files = sorted(_listed(folder), key=lambda file: _natural(file.name))
+    if (folder / BAG_METADATA).is_file():
+        files = [file for file in files if file.name.endswith(BAG_SUFFIXES)]
+        if not files:
+            raise SourceError(f"{path}: holds {BAG_METADATA}, but no file of a bag of ROS 2")
+    else:
+        kinds = {file.suffix.lower() for file in files}
+        if len(kinds) != 1 or not kinds <= {*TABLE_SUFFIXES}:
+            expected = f"one file in it, or a folder of tables alone ({', '.join(TABLE_SUFFIXES)})"
+            raise SourceError(f"{path}: is a directory; name {expected}")
+    names = [str(file) for file in files]
+    yield names[0], tuple(names[1:])
+
+
+def _listed(folder: Path) -> Iterator[Path]:
+    """The plain files of a folder, without hidden ones."""
+    for n, file in enumerate(folder.iterdir()):
+        if n >= MAX_PARTS:
+            raise SourceError(f"{folder}: more than {MAX_PARTS} files")
+        if file.is_file() and not file.name.startswith("."):
+            yield file
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Key that puts bag_2 before bag_10."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

@@ -1,0 +1,226 @@
+"""Frames of an open recording: its items arranged by the layout, checked, and stamped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.ranges import INT64_MAX
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.sensor.layout.arrangement import arrange
+from sparseskin.nodes.sensor.layout.layout import KEEP, REFUSE, UnstatedError
+from sparseskin.nodes.sensor.layout.times import Stamps, unit_of
+
+from .recording import COUNTS, MAX_READING, NAN_HINT, Block, File, Recording
+
+UNTIMED_PERIOD_NS = 10_000_000
+"""Time between frames where neither file nor caller states one, chosen: stamps must rise."""
+ISOLATED = 10
+"""A number below 0 stands for no reading if all others lie above it by so many times its size;
+chosen: of -1 among readings of 10 and more."""
+_UNIT_HINT = "state unit: N, kPa, V, counts or another text"
+
+Stamped = tuple[npt.NDArray[np.int64], Floats]
+"""Stamps (k,), nanoseconds since the first frame, and frames (k, n_rows, n_cols), NaN where a
+reading is missing, 0 in cells without a taxel."""
+
+
+class Sampled(NamedTuple):
+    """What the first block shows: an example of the readings' kind, and the unit of the times."""
+
+    is_whole: bool
+    time_unit: str
+
+
+class Frames:
+    """The frames of an open recording, read from its begin by each call of `blocks`.
+
+    Raises UnstatedError if shape, unit or times are not stated, SourceError if what is stated
+    contradicts the file.
+    """
+
+    def __init__(self, file: File, recording: Recording) -> None:
+        self.name = file.name
+        self.layout = file.layout
+        self.raw = file.raw
+        self.recording = recording
+        self.head = recording.head()
+        self.n_repeated = 0
+        self.last_ns = 0
+        self._n_before = 0
+        needs_unit = self.head.asks_unit and not (self.layout.unit or self.raw)
+        try:
+            self.arrangement = arrange(self.layout, self.head.axes, self.name, self.head.usable)
+        except UnstatedError as error:
+            both = f"{error}; unit is not stated either" if needs_unit else str(error)
+            raise UnstatedError(both, *error.options) from error
+        self.mask = self._arranged_mask()
+        self._sampled: Sampled | None = None
+        if needs_unit:
+            self._ask_for_unit()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.arrangement.shape
+
+    @property
+    def n_taxels(self) -> int:
+        """Number of cells that the file states to be taxels."""
+        n_rows, n_cols = self.shape
+        return n_rows * n_cols if self.mask is None else int(np.count_nonzero(self.mask))
+
+    @property
+    def is_timed(self) -> bool:
+        """True if stamps follow from times of the file, and no rate is stated in their place."""
+        return self.head.is_timed and self.layout.rate_hz is None
+
+    @property
+    def is_whole(self) -> bool:
+        """True if the readings are whole numbers, as a converter gives them."""
+        return self._sample().is_whole
+
+    @property
+    def time_unit(self) -> str:
+        """Unit of the times."""
+        return self._sample().time_unit
+
+    def blocks(self) -> Iterator[Stamped]:
+        """Read all frames. Raises SourceError at the first reading, time or item that is none."""
+        stamps = Stamps(self.time_unit) if self.is_timed else None
+        self._n_before = 0
+        for block in self.recording.blocks():
+            frames = self._checked(self.arrangement.frames(block.numbers))
+            if stamps is not None:
+                stamp_ns = stamps.stamps(block.times or (), self.name)
+                self.n_repeated = stamps.n_repeated
+            else:
+                stamp_ns = self._even(len(frames))
+            self._n_before += len(frames)
+            self.last_ns = int(stamp_ns[-1])
+            yield stamp_ns, frames
+        self.recording.tally.check(self.name)
+        if not self._n_before:
+            raise SourceError(f"{self.name}: the recording holds no frame")
+
+    def notes(self) -> Sequence[str]:
+        """Lines on how the file was read, after its end."""
+        lines = [*self.head.notes, *self.arrangement.notes]
+        if self.is_timed:
+            named = f" {self.head.time_name}" if self.head.time_name else ""
+            if not (self.layout.time_unit or self.head.time_unit):
+                lines.append(f"times{named} are taken as {self.time_unit}")
+            elif named:
+                lines.append(f"times:{named} in {self.time_unit}")
+        if self.n_repeated:
+            lines.append(f"{self.n_repeated} times repeat the one before: 1 ns later each")
+        lines.append(self.recording.tally.text)
+        return lines
+
+    def _arranged_mask(self) -> Mask | None:
+        mask = self.head.mask
+        if mask is None:
+            return None
+        if mask.size == 0 or not mask.any():
+            raise SourceError(f"{self.name}: no cell of the skin is a taxel, all are masked")
+        arranged: Mask = self.arrangement.frames(mask[None])[0]
+        return arranged
+
+    def _sample(self) -> Sampled:
+        """What the first block shows; read once."""
+        if self._sampled is None:
+            block = next(iter(self.recording.blocks()), None)
+            if block is None:
+                raise SourceError(f"{self.name}: the recording holds no frame")
+            self._sampled = Sampled(self._is_whole(block), self._unit_of(block))
+        return self._sampled
+
+    def _is_whole(self, block: Block) -> bool:
+        if block.numbers.dtype.kind in "iu":
+            return True
+        readings = self.arrangement.frames(block.numbers)
+        readings = readings[np.isfinite(readings)]
+        return self.head.asks_unit and bool((readings == np.rint(readings)).all())
+
+    def _unit_of(self, block: Block) -> str:
+        stated = self.head.time_unit or self.layout.time_unit
+        if stated or not self.is_timed:
+            return stated or "ns"
+        return unit_of([float(time) for time in block.times or ()], self.name)
+
+    def _ask_for_unit(self) -> None:
+        fault = f"{self.name}: the unit of the readings is not stated"
+        options = [{"unit": COUNTS}] if self.is_whole else []
+        raise UnstatedError(f"{fault}; {_UNIT_HINT}", *options)
+
+    def _even(self, n: int) -> npt.NDArray[np.int64]:
+        """Stamps of the next n frames at an even rate."""
+        rate_hz = self.layout.rate_hz or self.head.rate_hz
+        period_ns = UNTIMED_PERIOD_NS if rate_hz is None else 1e9 / rate_hz
+        numbers = range(self._n_before, self._n_before + n)
+        stamps = [round(number * period_ns) for number in numbers]
+        if stamps[-1] > INT64_MAX:
+            raise SourceError(f"{self.name}: the recording lasts longer than 2**63 ns")
+        return np.array(stamps, dtype=np.int64)
+
+    def _checked(self, readings: npt.NDArray[Any]) -> Floats:
+        """Readings as float32, NaN where one is missing. Raises SourceError, with the place, at one
+        that is not allowed.
+        """
+        layout = self.layout
+        with np.errstate(all="ignore"):
+            frames: Floats = readings.astype(np.float32)
+        for number in layout.missing_numbers:
+            frames[readings == number] = np.nan
+        if self.mask is not None:
+            frames[:, ~self.mask] = 0
+
+        with np.errstate(invalid="ignore"):
+            lowest, highest = frames.min(), frames.max()
+        allows_below = self.raw or layout.negative != REFUSE
+        lower_end = -MAX_READING if allows_below else 0.0
+        if lower_end <= lowest and highest <= MAX_READING:  # False for a NaN
+            return frames
+
+        is_number = np.isfinite(frames)
+        if layout.nan == REFUSE and not layout.missing:
+            self._refuse(readings, ~is_number, f"is not finite; {NAN_HINT}")
+        frames[~is_number] = np.nan
+        with np.errstate(invalid="ignore"):
+            too_large = frames > MAX_READING
+            below = frames < lower_end
+        self._refuse(readings, too_large, f"is above {MAX_READING:g}")
+        if below.any() and allows_below:
+            self._refuse(readings, below, f"is below {lower_end:g}")
+        if below.any():
+            self._refuse_negative(readings, frames, below)
+        return frames
+
+    def _refuse(self, readings: npt.NDArray[Any], is_bad: Mask, fault: str) -> None:
+        if is_bad.any():
+            raise SourceError(f"{self._place(readings, is_bad)} {fault}")
+
+    def _place(self, readings: npt.NDArray[Any], is_bad: Mask) -> str:
+        frame, row, col = np.argwhere(is_bad)[0]
+        place = f"{self.name}: frame {self._n_before + frame}, row {row}, column {col}"
+        return f"{place}: {float(readings[frame, row, col]):.9g}"
+
+    def _refuse_negative(self, readings: npt.NDArray[Any], frames: Floats, below: Mask) -> None:
+        """Raise what may be stated of readings below 0. One number far below all others stands for
+        no reading; else they are noise around 0, or a signed quantity.
+        """
+        values = np.unique(frames[below])
+        others = frames[~below & np.isfinite(frames)]
+        place = self._place(readings, below)
+        ways = f"state negative={KEEP}, zero, offset or mask"
+        is_marker = values.size == 1 and others.size > 0
+        marker = float(values[0])
+        if is_marker and others.min() > marker + ISOLATED * abs(marker):
+            option = {"missing": f"{marker:g}"}
+            raise UnstatedError(f"{place} is below 0, as no other reading", option)
+        hint = f"; or missing={marker:g}, if it stands for no reading" if is_marker else ""
+        raise UnstatedError(f"{place} is below 0; {ways}{hint}")

@@ -1,0 +1,132 @@
+"""A first pass over the frames of a recording: its range, and what is done with readings that are
+not finite or below 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.sensor.layout.layout import KEEP, MASK, OFFSET, REFUSE, ZERO, Layout
+
+from .recording import FILLED
+
+
+@dataclass
+class Survey:
+    """Counts and extremes of frames (k, n_rows, n_cols), NaN where a reading is missing."""
+
+    shape: tuple[int, int]
+    mask: Mask | None = None
+    n_frames: int = 0
+    n_missing: int = 0
+    n_negative: int = 0
+    lowest: float = 0.0  # of 0 and all readings
+    highest: float = 0.0
+    has_number: Mask = field(init=False)  # (n_rows, n_cols): in some frame
+    was_negative: Mask = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.has_number = np.zeros(self.shape, dtype=np.bool_)
+        self.was_negative = np.zeros(self.shape, dtype=np.bool_)
+
+    @property
+    def exists(self) -> Mask:
+        """True where the file states a taxel."""
+        return np.ones(self.shape, dtype=np.bool_) if self.mask is None else self.mask
+
+    def add(self, frames: Floats) -> None:
+        """Add frames."""
+        self.n_frames += len(frames)
+        lowest = float(np.fmin.reduce(frames, axis=None))
+        highest = float(np.fmax.reduce(frames, axis=None))
+        self.lowest = min(self.lowest, lowest)
+        self.highest = max(self.highest, highest)
+        with np.errstate(invalid="ignore"):
+            is_whole_block = bool(frames.sum() == frames.sum())
+        if is_whole_block:
+            self.has_number[:] = True
+        else:
+            is_number = np.isfinite(frames)
+            self.n_missing += int(is_number.size - np.count_nonzero(is_number))
+            self.has_number |= is_number.any(axis=0)
+        if lowest < 0:
+            is_negative = frames < 0
+            self.n_negative += int(np.count_nonzero(is_negative))
+            self.was_negative |= is_negative.any(axis=0)
+
+
+class Treatment:
+    """What a layout does with readings that are not valid, after a survey of them all. Cells
+    without a taxel stay 0.
+    """
+
+    def __init__(self, layout: Layout, survey: Survey, raw: bool) -> None:
+        self._layout = layout
+        self._survey = survey
+        is_raw = raw and layout.negative == REFUSE
+        self._negative = KEEP if is_raw else layout.negative
+        gone = np.zeros(survey.shape, dtype=np.bool_)
+        if layout.nan == MASK:
+            gone |= ~survey.has_number
+        if self._negative == MASK:
+            gone |= survey.was_negative
+        self.gone: Mask = gone & survey.exists
+        self.offset = survey.lowest if self._negative == OFFSET else 0.0
+
+    @staticmethod
+    def needs_survey(layout: Layout) -> bool:
+        """True if readings of later frames decide what is done with the first one."""
+        return MASK in (layout.nan, layout.negative) or layout.negative == OFFSET
+
+    @property
+    def lower_end(self) -> float:
+        """Lower end of the range: below 0 where readings below 0 are kept."""
+        return self._survey.lowest if self._layout.negative == KEEP else 0.0
+
+    @property
+    def n_masked(self) -> int:
+        """Number of taxels that are masked for their readings."""
+        return int(np.count_nonzero(self.gone))
+
+    def apply(self, frames: Floats) -> Floats:
+        """Treated frames; the array is changed."""
+        if self.gone.any():
+            frames[:, self.gone] = 0
+        if self._negative == ZERO:
+            np.maximum(frames, 0, out=frames)  # NaN stays
+        elif self.offset:
+            frames[:, self._survey.exists & ~self.gone] -= np.float32(self.offset)
+        return frames
+
+    def lines(self, unit: str) -> list[str]:
+        """One line for a log on each kind of invalid reading; none where there was none."""
+        done = {ZERO: "set to 0", MASK: "masked", KEEP: "kept"}
+        subtracted = f"{self.offset:g} {unit} subtracted from all readings"
+        lines = []
+        if n := self._survey.n_missing:
+            way = MASK if self._layout.nan == REFUSE else self._layout.nan
+            lines.append(f"{n} readings of the file are missing: {FILLED[way]}")
+        is_told = self._survey.n_negative and self._layout.negative != REFUSE
+        if is_told:
+            way = done.get(self._negative, subtracted)
+            lines.append(f"{self._survey.n_negative} readings of the file are below 0: {way}")
+        if lines and self.n_masked:
+            lines[-1] += f" ({self.n_masked} taxels masked)"
+        return lines
+
+    def counts(self) -> dict[str, Any]:
+        """Counts for a summary; none where all readings were valid."""
+        survey = self._survey
+        is_told = survey.n_negative and self._layout.negative != REFUSE
+        if not (survey.n_missing or is_told):
+            return {}
+        return {
+            "not_finite": survey.n_missing,
+            "negative": survey.n_negative,
+            "masked_taxels": self.n_masked,
+            "offset": self.offset,
+        }
