@@ -39,8 +39,10 @@ from sparseskin.nodes.recorder.bag.frames import (
 from sparseskin.nodes.recorder.bag.patches import split_bag
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.npz import export_npz
+from sparseskin.nodes.sensor.files.bag import is_bag
 from sparseskin.nodes.sensor.files.file_source import open_file
-from sparseskin.nodes.sensor.files.recording import READ_AS, REFUSE, Policy
+from sparseskin.nodes.sensor.files.format import HEAD_BYTES
+from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 
 Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -432,8 +434,8 @@ def read_recording(
     patch : str, optional
         Patch to read; needed where a bag has several.
     **stated
-        What a file does not state: n_rows, n_cols, unit, f_max, rate_hz, columns, topic; and nan
-        and negative, ways to treat readings, as the sensor's. Not for recordings of sparseskin.
+        What a file does not state: the keys of `Layout`, as the settings of the sensor (n_rows,
+        n_cols, unit, time, missing, ...). Not for recordings of sparseskin.
 
     Returns
     -------
@@ -443,7 +445,8 @@ def read_recording(
         `measurements`: float32 (k, M), NaN behind the last one where M changes; `stamp_ns` (of
         `forces`), `truth_stamp_ns`, `reconstruction_stamp_ns`, `measurements_stamp_ns`: int64
         (k,), nanoseconds; `f_max` (float) and `unit` (str), `mask` (bool, shape (n_rows,
-        n_cols)), `pitch_m` (metres), `rate_hz`, as far as known. All forces in `unit`.
+        n_cols)), `pitch_m` (metres), `rate_hz`, as far as known; `notes` (tuple of str): how a
+        file was read, what was assumed, what was dropped. All forces in `unit`.
 
     Raises
     ------
@@ -459,22 +462,32 @@ def read_recording(
     >>> recording["forces"].shape, recording["stamp_ns"][:2].tolist(), recording["unit"]
     ((5, 4, 4), [0, 10000000], 'N')
     """
-    name = Path(path).name
-    if name.endswith((FILE_SUFFIX, FILE_SUFFIX + PART_SUFFIX)):
+    if _is_bag(path):
         if stated:
             raise SparseskinError(f"{path}: a recording states {', '.join(stated)} itself")
         return _read_bag(path, patch)
     for word in stated:
-        if word not in READ_AS:
-            raise SparseskinError(f"{word}: unknown argument{nearest_of(word, READ_AS)}")
-    policy = Policy(stated.pop("nan", REFUSE), stated.pop("negative", REFUSE))
-    source = open_file(path, policy=policy, **stated)
-    stamps, forces, _ = zip(*source.filled(), strict=True)
+        if word not in KEYS:
+            raise SparseskinError(f"{word}: unknown argument{nearest_of(word, KEYS)}")
+    source = open_file(path, Layout(**stated))
+    stamps, blocks = zip(*source.known(), strict=True)
     return {
-        "forces": np.stack(forces),
-        "stamp_ns": np.array(stamps, dtype=np.int64),
+        "forces": np.concatenate(blocks),
+        "stamp_ns": np.concatenate(stamps),
         **described(source.skin, source.rate_hz),
+        "notes": (*source.notes, *source.take_lines()),
     }
+
+
+def _is_bag(path: str | os.PathLike[str]) -> bool:
+    """True for a recording of sparseskin; other programs write .mcap, too."""
+    name = Path(path).name
+    if name.endswith(FILE_SUFFIX + PART_SUFFIX):
+        return True
+    if not (name.endswith(FILE_SUFFIX) and Path(path).is_file()):
+        return name.endswith(FILE_SUFFIX)
+    with Path(path).open("rb") as file:
+        return is_bag(file.read(HEAD_BYTES))
 
 
 def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]:

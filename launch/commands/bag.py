@@ -20,15 +20,9 @@ from sparseskin.nodes.recorder.bag.format import (
 )
 from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
 from sparseskin.nodes.sensor.files.format import suffixes
-from sparseskin.nodes.sensor.files.recording import (
-    NAN_WAYS,
-    NEGATIVE_WAYS,
-    READ_AS,
-    REFUSE,
-    spelled,
-)
+from sparseskin.nodes.sensor.files.recording import spelled
 
-from .options import add_commands, add_shape, bag_names, rare, show, whole
+from .options import add_commands, add_layout, bag_names, layout_of, rare, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -75,22 +69,12 @@ def _export_options() -> dict[str, tuple[list[str], str, str, Any]]:
 
 
 def _configure_import(parser: argparse.ArgumentParser) -> None:
-    more = rare(parser)
     formats = "; ".join(f"{suffix}: {what}" for suffix, what in suffixes().items())
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument("files", metavar="FILE", nargs="+", type=_path, help="the recording")
     about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
     parser.add_argument("--out", metavar="PATH", required=True, help=about)
-    add_shape(parser)
-    parser.add_argument("--unit", help="unit of the readings, where the file does not state it")
-    more.add_argument("--f-max", metavar="X", type=float, help="upper end of the range")
-    parser.add_argument("--rate-hz", metavar="X", type=float, help="frames a second")
-    parser.add_argument("--columns", metavar="A,B", help="columns of a table, as sensor.columns")
-    parser.add_argument("--topic", help="topic of a recording, or name of an array in the file")
-    about = "readings that are not finite (default: refuse)"
-    more.add_argument("--nan", choices=NAN_WAYS, default=REFUSE, help=about)
-    about = "readings below 0 (default: refuse)"
-    more.add_argument("--negative", choices=NEGATIVE_WAYS, default=REFUSE, help=about)
+    add_layout(parser)
 
 
 def _path(text: str) -> Path:
@@ -129,11 +113,11 @@ def _import(arguments: argparse.Namespace) -> int:
 
     names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
     outs = bag_names(names, arguments.out)
+    layout = layout_of(arguments)
     for file, bag in zip(arguments.files, map(Path, outs), strict=True):
-        options = {key: getattr(arguments, key) for key in READ_AS}
         try:
             log = partial(print, f"{file}:", file=sys.stderr)
-            n_frames = import_file(file, bag, log=log, **options)
+            n_frames = import_file(file, bag, layout=layout, log=log)
         except SourceError as error:
             text = spelled(str(error), lambda key: f"--{key.replace('_', '-')} ")
             raise SourceError(text) from error

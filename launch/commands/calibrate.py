@@ -35,9 +35,9 @@ from sparseskin.nodes.sensor.calibration.frames import (
 )
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
 from sparseskin.nodes.sensor.files.file_source import open_file
-from sparseskin.nodes.sensor.files.recording import Policy
+from sparseskin.nodes.sensor.layout.layout import Layout
 
-from .options import add_graph, add_shape, rare, real, show, whole
+from .options import add_graph, add_layout, layout_of, rare, real, show, whole
 
 UNTOUCHED = "3s"
 STEP_S = 2.0
@@ -76,7 +76,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     more.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
     about = "let the range begin below 0, so that noise around 0 is not clipped"
     more.add_argument("--keep-noise", action="store_true", help=about)
-    add_shape(parser)
+    add_layout(parser, but=("unit", "f_max", "rate_hz"))
     parser.set_defaults(run=_calibrate)
 
 
@@ -87,9 +87,10 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     for path in (out, out.with_suffix(".npz")):
         if path.exists():  # before a person has pressed
             raise OutputError(f"--out {path}: {TAKEN}")
-    reader = open_frames(arguments.source, arguments.n_rows, arguments.n_cols)
+    layout = layout_of(arguments)
+    reader = open_frames(arguments.source, layout)
     try:
-        steps = _Steps(arguments, reader)
+        steps = _Steps(arguments, reader, layout)
         untouched = steps.untouched()
         presses = steps.presses()
     finally:
@@ -119,8 +120,11 @@ def _calibrate(arguments: argparse.Namespace) -> int:
 class _Steps:
     """The steps of a calibration: asked for in the terminal, waited for, or taken from files."""
 
-    def __init__(self, arguments: argparse.Namespace, reader: Recorded | Live) -> None:
+    def __init__(
+        self, arguments: argparse.Namespace, reader: Recorded | Live, layout: Layout
+    ) -> None:
         self._arguments = arguments
+        self._layout = layout
         self._reader = reader
         self._shape = reader.skin.shape
 
@@ -181,8 +185,7 @@ class _Steps:
         if part is None:
             if not Path(where).exists():
                 raise CalibrationError(f"{where}: no such file; allowed: {PARTS}, or a file")
-            shape = {"n_rows": self._arguments.n_rows, "n_cols": self._arguments.n_cols}
-            return open_file(where, policy=Policy(raw=True), **shape).frames
+            return open_file(where, self._layout, raw=True).frames
         if self._reader.is_live:
             seconds = part[1] - part[0]
             wait_s = self._arguments.wait

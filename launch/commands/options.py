@@ -23,6 +23,7 @@ from sparseskin.nodes.files import (
 )
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.remote import check_address, is_remote, shown
+from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 
 Run = Callable[[argparse.Namespace], int]
 
@@ -71,11 +72,41 @@ def add_page(
     rare(parser).add_argument("--no-token", action="store_true", help=about)
 
 
-def add_shape(parser: argparse.ArgumentParser) -> None:
-    """Add the options that state what a plain .csv does not."""
-    for what, name in (("rows", "rows"), ("cols", "columns")):
-        about = f"{name} of a plain .csv's frame"
-        parser.add_argument(f"--n-{what}", metavar="N", type=whole(1), help=about)
+USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
+"""Keys of a layout whose options `--help` shows without `--all`."""
+
+
+def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None:
+    """Add an option for each key of `Layout`, spelled as the settings of the sensor, `but` some."""
+    more = rare(parser)
+    for entry in Layout.described():
+        key = entry["key"]
+        if key in but:
+            continue
+        name = f"--{key.replace('_', '-')}"
+        group = parser if key in USUAL_KEYS else more
+        about = entry["doc"].partition(";")[0]
+        if entry["choices"]:
+            choices = [choice for choice in entry["choices"] if choice]
+            group.add_argument(name, choices=choices, default=None, help=about)
+        else:
+            kind: Any = str
+            if entry["type"].startswith("int"):
+                kind = whole(int(entry["low"]))
+            elif entry["type"].startswith("float"):
+                kind = real(above_0=True)
+            metavar = "TEXT" if kind is str else "N"
+            group.add_argument(name, metavar=metavar, type=kind, default=None, help=about)
+
+
+def layout_of(arguments: argparse.Namespace) -> Layout:
+    """The layout that options state. Raises SettingsError, with the option, if a value is wrong."""
+    stated = {key: getattr(arguments, key, None) for key in KEYS}
+    try:
+        return Layout(**{key: value for key, value in stated.items() if value is not None})
+    except SettingsError as error:
+        key, colon, rest = str(error).partition(":")
+        raise SettingsError(f"--{key.replace('_', '-')}{colon}{rest}") from error
 
 
 def bag_names(names: Sequence[str], out: str) -> list[str]:

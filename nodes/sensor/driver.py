@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
@@ -15,9 +16,11 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.files import recording
-from sparseskin.nodes.sensor.files.recording import check_grid, check_number, shown
+from sparseskin.nodes.sensor.files.recording import check_number, shown
 
 from .device_clock import DeviceClock
+from .layout.arrangement import Arrangement, Axis, arrange, check_grid, check_stated_shape
+from .layout.layout import REFUSE
 from .source import Address, LiveSource
 
 RESTART_NS = 1_000_000_000
@@ -36,8 +39,15 @@ class DriverSource(LiveSource):
 
     def __init__(self, address: Address, driver: Iterable[object]) -> None:
         super().__init__()
-        target, f_max, unit, raw = address.source, address.f_max, address.unit, address.raw
-        self._target, self._raw, self._nan, self._driver = target, raw, address.policy.nan, driver
+        target = address.source
+        layout = address.layout
+        f_max, unit, raw = layout.f_max, layout.unit, address.raw
+        self._target = target
+        self._driver = driver
+        self._layout = layout
+        self._raw = raw
+        self._arrangement: Arrangement | None = None
+        self._accepts_missing = layout.nan != REFUSE or bool(layout.missing)
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._is_in_newtons = unit is None and f_max is None and not raw
         self._skin: Skin | None = None
@@ -70,7 +80,7 @@ class DriverSource(LiveSource):
         self._skin = self.skin
         self.clock = DeviceClock(self.name, self._lines.append)
         try:
-            recording.check_stated_shape(*self.skin.shape, address.n_rows, address.n_cols, target)
+            check_stated_shape(*self.skin.shape, layout.n_rows, layout.n_cols, target)
         except SourceError:
             self.close()
             raise
@@ -145,29 +155,38 @@ class DriverSource(LiveSource):
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
             what = "whole numbers, of which the driver states neither unit nor range"
             raise SourceError(f"{where}: {what}{recording.ADD}unit={recording.COUNTS} f_max=4095")
-        where_shape = f"{where}: forces have shape {array.shape}"
-        if array.ndim != 2:
-            raise SourceError(f"{where_shape}; expected two dimensions: (rows, cols)")
-        check_grid(array.shape[0], array.shape[1], where)
+        array = self._arranged(array, where)
         skin = self._skin
         if skin is not None and array.shape != skin.shape:
-            raise SourceError(f"{where_shape}, but the skin has {skin.shape}")
+            fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
+            raise SourceError(f"{where}: {fault}")
         with np.errstate(all="ignore"):
             values = array.astype(np.float64)
+        for number in self._layout.missing_numbers:
+            values[values == number] = np.nan
         if skin is not None and skin.mask is not None:
             values[~skin.mask] = 0
         missing = ~np.isfinite(values)
         if missing.any():
-            if self._nan == recording.REFUSE:
+            if not self._accepts_missing:
                 row, col = np.argwhere(missing)[0]
                 fault = f"row {row}, column {col}: {values[row, col]} is no force"
-                hint = f"a fault of the sensor or its driver{recording.NAN_HINT}"
+                hint = f"a fault of the sensor or its driver; {recording.NAN_HINT}"
                 raise SourceError(f"{where}, {fault}; {hint}")
             values[missing] = np.nan
         if self._raw:
             return values.astype(np.float32)
         self.clipped.add(values, 0.0, self._f_max)
         return np.clip(values, 0, self._f_max).astype(np.float32)
+
+    def _arranged(self, array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
+        """The readings of a frame (rows, cols), by the layout; all frames have one shape."""
+        if self._arrangement is None or array.shape != self._shape:
+            axes = [Axis(size) for size in array.shape]
+            self._arrangement = arrange(self._layout, axes, where)
+            self._shape = array.shape
+        frame: npt.NDArray[Any] = self._arrangement.frames(array[None])[0]
+        return frame
 
     def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:
         target = self._target
@@ -193,8 +212,7 @@ def open_callable(address: Address) -> DriverSource:
     its first frame is bad, or a setting is out of range or contradicts the driver's skin.
     """
     target = address.source
-    check_number(target, "f_max", address.f_max)
-    recording.check_unit(target, address.unit)
+    recording.check_unit(target, address.layout.unit)
     make = find_callable(target, SourceError)
     with _running(target):
         driver = make()

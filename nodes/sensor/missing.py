@@ -10,7 +10,8 @@ import numpy.typing as npt
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 
-from .files.recording import FILLED, HOLD, MASK
+from .files.recording import FILLED
+from .layout.layout import HOLD, MASK
 
 RENEWAL_NS = 1_000_000_000
 """Least time between two skins, nanoseconds; chosen: each sets Phi and solver up anew."""

@@ -19,7 +19,9 @@ from .calibration.chain import Chain
 from .calibration.description import of_skin
 from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
-from .files.recording import MASK, REFUSE, spelled
+from .files.file_source import missing_way
+from .files.recording import spelled
+from .layout.layout import MASK, REFUSE
 from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
@@ -73,7 +75,8 @@ class Sensor(SourceNode[SensorSettings]):
         skin = self._stage.skin if self._stage else self._source_skin
         learns = settings.nan == MASK and self._source.is_live
         self._f_min = self._stage.description.f_min if self._stage else 0.0  # end of the range
-        self._readings = MissingReadings(settings.nan, skin, learns)
+        self._accepts_missing = settings.nan != REFUSE or bool(settings.missing)
+        self._readings = MissingReadings(missing_way(settings.layout), skin, learns)
         has_level = self._source.delivers == "taxels" and not settings.tare
         self._rest = Rest(skin) if has_level else None
         self._noise = self._chosen_noise()
@@ -211,7 +214,7 @@ class Sensor(SourceNode[SensorSettings]):
         if self._source.is_live:
             state |= {"clock": "arrival"} if self._clock is None else self._clock.state()
         state |= self._stage.state() if self._stage is not None else {}
-        return state | ({} if self.settings.nan == REFUSE else self._readings.state())
+        return state | (self._readings.state() if self._accepts_missing else {})
 
     def status(self) -> str:
         source = self._source
@@ -294,7 +297,7 @@ class Sensor(SourceNode[SensorSettings]):
                 return None
             forces = converted
         missing = None
-        if self.settings.nan != REFUSE and forces.ndim == 2:
+        if self._accepts_missing and forces.ndim == 2:
             if (filled := self._readings.fill(forces, stamp_ns)) is None:
                 return None
             forces, missing = filled

@@ -10,7 +10,8 @@ from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .calibration.chain import MAX_TARE_FRAMES
 from .calibration.skin_file import load_skin
-from .files.recording import NAN_WAYS, NEGATIVE_WAYS, Policy, check_unit
+from .files.recording import check_unit
+from .layout.layout import EMPTY, KEYS, Layout
 from .points import point_skins
 from .source import Address
 from .sources import find_address
@@ -21,7 +22,7 @@ NO_TRUTH = "noise: is added to true forces alone; state that of readings in the 
 
 
 @dataclass(frozen=True)
-class SensorSettings(PatchesSettings):
+class SensorSettings(Layout, PatchesSettings):
     """Settings of the sensor node."""
 
     source: str = setting(
@@ -62,41 +63,6 @@ class SensorSettings(PatchesSettings):
         "time of a frame of a board or driver: its own stamp mapped to the graph's clock, or its "
         "arrival",
         choices=("source", "arrival"),
-    )
-    n_rows: int | None = setting(
-        None,
-        "rows of a frame where the file does not state them, or those that a file or driver must "
-        "have",
-        low=1,
-        high=4096,
-    )
-    n_cols: int | None = setting(None, "columns of a frame, as n_rows", low=1, high=4096)
-    unit: str | None = setting(
-        None, "unit of a file's or driver's readings: N, kPa, counts or another text"
-    )
-    f_max: float | None = setting(
-        None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e9
-    )
-    columns: str = setting(
-        "",
-        "of a table: taxels and time, by names as s*, numbers as 2-65, and time=NAME or "
-        "time_ms=NAME, separated by commas; of a point cloud: the field of the readings",
-    )
-    topic: str = setting(
-        "", "topic of a recording (ROS, sparseskin), or name or path of the array in a file"
-    )
-    nan: str = setting(
-        "refuse",
-        "readings that are not finite, which are counted, and marked in their frame: refuse the "
-        "file, end the driver, drop the board's frame; mask: mask taxels that give no number, and "
-        "fill in the mean of the neighbours where one gives none for a while; hold: the last "
-        "reading; zero",
-        choices=NAN_WAYS,
-    )
-    negative: str = setting(
-        "refuse",
-        "readings of a file below 0; with a calibration, they are kept by default",
-        choices=NEGATIVE_WAYS,
     )
     simulated: dict[str, Any] | None = setting(
         None,
@@ -148,16 +114,20 @@ class SensorSettings(PatchesSettings):
 
     def address(self) -> Address:
         """The source, as these settings state it. Raises SourceError if it has no known form."""
-        same = ("n_rows", "n_cols", "unit", "f_max", "columns", "topic", "seed", "points")
-        of_bodies = ("n_patches", "simulated", "active")
+        same = ("seed", "points", "n_patches", "simulated", "active")
         return find_address(
             self.source,
-            rate_hz=self.rate_hz or None,
-            policy=Policy(self.nan, self.negative),
+            layout=self.layout,
             raw=self.is_calibrated,
             described=load_skin(self.skin) if self.skin else None,
-            **{key: getattr(self, key) for key in (*same, *of_bodies)},
+            **{key: getattr(self, key) for key in same},
         )
+
+    @property
+    def layout(self) -> Layout:
+        """What is stated of the source."""
+        values = {key: getattr(self, key) for key in KEYS}
+        return Layout(**{**values, "rate_hz": self.rate_hz or None})
 
     def check(self) -> None:
         if self.skin:
@@ -185,3 +155,6 @@ class SensorSettings(PatchesSettings):
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")
+        for key in KEYS:
+            if key not in ("rate_hz", *address.keys) and getattr(self, key) != getattr(EMPTY, key):
+                raise SettingsError(f"{key}: does not go with a {address.kind} source")

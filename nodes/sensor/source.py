@@ -14,7 +14,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .device_clock import DeviceClock
-from .files.recording import DEFAULT_POLICY, Policy
+from .layout.layout import EMPTY, KEYS, Layout
 from .saturation import Clipped
 
 if TYPE_CHECKING:
@@ -165,16 +165,9 @@ class Address(ABC):
     """What settings state of a source that is not open; a subclass for each kind."""
 
     source: str  # the address itself, e.g. "file:press.npy"
-    # Properties that the source does not state itself, or that it must have; None: any.
-    n_rows: int | None = None
-    n_cols: int | None = None
-    unit: str | None = None
-    f_max: float | None = None
-    rate_hz: float | None = None
-    columns: str = ""
-    topic: str = ""
+    #: What the source does not state itself, or must agree with.
+    layout: Layout = EMPTY
     seed: int = 0  # of a scene
-    policy: Policy = DEFAULT_POLICY  # for readings that are not finite, and those of a file below 0
     raw: bool = False  # readings have any sign and size, as a calibration converts them
     points: str = ""  # file with the places of the taxels of a skin of points; "": a grid
     described: SkinDescription | None = None  # what the file of the skin states
@@ -186,6 +179,8 @@ class Address(ABC):
     #: As of the source it opens; None: only that shows it.
     delivers: ClassVar[Literal["truth", "taxels"] | None] = None
     own: ClassVar[tuple[str, ...]] = ()  # settings that such a source has itself: not to be stated
+    #: Keys of `Layout` that such a source uses; no other may be stated.
+    keys: ClassVar[tuple[str, ...]] = KEYS
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
@@ -217,7 +212,7 @@ class Address(ABC):
         """Number of taxels, without opening the source; None where only the open one shows it.
         May raise SourceError as `check`.
         """
-        return self.n_rows * self.n_cols if self.n_rows and self.n_cols else None
+        return self.layout.n_stated
 
     @abstractmethod
     def open(self) -> Source:

@@ -69,6 +69,11 @@ def find_address(source: str, **stated: Any) -> Address:
 class DriverAddress(Address):
     """A driver of a user's own: module:callable."""
 
+    keys = (
+        *("n_rows", "n_cols", "axes", "order", "row_order", "col_order", "channel"),
+        *("unit", "f_max", "missing", "nan", "negative"),
+    )
+
     def check(self) -> None:
         check_module(self.source)
 

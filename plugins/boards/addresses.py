@@ -18,6 +18,7 @@ class BoardAddress(Address):
     """A board."""
 
     delivers = "taxels"
+    keys = ("n_rows", "n_cols", "unit", "f_max", "nan")
 
     def check(self) -> None:
         check_board(self._board())
@@ -26,11 +27,12 @@ class BoardAddress(Address):
         return self._board().skin.n_taxels
 
     def open(self) -> BoardSource:
-        return BoardSource(self._board(), self.raw, self.policy.nan)
+        return BoardSource(self._board(), self.raw, self.layout.nan)
 
     def _board(self) -> Board:
-        stated: dict[str, Any] = {"unit": self.unit, "f_max": self.f_max}
-        return describe_board(self.source, n_rows=self.n_rows, n_cols=self.n_cols, **stated)
+        layout = self.layout
+        stated: dict[str, Any] = {"unit": layout.unit, "f_max": layout.f_max}
+        return describe_board(self.source, n_rows=layout.n_rows, n_cols=layout.n_cols, **stated)
 
     @classmethod
     def ports(cls) -> Iterable[str]:

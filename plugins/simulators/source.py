@@ -156,22 +156,24 @@ class MujocoAddress(Address):
     """A model and the site of its skin."""
 
     form = "mujoco:MODEL.xml#SITE"
+    keys = ("n_rows", "n_cols", "unit", "f_max")
     delivers = "truth"
 
     def check(self) -> None:
         self.n_taxels()
 
     def n_taxels(self) -> int:
-        return check_model(self.source, self.n_rows, self.n_cols)
+        return check_model(self.source, self.layout.n_rows, self.layout.n_cols)
 
     def open(self) -> MujocoSource:
         self.check()
-        if self.unit not in (None, "N"):
+        layout = self.layout
+        if layout.unit not in (None, "N"):
             raise SourceError(
-                f"{self.source}: unit = {self.unit} is stated, but a simulation has newtons"
+                f"{self.source}: unit = {layout.unit} is stated, but a simulation has newtons"
             )
-        stated: dict[str, Any] = {"n_rows": self.n_rows, "n_cols": self.n_cols}
-        return MujocoSource(self.rest, f_max=self.f_max, **stated)
+        shape: dict[str, Any] = {"n_rows": layout.n_rows, "n_cols": layout.n_cols}
+        return MujocoSource(self.rest, f_max=layout.f_max, **shape)
 
 
 def main(address: str) -> int:

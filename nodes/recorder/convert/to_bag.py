@@ -15,7 +15,7 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
 from sparseskin.nodes.sensor.files.file_source import open_file
-from sparseskin.nodes.sensor.files.recording import REFUSE, Policy
+from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 _RUN_ID_BYTES = 8
@@ -26,10 +26,8 @@ def import_file(
     out: Path,
     *,
     patch: str = "skin",
-    nan: str = REFUSE,
-    negative: str = REFUSE,
+    layout: Layout = EMPTY,
     log: Callable[[str], None] = lambda _: None,
-    **stated: Any,
 ) -> int:
     """Write a recording, in any format that the sensor reads, as a bag.
 
@@ -37,18 +35,18 @@ def import_file(
     /PATCH/taxels, with stamps from 0. The run id is a hash of the frames, so the same file gives
     the same bag.
 
-    `stated` is what the file does not state, as in `open_file`. `nan` and `negative` are the ways
-    of its `Policy`; `log` is called with lines on readings that were treated so, and on what was
-    assumed. Returns the number of frames.
+    `layout` is what the file does not state. `log` is called with lines on how the file was read,
+    on what was assumed, and on readings that were not valid. Returns the number of frames.
 
     Raises SourceError if the recording is missing or malformed or a setting contradicts it,
     BagError if the bag exists or cannot be written.
     """
-    policy = Policy(nan, negative)
-    frames = open_file(source, policy=policy, **stated)
+    frames = open_file(source, layout)
     for line in frames.take_lines():
         log(line)
-    content = hashlib.blake2b(frames.frames.tobytes(), digest_size=_RUN_ID_BYTES)
+    content = hashlib.blake2b(digest_size=_RUN_ID_BYTES)
+    for _, part in frames.blocks():
+        content.update(part.tobytes())
     run_id = content.hexdigest()
     try:
         state = SkinState(
@@ -61,6 +59,7 @@ def import_file(
             has_truth=False,
             sigma_mid=0.0,
             sigma_end=0.0,
+            f_min=frames.f_min,
         )
     except MessageError as error:
         raise BagError(f"{str(source)!r}: {error}") from error

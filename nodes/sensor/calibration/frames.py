@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
 from sparseskin.nodes.sensor.source import Skin, Source
 from sparseskin.nodes.sensor.sources import open_source
 
@@ -115,12 +116,12 @@ class Live:
 
 
 def open_frames(
-    source: str, n_rows: int | None = None, n_cols: int | None = None
+    source: str, layout: Layout = EMPTY
 ) -> Recorded | Live:
     """Open the source of a skin that is to be calibrated, by its name as in `open_source`.
     Raises SourceError if it cannot be opened, or delivers forces, as a scene does.
     """
-    opened = open_source(source, seed=0, n_rows=n_rows, n_cols=n_cols, raw=True)
+    opened = open_source(source, seed=0, layout=layout, raw=True)
     if opened.delivers == "truth":
         opened.close()
         raise SourceError(f"{source}: delivers true forces, which need no calibration")

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from sparseskin.messages.text import printable
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.source import Address, Listing, Source
 
 from .file_source import EXAMPLES, n_taxels, open_file
-from .format import suffixes
+from .format import TABLE_SUFFIXES, suffixes
 
 MAX_LISTED = 20
 """Most recordings of the current folder that are listed; chosen."""
@@ -36,10 +35,10 @@ class FileAddress(Address):
         self.n_taxels()
 
     def n_taxels(self) -> int | None:
-        return n_taxels(self.path, **self._stated)
+        return n_taxels(self.path, self._layout, self.raw)
 
     def open(self) -> Source:
-        return open_file(self.path, f_max=self.f_max, **self._stated)
+        return open_file(self.path, self._layout, self.raw)
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
@@ -52,19 +51,17 @@ class FileAddress(Address):
         return (Listing("files", "recordings in this folder", entries),)
 
     @property
-    def _stated(self) -> dict[str, Any]:
-        found, n_rows, n_cols = self.described, self.n_rows, self.n_cols
-        if found and found.placement is None and self.path.endswith(".csv"):
-            n_rows, n_cols = n_rows or found.rows, n_cols or found.cols
-        return {
-            "n_rows": n_rows,
-            "n_cols": n_cols,
-            "unit": self.unit,
-            "rate_hz": self.rate_hz,
-            "columns": self.columns or None,
-            "topic": self.topic or None,
-            "policy": replace(self.policy, raw=self.raw),
+    def _layout(self) -> Layout:
+        """What is stated; a table takes its shape from the file of the skin, where there is one."""
+        described, layout = self.described, self.layout
+        is_table = Path(self.path).suffix.lower() in TABLE_SUFFIXES
+        if described is None or described.placement is not None or not is_table:
+            return layout
+        shape = {
+            "n_rows": layout.n_rows or described.rows,
+            "n_cols": layout.n_cols or described.cols,
         }
+        return layout.stating(shape)
 
 
 class ExampleAddress(FileAddress):

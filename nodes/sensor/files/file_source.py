@@ -23,7 +23,15 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.layout.layout import EMPTY, MASK, REFUSE, Layout, UnstatedError
+from sparseskin.nodes.sensor.layout.layout import (
+    EMPTY,
+    HOLD,
+    MASK,
+    REFUSE,
+    ZERO,
+    Layout,
+    UnstatedError,
+)
 from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, MAX_LINES, Source
 
@@ -93,6 +101,22 @@ class RecordedSource(Source):
             filled = readings.fill(forces, stamp_ns)
             if filled is not None:
                 yield stamp_ns, *filled
+
+    def known(self) -> Iterator[Stamped]:
+        """Yield blocks of stamps and frames in which readings that are missing are treated as
+        stated: filled in by "zero" and "hold", else NaN. Frames without any reading are left out.
+        """
+        way = missing_way(self._layout)
+        readings = MissingReadings(way, self.skin, learns=False)
+        exists = self.skin.exists
+        for stamp_ns, frames in self.blocks():
+            is_number = np.isfinite(frames).all(axis=(1, 2))
+            if way in (ZERO, HOLD) and not is_number.all():
+                for k in range(len(frames)):
+                    filled = readings.fill(frames[k], int(stamp_ns[k]))
+                    frames[k] = np.nan if filled is None else filled[0]
+            holds_any = is_number | np.isfinite(frames[:, exists]).any(axis=1)
+            yield stamp_ns[holds_any], frames[holds_any]
 
     @property
     def frames(self) -> Floats:

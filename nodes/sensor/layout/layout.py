@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from sparseskin.messages.fields import MAX_SIDE
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.settings import Settings, setting
 
 REFUSE, ZERO, HOLD, OFFSET, MASK, KEEP = "refuse", "zero", "hold", "offset", "mask", "keep"
@@ -40,10 +39,8 @@ class UnstatedError(SourceError):
 
 
 @dataclass(frozen=True)
-class Layout(Settings):
-    """What is stated of a source; each key is a setting of the sensor, an argument of
-    `read_recording` and an option of the commands that read files.
-    """
+class GridLayout(Settings):
+    """What is stated of the grid of taxels, of a board as of any other source."""
 
     n_rows: int | None = setting(
         None,
@@ -52,16 +49,35 @@ class Layout(Settings):
         high=MAX_SIDE,
     )
     n_cols: int | None = setting(None, "columns of a frame, as n_rows", low=1, high=MAX_SIDE)
-    axes: str = setting(
-        "",
-        "axes of an array in their order, as rows,cols,frames; of frames, rows, cols, taxels, "
-        "channel, and - for an axis of one entry",
-    )
     order: str = setting(
         "rows", "readings come row after row, or column after column", choices=ORDERS
     )
     row_order: str = setting("forward", "rows as they come: forward, reversed, or 2,0,1")
     col_order: str = setting("forward", "the same of the columns")
+    unit: str | None = setting(
+        None, "unit of a file's or driver's readings: N, kPa, counts or another text"
+    )
+    f_max: float | None = setting(
+        None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e30
+    )
+
+    @property
+    def n_stated(self) -> int | None:
+        """Number of taxels, where both sides are stated."""
+        return self.n_rows * self.n_cols if self.n_rows and self.n_cols else None
+
+
+@dataclass(frozen=True)
+class Layout(GridLayout):
+    """What is stated of a source; each key is a setting of the sensor, an argument of
+    `read_recording` and an option of the commands that read files.
+    """
+
+    axes: str = setting(
+        "",
+        "axes of an array in their order, as rows,cols,frames; of frames, rows, cols, taxels, "
+        "channel, and - for an axis of one entry",
+    )
     columns: str = setting(
         "", "taxels of a table: names as s*, or numbers from 1 as 2-65, separated by commas"
     )
@@ -79,12 +95,6 @@ class Layout(Settings):
     )
     rate_hz: float | None = setting(
         None, "frames per second, in place of the times of the file", low=1e-9, high=1e9
-    )
-    unit: str | None = setting(
-        None, "unit of a file's or driver's readings: N, kPa, counts or another text"
-    )
-    f_max: float | None = setting(
-        None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e30
     )
     missing: str = setting(
         "", "numbers or texts that stand for no reading, as -1,OVR, separated by commas"
@@ -115,26 +125,21 @@ class Layout(Settings):
         unknown = [name for name in self.axis_names if name not in AXES]
         if unknown:
             allowed = f"allowed: {', '.join(AXES)}, separated by commas"
-            raise SourceError(f"axes: {unknown[0]!r} is no axis; {allowed}")
+            raise SettingsError(f"axes: {unknown[0]!r} is no axis; {allowed}")
         if self.channel and not CHANNEL.fullmatch(self.channel):
-            raise SourceError(f"channel: {self.channel!r}; allowed: a name as z, or a number")
+            raise SettingsError(f"channel: {self.channel!r}; allowed: a name as z, or a number")
 
-    @cached_property
+    @property
     def axis_names(self) -> tuple[str, ...]:
         """Names of the axes, () where none are stated."""
         return tuple(name.strip() for name in self.axes.split(",")) if self.axes.strip() else ()
 
-    @cached_property
-    def n_stated(self) -> int | None:
-        """Number of taxels, where both sides are stated."""
-        return self.n_rows * self.n_cols if self.n_rows and self.n_cols else None
-
-    @cached_property
+    @property
     def missing_texts(self) -> frozenset[str]:
         """Texts that stand for no reading, in small letters."""
         return frozenset(text.strip().lower() for text in self.missing.split(",") if text.strip())
 
-    @cached_property
+    @property
     def missing_numbers(self) -> tuple[float, ...]:
         """Numbers that stand for no reading."""
         numbers = []

@@ -29,6 +29,7 @@ class SceneAddress(Address):
 
     form = "scene:NAME"
     delivers = "truth"
+    keys = ()
     own = ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min")
 
     def check(self) -> None:
@@ -74,7 +75,8 @@ class SceneAddress(Address):
             chosen = (described.skin, self.n_patches, self.active, self.seed, described.sigmas)
             return TiledScene(self.rest, *chosen)
         for name in ("n_rows", "n_cols", "unit", "f_max"):
-            if (value := getattr(self, name)) is not None:
+            value = getattr(self.layout, name)
+            if value is not None:
                 fault = f"{name} = {value} is stated, but a scene has its own"
                 raise SourceError(f"{self.source}: {fault}")
         if not self.points:

@@ -1,0 +1,433 @@
+"""The begin of a table: where its data begin, names of columns, times, and the kind of its lines."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+
+import numpy as np
+
+from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.recording import File, is_missing, shown
+from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
+from sparseskin.nodes.sensor.layout.names import COL_WORDS, ROW_WORDS, matching
+from sparseskin.nodes.sensor.layout.times import (
+    CLOCK_UNIT,
+    ISO,
+    clock_ns,
+    is_epoch,
+    is_time_name,
+    iso_ns,
+    named_unit,
+)
+
+from .text import COMMENTS, Dialect, dialect_of, pieces
+
+MAX_SAMPLE = 1000
+"""Lines of the begin that are looked at; chosen: a thousand frames."""
+COUNTED = 8
+"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
+MAX_SHOWN = 8
+EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
+VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts")
+FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
+
+LINES, GRID, LONG = "lines", "grid", "long"
+"""Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
+
+
+@dataclass
+class TableHead:
+    """What the begin of a table shows."""
+
+    dialect: Dialect
+    width: int  # cells of a line
+    has_trailing: bool = False  # a separator ends each line
+    n_before: int = 0  # lines before the first one of data
+    dropped: Counter[str] = field(default_factory=Counter)  # of these lines, by name
+    header: str = ""  # the line of the names
+    names: tuple[str, ...] = ()
+    usable: tuple[int, ...] = ()  # columns of numbers that are no times
+    numeric: tuple[int, ...] = ()  # columns of numbers
+    time: int | None = None
+    time_unit: str = ""
+    kind: str = LINES
+    height: int = 1  # lines of a frame of a grid
+    long: LongColumns | None = None
+    notes: tuple[str, ...] = ()
+
+    def label(self, column: int) -> str:
+        """The name of a column, or its number from 1."""
+        return shown(self.names[column]) if self.names[column] else str(column + 1)
+
+
+@dataclass(frozen=True)
+class LongColumns:
+    """Columns of a table with a line for each taxel, and the sides of a frame."""
+
+    frame: int
+    row: int
+    col: int
+    value: int
+    first_row: int = 0
+    first_col: int = 0
+    n_rows: int = 1
+    n_cols: int = 1
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line of the sample: its number from 1, its text, and its cells."""
+
+    number: int
+    text: str
+    cells: tuple[str, ...]
+
+
+def read_head(file: File) -> TableHead:
+    """Read the begin of a table. Raises SourceError if it holds no line of numbers, UnstatedError
+    if the column of the times is not clear.
+    """
+    layout = file.layout
+    raw = _first_lines(file)
+    separator, n_skipped = _excel(raw, layout)
+    bodies = [(number, text) for number, text in raw[n_skipped:] if _is_body(text)]
+    if not bodies:
+        raise SourceError(f"{file.name}: the recording holds no frame")
+    dialect = dialect_of([text for _, text in bodies[len(bodies) // 3 :]])
+    if separator:
+        dialect = dialect._replace(separator=separator)
+    lines = [_Line(number, text, tuple(dialect.cells(text))) for number, text in bodies]
+
+    head = _sized(dialect, lines)
+    lines = [line for line in lines if len(line.cells) in _widths(head)]
+    data = _headed(head, lines, raw, n_skipped)
+    if not data:
+        raise SourceError(f"{file.name}: the recording holds no frame")
+    _count_before(head, raw, data[0].number, layout, bool(separator))
+    head.numeric = tuple(k for k in range(head.width) if _is_numeric(data, k, layout))
+    if not head.numeric:
+        place = f"{file.name}, line {data[0].number}"
+        raise SourceError(f"{place}: no column holds numbers; state columns, or skip")
+
+    _find_kind(head, file, raw, data)
+    if head.kind == LINES:
+        head.time = _time_column(head, layout, data, file.name)
+    elif head.kind == LONG and head.long is not None:
+        head.time = head.long.frame if is_time_name(head.names[head.long.frame]) else None
+    if head.time is not None and not head.time_unit:
+        head.time_unit = layout.time_unit or _unit_of_column(head, data)
+    head.usable = tuple(k for k in head.numeric if k not in (head.time, *_counters(head, data)))
+    return head
+
+
+def is_number(cell: str) -> bool:
+    """True if a cell is a number; not one of Python's literals such as 1_0."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _first_lines(file: File) -> list[tuple[int, str]]:
+    """Numbers and texts of the first lines of a file."""
+    first: list[tuple[int, str]] = []
+    for piece in pieces(file.file, file.name):
+        texts = piece.lines[:-1] if piece.is_cut and len(piece.lines) > 2 else piece.lines
+        room = MAX_SAMPLE - len(first)
+        first += islice(enumerate(texts, start=piece.number), room)
+        if len(first) >= MAX_SAMPLE:
+            break
+    return first
+
+
+def _excel(raw: list[tuple[int, str]], layout: Layout) -> tuple[str, int]:
+    """The separator that the first line states for Excel, and the lines that are not looked at."""
+    stated = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
+    separator = stated[1] if stated else ""
+    return separator, max(layout.skip, int(bool(separator)))
+
+
+def _is_body(text: str) -> bool:
+    """True if a line is neither blank nor a comment. A header may begin with %."""
+    stripped = text.strip()
+    return bool(stripped) and not stripped.startswith(("#", "//"))
+
+
+def _sized(dialect: Dialect, lines: Sequence[_Line]) -> TableHead:
+    """A head with the number of cells of most lines."""
+    later = lines[len(lines) // 3 :]
+    (width, _), *_ = Counter(len(line.cells) for line in later).most_common(1)
+    of_width = [line for line in later if len(line.cells) == width]
+    has_trailing = width > 1 and all(line.cells[-1] == "" for line in of_width)
+    has_trailing = has_trailing and dialect.separator != " "
+    return TableHead(dialect, width - has_trailing, has_trailing)
+
+
+def _widths(head: TableHead) -> tuple[int, ...]:
+    """Numbers of cells that a line may have."""
+    return (head.width, head.width + 1) if head.has_trailing else (head.width,)
+
+
+def _headed(
+    head: TableHead, lines: list[_Line], raw: list[tuple[int, str]], n_skipped: int
+) -> list[_Line]:
+    """The lines of data; the head learns the names before them."""
+    head.names = ("",) * head.width
+    first, later = lines[0], lines[1:] or lines[:1]
+    if len(lines) > 1 and _is_header(first.cells[: head.width], later):
+        head.names = tuple(name.strip() for name in first.cells[: head.width])
+        head.header = first.text
+        head.dropped["header"] += 1
+        lines = later
+        is_units = len(lines) > 1 and _is_header(lines[0].cells[: head.width], lines[1:])
+        if is_units:
+            head.dropped["line of units"] += 1
+            lines = lines[1:]
+    elif len(lines) == 1 and not any(map(is_number, first.cells)):
+        return []
+    else:
+        _named_by_comment(head, raw[n_skipped:], first.number)
+    if lines and not any(_is_value(cell) for cell in lines[0].cells):
+        return []
+    return lines
+
+
+def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
+    """True if a line has texts in columns that hold numbers later; or all are 0, 1, 2, ..., as
+    pandas names columns.
+    """
+    named = [cell for cell in cells if cell]
+    if len(named) >= COUNTED and named == [*map(str, range(len(named)))]:
+        return True
+    for k, cell in enumerate(cells):
+        if _is_value(cell):
+            continue
+        below = [line.cells[k] for line in later if k < len(line.cells)]
+        n_values = sum(map(_is_value, below))
+        if cell and 2 * n_values > len(below):
+            return True
+    return False
+
+
+def _is_value(cell: str) -> bool:
+    """True if a cell is a number, a time, or states that there is none."""
+    return is_number(cell) or is_missing(cell) or bool(iso_ns(cell) or clock_ns(cell) is not None)
+
+
+def _named_by_comment(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> None:
+    """Names of columns in the comment before the data, as np.savetxt writes them."""
+    before = [text.strip() for number, text in raw if number < first_number and text.strip()]
+    if not before or not before[-1].startswith(COMMENTS):
+        return
+    text = before[-1].lstrip("#%/ ")
+    names = tuple(cell.strip() for cell in head.dialect.cells(text))
+    has_names = any(map(is_time_name, names)) or any(re.search(r"\d", name) for name in names)
+    if len(names) == head.width and has_names and not any(map(is_number, names)):
+        head.names = names
+
+
+def _count_before(
+    head: TableHead, raw: list[tuple[int, str]], first_number: int, layout: Layout, has_sep: bool
+) -> None:
+    """Count the lines before the data by their names."""
+    before = [text for number, text in raw if number < first_number]
+    head.n_before = len(before)
+    head.dropped["line of the separator"] += int(has_sep)
+    n_skipped = max(0, min(layout.skip, len(before)) - int(has_sep))
+    head.dropped["skipped lines"] += n_skipped
+    rest = before[max(layout.skip, int(has_sep)) :]
+    n_blank = sum(not text.strip() for text in rest)
+    n_comments = sum(not _is_body(text) and bool(text.strip()) for text in rest)
+    head.dropped["blank lines"] += n_blank
+    head.dropped["comments"] += n_comments
+    n_others = len(before) - head.dropped.total()
+    if n_others:
+        head.dropped["lines before the table"] += n_others
+
+
+def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
+    """True if most cells of a column that are not missing are numbers, and some is."""
+    cells = [line.cells[k] for line in data]
+    texts = [cell for cell in cells if not (is_missing(cell) or cell.lower() in layout.missing_texts)]
+    n_numbers = sum(map(is_number, texts))
+    return 0 < n_numbers and 2 * n_numbers >= len(texts)
+
+
+def _find_kind(
+    head: TableHead, file: File, raw: list[tuple[int, str]], data: Sequence[_Line]
+) -> None:
+    """Find whether a frame is a line, a block of lines, or a line for each taxel."""
+    layout = file.layout
+    head.long = _long_columns(head, data)
+    if head.long is not None:
+        head.kind = LONG
+        head.notes += (f"a line for each taxel: {head.long.n_rows} x {head.long.n_cols}",)
+        return
+    if head.header or layout.columns or layout.time not in ("", "none"):
+        return
+    n_rows, n_cols = layout.n_rows, layout.n_cols
+    stated = layout.n_stated or 0
+    fits = stated > head.width == n_cols and n_rows is not None
+    heights = _block_heights(head, raw, data[0].number)
+    if fits and n_rows is not None:
+        head.height = n_rows
+    elif not stated and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
+        head.height = heights[0]
+    elif file.parts and not stated:
+        head.height = sum(heights)
+    else:
+        return
+    head.kind = GRID
+    head.notes += (f"a frame is a block of {head.height} lines of {head.width} readings",)
+
+
+def _block_heights(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> list[int]:
+    """Lines of numbers in each block between blank lines or lines of text."""
+    heights: list[int] = []
+    is_within = False
+    for number, text in raw:
+        if number < first_number:
+            continue
+        cells = head.dialect.cells(text) if text.strip() else []
+        is_row = any(map(is_number, cells)) and len(cells) in _widths(head)
+        if is_row and is_within:
+            heights[-1] += 1
+        elif is_row:
+            heights.append(1)
+        is_within = is_row
+    return heights
+
+
+def _long_columns(head: TableHead, data: Sequence[_Line]) -> LongColumns | None:
+    """Columns of frame, row, column and value, where the names state them."""
+    names = [name.lower() for name in head.names]
+    words = ((*ROW_WORDS, "i"), (*COL_WORDS, "j"), VALUE_WORDS)
+    chosen = [[k for k, name in enumerate(names) if name in each] for each in words]
+    frames = [k for k, name in enumerate(names) if name in FRAME_WORDS or is_time_name(name)]
+    if any(len(columns) != 1 for columns in chosen) or not frames:
+        return None
+    row, col, value = (columns[0] for columns in chosen)
+    key = data[0].cells[frames[0]]
+    first = [line for line in data if line.cells[frames[0]] == key]
+    places = [(line.cells[row], line.cells[col]) for line in first]
+    if not all(cell.isdecimal() for place in places for cell in place):
+        return None
+    numbers = np.array(places, dtype=np.int64)
+    low, high = numbers.min(axis=0), numbers.max(axis=0)
+    n_rows, n_cols = (high - low + 1).tolist()
+    return LongColumns(frames[0], row, col, value, int(low[0]), int(low[1]), n_rows, n_cols)
+
+
+def _time_column(
+    head: TableHead, layout: Layout, data: Sequence[_Line], name: str
+) -> int | None:
+    """The column of the times. Raises UnstatedError if there may be several."""
+    if layout.time == "none":
+        return None
+    if layout.time:
+        ends = {"first": 0, "last": head.width - 1}
+        stated = ends.get(layout.time)
+        return stated if stated is not None else _stated_time(head, layout.time, name)
+    named = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
+    named = [k for k in named if all(_is_value(line.cells[k]) for line in data)]
+    texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]
+    dates = [k for k in head.numeric if not _is_indexed(head, k) and is_epoch(_column(data, k))]
+    for candidates, note in ((named, ""), (texts, ""), (dates, "holds dates")):
+        if len(candidates) > 1:
+            labels = " or ".join(f"time={head.label(k)}" for k in candidates)
+            options = [{"time": head.names[k] or str(k + 1)} for k in candidates]
+            fault = f"{len(candidates)} columns may be the times: state {labels}"
+            raise UnstatedError(f"{name}: {fault}", *options)
+        if candidates:
+            if note:
+                head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
+            return candidates[0]
+    return _time_at_an_end(head, layout, data, name)
+
+
+def _stated_time(head: TableHead, text: str, name: str) -> int:
+    columns = matching(text, head.names, head.width, name, "time")
+    if len(columns) > 1:
+        raise SourceError(f"{name}: time: {shown(text)} names {len(columns)} columns, not one")
+    return columns[0]
+
+
+def _time_at_an_end(
+    head: TableHead, layout: Layout, data: Sequence[_Line], name: str
+) -> int | None:
+    """The first or last column of a table without names, if it has one more than the stated shape,
+    and is the only one of the two that rises.
+    """
+    is_one_more = layout.n_stated is not None and len(head.numeric) == layout.n_stated + 1
+    if head.header or layout.columns or not is_one_more or len(data) < 2:
+        return None
+    ends = {"first": head.numeric[0], "last": head.numeric[-1]}
+    rising = {word: k for word, k in ends.items() if _rises(_column(data, k))}
+    if len(rising) > 1:
+        options = [{"time": word} for word in rising]
+        fault = "the first and the last column rise: state time=first or time=last, or columns"
+        raise UnstatedError(f"{name}: {fault}", *options)
+    for k in rising.values():
+        if not _counts(_column(data, k)):
+            head.notes += (f"column {head.label(k)} rises in all lines: the times",)
+            return k
+    return None
+
+
+def _counters(head: TableHead, data: Sequence[_Line]) -> list[int]:
+    """A column at an end of a table without names that counts its lines, which is no taxel."""
+    if head.header or head.kind != LINES or head.time is not None or len(data) < 3:
+        return []
+    counting = [k for k in {head.numeric[0], head.numeric[-1]} if _counts(_column(data, k))]
+    if len(counting) == 1:
+        head.notes += (f"column {head.label(counting[0])} counts lines, and is left out",)
+        return counting
+    return []
+
+
+def _counts(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
+    """True for 0, 1, 2, ... or 1, 2, 3, ..."""
+    return numbers.size > 1 and numbers[0] in (0, 1) and bool((np.diff(numbers) == 1).all())
+
+
+def _rises(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
+    steps = np.diff(numbers)
+    return bool((steps >= 0).all() and (steps > 0).any())
+
+
+def _column(data: Sequence[_Line], k: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Numbers of a column of the sample; NaN where there is none."""
+    cells = [line.cells[k] for line in data]
+    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+
+
+def _is_indexed(head: TableHead, k: int) -> bool:
+    return any(character.isdigit() for character in head.names[k])
+
+
+def _text_unit(data: Sequence[_Line], k: int) -> str:
+    """ISO or CLOCK_UNIT of a column of texts that are times; "" of others."""
+    cells = [line.cells[k] for line in data]
+    if all(iso_ns(cell) is not None for cell in cells):
+        return ISO
+    return CLOCK_UNIT if all(clock_ns(cell) is not None for cell in cells) else ""
+
+
+def _unit_of_column(head: TableHead, data: Sequence[_Line]) -> str:
+    assert head.time is not None
+    return _text_unit(data, head.time) or named_unit(head.names[head.time])
+
+
+def left_out(head: TableHead, read: Sequence[int]) -> str:
+    """A note on the columns that are not read, "" if all are."""
+    others = [head.label(k) for k in range(head.width) if k not in (*read, head.time)]
+    if not others:
+        return ""
+    further = ", ..." if len(others) > MAX_SHOWN else ""
+    return f"left out: column {', '.join(map(printable, others[:MAX_SHOWN]))}{further}"

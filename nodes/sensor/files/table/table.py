@@ -1,0 +1,317 @@
+"""Tables of text: one frame a line, a block of lines, or a line for each taxel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Doubles
+from sparseskin.nodes.sensor.files.recording import (
+    NAN_HINT,
+    Block,
+    File,
+    Head,
+    Recording,
+    frames_per_block,
+    is_missing,
+    parse_number,
+    reading,
+    shown,
+)
+from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.layout import REFUSE, UnstatedError
+from sparseskin.nodes.sensor.layout.tally import Tally
+from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
+
+from .head import GRID, LONG, TableHead, is_number, read_head
+from .text import pieces
+
+EXACT = float(1 << 53)
+"""Largest whole number up to which float64 has all."""
+
+
+
+class TableRecording(Recording):
+    """Numbers separated by commas, semicolons, tabs, bars or white space.
+
+    Blank lines, comments (`#`, `%`, `//`) and lines before the table are dropped by name. A first
+    line with texts where numbers follow is a header. A frame is a line; or a block of lines
+    between blank ones, or of the stated rows; or the lines with the same number of a frame, where
+    names state row, column and value. A line with another number of cells is an error, but a cut
+    last one, which is dropped.
+    """
+
+    def __init__(self, file: File) -> None:
+        self._file = file
+        self._layout = file.layout
+        self._accepts_missing = file.layout.nan != REFUSE or bool(file.layout.missing)
+        self._head = read_head(file)
+        self.tally = Tally("lines")
+
+    def head(self) -> Head:
+        head = self._head
+        usable: tuple[int, ...] | None = None
+        if head.kind == GRID:
+            axes: tuple[Axis, ...] = (Axis(head.height, "rows"), Axis(head.width, "cols"))
+        elif head.long is not None:
+            axes = (Axis(head.long.n_rows, "rows"), Axis(head.long.n_cols, "cols"))
+        else:
+            axes = (Axis(head.width, "columns", head.names),)
+            usable = head.usable
+        return Head(
+            axes,
+            usable,
+            is_timed=head.time is not None,
+            time_unit=head.time_unit,
+            time_name=f"column {head.label(head.time)}" if head.time is not None else "",
+            asks_unit=True,
+            notes=head.notes,
+        )
+
+    def blocks(self) -> Iterator[Block]:
+        self.tally.begin()
+        if self._head.kind == GRID:
+            yield from self._grids()
+        elif self._head.kind == LONG:
+            yield from self._long()
+        else:
+            for numbers, times in self._rows():
+                self.tally.take(len(numbers), len(numbers))
+                yield Block(numbers, times)
+
+    def _rows(self) -> Iterator[tuple[Doubles, list[int | float] | None]]:
+        """Numbers of lines (k, width), and their times."""
+        size = frames_per_block(self._head.width)
+        for texts, numbers, _ in self._lines():
+            for first in range(0, len(texts), size):
+                part = slice(first, first + size)
+                yield self._parsed(texts[part], numbers[part])
+
+    def _lines(self) -> Iterator[tuple[list[str], list[int], list[bool]]]:
+        """The lines of data by pieces: texts, numbers in the file, and whether each begins a block
+        (something stands between it and the line before).
+        """
+        head = self._head
+        names = (self._file.name, *self._file.parts)
+        for k, name in enumerate(names):
+            if k == 0:
+                yield from self._lines_of(self._file.file, name, head.n_before)
+                continue
+            with reading(name) as file:
+                yield from self._lines_of(file, name, 0)
+
+    def _lines_of(
+        self, file: object, name: str, n_before: int
+    ) -> Iterator[tuple[list[str], list[int], list[bool]]]:
+        head = self._head
+        if n_before:
+            for label, n in head.dropped.items():
+                self.tally.drop(label, n)
+        begins = True
+        for piece in pieces(file, name):  # type: ignore[arg-type]
+            texts: list[str] = []
+            numbers: list[int] = []
+            begun: list[bool] = []
+            skipped = max(0, n_before + 1 - piece.number)
+            for number, text in enumerate(piece.lines[skipped:], start=piece.number + skipped):
+                label = self._dropped_as(text)
+                if not label and piece.is_cut and number == piece.number + len(piece.lines) - 1:
+                    label = self._cut_as(text)
+                if label:
+                    self.tally.drop(label)
+                    begins = True
+                    continue
+                texts.append(text)
+                numbers.append(number)
+                begun.append(begins)
+                begins = False
+            yield texts, numbers, begun
+
+    def _dropped_as(self, text: str) -> str:
+        """The name by which a line is dropped; "" of a line of data."""
+        stripped = text.strip()
+        if not stripped:
+            return "blank lines"
+        if stripped[0] in "#%" or stripped.startswith("//"):
+            return "comments"
+        if self._head.header and text == self._head.header:
+            return "repeated headers"
+        if self._head.kind == GRID and not stripped[0].isdigit() and stripped[0] not in "+-.\"[(":
+            cells = self._head.dialect.cells(text)
+            if not any(is_number(cell) or is_missing(cell) for cell in cells):
+                return "lines between frames"
+        return ""
+
+    def _cut_as(self, text: str) -> str:
+        is_short = len(self._head.dialect.cells(text)) < self._head.width
+        return "cut last line" if is_short else ""
+
+    def _parsed(
+        self, texts: Sequence[str], numbers: Sequence[int]
+    ) -> tuple[Doubles, list[int | float] | None]:
+        """Numbers (k, width) and times of lines; NaN where there is no number."""
+        parsed = self._parsed_fast(texts) if self._head.dialect.is_plain else None
+        if parsed is None:
+            return self._parsed_slowly(texts, numbers)
+        if self._head.time is None:
+            return parsed, None
+        return parsed, self._times(texts, numbers, parsed)
+
+    def _parsed_fast(self, texts: Sequence[str]) -> Doubles | None:
+        """Numbers of lines that NumPy reads; None if it cannot read one, or has to be asked where."""
+        head = self._head
+        separator = None if head.dialect.separator == " " else head.dialect.separator
+        if head.has_trailing and separator is not None:
+            texts = [text.rstrip().removesuffix(separator) for text in texts]
+        if separator is not None and any(t.count(separator) != head.width - 1 for t in texts):
+            return None
+        columns = None if len(head.numeric) == head.width else head.numeric
+        if separator is None and columns is not None:
+            return None  # NumPy does not check the number of cells
+        try:
+            read = np.loadtxt(
+                texts, delimiter=separator, comments=None, ndmin=2, usecols=columns
+            )
+        except ValueError:
+            return None
+        if columns is not None:
+            parsed: Doubles = np.full((len(texts), head.width), np.nan)
+            parsed[:, list(columns)] = read
+        else:
+            parsed = read
+        if parsed.shape[1] != head.width:
+            return None
+        is_whole = bool(np.isfinite(parsed[:, list(head.numeric)]).all())
+        return parsed if is_whole or self._accepts_missing else None
+
+    def _times(
+        self, texts: Sequence[str], numbers: Sequence[int], parsed: Doubles
+    ) -> list[int | float]:
+        """Times of lines; whole numbers beyond the precision of float64 are read from the text."""
+        head = self._head
+        assert head.time is not None
+        if head.time in head.numeric:
+            times = parsed[:, head.time]
+            if np.isfinite(times).all() and np.abs(times).max(initial=0) < EXACT:
+                return list(times.tolist())
+        cells = [head.dialect.cells(text)[head.time] for text in texts]
+        return [self._instant(cell, n) for cell, n in zip(cells, numbers, strict=True)]
+
+    def _parsed_slowly(
+        self, texts: Sequence[str], numbers: Sequence[int]
+    ) -> tuple[Doubles, list[int | float] | None]:
+        head = self._head
+        parsed = np.full((len(texts), head.width), np.nan)
+        times: list[int | float] = []
+        for k, (text, number) in enumerate(zip(texts, numbers, strict=True)):
+            cells = head.dialect.cells(text)
+            if head.has_trailing and len(cells) == head.width + 1 and not cells[-1]:
+                cells.pop()
+            if len(cells) != head.width:
+                place = f"{self._file.name}, line {number}"
+                raise SourceError(f"{place}: holds {len(cells)} cells; {head.width} are expected")
+            if head.time is not None:
+                times.append(self._instant(cells[head.time], number))
+            for column in head.usable or head.numeric:
+                parsed[k, column] = self._number(cells[column], number, column)
+        return parsed, times if head.time is not None else None
+
+    def _number(self, cell: str, line: int, column: int) -> float:
+        if is_number(cell):
+            value = float(cell)
+            if np.isfinite(value) or self._accepts_missing:
+                return value
+        place = f"{self._file.name}, line {line}, column {self._head.label(column)}"
+        stated = cell.lower() in self._layout.missing_texts
+        if stated or (is_missing(cell) and self._accepts_missing):
+            return np.nan
+        if is_missing(cell):
+            raise SourceError(f"{place}: {shown(cell)} is not a number; {NAN_HINT}")
+        fault = f"{place}: {shown(cell)} is not a number"
+        raise UnstatedError(fault, {"missing": self._missing_with(cell)})
+
+    def _missing_with(self, cell: str) -> str:
+        """The setting `missing` with a further text."""
+        return ",".join(filter(None, (self._layout.missing, cell)))
+
+    def _instant(self, cell: str, line: int) -> int | float:
+        """A time in its unit; of texts nanoseconds."""
+        where = f"{self._file.name}, line {line}, time"
+        unit = self._head.time_unit
+        moment = {ISO: iso_ns, CLOCK_UNIT: clock_ns}.get(unit)
+        if moment is not None:
+            instant = moment(cell)
+            if instant is None:
+                raise SourceError(f"{where}: {shown(cell)} is no time as those before it")
+            return instant
+        if cell.isascii() and cell.isdecimal() and len(cell) < 20:
+            return int(cell)
+        return parse_number(cell, where, -1e19, 1e19)
+
+    def _grids(self) -> Iterator[Block]:
+        """Frames of several lines; a block between other lines is a whole number of frames."""
+        height = self._head.height
+        waiting_texts: list[str] = []
+        waiting_numbers: list[int] = []
+        for texts, numbers, begun in self._lines():
+            ends = [k for k, begins in enumerate(begun) if begins] + [len(texts)]
+            for first, last in zip([0, *ends], ends, strict=False):
+                if first < len(begun) and begun[first]:
+                    self._check_block(len(waiting_texts), numbers[first])
+                waiting_texts += texts[first:last]
+                waiting_numbers += numbers[first:last]
+                n_whole = len(waiting_texts) // height * height
+                if n_whole:
+                    parsed, _ = self._parsed(waiting_texts[:n_whole], waiting_numbers[:n_whole])
+                    n_frames = n_whole // height
+                    self.tally.take(n_whole, n_frames)
+                    yield Block(parsed.reshape(n_frames, height, self._head.width))
+                    del waiting_texts[:n_whole], waiting_numbers[:n_whole]
+        self.tally.drop("lines of a cut last frame", len(waiting_texts))
+
+    def _check_block(self, n_waiting: int, number: int) -> None:
+        if n_waiting:
+            place = f"{self._file.name}, line {number}"
+            fault = f"the frame before it has {n_waiting} lines; {self._head.height} are expected"
+            raise SourceError(f"{place}: {fault}")
+
+    def _long(self) -> Iterator[Block]:
+        """Frames of a table with a line for each taxel: lines in a row with the same frame."""
+        head = self._head
+        long = head.long
+        assert long is not None
+        waiting = np.empty((0, head.width))
+        for rows, _ in self._rows():
+            rows = np.concatenate([waiting, rows])
+            keys = rows[:, long.frame]
+            begins = np.flatnonzero(np.diff(keys, prepend=np.nan) != 0)
+            waiting = rows[begins[-1] :]
+            if len(begins) > 1:
+                yield self._pivoted(rows[: begins[-1]], begins[:-1])
+        if len(waiting):
+            yield self._pivoted(waiting, np.array([0]))
+
+    def _pivoted(self, rows: Doubles, begins: npt.NDArray[np.intp]) -> Block:
+        """Frames of lines, of which each of `begins` is the first of a frame."""
+        long = self._head.long
+        assert long is not None
+        sizes = np.diff([*begins, len(rows)])
+        frame = np.repeat(np.arange(len(begins)), sizes)
+        row = rows[:, long.row] - long.first_row
+        col = rows[:, long.col] - long.first_col
+        inside = (0 <= row) & (row < long.n_rows) & (0 <= col) & (col < long.n_cols)
+        if not inside.all():
+            k = int(np.argmin(inside))
+            sides = f"{long.n_rows} x {long.n_cols}, as of the first frame"
+            fault = f"row {rows[k, long.row]:g}, column {rows[k, long.col]:g} is outside {sides}"
+            raise SourceError(f"{self._file.name}: {fault}")
+        numbers = np.full((len(begins), long.n_rows, long.n_cols), np.nan)
+        numbers[frame, row.astype(np.intp), col.astype(np.intp)] = rows[:, long.value]
+        if len({*zip(frame.tolist(), row.tolist(), col.tolist(), strict=True)}) != len(rows):
+            raise SourceError(f"{self._file.name}: a frame holds a taxel twice")
+        self.tally.take(len(rows), len(begins))
+        times = rows[begins, long.frame].tolist() if self._head.time is not None else None
+        return Block(numbers, times)

@@ -1,0 +1,152 @@
+"""Lines of a text file by pieces, and the cells of a line."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import IO, NamedTuple
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.recording import MAX_LINE_BYTES
+
+PIECE_BYTES = 1 << 21
+"""Bytes of a piece; chosen: decoding them takes some ten milliseconds."""
+SEPARATORS = (";", "\t", ",", "|")
+PREFIX = re.compile(r"\s*((?:\d{4}-\d\d-\d\d[ T])?[\d:.,]+)\s*(?:->|=>|:(?=\s*[\[(]))\s*")
+"""A time before the readings, as in "10:15:02.120 -> 1,2,3" or "0.25: [1, 2, 3]"."""
+BRACKETS = str.maketrans("", "", "[](){}")
+COMMENTS = ("#", "%", "//")
+
+
+class Piece(NamedTuple):
+    """Lines in a row, without their ends, and the number of the first one, from 1. `is_cut` is True
+    if the last one is the last of the file and has no end.
+    """
+
+    lines: list[str]
+    number: int
+    is_cut: bool
+
+
+class Dialect(NamedTuple):
+    """How the cells of a line are separated; " " for any white space."""
+
+    separator: str
+    has_decimal_comma: bool = False
+    has_prefix: bool = False
+    has_brackets: bool = False
+    has_quotes: bool = False
+
+    @property
+    def is_plain(self) -> bool:
+        """True if NumPy reads its lines of numbers as they are."""
+        return not (
+            self.has_decimal_comma or self.has_prefix or self.has_brackets or self.has_quotes
+        )
+
+    def cells(self, line: str) -> list[str]:
+        """The cells of a line."""
+        prefix = ""
+        if self.has_prefix:
+            matched = PREFIX.match(line)
+            if matched:
+                prefix = matched[1].strip()
+                line = line[matched.end() :]
+        if self.has_brackets:
+            line = line.translate(BRACKETS).replace('"', "")
+        cells = self._split(line)
+        if self.has_decimal_comma:
+            cells = [cell.replace(",", ".") for cell in cells]
+        return [prefix, *cells] if self.has_prefix else cells
+
+    def _split(self, line: str) -> list[str]:
+        if self.separator == " ":
+            return line.replace(",", " ").split() if self.has_brackets else line.split()
+        if '"' not in line:
+            return [cell.strip() for cell in line.split(self.separator)]
+        try:
+            row = next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
+        except (csv.Error, StopIteration):
+            return []
+        return [cell.strip() for cell in row]
+
+
+def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
+    """The lines of a file from its begin, by pieces. UTF-8, or Latin-1, which decodes every byte.
+    Raises SourceError at a line of more than `MAX_LINE_BYTES`, or bytes of value 0.
+    """
+    file.seek(0)
+    number = 1
+    is_first = True
+    while data := file.read(PIECE_BYTES):
+        if not data.endswith(b"\n"):
+            rest = file.readline(MAX_LINE_BYTES)
+            if len(rest) == MAX_LINE_BYTES:
+                where = f"{name}, line {number + data.count(b'\n')}"
+                raise SourceError(f"{where}: is longer than {MAX_LINE_BYTES} bytes")
+            data += rest
+        if is_first:
+            data = data.removeprefix(b"\xef\xbb\xbf")
+            is_first = False
+        if b"\0" in data:
+            raise SourceError(f"{name}: not a text table in UTF-8: holds bytes of value 0")
+        text = _decoded(data)
+        is_cut = not data.endswith((b"\n", b"\r"))
+        # Not splitlines(), which also splits at form feeds and other controls.
+        lines = re.split(r"\r\n|\n|\r", text)
+        if not is_cut:
+            lines.pop()
+        yield Piece(lines, number, is_cut)
+        number += len(lines)
+
+
+def dialect_of(lines: Sequence[str]) -> Dialect:
+    """The dialect of lines, of which most hold data."""
+    has_prefix = _are_most(lines, lambda line: PREFIX.match(line) is not None)
+    bodies = [PREFIX.sub("", line, count=1) if has_prefix else line for line in lines]
+    has_brackets = _are_most(bodies, lambda line: re.search(r"[\[(]\s*[-+.\d]", line) is not None)
+    separator = _separator(bodies)
+    has_decimal_comma = separator in (";", "\t", " ") and _have_decimal_commas(bodies, separator)
+    if separator == " " and has_brackets and any("," in body for body in bodies):
+        separator = ","
+    has_quotes = any('"' in line for line in lines)
+    return Dialect(separator, has_decimal_comma, has_prefix, has_brackets, has_quotes)
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """The separator that stands equally often in most lines."""
+    for separator in SEPARATORS:
+        counts = Counter(line.count(separator) for line in lines)
+        most_common, n_lines = counts.most_common(1)[0]
+        if most_common and 2 * n_lines > len(lines):
+            if separator == "," and _is_decimal(lines):
+                continue
+            return separator
+    return " "
+
+
+def _is_decimal(lines: Sequence[str]) -> bool:
+    """True if commas stand within numbers that white space separates."""
+    cells = [cell for line in lines for cell in line.split()]
+    numbers = [cell for cell in cells if re.fullmatch(r"[-+]?\d+,\d+", cell)]
+    return len(cells) > len(lines) and 2 * len(numbers) > len(cells)
+
+
+def _have_decimal_commas(lines: Sequence[str], separator: str) -> bool:
+    split = None if separator == " " else separator
+    cells = [cell.strip() for line in lines for cell in line.split(split)]
+    return any(re.fullmatch(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", cell) for cell in cells)
+
+
+def _are_most(lines: Sequence[str], holds: object) -> bool:
+    assert callable(holds)
+    return 2 * sum(map(bool, map(holds, lines))) > len(lines)
+
+
+def _decoded(data: bytes) -> str:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
