@@ -115,9 +115,7 @@ class Live:
             self._error = str(cause)
 
 
-def open_frames(
-    source: str, layout: Layout = EMPTY
-) -> Recorded | Live:
+def open_frames(source: str, layout: Layout = EMPTY) -> Recorded | Live:
     """Open the source of a skin that is to be calibrated, by its name as in `open_source`.
     Raises SourceError if it cannot be opened, or delivers forces, as a scene does.
     """

@@ -168,9 +168,7 @@ class RecordedSource(Source):
         if not (self._layout.unit or frames.head.unit or self._raw):
             lines += _assumed_unit(self.skin.unit)
         if not (frames.is_timed or self._layout.rate_hz or frames.head.rate_hz):
-            lines.append(
-                f"states no rate: {DEFAULT_RATE_HZ:g} Hz; set rate_hz where it is another"
-            )
+            lines.append(f"states no rate: {DEFAULT_RATE_HZ:g} Hz; set rate_hz where it is another")
         lines += self._treatment.lines(self.skin.unit)
         self._lines.extend(lines)
         return tuple(lines)
@@ -280,12 +278,16 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
 
 
 def _reads(path: str, layout: Layout, raw: bool, option: Mapping[str, str]) -> bool:
-    """True if all of a file can be read with a further setting."""
+    """True if all of a file can be read with a further setting, or only something else is not
+    stated then.
+    """
     unit = layout.unit or option.get("unit") or COUNTS
     try:
         with opened(path, layout.stating({"unit": unit, **option}), raw) as frames:
             for _ in frames.blocks():
                 continue
+    except UnstatedError:
+        return True
     except SparseskinError:
         return False
     return True
@@ -308,7 +310,9 @@ def _skin(frames: Frames, survey: Survey, treatment: Treatment) -> Skin:
         return skin.without(treatment.gone) if treatment.n_masked else skin
     except MessageError as error:
         if treatment.n_masked:
-            fault = f"no taxel is left: all are masked (nan={layout.nan} negative={layout.negative})"
+            fault = (
+                f"no taxel is left: all are masked (nan={layout.nan} negative={layout.negative})"
+            )
             raise SourceError(f"{frames.name}: {fault}") from error
         raise SourceError(f"{frames.name}: {error}") from error
 
@@ -350,5 +354,7 @@ def _unit(frames: Frames) -> str:
 
 def _assumed_unit(unit: str) -> Sequence[str]:
     if unit == COUNTS:
-        return ["whole numbers without a unit: shown as counts; a calibration makes newtons of them"]
+        return [
+            "whole numbers without a unit: shown as counts; a calibration makes newtons of them"
+        ]
     return [f"states no unit: taken as {unit}; set unit where it is another"]

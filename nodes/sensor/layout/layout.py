@@ -84,9 +84,7 @@ class Layout(GridLayout):
     channel: str = setting(
         "", "of several numbers per taxel the one that is read: a name as z, or a number from 0"
     )
-    field: str = setting(
-        "", "field of a message that holds the readings, as sensors[0].taxels[].z"
-    )
+    field: str = setting("", "field of a message that holds the readings, as sensors[0].taxels[].z")
     time: str = setting(
         "", "column, array or field of the times: its name or number; first; last; none"
     )

@@ -84,7 +84,9 @@ def matching(part: str, names: Sequence[str], n: int, where: str, key: str) -> l
     if not columns:
         header = _listed(names) if any(names) else "no header"
         allowed = "allowed: names, patterns as s*, numbers from 1 as 2-65"
-        raise SourceError(f"{where}: {key}: {part[:40]!r} is none of {n} columns ({header}); {allowed}")
+        raise SourceError(
+            f"{where}: {key}: {part[:40]!r} is none of {n} columns ({header}); {allowed}"
+        )
     return columns
 
 
@@ -129,7 +131,9 @@ def _chosen(
     ways.append(list(usable))
     distinct = {tuple(sorted(columns)): columns for columns in ways if columns}
     if layout.n_stated is not None:
-        distinct = {key: columns for key, columns in distinct.items() if len(key) == layout.n_stated}
+        distinct = {
+            key: columns for key, columns in distinct.items() if len(key) == layout.n_stated
+        }
     elif len(indexed) == 1 and any(map(bool, names)):
         (columns,) = indexed.values()
         return columns, ()
@@ -157,7 +161,10 @@ def _undecided(
         needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {layout.n_stated}"
         raise SourceError(f"{where}: {about}, but {needed}; state columns, or another shape")
     options = [{"columns": _as_text(names, columns)} for columns in ways]
-    raise UnstatedError(f"{where}: {about}: which are taxels is not stated", *options)
+    raise UnstatedError(
+        f"{where}: {about}: which are taxels is not stated: state columns, or n_rows and n_cols",
+        *options,
+    )
 
 
 def _channels(indexed: dict[Family, list[int]]) -> dict[str, list[int]]:
@@ -217,7 +224,9 @@ def _grid(
     rows_first = not first or first[0] not in COL_WORDS
     notes: tuple[str, ...] = ()
     shape = (len(firsts), len(seconds)) if rows_first else (len(seconds), len(firsts))
-    if not (is_labelled and first and second and (first[0] in ROW_WORDS) != (second[0] in ROW_WORDS)):
+    if not (
+        is_labelled and first and second and (first[0] in ROW_WORDS) != (second[0] in ROW_WORDS)
+    ):
         # Without words the order of a matrix is meant: row, then column. A stated shape decides.
         if second:
             return None

@@ -23,7 +23,9 @@ TIME_NAME = re.compile(
     r"|seconds|millis|micros|epoch|clock)(?![a-z0-9])"
 )
 """Begin of the name of a column or array of times, in small letters."""
-UNIT_NAME = re.compile(r"(?:^|[^a-z])(ns|us|µs|ms|s)(?:ec|econds)?\W*$|(nanos|micros|millis|seconds)$")
+UNIT_NAME = re.compile(
+    r"(?:^|[^a-z])(ns|us|µs|ms|s)(?:ec|econds)?\W*$|(nanos|micros|millis|seconds)$"
+)
 LONG_UNITS = {"nanos": "ns", "micros": "us", "millis": "ms", "seconds": "s", "µs": "us"}
 EPOCH_S = 9.0e8, 4.2e9
 """Seconds since 1970 that can be a date: 1998 to 2103, chosen."""
@@ -98,7 +100,9 @@ def unit_of(times: Sequence[float], where: str) -> str:
     steps = steps[steps > 0]
     if not steps.size:
         return "s"
-    rates_hz = {unit: 1e9 / (float(np.median(steps)) * NS[unit]) for unit in ("s", "ms", "us", "ns")}
+    rates_hz = {
+        unit: 1e9 / (float(np.median(steps)) * NS[unit]) for unit in ("s", "ms", "us", "ns")
+    }
     low, high = RATES_HZ
     usual = {unit: rate for unit, rate in rates_hz.items() if low <= rate <= high}
     if len(usual) == 1:

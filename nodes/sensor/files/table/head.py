@@ -254,7 +254,9 @@ def _count_before(
 def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
     """True if most cells of a column that are not missing are numbers, and some is."""
     cells = [line.cells[k] for line in data]
-    texts = [cell for cell in cells if not (is_missing(cell) or cell.lower() in layout.missing_texts)]
+    texts = [
+        cell for cell in cells if not (is_missing(cell) or cell.lower() in layout.missing_texts)
+    ]
     n_numbers = sum(map(is_number, texts))
     return 0 < n_numbers and 2 * n_numbers >= len(texts)
 
@@ -324,9 +326,7 @@ def _long_columns(head: TableHead, data: Sequence[_Line]) -> LongColumns | None:
     return LongColumns(frames[0], row, col, value, int(low[0]), int(low[1]), n_rows, n_cols)
 
 
-def _time_column(
-    head: TableHead, layout: Layout, data: Sequence[_Line], name: str
-) -> int | None:
+def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> int | None:
     """The column of the times. Raises UnstatedError if there may be several."""
     if layout.time == "none":
         return None

@@ -33,7 +33,6 @@ EXACT = float(1 << 53)
 """Largest whole number up to which float64 has all."""
 
 
-
 class TableRecording(Recording):
     """Numbers separated by commas, semicolons, tabs, bars or white space.
 
@@ -139,7 +138,7 @@ class TableRecording(Recording):
             return "comments"
         if self._head.header and text == self._head.header:
             return "repeated headers"
-        if self._head.kind == GRID and not stripped[0].isdigit() and stripped[0] not in "+-.\"[(":
+        if self._head.kind == GRID and not stripped[0].isdigit() and stripped[0] not in '+-."[(':
             cells = self._head.dialect.cells(text)
             if not any(is_number(cell) or is_missing(cell) for cell in cells):
                 return "lines between frames"
@@ -172,9 +171,7 @@ class TableRecording(Recording):
         if separator is None and columns is not None:
             return None  # NumPy does not check the number of cells
         try:
-            read = np.loadtxt(
-                texts, delimiter=separator, comments=None, ndmin=2, usecols=columns
-            )
+            read = np.loadtxt(texts, delimiter=separator, comments=None, ndmin=2, usecols=columns)
         except ValueError:
             return None
         if columns is not None:

@@ -84,8 +84,8 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
         if not data.endswith(b"\n"):
             rest = file.readline(MAX_LINE_BYTES)
             if len(rest) == MAX_LINE_BYTES:
-                where = f"{name}, line {number + data.count(b'\n')}"
-                raise SourceError(f"{where}: is longer than {MAX_LINE_BYTES} bytes")
+                line = number + data.count(b"\n")
+                raise SourceError(f"{name}, line {line}: is longer than {MAX_LINE_BYTES} bytes")
             data += rest
         if is_first:
             data = data.removeprefix(b"\xef\xbb\xbf")
