@@ -1,7 +1,8 @@
 """Recordings as a sensor source, read by blocks: memory does not grow with the file.
 
 Files of up to `KEPT_BYTES` of frames are read, and checked, before the first frame is used. Of
-larger ones a first pass finds range and masks where they are not stated; a second one yields frames.
+larger ones a first pass finds range and masks where they are not stated; a second one yields the
+frames.
 Before a graph starts, the begin of the file is read alone.
 """
 

@@ -15,7 +15,6 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.ranges import is_real
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
@@ -351,30 +350,6 @@ def check_unit(where: str, unit: object) -> None:
     if unit is not None and not is_text:
         place = f"{where}: unit = {shown(unit)}"
         raise SourceError(f"{place}; expected 1 to 32 printable characters, as N or kPa")
-
-
-def check_readings(
-    forces: npt.NDArray[Any], where: str, low: float = 0.0, nan: bool = False
-) -> None:
-    """Raise SourceError, with frame and cell from 0, unless all readings (n_frames, n_rows, n_cols)
-    are finite and in [low, 1e30], or NaN where `nan` allows it; 0 in masked cells.
-    """
-    below = f"is below {low:g}" if low else f"is below 0; a range starts at 0{NEGATIVE_HINT}"
-    # A part at a time: a recording of bytes would become eight times as large.
-    step = max(1, MAX_ELEMENTS // forces[0].size)
-    for first in range(0, len(forces), step):
-        with np.errstate(all="ignore"):
-            values = forces[first : first + step].astype(np.float64)
-        if values.min() >= low and values.max() <= MAX_READING:  # False for a NaN
-            continue
-        for what, bad in (
-            (f"is not finite{NAN_HINT}", ~np.isfinite(values) & (not nan)),
-            (below, values < low),
-            (f"is above {MAX_READING:g}", values > MAX_READING),
-        ):
-            for frame, row, col in np.argwhere(bad)[:1]:
-                place = f"{where}: frame {first + frame}, row {row}, column {col}"
-                raise SourceError(f"{place}: {values[frame, row, col]:.9g} {what}")
 
 
 def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:

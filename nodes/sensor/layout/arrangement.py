@@ -214,7 +214,7 @@ def check_stated_shape(
 
 
 def _ordered(layout: Layout, places: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
-    """Places with rows and columns in their stated order: entry k as it comes is put at order[k]."""
+    """Places with rows and columns in their stated order: entry k that comes is put at order[k]."""
     for key, axis in (("row_order", 0), ("col_order", 1)):
         text = getattr(layout, key)
         n = places.shape[axis]

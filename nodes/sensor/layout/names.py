@@ -193,9 +193,7 @@ def _placed(
         return Selection(tuple(columns), None, notes)
     numbers = {k: tuple(map(int, re.findall(r"\d+", names[k]))) for k in columns}
     by_number = sorted(columns, key=numbers.__getitem__)
-    varying = [
-        at for at in range(len(numbers[columns[0]])) if len({numbers[k][at] for k in columns}) > 1
-    ]
+    varying = _grid_numbers(names[columns[0]], [numbers[k] for k in columns])
     if len(varying) == 2:
         grid = _grid(layout, names[columns[0]], {k: numbers[k] for k in columns}, varying)
         if grid is not None:
@@ -204,6 +202,21 @@ def _placed(
         notes = (*notes, "columns are ordered by the numbers in their names")
         columns = by_number
     return Selection(tuple(columns), None, notes)
+
+
+def _words(name: str) -> list[str]:
+    """The word right before each number of a name, in small letters, "" where there is none."""
+    parts = re.split(r"\d+", name.lower())[:-1]
+    return [(re.findall(r"[a-z]+", part) or [""])[-1] for part in parts]
+
+
+def _grid_numbers(name: str, numbers: Sequence[tuple[int, ...]]) -> list[int]:
+    """Which numbers of the names are rows and columns: two with such words, or all that vary."""
+    words = _words(name)
+    labelled = [at for at, word in enumerate(words) if word in ROW_WORDS or word in COL_WORDS]
+    if len(labelled) == 2:
+        return labelled
+    return [at for at in range(len(words)) if len({each[at] for each in numbers}) > 1]
 
 
 def _grid(
@@ -216,23 +229,20 @@ def _grid(
     firsts, seconds = ({pair[side] for pair in pairs} for side in (0, 1))
     if len(pairs) != len(numbers) or len(firsts) * len(seconds) != len(pairs):
         return None
-    words = re.split(r"\d+", name.lower())
-    first, second = (re.findall(r"[a-z]+", words[at])[-1:] for at in varying)
-    is_labelled = [*first, *second] != [] and all(
-        word in ROW_WORDS or word in COL_WORDS for word in (*first, *second)
-    )
-    rows_first = not first or first[0] not in COL_WORDS
-    notes: tuple[str, ...] = ()
+    first, second = (_words(name)[at] for at in varying)
+    is_labelled = first in ROW_WORDS and second in COL_WORDS
+    is_labelled |= first in COL_WORDS and second in ROW_WORDS
+    if not (is_labelled or not second):
+        return None  # two numbers that count something else, as a sensor and its taxels
+    rows_first = first in ROW_WORDS or not is_labelled
     shape = (len(firsts), len(seconds)) if rows_first else (len(seconds), len(firsts))
-    if not (
-        is_labelled and first and second and (first[0] in ROW_WORDS) != (second[0] in ROW_WORDS)
-    ):
+    notes: tuple[str, ...] = ()
+    if not is_labelled:
         # Without words the order of a matrix is meant: row, then column. A stated shape decides.
-        if second:
-            return None
         stated = (layout.n_rows, layout.n_cols)
-        rows_first = not (None not in stated and stated != shape and stated == shape[::-1])
-        shape = (len(firsts), len(seconds)) if rows_first else (len(seconds), len(firsts))
+        if stated != shape and stated == shape[::-1]:
+            rows_first = False
+            shape = shape[::-1]
         notes = (f"the numbers in the names are {'row, column' if rows_first else 'column, row'}",)
     side = 0 if rows_first else 1
     ordered = sorted(pairs, key=lambda pair: (pair[side], pair[1 - side]))

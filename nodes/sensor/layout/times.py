@@ -30,7 +30,7 @@ LONG_UNITS = {"nanos": "ns", "micros": "us", "millis": "ms", "seconds": "s", "µ
 EPOCH_S = 9.0e8, 4.2e9
 """Seconds since 1970 that can be a date: 1998 to 2103, chosen."""
 RATES_HZ = 0.1, 2000.0
-"""Rates at which skins are read; chosen: loggers of beds take a frame in 10 s, boards reach 2 kHz."""
+"""Rates at which skins are read; chosen: of a bed a frame in 10 s, of boards 2 kHz."""
 DAY_NS = 86_400 * 10**9
 CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d{1,9})?)")
 

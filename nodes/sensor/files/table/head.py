@@ -1,4 +1,4 @@
-"""The begin of a table: where its data begin, names of columns, times, and the kind of its lines."""
+"""The begin of a table: where its data begin, names of columns, times, the kind of its lines."""
 
 from __future__ import annotations
 
@@ -258,7 +258,7 @@ def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
         cell for cell in cells if not (is_missing(cell) or cell.lower() in layout.missing_texts)
     ]
     n_numbers = sum(map(is_number, texts))
-    return 0 < n_numbers and 2 * n_numbers >= len(texts)
+    return n_numbers > 0 and 2 * n_numbers >= len(texts)
 
 
 def _find_kind(
@@ -334,6 +334,8 @@ def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: s
         ends = {"first": 0, "last": head.width - 1}
         stated = ends.get(layout.time)
         return stated if stated is not None else _stated_time(head, layout.time, name)
+    if head.dialect.has_prefix:
+        return 0
     named = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
     named = [k for k in named if all(_is_value(line.cells[k]) for line in data)]
     texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]

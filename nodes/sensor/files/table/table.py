@@ -26,7 +26,7 @@ from sparseskin.nodes.sensor.layout.layout import REFUSE, UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
 
-from .head import GRID, LONG, TableHead, is_number, read_head
+from .head import GRID, LONG, is_number, read_head
 from .text import pieces
 
 EXACT = float(1 << 53)
@@ -140,7 +140,10 @@ class TableRecording(Recording):
             return "repeated headers"
         if self._head.kind == GRID and not stripped[0].isdigit() and stripped[0] not in '+-."[(':
             cells = self._head.dialect.cells(text)
-            if not any(is_number(cell) or is_missing(cell) for cell in cells):
+            is_row = len(cells) == self._head.width and (
+                is_number(cells[0]) or is_missing(cells[0])
+            )
+            if not is_row:
                 return "lines between frames"
         return ""
 
@@ -160,7 +163,7 @@ class TableRecording(Recording):
         return parsed, self._times(texts, numbers, parsed)
 
     def _parsed_fast(self, texts: Sequence[str]) -> Doubles | None:
-        """Numbers of lines that NumPy reads; None if it cannot read one, or has to be asked where."""
+        """Numbers of lines that NumPy reads; None if it cannot read one, or may not."""
         head = self._head
         separator = None if head.dialect.separator == " " else head.dialect.separator
         if head.has_trailing and separator is not None:
@@ -299,7 +302,7 @@ class TableRecording(Recording):
         frame = np.repeat(np.arange(len(begins)), sizes)
         row = rows[:, long.row] - long.first_row
         col = rows[:, long.col] - long.first_col
-        inside = (0 <= row) & (row < long.n_rows) & (0 <= col) & (col < long.n_cols)
+        inside = (row >= 0) & (row < long.n_rows) & (col >= 0) & (col < long.n_cols)
         if not inside.all():
             k = int(np.argmin(inside))
             sides = f"{long.n_rows} x {long.n_cols}, as of the first frame"

@@ -8,104 +8,170 @@ import zipfile
 import numpy as np
 import pytest
 from damaged import npy, npz, refusal
+from drawn_tables import tables
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics import array_files
 from sparseskin.nodes.numerics.array_files import read_npy, read_npz
+from sparseskin.nodes.sensor.files import file_source, recording
 from sparseskin.nodes.sensor.files.file_source import n_taxels, open_file
-from sparseskin.nodes.sensor.files.recording import Policy
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 
 GRID = np.arange(12.0).reshape(2, 2, 3)
 ROW = {"n_rows": 1, "n_cols": 2}
+FORGIVING = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 
 
 def read(folder, text, **stated):
-    (folder / "log.csv").write_text(text)
-    return open_file(folder / "log.csv", **{"unit": "N", **stated})
+    (folder / "log.csv").write_bytes(text.encode())
+    return open_file(folder / "log.csv", Layout(**{"unit": "N", **stated}))
+
+
+@FORGIVING
+@given(table=tables())
+def test_a_drawn_table_is_read_as_it_was_written(tmp_path, table):
+    source = read(tmp_path, table.text, **table.stated)
+    np.testing.assert_array_equal(source.frames, table.frames)
+    seconds = 0.01 * np.arange(len(table.frames)) if table.seconds is None else table.seconds
+    np.testing.assert_allclose(source.stamp_ns / 1e9, seconds, atol=1e-6)
+    assert n_taxels(str(tmp_path / "log.csv"), Layout(**table.stated)) == table.frames[0].size
+
+
+@FORGIVING
+@given(table=tables(), data=st.data())
+def test_a_damaged_table_is_read_right_or_refused(tmp_path, table, data):
+    text = table.text
+    start = data.draw(st.integers(0, len(text)))
+    damage = data.draw(st.sampled_from(["cut", "removed", "doubled"]))
+    stop = start + data.draw(st.integers(1, 30))
+    parts = {
+        "cut": text[:start],
+        "removed": text[:start] + text[stop:],
+        "doubled": text[:stop] + text[start:],
+    }
+    with contextlib.suppress(SparseskinError):
+        source = read(tmp_path, parts[damage], **table.stated)
+        lines = [line for line in parts[damage].splitlines() if line]
+        assert 1 <= len(source.frames) <= len(lines)
+        assert np.isfinite(source.frames).all()
 
 
 @pytest.mark.parametrize(
     ("text", "stated", "rate_hz"),
     [
-        ("# n\n0,1,2,3,4,5\r\n\r\n6, 7 ,8,9,10,1.1e1\n", {"n_rows": 2}, None),
-        ("0 1 2 3 4 5\n6 7 8 9 10 11\n", {"n_cols": 3}, None),
+        ("# n\n0,1,2,3,4,5\r\n\r\n6, 7 ,8,9,10,1.1e1\n", {"n_rows": 2, "n_cols": 3}, None),
         ("0;1,0;2;3;4;5\n6;7;8;9;10;11\n", {"n_rows": 2, "n_cols": 3}, None),
-        ("t,r0c0,r0c1,r0c2,r1c0,r1c1,r1c2\n5,0,1,2,3,4,5\n25,6,7,8,9,10,11\n", {}, 50),
         ("r1c0,r1c1,r1c2,r0c0,r0c1,r0c2\n3,4,5,0,1,2\n9,10,11,6,7,8\n", {}, None),
         (
-            "frame,time [s],s0,s1,s2,s3,s4,s5,hand\n"
-            "0,0.50,0,1,2,3,4,5,left\n1,0.75,6,7,8,9,10,11,left\n",
-            {"n_rows": 2},
-            4,
-        ),
-        (
             "2026-11-03T09:30:00.5Z,0,1,2,3,4,5\n2026-11-03T10:30:00.6+01:00,6,7,8,9,10,11\n",
-            {"n_rows": 2},
+            {"n_rows": 2, "n_cols": 3},
             10,
         ),
-        ("7,0,1,2,3,4,5\n17,6,7,8,9,10,11\n", {"n_rows": 2, "n_cols": 3}, 100),
-        ("0,0,1,2,3,4,5\n1,6,7,8,9,10,11\n", {"n_rows": 2, "n_cols": 3}, None),
         ("1790000000,0,1,2,3,4,5\n1790000002,6,7,8,9,10,11\n", {"n_rows": 2, "n_cols": 3}, 0.5),
         (
             "a,when,x0,x1,x2,x3,x4,x5\n9,4,0,1,2,3,4,5\n9,8,6,7,8,9,10,11\n",
-            {"n_rows": 2, "columns": "time_us=when,x*"},
+            {"n_rows": 2, "time": "when", "time_unit": "us", "columns": "x*"},
             250_000,
         ),
+        ("9,0,1,2,3,4,5\n9,6,7,8,9,10,11\n", {"n_rows": 2, "columns": "2-7"}, None),
+        ("0,1,2\n3,4,5\n\n6,7,8\n9,10,11\n", {}, None),
+        ("0,1,2\n3,4,5\n6,7,8\n9,10,11\n", {"n_rows": 2, "n_cols": 3}, None),
+        ("Frame 1\n0 1 2\n3 4 5\nFrame 2\n6 7 8\n9 10 11\n", {"n_rows": 2, "n_cols": 3}, None),
+        ("10:15:02.120 -> 0,1,2,3,4,5\n10:15:02.140 -> 6,7,8,9,10,11\n", {"n_rows": 2}, 50),
+        ("0.5: [0, 1, 2, 3, 4, 5]\n0.6: [6, 7, 8, 9, 10, 11]\n", {"n_rows": 2}, 10),
         (
-            ",0,1,2,3,4,5,6,7\n0,0,1,2,3,4,5,9,9\n1,6,7,8,9,10,11,9,9\n",
-            {"n_rows": 2, "columns": "2-7"},
+            "frame,row,col,value\n"
+            + "".join(f"{k},{r},{c},{6 * k + 3 * r + c}\n" for k, r, c in np.ndindex(2, 2, 3)),
+            {},
             None,
         ),
-        ("9,0,1,2,3,4,5\n9,6,7,8,9,10,11\n", {"n_rows": 2, "columns": "2-7"}, None),
-        ("9,0,1,2,3,4,5,\n99,6,7,8,9,10,11,\n", {"n_rows": 2, "columns": "time_s=1,2-7"}, 1 / 90),
     ],
 )
 def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
     source = read(tmp_path, text, **stated)
     np.testing.assert_array_equal(source.frames, GRID)
-    assert (source.rate_hz, source.stamp_ns[1]) == (rate_hz, round(1e9 / (rate_hz or 100)))
-    assert n_taxels(str(tmp_path / "log.csv"), "N", **stated) == 6
-    assert ("left out: column " in str(source.notes)) == (text[0] in "af,9")
+    assert source.rate_hz == rate_hz
+    assert source.stamp_ns[1] == round(1e9 / (rate_hz or 100))
 
 
 @pytest.mark.parametrize(
     ("text", "stated", "message"),
     [
-        ("1,2,3,4\n", {"unit": None}, "add n_rows=2 n_cols=2 unit=N rate_hz=100$"),
-        ("t,a,b,c\n1,2,3,4\n", {"unit": None}, "shape .*, unit .*; add n_rows=1 n_cols=3 unit=N$"),
-        ("1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "2 x 3 needs 6"),
-        ("1,2,3,4\n1,2,3\n", {"n_rows": 2}, "line 2: holds 3 cells, the first line 4"),
+        ("1,2,3,4\n", {"unit": None}, "state n_rows and n_cols, .*; unit is not stated either$"),
+        ("r0c0,r0c1\n1,2\n", {"unit": None}, "unit of the readings is not stated.* unit=counts$"),
+        ("r0c0,r0c1\n1,0.5\n", {"unit": None}, "counts or another text$"),
+        ("1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "4 columns hold numbers, but .* needs 6"),
+        ("1,2,3,4\n5,6,7,8\n1,2,3\n9,9,9,9\n", {"n_rows": 2}, "line 3: holds 3 cells; 4 are exp"),
         ("a1,a2\n3,-4\n", {"n_rows": 1}, "frame 0, row 0, column 1: -4 is below 0"),
-        ("a1,a2\n3,4\n5,b\n", {"n_rows": 1}, "line 3, column 'a2': 'b' is not a number"),
+        ("s0,s1\n90,80\n90,-1\n95,85\n", {"n_rows": 1}, "no other reading; add missing=-1$"),
+        (
+            "s0,s1\n3,4\n5,OVR\n",
+            {"n_rows": 1},
+            "line 3, .*: 'OVR' is not a number; add missing=OVR$",
+        ),
         ("\n# only\n", {"n_rows": 1}, "holds no frame"),
-        ("t,a\n2,1\n1,1\n", {"n_rows": 1}, "time of frame 2 is before"),
-        ("t,a\n2,1\nsoon,1\n", {"n_rows": 1}, "line 3, time: 'soon' is not a number"),
-        ("a,b\n1,2\n", {"columns": "c*"}, "columns: 'c.' is none of 2 columns .'a', 'b', "),
+        ("time_s,s0,s1\n2,1,1\n1,1,1\n", {"n_rows": 1}, "time of frame 2 is before"),
+        ("time,s0,s1\n0,1,1\n2,1,1\n", ROW, r"time_unit=s \(0.5 Hz\) or time_unit=ms \(500 Hz"),
+        ("a,b\n1,2\n", {"columns": "c*"}, "columns: 'c.' is none of 2 columns .a, b.; allowed"),
         ("a,b\n1,2\n", {"columns": "2-9"}, "'2-9' is none of 2 columns"),
-        ("name\nleft\n", {}, "no column holds numbers; state columns.*a line of units with #$"),
-        ("5,a,1,2\n6,a,1,2\n", ROW, "3 columns hold numbers, .* = 2; add columns=time=1,3-4$"),
-        ("5,1,2,\n", ROW, "3 columns hold numbers, .* = 2; add columns=time=1,2-3$"),
-        ("1,2,\n", ROW, "line 1, column 3: '' is not .*, or zero or mask, or columns=1-2$"),
+        ("name\nleft\n", {}, "holds no frame"),
+        ("5,a,1,2\n6,a,1,2\n4,a,1,2\n", ROW, "3 columns hold numbers, but .* needs 2"),
+        ("0.5,1,0.1\n0.7,1,0.2\n", ROW, "state time=first or time=last, or columns$"),
         ("1,\0", ROW, "not a text table in UTF-8"),
-        ("1,2\r3,4", ROW, "line 1: no line of a table of text: .* a line end within"),
-        ("1," + 140_000 * "2", {"n_rows": 1}, "line 1: no line of a table of text: field larger"),
+        ("t,time,s0,s1\n0,5,1,1\n1,6,1,1\n", ROW, "2 columns may be the times: state time='t' or"),
     ],
 )
 def test_what_is_no_table_of_frames_is_refused_in_one_line(tmp_path, text, stated, message):
     shown = refusal(lambda: read(tmp_path, text, **stated), SourceError)
-    assert re.match(f"{tmp_path / 'log.csv'}.*{message}", shown)
+    assert re.search(f"{tmp_path / 'log.csv'}.*{message}", shown)
+
+
+def test_lines_in_are_frames_out_and_drops_by_name(tmp_path):
+    text = "made by hand\n\ntime_s,s0,s1\n[s],[N],[N]\n0.0,1,2\n# pause\n0.1,3,4\n0.2,5"
+    source = read(tmp_path, text, n_rows=1, n_cols=2)
+    assert source.frames.tolist() == [[[1, 2]], [[3, 4]]]
+    account = source.notes[-1]
+    assert account.startswith("8 lines: 2 frames, ")
+    for drop in ("1 blank lines", "1 header", "1 line of units", "1 comments", "1 cut last line"):
+        assert drop in account
+
+
+def test_a_folder_of_frames_is_read_in_the_order_of_its_numbers(tmp_path):
+    for k in (2, 10, 1):
+        np.savetxt(tmp_path / f"frame_{k}.txt", np.full((3, 2), k), fmt="%d")
+    source = open_file(tmp_path, Layout(n_rows=3, n_cols=2, unit="counts"))
+    assert source.frames[:, 0, 0].tolist() == [1, 2, 10]
+
+
+def test_repeated_times_cost_1_ns_and_are_said(tmp_path):
+    source = read(tmp_path, "time_s,s0,s1\n0,1,1\n0.1,1,1\n0.1,1,1\n5,1,1\n", **ROW)
+    assert source.stamp_ns.tolist() == [0, 100_000_000, 100_000_001, 5_000_000_000]
+    assert "1 times repeat the one before: 1 ns later each" in source.notes
+
+
+def test_a_large_table_is_read_by_blocks_as_a_small_one(tmp_path, monkeypatch):
+    text = "time_ms,s0,s1\n" + "".join(f"{20 * k},{k % 97},{k % 89}\n" for k in range(500))
+    small = read(tmp_path, text, **ROW)
+    monkeypatch.setattr(file_source, "KEPT_BYTES", 100)
+    monkeypatch.setattr(recording, "BLOCK_NUMBERS", 64)
+    large = read(tmp_path, text, **ROW)
+    np.testing.assert_array_equal(large.frames, small.frames)
+    np.testing.assert_array_equal(large.stamp_ns, small.stamp_ns)
+    assert large.skin.f_max == small.skin.f_max == 96
 
 
 BAD = np.array([[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32)
 
 
-def treated(policy, folder):
+def treated(layout, folder):
     np.save(folder / "a.npy", BAD)
-    return open_file(folder / "a.npy", f_max=10.0, policy=policy)
+    return open_file(folder / "a.npy", layout)
 
 
 @pytest.mark.parametrize(
@@ -119,11 +185,13 @@ def treated(policy, folder):
     ],
 )
 def test_invalid_readings_become_what_the_settings_say(tmp_path, nan, negative, expected, mask):
-    source = treated(Policy(nan, negative), tmp_path)
+    source = treated(Layout(nan=nan, negative=negative, f_max=10.0), tmp_path)
     readings = MissingReadings(nan, source.skin, learns=False)
     filled = [readings.fill(frame, 0) for frame in source.frames]
     assert [found and found[0].ravel().tolist() for found in filled] == expected
-    assert (source.treated.not_finite, source.treated.negative) == (2, 2)
+    counts = source.report()["invalid"]
+    assert counts["not_finite"] == 2
+    assert counts["negative"] == 2
     held = None if source.skin.mask is None else source.skin.mask.ravel().tolist()
     assert held == mask
 
@@ -131,13 +199,13 @@ def test_invalid_readings_become_what_the_settings_say(tmp_path, nan, negative, 
 def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path):
     (tmp_path / "a.csv").write_text("1,,NaN,4\n-2,5,6,7\n")
     options = {"n_rows": 2, "n_cols": 2, "unit": "N"}
-    source = open_file(tmp_path / "a.csv", **options, policy=Policy("zero", "offset"))
+    source = open_file(tmp_path / "a.csv", Layout(**options, nan="zero", negative="offset"))
     found = np.nan_to_num(source.frames, nan=-1).reshape(2, 4)
     assert found.tolist() == [[3, -1, -1, 6], [0, 7, 8, 9]]
     counts = {"not_finite": 2, "negative": 1, "masked_taxels": 0, "offset": -2.0}
-    assert source.treated.counts() == counts
+    assert source.report()["invalid"] == counts
     with pytest.raises(SourceError, match="line 1, column 2: '' is not a number"):
-        open_file(tmp_path / "a.csv", **options)
+        open_file(tmp_path / "a.csv", Layout(**options))
 
 
 def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):

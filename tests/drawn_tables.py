@@ -1,0 +1,99 @@
+"""Tables drawn at random from what loggers write, with the frames and times that they hold."""
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from hypothesis import strategies as st
+
+NO_NAMES, NUMBERED, GRID_NAMES = "none", "s{k}", "r{r}c{c}"
+START = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
+
+
+@dataclass
+class DrawnTable:
+    """A text, the frames and stamps in it, and what a user would state."""
+
+    text: str
+    frames: np.ndarray
+    seconds: np.ndarray | None  # since the first frame; None: the table has no times
+    stated: dict = field(default_factory=dict)
+
+
+def _times(draw, n):
+    """Texts of the times, the header of their column, and seconds."""
+    kind = draw(st.sampled_from(["none", "time_s", "time_ms", "t [us]", "stamp", "clock", "epoch"]))
+    steps_ms = draw(st.lists(st.integers(8, 40), min_size=n - 1, max_size=n - 1))
+    ms = np.concatenate([[0], np.cumsum(steps_ms)]).astype(int)
+    moments = [START + timedelta(milliseconds=int(each)) for each in ms]
+    texts = {
+        "none": None,
+        "time_s": [f"{each / 1000:.3f}" for each in ms],
+        "time_ms": [str(each + 77) for each in ms],
+        "t [us]": [str(1000 * each) for each in ms],
+        "stamp": [moment.isoformat() for moment in moments],
+        "clock": [moment.strftime("%H:%M:%S.%f") for moment in moments],
+        "epoch": [f"{moment.timestamp():.3f}" for moment in moments],
+    }
+    return texts[kind], kind, None if kind == "none" else ms / 1000
+
+
+@st.composite
+def tables(draw):
+    """A `DrawnTable`."""
+    n_rows, n_cols = draw(st.integers(1, 4)), draw(st.integers(2, 5))
+    n = draw(st.integers(3, 12))
+    n_taxels = n_rows * n_cols
+    seed = draw(st.integers(0, 2**32 - 1))
+    rng = np.random.default_rng(seed)
+    readings = rng.integers(0, 1000, (n, n_taxels))
+    # A column that rises, or counts, could be the times, or a counter: these ask (tested apart).
+    readings[-1] = readings[0] - 1
+    readings[0] = np.maximum(readings[0], 1)
+    readings[-1] = readings[0] - 1
+
+    texts, time_name, seconds = _times(draw, n)
+    names_kind = draw(st.sampled_from([NO_NAMES, NUMBERED, GRID_NAMES]))
+    is_named = names_kind != NO_NAMES
+    names = [names_kind.format(k=k, r=k // n_cols, c=k % n_cols) for k in range(n_taxels)]
+    if is_named:
+        order = draw(st.permutations(range(n_taxels)))
+    else:
+        order = list(range(n_taxels))
+    has_decimals = draw(st.booleans())
+    values = readings / 4 if has_decimals else readings
+
+    columns = [[f"{value:g}" for value in values[:, k]] for k in order]
+    header = [names[k] for k in order]
+    if is_named and draw(st.booleans()):
+        columns.append(draw(st.lists(st.sampled_from(["cup", "box"]), min_size=n, max_size=n)))
+        header.append("object")
+    if is_named and draw(st.booleans()):
+        columns.insert(0, [str(k) for k in range(n)])
+        header.insert(0, "sample")
+    if texts is not None:
+        place = draw(st.sampled_from([0, len(columns)]))
+        columns.insert(place, texts)
+        header.insert(place, time_name)
+
+    separator = draw(st.sampled_from([",", ";", "\t", " "]))
+    if separator == " ":
+        header = [name.replace(" ", "_") for name in header]
+    has_comma = separator == ";" and draw(st.booleans())
+    end = draw(st.sampled_from(["\n", "\r\n"]))
+    tail = separator if separator != " " and draw(st.booleans()) else ""
+    rows = [separator.join(cells) + tail for cells in zip(*columns, strict=True)]
+    if has_comma:
+        rows = [row.replace(".", ",") for row in rows]
+    lines = [separator.join(header)] * is_named + rows
+    if draw(st.booleans()):
+        lines.insert(draw(st.integers(0, len(lines))), "# a comment")
+    if is_named and draw(st.booleans()):
+        lines.insert(0, "Pressure logger 3000")
+    if is_named and draw(st.booleans()):
+        lines.insert(draw(st.integers(0, len(lines))), "")
+    if separator == "," and draw(st.booleans()):
+        lines.insert(0, "sep=,")
+    stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": "counts"}
+    frames = values.reshape(n, n_rows, n_cols).astype(np.float32)
+    return DrawnTable(end.join(lines) + end, frames, seconds, stated)
