@@ -2,7 +2,7 @@
 
 Each is AA 55, then 12 x 32 bytes row by row, then their sum modulo 256. As a pattern for other
 lines: this one needs no code, but the source
-serial:/dev/ttyUSB0?rows=12&cols=32&start=AA55&checksum=sum8&baud=2000000.
+serial:/dev/ttyUSB0?n_rows=12&n_cols=32&start=AA55&checksum=sum8&baud=2000000.
 
 It needs the standard library alone; with pyserial (`pip install pyserial`),
 `serial.Serial(DEVICE, 2000000, timeout=2)` and its `read` replace `opened` and `read`.

@@ -3,7 +3,7 @@
 sparseskin launch replay --set sensor.source=udp_skin:frames
 
 As a pattern for other packets: these need no code, but the source
-udp:5005?rows=40&cols=40&dtype=uint16.
+udp:5005?n_rows=40&n_cols=40&dtype=uint16.
 """
 
 import os

@@ -96,7 +96,7 @@ class UdpAddress(BoardAddress):
     @classmethod
     def listings(cls) -> Sequence[Listing]:
         about = "packets that come to a port of this host"
-        entries = [{"source": "udp:PORT?rows=R&cols=C", "about": about}]
+        entries = [{"source": "udp:PORT?n_rows=R&n_cols=C", "about": about}]
         return (Listing("udp", "boards on the network", entries),)
 
 
@@ -111,6 +111,6 @@ class CanAddress(BoardAddress):
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
-        title = "CAN interfaces: add ?ids=FIRST-LAST&rows=R&cols=C"
+        title = "CAN interfaces: add ?ids=FIRST-LAST&n_rows=R&n_cols=C"
         entries = [{"source": f"can:{name}", "about": "CAN interface"} for name in can_channels()]
         return (Listing("can", title, entries),)

@@ -7,50 +7,31 @@ from dataclasses import replace
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.sensor.layout.arrangement import Arrangement
 
 from .framing import Counts, Frame
 
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
-ORDERS = ("rows", "columns")
-
-
-def order_of(text: str, n: int) -> list[int] | None:
-    """Places of n rows or columns as sent: "forward", "reversed" or "2,0,1"; None: other texts."""
-    if text == "forward":
-        return list(range(n))
-    if text == "reversed":
-        return list(range(n))[::-1]
-    parts = text.split(",")
-    if len(parts) != n or not all(p.strip().isdecimal() and len(p.strip()) < 6 for p in parts):
-        return None
-    order = [int(part) for part in parts]
-    return order if sorted(order) == list(range(n)) else None
 
 
 class Decoder:
-    """Decodes payloads of counts of a `DTYPES` and byte order, sent row after row or column after
-    column. `row_order`, `col_order`: of each row (column) that is sent, in order, its place in the
-    skin. A reading is (count - zero) * scale.
+    """Decodes payloads of counts of a `DTYPES` and byte order, whose places `arrangement` states. A
+    reading is (count - zero) * scale.
     """
 
     def __init__(
         self,
         dtype: str,
         byte_order: str,
-        order: str,
-        row_order: list[int],
-        col_order: list[int],
+        arrangement: Arrangement,
         scale: float = 1.0,
         zero: float = 0.0,
     ) -> None:
         self._dtype = np.dtype(dtype).newbyteorder("<" if byte_order == "little" else ">")
-        self._shape = len(row_order), len(col_order)
-        sent = np.arange(len(row_order) * len(col_order))
-        grid = sent.reshape(self._shape) if order == "rows" else sent.reshape(self._shape[::-1]).T
-        places = np.empty(self._shape, np.intp)
-        places[np.ix_(row_order, col_order)] = grid
-        self._places: Indices | None = None if np.array_equal(places.ravel(), sent) else places
-        self._scale, self._zero = scale, zero
+        self._shape = arrangement.shape
+        self._places: Indices | None = arrangement.index
+        self._scale = scale
+        self._zero = zero
 
     @property
     def n_bytes(self) -> int:

@@ -21,13 +21,15 @@ from sparseskin.launch.attach.text import typed_value
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.files.recording import check_grid, check_unit, shown
+from sparseskin.nodes.sensor.files.recording import check_unit, shown
+from sparseskin.nodes.sensor.layout.arrangement import Arrangement, Axis, arrange, check_grid
+from sparseskin.nodes.sensor.layout.layout import GridLayout, Layout
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import MAX_CHARS, parse_toml
 
 from .checksums import CHECKSUMS
 from .framing import Field, Framing
-from .readings import DTYPES, ORDERS, Decoder, order_of
+from .readings import DTYPES, Decoder
 
 MAX_AT = 4096
 """Largest place of a number in a frame."""
@@ -41,7 +43,7 @@ AT = "bytes from the begin of the frame"
 
 
 @dataclass(frozen=True)
-class BoardSettings(Settings):
+class BoardSettings(GridLayout):
     """Settings of every board."""
 
     start: str = setting("", "bytes that begin each frame, hexadecimal: AA55; ??: any byte")
@@ -65,42 +67,31 @@ class BoardSettings(Settings):
     end: str = setting("", "bytes that end each frame, hexadecimal: 0D0A")
     dtype: str = setting("uint8", "type of a reading", choices=DTYPES)
     byte_order: str = setting("little", "order of the bytes of a number", choices=("little", "big"))
-    rows: int | None = setting(None, "rows of the skin", low=1, high=4096)
-    cols: int | None = setting(None, "columns of the skin", low=1, high=4096)
-    order: str = setting("rows", "row after row, or column after column", choices=ORDERS)
-    row_order: str = setting("forward", "rows as they are sent: forward, reversed, or 2,0,1")
-    col_order: str = setting("forward", "the same of the columns")
     zero: float = setting(0.0, "count of an untouched taxel", low=-1e30, high=1e30)
     scale: float = setting(
         1.0, "reading of a count; below 0: a press lowers them", low=-1e30, high=1e30
     )
     unit: str = setting("raw", "unit of the readings")
-    f_max: float | None = setting(None, "end of the range; else of the type", low=1e-9, high=1e30)
     pitch_mm: float | None = setting(None, "distance of two taxels", low=1e-3, high=1e3)
 
     needs_start: ClassVar[bool] = False
 
     def decoder(self) -> Decoder:
         """Decoder of the readings; SourceError if a key is missing or wrong."""
-        if self.rows is None or self.cols is None:
-            missing = "rows" if self.rows is None else "cols"
+        if self.n_rows is None or self.n_cols is None:
+            missing = "n_rows" if self.n_rows is None else "n_cols"
             raise SourceError(
                 f"{missing} is not stated; add {missing}=NUMBER, or profile=NAME of a board that "
                 "has its size (sparseskin sources lists them)"
             )
-        check_grid(self.rows, self.cols, "rows, cols")
+        check_grid(self.n_rows, self.n_cols, "n_rows, n_cols")
         check_unit("unit", self.unit)
-        orders = []
-        for key, n in (("row_order", self.rows), ("col_order", self.cols)):
-            order = order_of(getattr(self, key), n)
-            if order is None:
-                raise SourceError(
-                    f"{key}: {shown(getattr(self, key))} is not allowed; allowed: forward, "
-                    f"reversed, or each of 0..{n - 1} once, with commas"
-                )
-            orders.append(order)
-        rows, cols = orders
-        return Decoder(self.dtype, self.byte_order, self.order, rows, cols, self.scale, self.zero)
+        return Decoder(self.dtype, self.byte_order, self.places(), self.scale, self.zero)
+
+    def places(self) -> Arrangement:
+        """Places of the readings in a frame as it is sent."""
+        grid = {field.name: getattr(self, field.name) for field in dataclasses.fields(GridLayout)}
+        return arrange(Layout(**grid), [Axis(self.n_stated or 0)], "the frame")
 
     def skin(self) -> Skin:
         """The skin, of stated rows and columns; SourceError if its range is not known."""
@@ -115,7 +106,7 @@ class BoardSettings(Settings):
                 f"zero = {self.zero:g} leaves no range: the largest reading is {f_max:g}"
             )
         pitch_m = None if self.pitch_mm is None else self.pitch_mm / 1000
-        return Skin(self.rows or 0, self.cols or 0, f_max, self.unit, pitch_m)
+        return Skin(self.n_rows or 0, self.n_cols or 0, f_max, self.unit, pitch_m)
 
     def framing(self, n_bytes: int) -> Framing:
         """Framing of a payload of so many bytes; SourceError if a key is wrong."""

@@ -16,7 +16,9 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.device_clock import DeviceClock
-from sparseskin.nodes.sensor.files.recording import NAN_HINT, REFUSE, check_stated_shape
+from sparseskin.nodes.sensor.files.recording import NAN_HINT
+from sparseskin.nodes.sensor.layout.arrangement import check_stated_shape
+from sparseskin.nodes.sensor.layout.layout import REFUSE
 from sparseskin.nodes.sensor.source import LiveSource
 
 from .can_port import CanPort, chunks_of
@@ -79,7 +81,7 @@ def describe_board(
         if not address:
             raise SourceError("nothing follows; expected " + _FORMS[kind])
         settings = read_settings(kind, query)
-        given: dict[str, Any] = {"rows": n_rows, "cols": n_cols, "f_max": f_max, "unit": unit}
+        given: dict[str, Any] = {"n_rows": n_rows, "n_cols": n_cols, "f_max": f_max, "unit": unit}
         own = {key for key in given if getattr(settings, key) not in (None, "raw")}
         missing = {k: v for k, v in given.items() if v is not None and k not in own}
         settings = dataclasses.replace(settings, **missing)
@@ -114,8 +116,8 @@ def naming_board(name: str) -> Iterator[None]:
 _FORMS = {
     "serial": "serial:DEVICE?profile=NAME, as serial:/dev/ttyUSB0?profile="
     + next(iter(profile_names()), "NAME"),
-    "udp": "udp:PORT?KEY=VALUE&KEY=VALUE, as udp:5005?rows=16&cols=16",
-    "can": "can:CHANNEL?KEY=VALUE&KEY=VALUE, as can:can0?ids=0x100-0x11F&rows=16&cols=16",
+    "udp": "udp:PORT?KEY=VALUE&KEY=VALUE, as udp:5005?n_rows=16&n_cols=16",
+    "can": "can:CHANNEL?KEY=VALUE&KEY=VALUE, as can:can0?ids=0x100-0x11F&n_rows=16&n_cols=16",
 }
 
 
@@ -256,8 +258,8 @@ class BoardSource(LiveSource):
         if n_bytes > n:  # one may wait for the start bytes of the next
             baud = ", baud" if isinstance(settings, SerialSettings) else ""
             return (
-                f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, rows, "
-                f"cols, dtype, checksum{baud}{self._port.hint()}"
+                f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, n_rows, "
+                f"n_cols, dtype, checksum{baud}{self._port.hint()}"
             )
         if isinstance(settings, UdpSettings) and settings.bind.startswith("127."):
             return (
@@ -276,7 +278,7 @@ class BoardSource(LiveSource):
             if self._nan == REFUSE:
                 if not self.n_not_finite:
                     line = f"{self.name}: a frame is dropped, as a reading is no number"
-                    self._lines.append(f"{line}{NAN_HINT}")
+                    self._lines.append(f"{line}; {NAN_HINT}")
                 self.n_not_finite += 1
                 return None
             forces[missing] = np.nan

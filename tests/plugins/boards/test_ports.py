@@ -20,7 +20,7 @@ from conftest import free_port, wait_until
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.nodes.sensor.files.recording import DEFAULT_POLICY, Policy
+from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.sources import open_source
 from sparseskin.plugins.boards import serial_port, udp_port
@@ -43,8 +43,8 @@ def opened():
     """Open a board; it is closed at the end."""
     made = []
 
-    def make(source, policy=DEFAULT_POLICY):
-        found = open_source(source, seed=0, policy=policy)
+    def make(source, layout=EMPTY):
+        found = open_source(source, seed=0, layout=layout)
         made.append(found)
         return found
 
@@ -93,7 +93,7 @@ class TestSerial:
         assert not any(figures.values())
 
     def test_what_is_dropped_is_counted_byte_by_byte(self, line, opened):
-        source = opened(f"serial:{line.device}?rows=16&cols=32&start=AA55&checksum=crc16")
+        source = opened(f"serial:{line.device}?n_rows=16&n_cols=32&start=AA55&checksum=crc16")
         framing = Framing(512, start=b"\xaa\x55", checksum="crc16")
         good, noise = framing.encode(bytes(512)), b"\x01" * 777
         wrong = good[:100] + b"\xff" + good[101:]
@@ -121,7 +121,7 @@ class TestSerial:
 
 class TestUdp:
     NUMBERED = Framing(6 * 4, start=b"", sequence_bytes=2, checksum="crc32")
-    QUERY = "rows=2&cols=3&dtype=float32&sequence=u16&checksum=crc32&f_max=4&unit=N"
+    QUERY = "n_rows=2&n_cols=3&dtype=float32&sequence=u16&checksum=crc32&f_max=4&unit=N"
 
     def frame(self, value, number):
         return self.NUMBERED.encode(np.full(6, value, "<f4").tobytes(), number)
@@ -129,7 +129,7 @@ class TestUdp:
     def test_packets_of_one_or_more_frames_are_read_and_others_counted(self, opened):
         port = free_port(socket.SOCK_DGRAM)
         source = opened(f"udp:{port}?{self.QUERY}")
-        other = opened(f"udp:{free_port(socket.SOCK_DGRAM)}?rows=2&cols=3&sender=127.0.0.2")
+        other = opened(f"udp:{free_port(socket.SOCK_DGRAM)}?n_rows=2&n_cols=3&sender=127.0.0.2")
         send_packets(int(other.name.partition(":")[2]), bytes(6))
         one, two, five = self.frame(1, 1), self.frame(2, 2), self.frame(9, 5)
         wrong = bytes([one[0] ^ 1]) + one[1:]
@@ -146,7 +146,7 @@ class TestUdp:
 
     def test_frames_of_other_senders_are_dropped_and_counted(self, opened, monkeypatch):
         port = free_port(socket.SOCK_DGRAM)
-        source = opened(f"udp:{port}?rows=2&cols=3&sequence=u32")
+        source = opened(f"udp:{port}?n_rows=2&n_cols=3&sequence=u32")
         framing = Framing(6, sequence_bytes=4)
         send_packets(port, b"no frame")  # of nobody who is then the sender
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
@@ -169,7 +169,7 @@ class TestUdp:
 
     def test_a_reading_that_is_no_number_is_missing_where_that_is_allowed(self, opened):
         port = free_port(socket.SOCK_DGRAM)
-        source = opened(f"udp:{port}?{self.QUERY}", Policy("mask"))
+        source = opened(f"udp:{port}?{self.QUERY}", Layout(nan="mask"))
         readings = np.array([0, np.nan, 9, np.inf, -np.inf, 1], "<f4")
         send_packets(port, self.NUMBERED.encode(readings.tobytes(), 1))
         ((_, forces),) = taken(source, 1)
@@ -178,7 +178,7 @@ class TestUdp:
 
     def test_what_the_kernel_drops_is_counted(self, opened):
         port = free_port(socket.SOCK_DGRAM)
-        source = opened(f"udp:{port}?rows=100&cols=100")
+        source = opened(f"udp:{port}?n_rows=100&n_cols=100")
         n_sent = 3000
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
             board.connect(("127.0.0.1", port))
@@ -191,14 +191,14 @@ class TestUdp:
             n += len(taken(source, 1))
         assert n + source.figures()["kernel_packets"] == n_sent + 1
         with pytest.raises(SourceError, match=f"port {port} of 127.0.0.1 cannot be opened: Addr"):
-            opened(f"udp:{port}?rows=2&cols=3")
+            opened(f"udp:{port}?n_rows=2&n_cols=3")
 
 
 class TestCan:
     def test_frames_come_over_a_virtual_bus(self, opened):
         can = pytest.importorskip("can")
         channel = uuid.uuid4().hex
-        query = "rows=8&cols=8&ids=0x18DA0001-0x18DA0002&fd=true&dtype=uint16&interface=virtual"
+        query = "n_rows=8&n_cols=8&ids=0x18DA0001-0x18DA0002&fd=true&dtype=uint16&interface=virtual"
         source = opened(f"can:{channel}?{query}")
         with can.Bus(channel=channel, interface="virtual") as bus:
             for number in range(20):
@@ -240,7 +240,7 @@ def test_frames_before_the_start_and_while_paused_are_counted_as_unused(line):
 @pytest.mark.parametrize("clock", ["source", "arrival"])
 def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
     """A board whose clock is 100 ppm fast, wraps and restarts, with 5 ms of jitter."""
-    query = "rows=2&cols=3&start=A55A&sequence=u16&skip=4&stamp=u32&stamp_at=4&checksum=crc16"
+    query = "n_rows=2&n_cols=3&start=A55A&sequence=u16&skip=4&stamp=u32&stamp_at=4&checksum=crc16"
     now = ManualClock(10**18)
     here = SimpleNamespace(monotonic_ns=now.now_ns, monotonic=time.monotonic)
     monkeypatch.setattr(serial_port, "time", here)

@@ -30,10 +30,10 @@ from sparseskin.nodes.sensor.sources import find_address
 from sparseskin.plugins.boards.framing import Frame
 from sparseskin.plugins.boards.readings import DTYPES, Decoder
 from sparseskin.plugins.boards.serial_port import serial_devices
-from sparseskin.plugins.boards.settings import profile_names
+from sparseskin.plugins.boards.settings import BoardSettings, profile_names
 from sparseskin.plugins.boards.source import describe_board
 
-PLAIN = "rows=2&cols=3&start=AA55"
+PLAIN = "n_rows=2&n_cols=3&start=AA55"
 
 
 def serial(query, **stated):
@@ -43,14 +43,14 @@ def serial(query, **stated):
 class TestProfiles:
     def test_every_profile_is_complete_with_rows_and_columns_which_go_before_its_own(self):
         for name in profile_names():
-            board = serial(f"profile={name}&rows=40&cols=5")
+            board = serial(f"profile={name}&n_rows=40&n_cols=5")
             assert board.skin.shape == (40, 5)
             assert board.framing.is_whole(board.framing.encode(bytes(board.framing.payload_bytes)))
 
     def test_a_file_of_ones_own_is_read(self, tmp_path):
         path = tmp_path / "own.toml"
         path.write_text(
-            'about = "mine"\nstart = "A5"\nrows = 2\ncols = 3\nrow_order = [1, 0]\nscale = 0.5\n'
+            'about = "mine"\nstart = "A5"\nn_rows = 2\nn_cols = 3\nrow_order = [1, 0]\nscale = 0.5\n'
             'unit = "N"\npitch_mm = 4\nbitrate = 500000\n'
         )
         board = serial(f"profile={path}")
@@ -61,7 +61,7 @@ class TestProfiles:
     @pytest.mark.parametrize(
         ("text", "fault"),
         [
-            ("rows = 2\nbaudd = 9600", "baudd: unknown key (did you mean 'baud'?)"),
+            ("n_rows = 2\nbaudd = 9600", "baudd: unknown key (did you mean 'baud'?)"),
             ("\x00", "no TOML"),
         ],
     )
@@ -84,22 +84,22 @@ FAULTS = [
     ("serial:/dev/ttyUSB0?profile=flexitac_16x23", "did you mean 'flexitac_16x32'?"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&bauds=1", "bauds: unknown key (did you mean 'baud'?)"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&baud=0", "baud: 0 is outside"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&rows=3", "rows is stated twice"),
+    (f"serial:/dev/ttyUSB0?{PLAIN}&n_rows=3", "n_rows is stated twice"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&baud", "'baud' is no KEY=VALUE"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&row_order=0,0", "each of 0..1 once"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&row_order=a,b", "each of 0..1 once"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&zero=255", "leaves no range"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&dtype=float32", "f_max is not stated"),
     (f"serial:/dev/ttyUSB0?{PLAIN}", "there is no device /dev/ttyUSB0"),
-    ("serial:/dev/ttyUSB0?profile=numbered", "rows is not stated; add rows=NUMBER"),
-    ("serial:/dev/ttyUSB0?rows=2&cols=3&start=A", "pairs of hexadecimal digits"),
-    ("serial:/dev/ttyUSB0?rows=4096&cols=4096&start=AA", "at most 1048576"),
-    ("udp:5005?rows=2&cols=3&bind=here", "bind: 'here' is no IPv4 address"),
-    ("can:can9?rows=2&cols=4&ids=0x10", "there is no CAN interface can9"),
-    ("can:can9?rows=4&cols=4&ids=0x10", "index=u8"),
-    ("can:can9?rows=4&cols=4&ids=0x10-0x12", "3 ids, but a frame of 16 bytes has 2 chunks"),
-    ("can:can9?rows=4&cols=4&ids=0x10,0x10", "an id occurs twice"),
-    ("can:can9?rows=4&cols=4&ids=0x20000000", "the largest extended id"),
+    ("serial:/dev/ttyUSB0?profile=numbered", "n_rows is not stated; add n_rows=NUMBER"),
+    ("serial:/dev/ttyUSB0?n_rows=2&n_cols=3&start=A", "pairs of hexadecimal digits"),
+    ("serial:/dev/ttyUSB0?n_rows=4096&n_cols=4096&start=AA", "at most 1048576"),
+    ("udp:5005?n_rows=2&n_cols=3&bind=here", "bind: 'here' is no IPv4 address"),
+    ("can:can9?n_rows=2&n_cols=4&ids=0x10", "there is no CAN interface can9"),
+    ("can:can9?n_rows=4&n_cols=4&ids=0x10", "index=u8"),
+    ("can:can9?n_rows=4&n_cols=4&ids=0x10-0x12", "3 ids, but a frame of 16 bytes has 2 chunks"),
+    ("can:can9?n_rows=4&n_cols=4&ids=0x10,0x10", "an id occurs twice"),
+    ("can:can9?n_rows=4&n_cols=4&ids=0x20000000", "the largest extended id"),
     ("serail:/dev/ttyUSB0", "did you mean 'serial'?"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u32", "stamp_at: is not stated"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u32&stamp_at=2&skip=3", "stamp_at: 2; allowed are the 4"),
@@ -108,8 +108,8 @@ FAULTS = [
     (f"serial:/dev/ttyUSB0?{PLAIN}&piece=3", "goes with first=u16"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&piece=7&first=u8&first_at=0", "at most 6"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&length=u8&length_at=2&skip=1", "needs a CRC"),
-    ("serial:/dev/ttyUSB0?rows=2&cols=3&start=??AA", "the first byte has to be stated"),
-    ("can:can9?rows=4&cols=4&ids=0x10&piece=3", "piece: unknown key"),
+    ("serial:/dev/ttyUSB0?n_rows=2&n_cols=3&start=??AA", "the first byte has to be stated"),
+    ("can:can9?n_rows=4&n_cols=4&ids=0x10&piece=3", "piece: unknown key"),
 ]
 
 
@@ -127,7 +127,7 @@ def test_a_missing_package_is_one_line_with_its_extra(monkeypatch):
     with pytest.raises(SourceError, match=r"pip install 'sparseskin\[serial\]'"):
         find_address(f"serial:/dev/null?{PLAIN}").check()
     with pytest.raises(SourceError, match=r"pip install 'sparseskin\[can\]'"):
-        find_address("can:can0?rows=2&cols=3&ids=0x10&interface=virtual").check()
+        find_address("can:can0?n_rows=2&n_cols=3&ids=0x10&interface=virtual").check()
 
 
 def test_properties_may_be_stated_by_the_sensor_instead():
@@ -148,7 +148,9 @@ class TestReadings:
         seed=st.integers(0, 99),
     )
     def test_each_count_comes_to_its_taxel(self, dtype, byte_order, order, rows, cols, seed):
-        decoder = Decoder(dtype, byte_order, order, rows, cols, scale=0.25, zero=3)
+        orders = {"row_order": ",".join(map(str, rows)), "col_order": ",".join(map(str, cols))}
+        settings = BoardSettings(n_rows=3, n_cols=4, order=order, **orders)
+        decoder = Decoder(dtype, byte_order, settings.places(), scale=0.25, zero=3)
         counts = np.random.default_rng(seed).integers(0, 100, (3, 4))
         kind = np.dtype(dtype).newbyteorder("<" if byte_order == "little" else ">")
         sent = bytearray()
@@ -169,7 +171,7 @@ def test_sources_lists_profiles_with_a_line_on_each(capsys):
     assert all(one["about"] for one in found["profiles"])
 
 
-KEYS = ("checksum", "checksum_from", "confirm", "cols", "col_order")
+KEYS = ("col_order", "checksum", "checksum_from", "confirm")
 """Keys of a board that begin with c."""
 
 
@@ -178,7 +180,7 @@ KEYS = ("checksum", "checksum_from", "confirm", "cols", "col_order")
     [
         ("udp:5005?profile=nu", ["udp:5005?profile=numbered"]),
         ("serial:d?bau", ["serial:d?baud="]),
-        ("udp:1?rows=2&c", [f"udp:1?rows=2&{key}=" for key in KEYS]),
+        ("udp:1?n_rows=2&c", [f"udp:1?n_rows=2&{key}=" for key in KEYS]),
         ("no:d?", []),
     ],
 )
@@ -286,7 +288,7 @@ def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state
     path.write_text(fenced("ini"), encoding="utf-8")
     board = describe_board(f"serial:/dev/ttyUSB0?profile={path}")
     assert (board.skin.shape, board.skin.f_max) == ((12, 8), 4095.0)
-    numbered = describe_board("serial:/dev/ttyUSB0?profile=numbered&rows=8&cols=8")
+    numbered = describe_board("serial:/dev/ttyUSB0?profile=numbered&n_rows=8&n_cols=8")
     if (compiler := shutil.which("cc")) is None:
         pytest.skip("no C compiler")
     code = (ROOT / "examples" / "numbered_firmware.c").read_text()

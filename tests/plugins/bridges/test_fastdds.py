@@ -77,7 +77,7 @@ def test_fast_dds_receives_what_the_bridge_sends(peer):
             list(bridge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces)))
         received, _ = process.communicate(timeout=60)
     bridge.close({})
-    assert received.splitlines() == [f"rows=3 cols=4 {12 * k / 8:.4f}" for k in range(20)]
+    assert received.splitlines() == [f"n_rows=3 cols=4 {12 * k / 8:.4f}" for k in range(20)]
 
 
 def test_the_source_receives_what_fast_dds_sends(peer):

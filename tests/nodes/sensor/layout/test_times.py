@@ -1,5 +1,7 @@
 """Units of times, stamps that rise, and the account of a source."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -27,8 +29,8 @@ def test_whole_times_become_exact_stamps_in_any_blocks(unit, steps, first):
     n = len(times) // 2
     found = [*stamps.stamps(times[:n], "f"), *stamps.stamps(times[n:], "f")]
     exact = [(time - times[0]) * NS[unit] for time in times]
-    assert all(after > before for before, after in zip(found, found[1:], strict=False))
-    n_repeated = sum(after == before for before, after in zip(exact, exact[1:], strict=False))
+    assert all(after > before for before, after in pairwise(found))
+    n_repeated = sum(after == before for before, after in pairwise(exact))
     assert stamps.n_repeated >= n_repeated
     assert max(np.abs(np.subtract(found, exact))) <= stamps.n_repeated
 
