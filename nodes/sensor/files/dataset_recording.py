@@ -33,7 +33,7 @@ from .datasets import (
     times_key,
     times_keys,
 )
-from .frame_axis import ENDS, FrameAxis, find_frame_axis, has_time_column
+from .frame_axis import CHANNEL, ENDS, FrameAxis, find_frame_axis, has_time_column
 from .recording import Block, File, Head, Recording, frames_per_block, parse_number, shown
 
 
@@ -286,27 +286,42 @@ class DatasetRecording(Recording):
         return TIME_UNITS[unit]
 
     def _mask(self, plan: _Plan) -> tuple[Mask | None, tuple[str, ...]]:
-        """The mask (n_rows, n_cols), and what is to be said where an array `mask` is none."""
+        """The mask of the numbers of a frame, of its sides, and what is to be said where an array
+        named `mask` is none of a frame.
+        """
         path = self._arrays.nearest(plan.key, (MASK,))
         if not path:
             return None, ()
         where = self._arrays.where(path)
-        sides = tuple(axis.size for axis in plan.frames.items)
-        shape = self._arrays.datasets[path].sides
-        is_own = self._arrays.last_part(plan.key) == FORCES
-        if shape not in (sides, sides[::-1], sides[:2]) and not is_own:
-            return None, (f"array {printable(path)} is no mask of a frame: not read",)
+        items = plan.frames.items
+        sides = [axis.size for axis in items if axis.label != CHANNEL and axis.size > 1]
+        if plan.time_column is not None:
+            sides = [sides[0] - 1]
+        shape = [side for side in self._arrays.datasets[path].sides if side > 1]
+        is_flat = len(sides) == 1 and math.prod(shape) == sides[0]
+        if shape not in (sides, sides[::-1]) and not is_flat:
+            if self._arrays.last_part(plan.key) != FORCES:
+                return None, (f"array {printable(path)} is no mask of a frame: not read",)
+            fault = f"is {self._arrays.datasets[path].text}, but a frame {_times(sides)}"
+            raise SourceError(f"{where}: {fault}")
+
         mask = self._arrays.property_array(path)
         if mask.dtype.kind not in "biu" or not np.isin(mask, (0, 1)).all():
             raise SourceError(f"{where}: expected bool (True where a taxel exists), or 0 and 1")
-        labels = [axis.label for axis in plan.frames.items]
-        if mask.ndim == 1 and self._layout.n_stated == mask.size and len(sides) == 1:
-            mask = mask.reshape(self._layout.n_rows, self._layout.n_cols)
-        elif len(sides) == 2 and labels == ["cols", "rows"]:
-            mask = mask.T
-        elif mask.ndim != 2:
-            raise SourceError(f"{where}: shape {mask.shape}, but the frames have {sides}")
-        return mask.astype(np.bool_), ()
+        if is_flat:
+            mask = mask.ravel(order="F" if self._layout.order == "columns" else "C")
+            if plan.time_column is not None:
+                mask = np.insert(mask, plan.time_column, 1)
+        elif shape != sides:
+            mask = mask.transpose()
+        # A taxel exists, or not, with all of its channels.
+        places = [1 if axis.label == CHANNEL else axis.size for axis in items]
+        whole = np.broadcast_to(mask.reshape(places), [axis.size for axis in items])
+        return whole.astype(np.bool_), ()
+
+
+def _times(sides: Sequence[int]) -> str:
+    return " x ".join(map(str, sides))
 
 
 def text_of(value: object) -> str:

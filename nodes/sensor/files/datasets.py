@@ -243,8 +243,7 @@ def times_key(
         fault = f"{len(nearest)} arrays may be the times of the frames: state {listed}"
         raise UnstatedError(f"{arrays.name}: {fault}", *({"time": key} for key in nearest))
     ignored = [printable(key) for key in as_long if key not in nearest]
-    also = f", not {', '.join(ignored)}" if ignored else ""
-    return nearest[0], (f"times are those of array {printable(nearest[0])}{also}",)
+    return nearest[0], (f"not read as times: {', '.join(ignored)}",) * bool(ignored)
 
 
 def _words(key: str) -> list[str]:

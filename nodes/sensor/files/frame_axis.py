@@ -20,6 +20,7 @@ _DIRECT, _WITH_TIME, _TRANSPOSED, _CHANNELS, _NO_FIT = 0, 1, 2, 4, 8
 """Fits of a frame and the stated shape, the better the smaller: as it is; with one number too many,
 which may be the time; with columns before rows. `_CHANNELS` is added where an axis has to be that
 of the channels, though no channel is stated."""
+CHANNEL = "channel"
 ENDS = ("first", "last")
 """Columns of times, beside numbers."""
 
@@ -258,7 +259,7 @@ def _items(array: ArrayShape, way: _Way) -> Iterator[Axis]:
     for at in array.others(way.axis):
         label = array.labels[at]
         if at == way.channel:
-            label = "channel"
+            label = CHANNEL
         elif at in grid and way.fit & _TRANSPOSED:
             label = ("cols", "rows")[grid.index(at)]
         yield Axis(array.sides[at], "" if label == "-" else label)
