@@ -8,7 +8,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -44,26 +44,24 @@ def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
         raise ArrayFileError(f"its header states {_shape(shape)}") from error
 
 
-def npy_shape(file: IO[bytes]) -> tuple[int, ...]:
-    """The shape that the header of an .npy states, of which no more is read.
-    Raises ArrayFileError if it is none.
-    """
-    return _header(io.BytesIO(file.read(MAX_HEAD_BYTES)))[0]
+class NpyHeader(NamedTuple):
+    """What the header of an .npy states, and the place of the first number."""
+
+    shape: tuple[int, ...]
+    by_columns: bool
+    dtype: np.dtype[Any]
+    offset: int
 
 
-def npz_shapes(
-    file: IO[bytes], wanted: Callable[[list[str]], list[str]]
-) -> dict[str, tuple[int, ...]]:
-    """The shapes of those arrays of an .npz that `wanted` chooses of their names; no more than
-    their headers is read.
-    Raises ArrayFileError if it is no archive, or one of them is no .npy.
+def npy_header(file: IO[bytes], n_bytes: int) -> NpyHeader:
+    """The header of an .npy of `n_bytes`, of which no more is read. Raises ArrayFileError if it is
+    none, or states another size; arrays of Python objects state none.
     """
-    found = {}
-    with _opened(file) as (archive, members):
-        for name in wanted(list(members)):
-            with archive.open(members[name]) as one:
-                found[name] = npy_shape(one)
-    return found
+    head = io.BytesIO(file.read(MAX_HEAD_BYTES))
+    shape, by_columns, dtype = _header(head)
+    if not dtype.hasobject:
+        _check_size(shape, dtype, n_bytes - head.tell())
+    return NpyHeader(shape, by_columns, dtype, head.tell())
 
 
 def read_npz(
@@ -77,7 +75,7 @@ def read_npz(
     together than `most_bytes`; by default `MAX_GROWN_BYTES` or `MAX_GROWTH` times the file.
     """
     file = io.BytesIO(file) if isinstance(file, bytes) else file
-    with _opened(file) as (archive, members):
+    with opened_npz(file) as (archive, members):
         names, n_bytes = wanted(list(members)), file.seek(0, io.SEEK_END)
         size = sum(members[name].file_size for name in names)
         most = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
@@ -88,11 +86,12 @@ def read_npz(
 
 
 @contextmanager
-def _opened(file: IO[bytes]) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
+def opened_npz(file: IO[bytes]) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
     """An archive and its arrays by name; ArrayFileError for all that fails while it is open."""
     try:
         with zipfile.ZipFile(file) as archive:
-            yield archive, {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
+            members = archive.infolist()
+            yield archive, {member.filename.removesuffix(".npy"): member for member in members}
     except ArrayFileError:
         raise
     except Exception as error:  # zipfile and zlib have ten kinds of them

@@ -12,10 +12,9 @@ import numpy as np
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.files.recording import (
-    Head,
     Lines,
     Parsed,
-    Recording,
+    WholeRecording,
     parse_number,
     parse_whole,
     shown,
@@ -53,7 +52,7 @@ class _Header:
         return self.area_cm2 * KPA_CM2_IN_NEWTONS
 
 
-class EmedRecording(Recording):
+class EmedRecording(WholeRecording):
     """An emed text export.
 
     A page lists only the rows and columns that were touched at some time, labelled from 1; they are
@@ -66,6 +65,7 @@ class EmedRecording(Recording):
     """
 
     def __init__(self, lines: Lines) -> None:
+        super().__init__()
         self._lines = lines
         first = self._next_page()
         if first is None:
@@ -73,10 +73,6 @@ class EmedRecording(Recording):
                 f"{lines.name}: no page with a line 'Pict-No.: 1'; not an emed text export"
             )
         self._header, self._first_number = first
-
-    def head(self) -> Head:
-        rows, cols = self._header.n_rows, self._header.n_cols
-        return Head((rows, cols), rows * cols, "N")
 
     def read(self) -> Parsed:
         header, first, name = self._header, self._first_number, self._lines.name

@@ -3,7 +3,8 @@
 from sparseskin.nodes.sensor.files.format import Format
 
 from .emed import EmedRecording
-from .matlab import ArraysRecording
+from .hdf5 import Hdf5Recording
+from .matlab import MatlabRecording
 from .tekscan import TekscanRecording, is_tekscan
 from .xsensor import XsensorRecording, is_xsensor
 
@@ -14,5 +15,5 @@ TEKSCAN = Format(
     is_tekscan,
 )
 XSENSOR = Format({".csv": "XSENSOR export"}, lambda file: XsensorRecording(file.lines), is_xsensor)
-MATLAB = Format({".mat": "MATLAB"}, ArraysRecording)
-HDF5 = Format({".h5": "HDF5", ".hdf5": "HDF5"}, ArraysRecording)
+MATLAB = Format({".mat": "MATLAB"}, MatlabRecording)
+HDF5 = Format({".h5": "HDF5", ".hdf5": "HDF5"}, Hdf5Recording)

@@ -1,173 +1,222 @@
-"""Arrays in files of MATLAB, .mat, and HDF5, .h5, to which a .mat of version 7.3 belongs."""
+"""Arrays of numbers in files of MATLAB, .mat: those of version 5 to 7, and 7.3, which is HDF5."""
 
 from __future__ import annotations
 
 import io
+import math
 import struct
-import sys
-import zlib
-from collections.abc import Iterator
-from math import prod
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import IO, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
-from sparseskin.nodes.process.isolation import child_status, output_of
-from sparseskin.nodes.sensor.files.arrays import as_frames, frames_name
-from sparseskin.nodes.sensor.files.recording import File, Parsed, Recording, unreadable
+from sparseskin.nodes.numerics.array_blocks import InflatedSection, Section, StoredArray
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH, ArrayFileError
+from sparseskin.nodes.sensor.files.arrays import StoredArrays, refusing
+from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording
+from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS
+from sparseskin.nodes.sensor.files.recording import File
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-_HEAD, _COMPRESSED = 128, 15
-"""Bytes of the header of a .mat, and the type of its compressed elements."""
-_MOST = 4096
-"""Datasets of a file that are looked at."""
+from .hdf5 import Hdf5File, is_hdf5
+
+# Format: "MAT-File Format", The MathWorks, the chapter on level 5.
+_HEAD_BYTES = 128
+_MATRIX, _COMPRESSED = 14, 15
+"""Types of elements: an array, and one in a stream of zlib."""
+_INT8, _INT32, _UINT32 = 1, 5, 6
+_STORED = {
+    **{1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"},
+    **{7: "f4", 9: "f8", 12: "i8", 13: "u8"},
+}
+"""Types of the numbers as they stand in the file; whole float64 numbers stand there as integers."""
+_STRUCT = 2
+_CLASSES = {
+    **{6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2"},
+    **{12: "i4", 13: "u4", 14: "i8", 15: "u8"},
+}
+"""Classes of arrays of numbers in MATLAB."""
+_COMPLEX, _LOGICAL = 0x0800, 0x0200
+_MAX_DEPTH = 16
+"""Structures within structures, chosen."""
+_MAX_AXES = 32
+_MAX_TEXT_BYTES = 1 << 20
+"""Longest names of an array, or of the fields of a structure."""
 
 
-class ArraysRecording(Recording):
-    """The array of the stated topic, its name or path in the file (log.left.forces of structures of
-    MATLAB), or `forces`, or the only one of three dimensions. MATLAB's have the frames last, as
-    forces(:, :, k), unless only the first dimension leaves the stated shape; those of two
-    dimensions have a row a frame, as all of HDF5. Raises SourceError if the file is malformed, no
-    array or several fit, or h5py is not installed.
+class MatlabRecording(DatasetRecording):
+    """The frames of a .mat; arrays in structures are named as in MATLAB, log.left.forces. Its users
+    have the frames along any axis.
     """
 
     def __init__(self, file: File) -> None:
-        self._file = file
-
-    def read(self) -> Parsed:
-        file, name = self._file.file, self._file.name
-        is_matlab = name.lower().endswith(".mat")
-        begin = file.read(520)
-        try:
-            if begin.startswith(_HDF5) or begin[512:] == _HDF5:
-                key, array = self._hdf5()
-                array = array.T if is_matlab else array
-            else:
-                file.seek(0)
-                key, array = self._mat(file.read())
-        except SourceError:
-            raise
-        except Exception as error:  # of SciPy and HDF5, at malformed bytes of any kind
-            raise unreadable(name, error) from error
-        array = as_frames(array, f"{name}, array {key}")
-        if not is_matlab or array.ndim != 3:
-            return Parsed(array)
-        stated = self._file.n_rows, self._file.n_cols
-        is_last = None in stated or array.shape[:2] == stated or array.shape[1:] != stated
-        array = np.moveaxis(array, -1, 0) if is_last else array
-        return Parsed(
-            array,
-            notes=(f"array {key}: frames are its {'last' if is_last else 'first'} dimension",),
-        )
-
-    def _mat(self, raw: bytes) -> tuple[str, npt.NDArray[Any]]:
-        """In a child: SciPy ends the process at some malformed bytes."""
-        most = max(MAX_GROWN_BYTES, MAX_GROWTH * len(raw))
-        plain = b"".join(_inflated(raw, most))
-        arguments = self._file.name, str(most), self._file.topic or ""
-        found = output_of(__name__, *arguments, n_bytes=len(plain), data=plain)
-        key, _, array = found.partition(b"\n")
-        return key.decode(), np.load(io.BytesIO(array), allow_pickle=False)
-
-    def _hdf5(self) -> tuple[str, npt.NDArray[Any]]:
-        try:
-            import h5py
-        except ImportError as error:
-            raise SourceError(
-                f'{self._file.name}: HDF5 needs h5py; pip install "sparseskin[hdf5]"'
-            ) from error
-        sizes: dict[str, int] = {}
-        with h5py.File(self._file.file, "r") as file:
-
-            def look(key: str, one: Any) -> bool | None:
-                # Soft and external links are not followed.
-                if isinstance(one, h5py.Dataset) and not (one.external or one.is_virtual):
-                    sizes[key] = one.ndim
-                return len(sizes) >= _MOST or None
-
-            file.visititems(look)
-            ends = {key.rpartition("/")[2]: key for key in sizes}
-            topic = self._file.topic and self._file.topic.strip("/")
-            key = frames_name(
-                sizes if topic or "forces" not in ends else {ends["forces"]: 3},
-                topic,
-                self._file.name,
-            )
-            found = file[key]
-            most = max(MAX_GROWN_BYTES, MAX_GROWTH * self._file.file.seek(0, 2))
-            _check_size(self._file.name, key, found.size * found.dtype.itemsize, most)
-            return key, found[()]
+        begin = file.file.read(_HEAD_BYTES + 512)
+        file.file.seek(0)
+        is_new = is_hdf5(begin) or is_hdf5(begin[512:])
+        super().__init__(file, Hdf5File(file, is_matlab=True) if is_new else MatlabFile(file))
 
 
-def _check_size(name: str, key: str, n_bytes: int, most: int) -> None:
-    if n_bytes > most:
-        raise SourceError(f"{name}, array {key}: {n_bytes} bytes; at most {most}")
+class _Tag(NamedTuple):
+    """Begin of an element: its type, its bytes, and those of its padding."""
+
+    kind: int
+    n_bytes: int
+    padding: int
 
 
-def _chosen(name: str, most: int, topic: str | None) -> tuple[str, npt.NDArray[Any]]:
-    """The array of a plain .mat on the standard input, and its name or path."""
-    from scipy.io import loadmat, whosmat
+@dataclass
+class _Part:
+    """An element of the file, and a stream through it."""
 
-    plain = io.BytesIO(sys.stdin.buffer.read())
-    try:
-        listed = whosmat(plain)
-        numbers = {key: n for key, n, kind in listed if kind[:3] in ("dou", "sin", "int", "uin")}
-        structs = [key for key, _, kind in listed if kind == "struct"]
-        plain.seek(0)
-        found = loadmat(plain, variable_names=structs) if structs else {}
-        fields = dict(pair for key in structs for pair in _fields(key, found[key]))
-        sizes = {key: len(shape) for key, shape in numbers.items()}
-        sizes |= {key: field.ndim for key, field in fields.items()}
-        key = frames_name(sizes, topic, name)
-        if key in fields:
-            return key, fields[key]
-        _check_size(name, key, 8 * prod(numbers[key]), most)
-        plain.seek(0)
-        return key, loadmat(plain, variable_names=[key])[key]
-    except SourceError:
-        raise
-    except Exception as error:  # of SciPy, at malformed bytes of any kind
-        raise unreadable(name, error) from error
+    open: Callable[[], IO[bytes]]
+    stream: IO[bytes]
+    order: str
+    at: int = 0
+    short: bytes = b""  # of an element that stands in its tag
+
+    def read(self, n: int) -> bytes:
+        """The next bytes; ArrayFileError if the element ends before."""
+        raw = self.short[:n]
+        self.short = self.short[n:]
+        raw += self.stream.read(n - len(raw))
+        self.at += len(raw)
+        if len(raw) < n:
+            raise ArrayFileError("an array ends too early")
+        return raw
+
+    def skip(self, n: int) -> None:
+        while n > 0:
+            n -= len(self.read(min(n, 1 << 20)))
+
+    def tag(self) -> _Tag:
+        """The begin of the next element."""
+        raw = self.read(8)
+        kind, n_bytes = struct.unpack(f"{self.order}II", raw)
+        if kind >> 16:
+            # A short one: its bytes, at most four, stand in place of their number.
+            self.short = raw[4:]
+            self.at -= 4
+            kind, n_bytes = kind & 0xFFFF, kind >> 16
+            if n_bytes > 4:
+                raise ArrayFileError("an array is malformed")
+            return _Tag(kind, n_bytes, 4 - n_bytes)
+        return _Tag(kind, n_bytes, -n_bytes % 8)
+
+    def small(self, kind: int, limit: int) -> bytes:
+        """The bytes of the next element, which must be of a type, and no longer than `limit`."""
+        tag = self.tag()
+        if tag.kind != kind or tag.n_bytes > limit:
+            raise ArrayFileError("an array is malformed")
+        raw = self.read(tag.n_bytes)
+        self.skip(tag.padding)
+        return raw
+
+    def numbers(self, kind: int, limit: int) -> tuple[int, ...]:
+        raw = self.small(kind, 4 * limit)
+        letter = "i" if kind == _INT32 else "I"
+        return struct.unpack(f"{self.order}{len(raw) // 4}{letter}", raw[: len(raw) // 4 * 4])
 
 
-def main(name: str, most: str, topic: str) -> int:
-    """Print name and bytes of the chosen array, or why there is none; the exit status."""
+class MatlabFile(StoredArrays):
+    """The arrays of numbers of a .mat of version 5 to 7. Raises SourceError if it is malformed."""
 
-    def work() -> None:
-        key, array = _chosen(name, int(most), topic or None)
-        sys.stdout.buffer.write(f"{key}\n".encode())
-        np.save(sys.stdout.buffer, array, allow_pickle=False)
+    separator = "."
+    has_frames_first = False
 
-    return child_status(name, work)
+    def __init__(self, file: File) -> None:
+        super().__init__(file.name)
+        self._file = file.file
+        with refusing(f"{file.name}: cannot be read"):
+            self._list()
 
+    def _list(self) -> None:
+        n_bytes = self._file.seek(0, io.SEEK_END)
+        self._limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
+        self._file.seek(0)
+        head = self._file.read(_HEAD_BYTES)
+        order = {b"IM": "<", b"MI": ">"}.get(head[126:])
+        if order is None:
+            raise ArrayFileError("no MATLAB file of version 5 or later; save it with -v7")
+        at = _HEAD_BYTES
+        while at + 8 <= n_bytes and len(self.stored) < MAX_ARRAYS:
+            self._file.seek(at)
+            kind, size = struct.unpack(f"{order}II", self._file.read(8))
+            if at + 8 + size > n_bytes:
+                raise ArrayFileError("the file ends within an array")
+            if kind in (_MATRIX, _COMPRESSED):
+                self._add_element(kind, at + 8, size, order)
+            at += 8 + size
 
-def _fields(key: str, one: npt.NDArray[Any]) -> Iterator[tuple[str, npt.NDArray[Any]]]:
-    """The arrays of numbers in a structure, by their paths, as log.left.forces."""
-    if one.dtype.names and one.size == 1:
-        for name in one.dtype.names:
-            yield from _fields(f"{key}.{name}", np.asarray(one.flat[0][name]))
-    elif one.dtype.kind in "iuf":
-        yield key, one
+    def _add_element(self, kind: int, start: int, size: int, order: str) -> None:
+        section = Section if kind == _MATRIX else InflatedSection
 
+        def opened() -> IO[bytes]:
+            return io.BufferedReader(section(self._file, start, size))
 
-def _inflated(raw: bytes, most: int) -> Iterator[bytes]:
-    """A .mat with its compressed elements in plain; SourceError beyond `most` bytes."""
-    yield raw[:_HEAD]
-    order, at = "<" if raw[126:128] == b"IM" else ">", _HEAD
-    while at + 8 <= len(raw):
-        kind, size = struct.unpack_from(f"{order}II", raw, at)
-        element = raw[at : at + 8 + size]
+        part = _Part(opened, opened(), order)
         if kind == _COMPRESSED:
-            element = zlib.decompressobj().decompress(element[8:], most + 1)
-            most -= len(element)
-            if most < 0:
-                raise SourceError("its arrays are far larger than the file")
-        yield element
-        at += 8 + size
+            tag = part.tag()
+            if tag.kind != _MATRIX:
+                return
+            size = tag.n_bytes
+        self._add_matrix(part, "", size, can_seek=kind == _MATRIX, depth=0)
 
+    def _add_matrix(self, part: _Part, path: str, size: int, can_seek: bool, depth: int) -> None:
+        """Add the array of numbers, or those of the structure, that begins here."""
+        if not size:
+            return
+        if size > self._limit:
+            raise ArrayFileError(f"an array would have {size} bytes; at most {self._limit}")
+        end = part.at + size
+        flags = part.numbers(_UINT32, 2)
+        sides = part.numbers(_INT32, _MAX_AXES)
+        name = part.small(_INT8, _MAX_TEXT_BYTES).decode("latin-1")
+        path = path or name
+        if not flags or min(sides, default=-1) < 0:
+            raise ArrayFileError("an array is malformed")
+        kind = flags[0] & 0xFF
+        if kind == _STRUCT and math.prod(sides) == 1 and depth < _MAX_DEPTH:
+            self._add_fields(part, path, can_seek, depth)
+        elif kind in _CLASSES:
+            self._add_numbers(part, path, flags[0], sides, can_seek)
+        # Within a structure others follow.
+        part.skip(end - part.at if depth else 0)
 
-if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    def _add_fields(self, part: _Part, path: str, can_seek: bool, depth: int) -> None:
+        (length,) = part.numbers(_INT32, 1)
+        text = part.small(_INT8, _MAX_TEXT_BYTES)
+        if not 1 <= length <= len(text):
+            return
+        names = [text[at : at + length] for at in range(0, len(text), length)]
+        for name in names:
+            field = name.partition(b"\0")[0].decode("latin-1")
+            tag = part.tag()
+            if tag.kind != _MATRIX:
+                raise ArrayFileError("a structure is malformed")
+            self._add_matrix(part, f"{path}.{field}", tag.n_bytes, can_seek, depth + 1)
+
+    def _add_numbers(
+        self, part: _Part, path: str, flags: int, sides: tuple[int, ...], can_seek: bool
+    ) -> None:
+        tag = part.tag()
+        stored = _STORED.get(tag.kind)
+        if stored is None:
+            raise ArrayFileError("numbers of an unknown type")
+        dtype = np.dtype(part.order + stored)
+        n_bytes = math.prod(sides) * dtype.itemsize
+        if n_bytes != tag.n_bytes or n_bytes > self._limit:
+            listed = " x ".join(map(str, sides[:8]))
+            raise ArrayFileError(f"states {listed} numbers in {tag.n_bytes} bytes")
+        at = part.at
+
+        @contextmanager
+        def opened() -> Iterator[IO[bytes]]:
+            stream = part.open()
+            _Part(part.open, stream, part.order).skip(at)
+            yield stream
+
+        kind = "c16" if flags & _COMPLEX else _CLASSES[flags & 0xFF]
+        dtype_seen = np.dtype("?" if flags & _LOGICAL else kind)
+        array = StoredArray(opened, dtype, sides, by_columns=True, can_seek=can_seek)
+        self.add(path, array, dtype_seen)

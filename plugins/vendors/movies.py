@@ -13,12 +13,12 @@ from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import (
     MAX_READING,
     Lines,
-    check_grid,
     parse_number,
     parse_whole,
     rising,
     shown,
 )
+from sparseskin.nodes.sensor.layout.arrangement import check_grid
 
 LARGEST_NUMBER = 999_999_999
 """Largest number of a frame."""

@@ -8,10 +8,9 @@ from itertools import islice
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import (
-    Head,
     Lines,
     Parsed,
-    Recording,
+    WholeRecording,
     parse_number,
     parse_whole,
     shown,
@@ -45,7 +44,7 @@ def is_tekscan(raw: bytes) -> bool:
     return any(line.lstrip().startswith((b"DATA_TYPE", b"ASCII_DATA")) for line in head)
 
 
-class TekscanRecording(Recording):
+class TekscanRecording(WholeRecording):
     """A Tekscan ASCII movie export.
 
     `B` marks a cell without a sensel: it is masked, and its value is 0. The times of the frames are
@@ -56,6 +55,7 @@ class TekscanRecording(Recording):
     """
 
     def __init__(self, lines: Lines) -> None:
+        super().__init__()
         self._lines = lines
         header, self._terminator = _parse_header(lines)
         self._shape = parse_shape(*(_entry(header, side, lines.name) for side in ("ROWS", "COLS")))
@@ -71,9 +71,6 @@ class TekscanRecording(Recording):
         self._mask: Mask | None = None
         self._times: list[float | None] = []
         self._first = self._next_frame()
-
-    def head(self) -> Head:
-        return Head(self._shape, None if self._mask is None else int(self._mask.sum()), self._unit)
 
     def read(self) -> Parsed:
         frames, frame = [], self._first

@@ -9,10 +9,9 @@ from typing import NamedTuple
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import (
-    Head,
     Lines,
     Parsed,
-    Recording,
+    WholeRecording,
     parse_number,
     parse_whole,
     shown,
@@ -50,7 +49,7 @@ class _Frame(NamedTuple):
     exists: Mask
 
 
-class XsensorRecording(Recording):
+class XsensorRecording(WholeRecording):
     """An XSENSOR text export; blank lines hold commas alone.
 
     A frame holds one sensor or more (a pair of insoles), and groups of their sensels: the first
@@ -64,15 +63,11 @@ class XsensorRecording(Recording):
     """
 
     def __init__(self, lines: Lines) -> None:
+        super().__init__()
         self._lines = lines
         self._unit = self._header_unit()
         self._number = self._next_number() or 0
         self._first = self._frame()
-
-    def head(self) -> Head:
-        exists = self._first.exists
-        n_taxels = None if exists.all() and self._first.is_part else int(exists.sum())
-        return Head(exists.shape, n_taxels, self._unit)
 
     def read(self) -> Parsed:
         first, mask, name = self._first, self._first.exists, self._lines.name

@@ -1,0 +1,356 @@
+"""The frames of an array in a file of arrays, as a recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from itertools import chain, islice
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.sensor.layout import times
+from sparseskin.nodes.sensor.layout.layout import UnstatedError
+from sparseskin.nodes.sensor.layout.tally import Tally
+
+from .datasets import (
+    FORCES,
+    MASK,
+    NO_UNITS,
+    NUMBERS,
+    POINT_ROWS,
+    POINTS,
+    RATES,
+    TIME_UNITS,
+    UNIT,
+    ArrayFile,
+    frames_key,
+    times_key,
+    times_keys,
+)
+from .frame_axis import CHANNEL, ENDS, FrameAxis, find_frame_axis, has_time_column
+from .recording import Block, File, Head, Recording, frames_per_block, parse_number, shown
+
+
+class _Plan(NamedTuple):
+    """Places of the frames and of their times."""
+
+    key: str
+    frames: FrameAxis
+    time_key: str  # "": none
+    time_column: int | None  # of the frames themselves
+    notes: tuple[str, ...]
+
+
+class DatasetRecording(Recording):
+    """The frames of an array, with times and properties from arrays beside it, or attributes.
+
+    The array is that of `frames_key`, its axis of frames that of `find_frame_axis`. Times are an
+    array of one axis with a name of times and as long, or a column of a table. Optional are, as
+    arrays in the same group or around it: `rate_hz`, `f_max`, `pitch_m`, one number each; `unit`, a
+    text; `mask`, of the sides of a frame, True or 1 where a taxel exists; `points`, float32 of
+    shape (n_taxels, 6): place in metres and unit normal of each taxel of a skin that is no flat
+    grid; `point_rows`, int32 of shape (n_taxels,): their rows in a file of points. Raises
+    SourceError if one of these is not as described, UnstatedError if several arrays, axes or times
+    are possible.
+    """
+
+    def __init__(self, file: File, arrays: ArrayFile) -> None:
+        self.tally = Tally("frames of the array")
+        self._layout = file.layout
+        self._arrays = arrays
+
+    def head(self) -> Head:
+        return self._head
+
+    def blocks(self) -> Iterator[Block]:
+        plan = self._plan
+        self.tally.begin()
+        size = frames_per_block(math.prod(axis.size for axis in plan.frames.items))
+        stamps = self._times(plan, size)
+        for numbers in self._numbers(plan, size):
+            n = len(numbers)
+            block_times: Sequence[int | float] | None = None
+            if plan.time_column is not None:
+                column = numbers[:, plan.time_column]
+                block_times = checked_times(column, self._arrays.where(plan.key))
+            elif plan.time_key:
+                block_times = list(islice(stamps, n))
+            self.tally.take(n, n)
+            yield Block(numbers, block_times)
+
+    def _numbers(self, plan: _Plan, size: int) -> Iterator[npt.NDArray[Any]]:
+        """Blocks of at most `size` frames, (k, *sides of a frame)."""
+        if plan.frames.axis is None:
+            blocks = iter([self._arrays.property_array(plan.key)[np.newaxis]])
+        else:
+            blocks = self._arrays.blocks(plan.key, plan.frames.axis, size)
+        for block in blocks:
+            numbers = block.view(np.uint8) if block.dtype.kind == "b" else block
+            for first in range(0, len(numbers), size):
+                yield numbers[first : first + size]
+
+    def _times(self, plan: _Plan, size: int) -> Iterator[int | float]:
+        """The times of all frames, one after the other, from an array of their own."""
+        if not plan.time_key:
+            return iter(())
+        sides = self._arrays.datasets[plan.time_key].sides
+        blocks = self._arrays.blocks(plan.time_key, sides.index(max(sides)), size)
+        where = self._arrays.where(plan.time_key)
+        return chain.from_iterable(checked_times(block.reshape(-1), where) for block in blocks)
+
+    @cached_property
+    def _plan(self) -> _Plan:
+        """Where everything is. Raises SourceError, UnstatedError."""
+        arrays, layout = self._arrays, self._layout
+        key = frames_key(arrays, layout)
+        dataset = arrays.datasets[key]
+        if dataset.dtype.kind not in "iufb":
+            kind = "Python objects" if dataset.dtype.hasobject else f"dtype {dataset.dtype}"
+            allowed = "allowed are integers, floating point and bool"
+            raise SourceError(f"{arrays.where(key)}: holds {kind[:60]}; {allowed}")
+        if len(dataset.sides) < 2:
+            fault = f"has {len(dataset.sides)} axes, {dataset.text}"
+            expected = "expected frames, rows and columns, or frames and readings"
+            raise SourceError(f"{arrays.where(key)}: {fault}; {expected}")
+
+        keys = times_keys(arrays, layout)
+        n_times = {math.prod(arrays.datasets[name].sides) for name in keys}
+        first_is_usual = None if arrays.last_part(key) == FORCES else arrays.has_frames_first
+        frames = find_frame_axis(layout, arrays.shape(key), n_times, first_is_usual)
+        n_frames = 1 if frames.axis is None else dataset.sides[frames.axis]
+        time_key, time_notes = times_key(arrays, layout, key, keys, n_frames)
+
+        place = "one frame" if frames.axis is None else f"frames are axis {frames.axis + 1}"
+        about = f"{f'array {printable(key)}, ' if key else ''}{dataset.text}"
+        notes = [f"{about}: {place} ({frames.reason})", *time_notes]
+        if dataset.dtype.kind == "b":
+            notes.append("True and False are read as 1 and 0")
+        plan = _Plan(key, frames, time_key, None, tuple(notes))
+        return self._with_time_column(plan)
+
+    def _with_time_column(self, plan: _Plan) -> _Plan:
+        """With the column of a table that holds the times: the stated one, or dates since 1970 in
+        the first or the last one. UnstatedError if a column may be the times, as the stated shape
+        has one taxel less.
+        """
+        layout, items = self._layout, plan.frames.items
+        stated = has_time_column(layout)
+        if len(items) != 1 or plan.frames.axis is None:
+            if stated:
+                where = self._arrays.where(plan.key)
+                fault = f"time = {layout.time}, but a frame is no row of numbers"
+                raise SourceError(f"{where}: {fault}; state none, or the name of an array")
+            return plan
+        n = items[0].size
+        if stated:
+            column = {"first": 0, "last": n - 1}.get(layout.time)
+            column = int(layout.time) - 1 if column is None else column
+            if not 0 <= column < n:
+                where = self._arrays.where(plan.key)
+                raise SourceError(f"{where}: time = {layout.time}; allowed: columns 1..{n}")
+            return plan._replace(time_column=column)
+        is_open = not (plan.time_key or layout.time or layout.columns or layout.n_stated == n)
+        if not is_open or n < 2:
+            return plan
+        begin = next(self._numbers(plan, frames_per_block(n)), np.empty((0, n)))
+        columns = zip(ENDS, (0, n - 1), strict=True)
+        ends = {word: begin[:, column].astype(np.float64) for word, column in columns}
+        dates = [word for word, numbers in ends.items() if times.is_epoch(numbers)]
+        if len(dates) == 1:
+            note = f"the {dates[0]} column holds dates: it is read as the times"
+            at = 0 if dates[0] == "first" else n - 1
+            return plan._replace(time_column=at, notes=(*plan.notes, note))
+        if layout.n_stated == n - 1:
+            self._ask_column(plan, [w for w, column in ends.items() if (np.diff(column) > 0).all()])
+        return plan
+
+    def _ask_column(self, plan: _Plan, rising: Sequence[str]) -> None:
+        n = plan.frames.items[0].size
+        fault = f"a row has {n} numbers, one more than taxels are stated"
+        ways = " or ".join(f"time={word}" for word in rising) or "columns, as 1-16"
+        options = [{"time": word} for word in rising]
+        raise UnstatedError(f"{self._arrays.where(plan.key)}: {fault}: state {ways}", *options)
+
+    @cached_property
+    def _head(self) -> Head:
+        plan = self._plan
+        dataset = self._arrays.datasets[plan.key]
+        items = plan.frames.items
+        usable = None
+        if len(items) == 1 and (plan.time_column is not None or self._layout.columns):
+            usable = tuple(k for k in range(items[0].size) if k != plan.time_column)
+        unit, time_unit = self._unit(plan), self._time_unit(plan)
+        mask, mask_notes = self._mask(plan)
+        rate_hz, rate_notes = self._rate(plan)
+        numbers = {name: self._number(plan.key, name) for name in NUMBERS[1:]}
+        long_name = dataset.attributes.get("long_name")
+        title = (f"long name: {printable(str(long_name))[:60]}",) if long_name else ()
+        return Head(
+            items,
+            usable,
+            is_timed=bool(plan.time_key) or plan.time_column is not None,
+            time_unit=time_unit,
+            time_name=plan.time_key or f"column {(plan.time_column or 0) + 1}",
+            unit=unit,
+            rate_hz=rate_hz,
+            mask=mask,
+            points=self._array(plan.key, POINTS),
+            point_rows=self._array(plan.key, POINT_ROWS),
+            n_items=1 if plan.frames.axis is None else dataset.sides[plan.frames.axis],
+            notes=(*plan.notes, *title, *rate_notes, *mask_notes),
+            **numbers,
+        )
+
+    def _array(self, key: str, name: str) -> npt.NDArray[Any] | None:
+        path = self._arrays.nearest(key, (name,))
+        return self._arrays.property_array(path) if path else None
+
+    def _number(self, key: str, name: str) -> float | None:
+        """A number above 0, of an array of its own or an attribute."""
+        path = self._arrays.nearest(key, (name,))
+        value = self._arrays.datasets[key].attributes.get(name)
+        where = f"{self._arrays.where(key)}, attribute {name!r}"
+        if path:
+            value, where = self._arrays.property_array(path), self._arrays.where(path)
+        if value is None:
+            return None
+        array = np.asarray(value)
+        if array.size != 1 or array.dtype.kind not in "iuf":
+            raise SourceError(f"{where}: expected one number")
+        number = parse_number(str(array.reshape(())[()]), where)
+        if number <= 0:
+            raise SourceError(f"{where}: {number:g} must be above 0")
+        return number
+
+    def _rate(self, plan: _Plan) -> tuple[float | None, tuple[str, ...]]:
+        """Frames per second that the file states, by the first of their names."""
+        rate_hz = self._number(plan.key, RATES[0])
+        if rate_hz is not None:
+            return rate_hz, ()
+        attributes = self._arrays.datasets[plan.key].attributes
+        by_name: dict[str, float] = {}
+        for name in RATES[1:]:
+            path = self._arrays.nearest(plan.key, (name,))
+            is_number = path and math.prod(self._arrays.datasets[path].sides) == 1
+            value = self._arrays.whole(path) if is_number else attributes.get(name)
+            array = np.asarray(np.nan if value is None else value)
+            if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.reshape(()) < np.inf:
+                by_name[name] = float(array.reshape(()))
+        listed = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
+        if len(set(by_name.values())) > 1:
+            return None, (f"{listed}: more than one rate is stated, and none is used",)
+        if by_name:
+            return next(iter(by_name.values())), (f"the rate is that of {listed} Hz",)
+        return None, ()
+
+    def _unit(self, plan: _Plan) -> str | None:
+        path = self._arrays.nearest(plan.key, (UNIT,))
+        if path:
+            where = self._arrays.where(path)
+            unit = self._arrays.property_array(path)
+            if unit.size != 1 or unit.dtype.kind not in "US":
+                raise SourceError(f"{where}: expected one text, e.g. np.array('N')")
+            return text_of(unit.reshape(())[()])
+        attributes = self._arrays.datasets[plan.key].attributes
+        unit_text = text_of(attributes.get(UNIT, attributes.get("units", ""))).strip()
+        return None if unit_text.lower() in NO_UNITS else unit_text
+
+    def _time_unit(self, plan: _Plan) -> str:
+        """Unit of the times as the file states it, "" where it does not."""
+        if not plan.time_key:
+            return ""
+        dataset = self._arrays.datasets[plan.time_key]
+        where = self._arrays.where(plan.time_key)
+        if dataset.dtype.kind in "Mm":
+            return "ns"
+        if dataset.dtype.kind in "US":
+            begin = next(
+                self._arrays.blocks(plan.time_key, dataset.sides.index(max(dataset.sides)), 1)
+            )
+            is_iso = times.iso_ns(text_of(begin.reshape(-1)[0])) is not None
+            return times.ISO if is_iso else times.CLOCK_UNIT
+        attributes = dataset.attributes
+        stated = text_of(attributes.get("units", attributes.get(UNIT, ""))).lower().split()
+        unit = stated[0] if stated else ""
+        if unit in NO_UNITS or self._layout.time_unit:
+            return times.named_unit(self._arrays.last_part(plan.time_key))
+        if unit not in TIME_UNITS:
+            ways = "state time_unit, or time=none"
+            raise SourceError(f"{where}: its unit is {shown(unit)}, none of ns, us, ms, s; {ways}")
+        return TIME_UNITS[unit]
+
+    def _mask(self, plan: _Plan) -> tuple[Mask | None, tuple[str, ...]]:
+        """The mask of the numbers of a frame, of its sides, and what is to be said where an array
+        named `mask` is none of a frame.
+        """
+        path = self._arrays.nearest(plan.key, (MASK,))
+        if not path:
+            return None, ()
+        where = self._arrays.where(path)
+        items = plan.frames.items
+        sides = [axis.size for axis in items if axis.label != CHANNEL and axis.size > 1]
+        if plan.time_column is not None:
+            sides = [sides[0] - 1]
+        shape = [side for side in self._arrays.datasets[path].sides if side > 1]
+        is_flat = len(sides) == 1 and math.prod(shape) == sides[0]
+        if shape not in (sides, sides[::-1]) and not is_flat:
+            if self._arrays.last_part(plan.key) != FORCES:
+                return None, (f"array {printable(path)} is no mask of a frame: not read",)
+            fault = f"is {self._arrays.datasets[path].text}, but a frame {_times(sides)}"
+            raise SourceError(f"{where}: {fault}")
+
+        mask = self._arrays.property_array(path)
+        if mask.dtype.kind not in "biu" or not np.isin(mask, (0, 1)).all():
+            raise SourceError(f"{where}: expected bool (True where a taxel exists), or 0 and 1")
+        if is_flat:
+            mask = mask.ravel(order="F" if self._layout.order == "columns" else "C")
+            if plan.time_column is not None:
+                mask = np.insert(mask, plan.time_column, 1)
+        elif shape != sides:
+            mask = mask.transpose()
+        # A taxel exists, or not, with all of its channels.
+        places = [1 if axis.label == CHANNEL else axis.size for axis in items]
+        whole = np.broadcast_to(mask.reshape(places), [axis.size for axis in items])
+        return whole.astype(np.bool_), ()
+
+
+def _times(sides: Sequence[int]) -> str:
+    return " x ".join(map(str, sides))
+
+
+def text_of(value: object) -> str:
+    """A text of a file: bytes are decoded, anything else is written out."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(())[()]
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def checked_times(numbers: npt.NDArray[Any], where: str) -> list[int | float]:
+    """Times as Python's own numbers: whole ones as they are, dates in nanoseconds since 1970, texts
+    of ISO 8601 or times of day in nanoseconds. Raises SourceError if one is none.
+    """
+    kind = numbers.dtype.kind
+    if kind in "Mm":
+        unit = "datetime64[ns]" if kind == "M" else "timedelta64[ns]"
+        if np.isnat(numbers).any():
+            raise SourceError(f"{where}: a time is missing (NaT)")
+        numbers = numbers.astype(unit).astype(np.int64)
+    elif kind in "US":
+        return [_text_time(text_of(text), where) for text in numbers.tolist()]
+    elif kind == "f" and not np.isfinite(numbers).all():
+        raise SourceError(f"{where}: a time is not a finite number")
+    return numbers.tolist()
+
+
+def _text_time(text: str, where: str) -> int:
+    stamp = times.iso_ns(text.strip())
+    stamp = times.clock_ns(text.strip()) if stamp is None else stamp
+    if stamp is None:
+        raise SourceError(f"{where}: {shown(text)} is no time, as 2026-11-03T10:15:02.120")
+    return stamp

@@ -1,0 +1,264 @@
+"""Files of named arrays: which of them are the frames, their times, and properties of the skin."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.layout import times
+from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
+
+from .frame_axis import ArrayShape, can_be_frames, has_time_column
+from .recording import choose, shown
+
+FORCES = "forces"
+"""Name of the array of frames in what this package writes."""
+STAMPS = "stamp_ns"
+MASK, POINTS, POINT_ROWS, UNIT = "mask", "points", "point_rows", "unit"
+NUMBERS = ("rate_hz", "f_max", "pitch_m")
+PROPERTIES = frozenset({MASK, POINTS, POINT_ROWS, UNIT, *NUMBERS, STAMPS})
+"""Names of the arrays beside it."""
+RATES = ("rate_hz", "rate", "fs", "fps", "sampling_rate", "sample_rate", "sampling_frequency")
+RATES = (*RATES, "sampling_rate_hz", "frame_rate", "frequency_hz")
+"""Names of rates in hertz, of attributes and of single numbers."""
+NO_UNITS = frozenset({"", "-", "1", "none", "unknown", "n/a"})
+TIME_UNITS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "µs", "usec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), "ns"),
+}
+"""Units of times as attributes state them, alone or before "since"."""
+MAX_STATE = 32
+"""Numbers of a row up to which a table does not compete with an array of frames, chosen: the joints
+and poses of an arm with a hand are fewer."""
+MAX_ARRAYS = 4096
+"""Arrays of a file that are looked at, chosen."""
+MAX_SHOWN = 8
+NO_TIMES = "none"
+MAX_PROPERTY_BYTES = 64 * MAX_ELEMENTS
+"""Largest array of a property: points of a skin, six float64 for each taxel, with a margin."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """An array of a file before it is read, with labels of its axes, () where the file has none,
+    and the attributes of itself and of the groups around it.
+    """
+
+    sides: tuple[int, ...]
+    dtype: np.dtype[Any]
+    labels: tuple[str, ...] = ()
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def n_axes(self) -> int:
+        """Axes of more than one entry."""
+        return sum(side > 1 for side in self.sides)
+
+    @property
+    def n_bytes(self) -> int:
+        return math.prod(self.sides) * self.dtype.itemsize
+
+    @property
+    def text(self) -> str:
+        """Its sides, as "5 x 4 x 3"."""
+        return " x ".join(map(str, self.sides)) or "one number"
+
+
+class ArrayFile(ABC):
+    """A file of named arrays. Its methods raise SourceError if the file is malformed."""
+
+    #: In paths of arrays, between their parts.
+    separator = "/"
+    #: True if programs that write such files have the frames along the first axis.
+    has_frames_first = True
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.datasets: dict[str, Dataset] = {}
+
+    @abstractmethod
+    def whole(self, key: str) -> npt.NDArray[Any]:
+        """An array."""
+
+    @abstractmethod
+    def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
+        """An array by blocks of about `size` entries of an axis, which comes first: (k, ...)."""
+
+    def where(self, key: str) -> str:
+        """Place of an array, for errors."""
+        return f"{self.name}, array {shown(key)}" if key else self.name
+
+    def last_part(self, key: str) -> str:
+        return key.rpartition(self.separator)[2]
+
+    def nearest(self, key: str, names: Sequence[str]) -> str:
+        """The path of the array with one of these names in the group of an array, or else in the
+        nearest group around it; "" if there is none.
+        """
+        group = key
+        while group:
+            group = group.rpartition(self.separator)[0]
+            for name in names:
+                path = f"{group}{self.separator}{name}" if group else name
+                if path in self.datasets:
+                    return path
+        return ""
+
+    def shape(self, key: str) -> ArrayShape:
+        dataset = self.datasets[key]
+        labels = dataset.labels or ("",) * len(dataset.sides)
+        return ArrayShape(dataset.sides, labels, self.where(key))
+
+    def property_array(self, key: str) -> npt.NDArray[Any]:
+        """An array that is no larger than one of a property. Raises SourceError if it is."""
+        n_bytes = self.datasets[key].n_bytes
+        if n_bytes > MAX_PROPERTY_BYTES:
+            raise SourceError(f"{self.where(key)}: {n_bytes} bytes; at most {MAX_PROPERTY_BYTES}")
+        return self.whole(key)
+
+
+def frames_key(arrays: ArrayFile, layout: Layout) -> str:
+    """The array of the frames: the stated topic, a path or the last part of one; `forces`; the only
+    array of three axes or more, or else of two, that can have the stated shape. Raises SourceError
+    if there is none, UnstatedError if there are several.
+    """
+    candidates = _candidates(arrays, layout)
+    topic = layout.topic.strip("/")
+    if topic:
+        return _stated_key(arrays, topic, candidates)
+    own = [key for key in arrays.datasets if arrays.last_part(key) == FORCES]
+    if len(own) == 1:
+        return own[0]
+    grids = [key for key in candidates if arrays.datasets[key].n_axes > 2]
+    if len(grids) == 1:
+        (grid,) = grids
+        candidates = [grid, *_rivals(arrays, grid, candidates)]
+    texts = {key: arrays.datasets[key].text for key in candidates}
+    what = "arrays of frames (frames, rows, columns)"
+    return choose(texts, "", arrays.name, what)
+
+
+def _stated_key(arrays: ArrayFile, topic: str, candidates: Sequence[str]) -> str:
+    if topic in arrays.datasets:
+        return topic
+    ends = [key for key in arrays.datasets if arrays.last_part(key) == topic]
+    if len(ends) == 1:
+        return ends[0]
+    texts = {key: arrays.datasets[key].text for key in ends or candidates}
+    return choose(texts, "" if ends else topic, arrays.name, f"arrays named {shown(topic)}")
+
+
+def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
+    """Arrays that may be frames; those of bool only where there are no others."""
+    if len(arrays.datasets) == 1:
+        return [*arrays.datasets]
+    readable = {
+        key: dataset.dtype.kind
+        for key, dataset in arrays.datasets.items()
+        if dataset.dtype.kind in "iufb"
+        and dataset.n_axes > 1
+        and arrays.last_part(key) not in PROPERTIES
+        and not times.is_time_name(arrays.last_part(key))
+    }
+    numbers = [key for key, kind in readable.items() if kind != "b"]
+    keys = numbers or [*readable]
+    if layout.axes:
+        return keys
+    return [key for key in keys if can_be_frames(layout, arrays.shape(key))] or keys
+
+
+def _rivals(arrays: ArrayFile, grid: str, keys: Sequence[str]) -> list[str]:
+    """Tables that may be the frames though there is one array of three axes."""
+    rivals = []
+    sides = arrays.datasets[grid].sides
+    for key in keys:
+        if key == grid:
+            continue
+        others = [side for side in arrays.datasets[key].sides if side > 1]
+        shared = [side for side in others if side in sides]
+        n_frames = shared[0] if shared else max(others)
+        n_columns = math.prod(others) // n_frames
+        if n_columns > MAX_STATE or n_columns * n_frames >= math.prod(sides):
+            rivals.append(key)
+    return rivals
+
+
+def times_keys(arrays: ArrayFile, layout: Layout) -> list[str]:
+    """Arrays of one axis that hold times: the stated one, or those with a name of times, alone or
+    behind another word. Raises SourceError if the stated one is none.
+    """
+    stated = layout.time
+    if stated == NO_TIMES or has_time_column(layout):
+        return []
+    lists = [
+        key
+        for key, dataset in arrays.datasets.items()
+        if dataset.dtype.kind in "iufMmUS" and dataset.n_axes <= 1 and math.prod(dataset.sides) > 1
+    ]
+    if stated:
+        stated_keys = [key for key in lists if stated in (key, arrays.last_part(key))]
+        if not stated_keys:
+            allowed = ", ".join(map(printable, lists[:MAX_SHOWN])) or "none"
+            fault = f"time: {shown(stated)} is no array of one axis; allowed: {allowed}, none"
+            raise SourceError(f"{arrays.name}: {fault}")
+        return [stated] if stated in stated_keys else stated_keys
+    exact = [key for key in lists if times.is_time_name(arrays.last_part(key))]
+    return exact or [key for key in lists if times.is_time_name(_last_word(key))]
+
+
+def times_key(
+    arrays: ArrayFile, layout: Layout, frames: str, keys: Sequence[str], n_frames: int
+) -> tuple[str, tuple[str, ...]]:
+    """The times of the frames of an array, "" if there are none, and what is to be said. Raises
+    SourceError if those that are stated are not as many as the frames, UnstatedError if there are
+    several, as near as each other to the array.
+    """
+    if layout.rate_hz is not None:
+        return "", ()
+    n_times = {key: math.prod(arrays.datasets[key].sides) for key in keys}
+    as_long = [key for key, n in n_times.items() if n == n_frames]
+    if not as_long:
+        listed = ", ".join(f"{printable(key)} ({n})" for key, n in n_times.items())
+        note = f"not read as times of {n_frames} frames: {listed}"
+        if keys and layout.time:
+            raise SourceError(f"{arrays.name}: time: {note}")
+        return "", (note,) * bool(keys)
+    # In the same group, or with the same word at its begin.
+    nearness = {key: _common_words(key, frames) for key in as_long}
+    nearest = [key for key in as_long if nearness[key] == max(nearness.values())]
+    if len(nearest) > 1:
+        ways = [f"time={printable(key)}" for key in nearest[:MAX_SHOWN]]
+        listed = f"{', '.join(ways)} or time=none"
+        fault = f"{len(nearest)} arrays may be the times of the frames: state {listed}"
+        raise UnstatedError(f"{arrays.name}: {fault}", *({"time": key} for key in nearest))
+    ignored = [printable(key) for key in as_long if key not in nearest]
+    return nearest[0], (f"not read as times: {', '.join(ignored)}",) * bool(ignored)
+
+
+def _words(key: str) -> list[str]:
+    return key.lower().replace("/", "_").replace(".", "_").split("_")
+
+
+def _last_word(key: str) -> str:
+    return _words(key)[-1]
+
+
+def _common_words(one: str, another: str) -> int:
+    """Words with which two paths begin alike."""
+    n = 0
+    for word, other in zip(_words(one), _words(another), strict=False):
+        if word != other:
+            break
+        n += 1
+    return n

@@ -1,0 +1,269 @@
+"""The axis of the frames in an array, and what its other axes are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from typing import NamedTuple
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.layout.arrangement import CHANNELS, COLS, ROWS, Axis
+from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
+
+FRAME_LABELS = frozenset(
+    {"frame", "frames", "n_frames", "time", "times", "t", "timestamp", "timestamps"}
+    | {"sample", "samples", "step", "steps"}
+)
+"""Labels of the axis of the frames."""
+TAXEL_LABELS = frozenset({*ROWS, *COLS, *CHANNELS, "taxel", "taxels", "sensor", "sensors"})
+_DIRECT, _WITH_TIME, _TRANSPOSED, _CHANNELS, _NO_FIT = 0, 1, 2, 4, 8
+"""Fits of a frame and the stated shape, the better the smaller: as it is; with one number too many,
+which may be the time; with columns before rows. `_CHANNELS` is added where an axis has to be that
+of the channels, though no channel is stated."""
+CHANNEL = "channel"
+ENDS = ("first", "last")
+"""Columns of times, beside numbers."""
+
+
+class FrameAxis(NamedTuple):
+    """The axis along which the frames follow each other, None where the whole array is one frame;
+    the others in their order; and by what it is known, for the log.
+    """
+
+    axis: int | None
+    items: tuple[Axis, ...]
+    reason: str
+
+
+class ArrayShape(NamedTuple):
+    """Sides of an array, labels of its axes ("" for none), and its place for errors."""
+
+    sides: tuple[int, ...]
+    labels: tuple[str, ...]
+    where: str
+
+    @property
+    def text(self) -> str:
+        return " x ".join(map(str, self.sides))
+
+    def others(self, axis: int | None) -> list[int]:
+        """The axes beside that of the frames."""
+        return [at for at in range(len(self.sides)) if at != axis]
+
+
+def has_time_column(layout: Layout) -> bool:
+    """True if the times are stated to be a column of the readings."""
+    return layout.time in ENDS or layout.time.isdecimal()
+
+
+def can_be_frames(layout: Layout, array: ArrayShape) -> bool:
+    """True if some axis of an array leaves frames of the stated shape, if any is stated."""
+    axes = [*range(len(array.sides)), None]
+    return any(_best_way(layout, array, axis).fit != _NO_FIT for axis in axes)
+
+
+class _Way(NamedTuple):
+    """A possible axis of the frames, and how the others are a frame of the stated shape."""
+
+    axis: int | None
+    fit: int
+    channel: int | None  # the axis that is no row and no column
+
+
+def find_frame_axis(
+    layout: Layout, array: ArrayShape, n_times: Collection[int], first_is_usual: bool | None
+) -> FrameAxis:
+    """The axis of the frames.
+
+    In this order: as it is stated; as the labels of the file say; the only one as long as times
+    beside the array (`n_times`), and that leaves the stated shape, of which rows and columns are
+    transposed where nothing else fits; and then the first one, where that is usual: where it is the
+    longest, or `first_is_usual` is None. Raises SourceError if what is stated does not fit the
+    array, UnstatedError with the possible ways if there are several.
+    """
+    names = layout.axis_names
+    n_long = sum(side > 1 for side in array.sides)
+    if names and "frames" not in names and len(names) == n_long - 1:
+        return _with_items(
+            names, find_frame_axis(layout.stating({"axes": ""}), array, n_times, first_is_usual)
+        )
+    stated = _stated_labels(names, array)
+    labels = stated or array.labels
+    array = array._replace(labels=labels)
+    ways = _labelled(labels, is_stated=bool(stated))
+    reason = "as stated" if stated else "by its label"
+    if ways is None or len(ways) > 1:
+        candidates = range(len(array.sides)) if ways is None else ways
+        fitting = _fitting(layout, array, candidates, n_times)
+        axis, reason = _decided(layout, array, fitting, n_times, first_is_usual)
+    else:
+        (axis,) = ways
+    way = _best_way(layout, array, axis)
+    return FrameAxis(axis, tuple(_items(array, way)), reason + _said(way))
+
+
+def _with_items(names: Sequence[str], frame_axis: FrameAxis) -> FrameAxis:
+    """The same with stated names of the axes beside that of the frames."""
+    remaining = iter(names)
+    items = tuple(
+        Axis(axis.size, next(remaining, "") if axis.size > 1 else "") for axis in frame_axis.items
+    )
+    return frame_axis._replace(items=items)
+
+
+def _stated_labels(names: Sequence[str], array: ArrayShape) -> tuple[str, ...]:
+    """One label for each axis; () where none are stated. Axes of one entry may be left out, and so
+    may the frames.
+    """
+    if not names:
+        return ()
+    sides = array.sides
+    long_axes = [at for at, side in enumerate(sides) if side > 1]
+    wrong = f"{array.where}: axes = {','.join(names)}, but the array is {array.text}"
+    if len(names) == len(sides):
+        labels = list(names)
+    elif len(names) == len(long_axes):
+        labels = ["-"] * len(sides)
+        for at, name in zip(long_axes, names, strict=True):
+            labels[at] = name
+    else:
+        raise SourceError(f"{wrong}; state each of its {len(sides)} axes")
+    for at, name in enumerate(labels):
+        if name == "-" and sides[at] != 1:
+            raise SourceError(f"{wrong}: axis {at + 1} has {sides[at]} entries, - stands for one")
+        if name != "-" and labels.count(name) > 1:
+            raise SourceError(f"{wrong}: {name} is stated twice")
+    return tuple(labels)
+
+
+def _labelled(labels: Sequence[str], is_stated: bool) -> list[int | None] | None:
+    """The axes that can be the frames by their labels; None where these say nothing."""
+    words = [label.lower() for label in labels]
+    frames: list[int | None] = [at for at, word in enumerate(words) if word in FRAME_LABELS]
+    if frames:
+        return frames
+    if is_stated:
+        return [None]
+    unlabelled: list[int | None] = [at for at, word in enumerate(words) if word not in TAXEL_LABELS]
+    return unlabelled if 0 < len(unlabelled) < len(words) else None
+
+
+def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
+    """How the axes beside that of the frames are a frame."""
+    others = [at for at in array.others(axis) if array.sides[at] > 1]
+    is_labelled = any(array.labels[at].lower() in TAXEL_LABELS for at in others)
+    grids: list[tuple[int, int | None, list[int]]] = [(_DIRECT, None, others)]
+    if len(others) > 2 or layout.channel:
+        # Several numbers per taxel stand last more often than first.
+        extra = _DIRECT if layout.channel else _CHANNELS
+        grids = [(extra, at, [k for k in others if k != at]) for at in reversed(others)] + grids
+    ways = [
+        _Way(axis, extra + fit, channel if layout.n_stated else None)
+        for extra, channel, grid in grids
+        for fit in _fits(layout, [array.sides[at] for at in grid])
+    ]
+    if is_labelled or not ways:
+        return _Way(axis, _DIRECT if is_labelled else _NO_FIT, None)
+    return min(ways, key=lambda way: way.fit)
+
+
+def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
+    """The ways in which sides are those of a frame of the stated shape."""
+    rows, cols = layout.n_rows, layout.n_cols
+    if len(sides) < 2:
+        n = math.prod(sides)
+        n_wanted = layout.n_stated
+        has_columns = layout.columns or has_time_column(layout)
+        if n_wanted is None or has_columns:
+            is_whole = n % (rows or cols or 1) == 0
+            fits = n > n_wanted if n_wanted else is_whole or has_columns
+            yield from (_DIRECT,) * bool(fits)
+        elif n in (n_wanted, n_wanted + 1):
+            yield _DIRECT if n == n_wanted else _WITH_TIME
+    elif len(sides) == 2:
+        if sides[0] in (rows or sides[0],) and sides[1] in (cols or sides[1],):
+            yield _DIRECT
+        elif sides[1] in (rows or sides[1],) and sides[0] in (cols or sides[0],):
+            yield _TRANSPOSED
+
+
+def _fitting(
+    layout: Layout, array: ArrayShape, axes: Collection[int | None], n_times: Collection[int]
+) -> list[int | None]:
+    """Those axes that fit best what is stated, and times beside the array."""
+    if not (layout.n_rows or layout.n_cols):
+        long_axes = [at for at in axes if at is not None and (at == 0 or array.sides[at] > 1)]
+        return [at for at in long_axes if array.sides[at] in n_times] or [*long_axes]
+    shape = f"{layout.n_rows or 'any'} x {layout.n_cols or 'any'} taxels (n_rows, n_cols)"
+    fits = {at: _best_way(layout, array, at).fit for at in axes}
+    fits = {at: fit for at, fit in fits.items() if fit != _NO_FIT}
+    if not fits:
+        if _best_way(layout, array, None).fit == _DIRECT and len(array.sides) > 1:
+            return [None]
+        fault = f"no axis of {array.text} leaves a frame of {shape}"
+        raise SourceError(f"{array.where}: {fault}")
+    as_long = [at for at in axes if at is not None and array.sides[at] in n_times]
+    candidates = [at for at in fits if at in as_long] or list(fits)
+    if as_long and candidates[0] not in as_long:
+        at = as_long[0]
+        fault = (
+            f"axis {at + 1} of {array.text} is as long as the times, but leaves no frame of {shape}"
+        )
+        raise SourceError(f"{array.where}: {fault}; state axes, or time=none")
+    best = min(fits[at] for at in candidates)
+    return [at for at in candidates if fits[at] == best]
+
+
+def _decided(
+    layout: Layout,
+    array: ArrayShape,
+    axes: Sequence[int | None],
+    n_times: Collection[int],
+    first_is_usual: bool | None,
+) -> tuple[int | None, str]:
+    """The only one of several axes, or the usual one; and why."""
+    if len(axes) == 1:
+        axis = axes[0]
+        if axis is None:
+            return axis, "the array is one frame of the stated shape"
+        has_times = array.sides[axis] in n_times
+        return axis, "as long as the times" if has_times else "it leaves the stated shape"
+    is_longest = array.sides[0] == max(array.sides)
+    if 0 in axes and (first_is_usual is None or (first_is_usual and is_longest)):
+        return 0, "the first one, as is usual"
+    options = [{"axes": _axes_text(array, axis)} for axis in axes]
+    ways = [
+        f"axes={option['axes']} ({array.sides[axis]} frames)"
+        for axis, option in zip(axes, options, strict=True)
+        if axis is not None
+    ]
+    fault = f"which axis of {array.text} is that of the frames is not stated"
+    raise UnstatedError(f"{array.where}: {fault}: state {' or '.join(ways)}", *options)
+
+
+def _axes_text(array: ArrayShape, axis: int | None) -> str:
+    """The setting `axes` if the frames are an axis, and the others come as usual."""
+    others = [at for at in array.others(axis) if array.sides[at] > 1]
+    names = ["-"] * len(array.sides)
+    usual = ("taxels",) if len(others) == 1 else ("rows", "cols", "channel")
+    for at, name in zip(others, usual, strict=False):
+        names[at] = name
+    if axis is not None:
+        names[axis] = "frames"
+    return ",".join(names)
+
+
+def _items(array: ArrayShape, way: _Way) -> Iterator[Axis]:
+    """The axes of a frame, with labels where they are known."""
+    grid = [at for at in array.others(way.axis) if array.sides[at] > 1 and at != way.channel]
+    for at in array.others(way.axis):
+        label = array.labels[at]
+        if at == way.channel:
+            label = CHANNEL
+        elif at in grid and way.fit & _TRANSPOSED:
+            label = ("cols", "rows")[grid.index(at)]
+        yield Axis(array.sides[at], "" if label == "-" else label)
+
+
+def _said(way: _Way) -> str:
+    return ", whose columns come before its rows" if way.fit & _TRANSPOSED else ""

@@ -1,0 +1,179 @@
+"""Arrays in files of HDF5, .h5, to which a .mat of version 7.3 belongs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording, text_of
+from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, UNIT, ArrayFile, Dataset
+from sparseskin.nodes.sensor.files.recording import File, unreadable
+
+_BEGIN = b"\x89HDF\r\n\x1a\n"
+_MATLAB_CLASS = "MATLAB_class"
+_MAX_CHUNK_BYTES = 1 << 30
+"""Memory of the chunks that hold some frames together, chosen."""
+_OF_ARRAY = frozenset({UNIT, "units", "long_name"})
+"""Attributes that hold for an array alone, not for those in a group that has them."""
+
+
+def is_hdf5(begin: bytes) -> bool:
+    return begin.startswith(_BEGIN)
+
+
+class Hdf5Recording(DatasetRecording):
+    """The frames of an .h5."""
+
+    def __init__(self, file: File) -> None:
+        super().__init__(file, Hdf5File(file))
+
+
+class Hdf5File(ArrayFile):
+    """The datasets of a file of HDF5; links to others are not followed. With `is_matlab` its axes
+    are those of MATLAB, which writes them in reverse, and paths have dots. Raises SourceError if it
+    is malformed, or h5py is not installed.
+    """
+
+    def __init__(self, file: File, is_matlab: bool = False) -> None:
+        super().__init__(file.name)
+        self._file = file.file
+        self._is_matlab = is_matlab
+        self._groups: dict[str, dict[str, Any]] = {}
+        self._limit = max(MAX_GROWN_BYTES, MAX_GROWTH * self._file.seek(0, 2))
+        self.has_frames_first = not is_matlab
+        self.separator = "." if is_matlab else "/"
+        with self._opened() as opened:
+            self._list(opened)
+
+    def whole(self, key: str) -> npt.NDArray[Any]:
+        self._check_size(key, self.datasets[key].n_bytes)
+        with self._opened() as opened:
+            dataset = opened[key.replace(self.separator, "/")]
+            return self._as_read(key, self._readable(key, dataset)[()])
+
+    def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
+        sides = self.datasets[key].sides
+        stored_axis = len(sides) - 1 - axis if self._is_matlab else axis
+        self._check_size(key, self.datasets[key].n_bytes)
+        with self._opened() as opened:
+            dataset = opened[key.replace(self.separator, "/")]
+            step = self._step(key, dataset, stored_axis, size)
+            readable = self._readable(key, dataset)
+            before = (slice(None),) * stored_axis
+            for first in range(0, sides[axis], step):
+                part = readable[(*before, slice(first, first + step))]
+                yield np.moveaxis(self._as_read(key, part), axis, 0)
+
+    def _step(self, key: str, dataset: Any, axis: int, size: int) -> int:
+        """Entries of an axis that are read together: whole chunks, each inflated once."""
+        chunks = dataset.chunks
+        if not chunks:
+            return size
+        entry_bytes = dataset.size * dataset.dtype.itemsize // max(1, dataset.shape[axis])
+        self._check_size(key, math.prod(chunks) * dataset.dtype.itemsize, _MAX_CHUNK_BYTES)
+        self._check_size(
+            key, min(chunks[axis], dataset.shape[axis]) * entry_bytes, _MAX_CHUNK_BYTES
+        )
+        return max(1, size // chunks[axis]) * int(chunks[axis])
+
+    def _check_size(self, key: str, n_bytes: int, limit: int | None = None) -> None:
+        limit = limit or self._limit
+        if n_bytes > limit:
+            raise SourceError(f"{self.where(key)}: {n_bytes} bytes; at most {limit}")
+
+    def _readable(self, key: str, dataset: Any) -> Any:
+        return dataset.asstr() if self.datasets[key].dtype.kind == "U" else dataset
+
+    def _as_read(self, key: str, array: Any) -> npt.NDArray[Any]:
+        dtype = self.datasets[key].dtype
+        array = np.asarray(array, dtype=None if dtype.kind == "U" else dtype)
+        array = array.astype(np.str_) if dtype.kind == "U" else array
+        return array.transpose() if self._is_matlab else array
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        try:
+            import h5py
+        except ImportError as error:
+            needed = 'HDF5 needs h5py; pip install "sparseskin[hdf5]"'
+            raise SourceError(f"{self.name}: {needed}") from error
+        try:
+            with h5py.File(self._file, "r") as opened:
+                yield opened
+        except SourceError:
+            raise
+        except Exception as error:  # of HDF5, at malformed bytes of any kind
+            raise unreadable(self.name, error) from error
+
+    def _list(self, opened: Any) -> None:
+        """List the datasets, with their labels and attributes."""
+        import h5py
+
+        def look(path: str, entry: Any) -> bool | None:
+            # Soft and external links are not followed.
+            if isinstance(entry, h5py.Dataset) and not (entry.external or entry.is_virtual):
+                is_hidden = path.startswith("#")  # what MATLAB refers to from elsewhere
+                if not is_hidden:
+                    self._add(path, entry)
+            return len(self.datasets) >= MAX_ARRAYS or None
+
+        opened.visititems(look)
+
+    def _add(self, path: str, dataset: Any) -> None:
+        if dataset.shape is None:
+            return
+        own = dict(_attributes(dataset))
+        dtype = _dtype(dataset)
+        sides = tuple(map(int, dataset.shape))
+        labels = tuple(_label(axis) for axis in dataset.dims)
+        if self._is_matlab:
+            kind = text_of(own.get(_MATLAB_CLASS, ""))
+            if kind in ("char", "cell") or "MATLAB_empty" in own:
+                return
+            dtype = np.dtype("?") if kind == "logical" else dtype
+            sides, labels = sides[::-1], labels[::-1]
+        key = path.replace("/", self.separator)
+        attributes = {**self._around(dataset.parent), **own}
+        self.datasets[key] = Dataset(sides, dtype, labels, attributes)
+
+    def _around(self, group: Any) -> dict[str, Any]:
+        """Attributes of a group and those around it that may hold for the arrays within."""
+        if group.name not in self._groups:
+            outer = {} if group.name == "/" else self._around(group.parent)
+            own = {name: value for name, value in _attributes(group) if name not in _OF_ARRAY}
+            self._groups[group.name] = {**outer, **own}
+        return self._groups[group.name]
+
+
+def _attributes(entry: Any) -> Iterator[tuple[str, Any]]:
+    """Attributes of a dataset or a group that are numbers or texts, with names in small letters
+    too; those that cannot be decoded are left out.
+    """
+    for name in entry.attrs:
+        try:
+            value = entry.attrs[name]
+        except (OSError, TypeError, ValueError, KeyError):
+            continue
+        yield name.lower(), value
+        yield name, value
+
+
+def _dtype(dataset: Any) -> np.dtype[Any]:
+    import h5py
+
+    return np.dtype("U1") if h5py.check_string_dtype(dataset.dtype) else dataset.dtype
+
+
+def _label(axis: Any) -> str:
+    """The label of an axis, or else the name of its only scale."""
+    if axis.label:
+        return str(axis.label)
+    names = [name.rpartition("/")[2] for name in axis if name]
+    return names[0] if len(names) == 1 else ""
