@@ -15,6 +15,7 @@ from .messages.definitions import HEADER, TIME, Definitions
 from .messages.fields import numbers_at, only_channel, paths_of, value_at
 from .messages.grids import KINDS, EmptyMessageError, Numbers, fields_of
 
+
 class OtherFrameError(SourceError):
     """A message of another frame than the stated one."""
 
@@ -99,7 +100,8 @@ class MessageReader:
             # 0: the header has no stamp.
             return stamp["sec"] * 1_000_000_000 + stamp["nanosec"] or None
         self.time_unit = self._stated_unit or named_unit(self.time_path)
-        return stamp
+        number: int | float = stamp
+        return number
 
 
 def fields_that_fit(message: Message, layout: Layout) -> dict[str, Numbers]:

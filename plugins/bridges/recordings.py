@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Collection, Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.recorder.bag.records import MAGIC as MCAP_MAGIC
 from sparseskin.nodes.sensor.files.format import Format
 from sparseskin.nodes.sensor.files.recording import (
     Block,
@@ -27,7 +27,7 @@ from sparseskin.nodes.sensor.files.recording import (
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 
-from .bags import bag_storage, mcap_storage
+from .bags.bag_storage import MAGIC as BAG_MAGIC
 from .bags.bag_storage import BagStorage
 from .bags.db3_storage import Db3Storage
 from .bags.mcap_storage import McapStorage
@@ -309,7 +309,9 @@ class RosRecording(Recording):
                 for message in storage.messages(topics):
                     room_bytes -= len(message.data)
                     if room_bytes < 0:
-                        raise SourceError(f"{self._name}: its messages are far larger than the file")
+                        raise SourceError(
+                            f"{self._name}: its messages are far larger than the file"
+                        )
                     yield message
             except (ValueError, KeyError, OverflowError) as error:  # of malformed bytes
                 raise unreadable(storage.name, error) from error
@@ -392,9 +394,9 @@ def open_storage(path: str, work: Workspace) -> Storage:
     if begin == SQLITE_MAGIC:
         complete = with_log(plain, work) if plain == path else plain
         return Db3Storage(complete, path, has_log=complete != plain)
-    if begin.startswith(mcap_storage.MAGIC):
+    if begin.startswith(MCAP_MAGIC):
         return McapStorage(plain, path)
-    if begin.startswith(bag_storage.MAGIC):
+    if begin.startswith(BAG_MAGIC):
         return BagStorage(plain, path)
     raise SourceError(f"{path}: is no .bag, .db3 or .mcap of ROS; if it is {CONVERT}")
 

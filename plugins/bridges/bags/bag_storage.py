@@ -99,9 +99,7 @@ class BagStorage(Storage):
                 self.losses.append(f"behind byte {place} of {size} ({fault})")
                 yield from self._rest(file, place, size, topics)
 
-    def _messages(
-        self, record: Record, place: int, topics: Collection[str]
-    ) -> Iterator[Recorded]:
+    def _messages(self, record: Record, place: int, topics: Collection[str]) -> Iterator[Recorded]:
         """The messages of a record; a damaged chunk costs itself."""
         try:
             if record.opcode != OP_CHUNK:

@@ -44,7 +44,8 @@ class Db3Storage(Storage):
         numbers = [number for number, (name, _) in self._topics.items() if name in topics]
         marks = ",".join("?" * len(numbers))
         # As they were written: an index may be behind the place where a file is cut off.
-        query = f"SELECT topic_id, timestamp, data FROM messages NOT INDEXED WHERE topic_id IN ({marks})"
+        columns = "topic_id, timestamp, data"
+        query = f"SELECT {columns} FROM messages NOT INDEXED WHERE topic_id IN ({marks})"
         n = 0
         with self._opened() as base:
             try:

@@ -63,7 +63,7 @@ class McapStorage(Storage):
             # No index: the channels stand among the messages.
             for _ in self.messages(()):
                 continue
-        self._topics = {topic: of for topic, of in self._channels.values()}
+        self._topics = dict(self._channels.values())
         return self._topics
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:

@@ -41,7 +41,8 @@ MAX_DEPTH = 32
 SPARE_BYTES = 64
 """Messages without members count as a byte each, that they do not have in ROS 1: so many may."""
 PHASES = 8
-"""Largest alignment of CDR, bytes: places of members depend on where a message begins in so many."""
+"""Largest alignment of CDR, bytes: the places of members depend on the begin of their message in
+so many."""
 
 Buffer = bytes | memoryview
 Read = Callable[[Buffer, int], tuple[Any, int]]
@@ -122,10 +123,10 @@ class _Readers:
         if kind not in self._least:
             total = 0
             for member in self._definitions.members(kind):
-                if member.count == SEQUENCE:
+                if member.n_entries == SEQUENCE:
                     total += 4
                 else:
-                    n = 1 if member.count is None else member.count
+                    n = 1 if member.n_entries is None else member.n_entries
                     total += n * self.least_bytes(member.kind)
             self._least[kind] = max(1, total)
         return self._least[kind]
@@ -150,7 +151,8 @@ class _Readers:
         return read
 
     def _member(self, member: Member) -> Read:
-        kind, count = member.kind, member.count
+        kind = member.kind
+        count = member.n_entries
         if count is not None and count > MAX_COUNT:
             raise SourceError(f"{printable(member.name)}: a list of {count} entries")
         if kind in BASES:
@@ -244,11 +246,11 @@ class _Readers:
         return read
 
     def _first_align(self, kind: str) -> int:
-        """Alignment of the first number of a message of one size."""
+        """Alignment of the first number of a value."""
         if not self._is_cdr:
             return 1
-        if kind in BASES:
-            return np.dtype(BASES[kind]).itemsize
+        if "/" not in kind:
+            return np.dtype(BASES.get(kind, "u4")).itemsize
         members = self._definitions.members(kind)
         return self._first_align(members[0].kind) if members else 1
 
@@ -279,8 +281,8 @@ class _Readers:
         offsets: list[int] = []
         at = phase
         for member in self._definitions.members(kind):
-            is_number = member.kind in BASES and member.count != SEQUENCE
-            is_message = "/" in member.kind and member.count is None
+            is_number = member.kind in BASES and member.n_entries != SEQUENCE
+            is_message = "/" in member.kind and member.n_entries is None
             if not (is_number or is_message):
                 return None
             align = self._first_align(member.kind)
@@ -290,11 +292,11 @@ class _Readers:
                 dtype = self._places(member.kind, at % self._phases)
             else:
                 dtype = np.dtype(self._order + BASES[member.kind])
-            n = 1 if member.count is None else member.count
+            n = 1 if member.n_entries is None else member.n_entries
             if dtype is None or n * dtype.itemsize > MAX_FIXED_BYTES:
                 return None
             names.append(member.name)
-            formats.append(dtype if member.count is None else np.dtype((dtype, (n,))))
+            formats.append(dtype if member.n_entries is None else np.dtype((dtype, (n,))))
             offsets.append(at - phase)
             at += n * dtype.itemsize
         if not 0 < at - phase <= MAX_FIXED_BYTES or len(set(names)) < len(names):
@@ -305,7 +307,8 @@ class _Readers:
             "offsets": offsets,
             "itemsize": at - phase,
         }
-        return np.dtype(places)
+        result: np.dtype[Any] = np.dtype(places)
+        return result
 
 
 def _scalar(order: str, code: str, is_aligned: bool) -> Read:

@@ -33,7 +33,7 @@ HEADER = "std_msgs/msg/Header"
 SHORT = {"time": TIME, "duration": DURATION, "Header": HEADER}
 """Names that a definition uses without a package."""
 SEQUENCE = -1
-"""`Member.count` of a list whose length is in the message."""
+"""`Member.n_entries` of a list whose length is in the message."""
 MAX_TEXT_BYTES = 1 << 20
 """Longest definition that is parsed; chosen: ten times the longest one of ROS."""
 MAX_COUNT = 1 << 26
@@ -52,7 +52,7 @@ class Member(NamedTuple):
 
     name: str
     kind: str
-    count: int | None = None
+    n_entries: int | None = None
 
 
 Members = tuple[Member, ...]

@@ -56,7 +56,7 @@ def numbers_at(message: Message, path: str) -> Numbers:
     """
     if message.kind in KINDS and (not path or path in fields_of(message)):
         return grid_of(message, path)
-    found = _walk(message, steps_of(path), 0, [])
+    found = _walk(message, steps_of(path), 0, ())
     values = found.values
     if values.size == 0:
         raise EmptyMessageError("holds no number")
@@ -72,21 +72,18 @@ def numbers_at(message: Message, path: str) -> Numbers:
 def value_at(message: Message, path: str) -> int | float | Message:
     """One number, or a time, at a path of a message. Raises SourceError if there is none."""
     value: Any = message
-    for step in steps_of(path):
-        if isinstance(step, str) and isinstance(value, Message) and step in value:
+    try:
+        for step in steps_of(path):
             value = value[step]
-        elif isinstance(step, int) and isinstance(value, list | np.ndarray) and step < len(value):
-            value = value[step]
-        elif isinstance(step, str) and getattr(value, "dtype", None) is not None:
-            value = _member_of(value, step)
-        else:
-            raise SourceError(f"time: there is no field {printable(path[:60])!r}")
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise SourceError(f"time: there is no field {printable(path[:60])!r}") from error
     if isinstance(value, np.generic):
         value = value.item()
-    is_time = isinstance(value, Message) and value.kind == TIME
-    if not (is_time or isinstance(value, int | float)):
-        raise SourceError(f"time: {printable(path[:60])!r} is no time")
-    return value
+    if isinstance(value, Message) and value.kind == TIME:
+        return value
+    if isinstance(value, int | float):
+        return value
+    raise SourceError(f"time: {printable(path[:60])!r} is no time")
 
 
 def paths_of(message: Message, channel: str = "") -> dict[str, Numbers]:
@@ -172,9 +169,7 @@ def _entry(values: Any, step: Step, name: str, n_open: int = 0) -> Any:
     return values[step] if isinstance(values, list) else values[(*[slice(None)] * n_open, step)]
 
 
-def _stacked(
-    values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, ...]
-) -> _Walked:
+def _stacked(values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, ...]) -> _Walked:
     """The numbers of each entry of a list, together."""
     if not values:
         raise EmptyMessageError("holds no number")
@@ -235,7 +230,10 @@ def _endings(value: Any, is_listed: bool) -> Iterator[str]:
             if name != "header":
                 yield from (f".{name}{ending}" for ending in _endings(member, is_listed))
     elif isinstance(value, list) and value:
-        for ending in _endings(value[0], True):
+        endings = list(_endings(value[0], True))
+        # Numbers beside lists are about the entry: it is a skin, and no taxel.
+        of_lists = [ending for ending in endings if "[]" in ending]
+        for ending in of_lists or endings:
             yield from _of_list(len(value), ending, value[0])
     elif is_listed and isinstance(value, int | float) and not isinstance(value, bool):
         yield ""

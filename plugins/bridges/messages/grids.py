@@ -87,7 +87,7 @@ def _image(message: Message) -> Numbers:
     n_channels = int(match[3] or 1)
     pitch = n_channels * n_bits // 8
     values = _cells(message, message["step"], pitch, 0, code, n_channels)
-    axes = (Axis(message["height"], "rows"), Axis(message["width"], "cols"))
+    axes: tuple[Axis, ...] = (Axis(message["height"], "rows"), Axis(message["width"], "cols"))
     if n_channels > 1:
         axes = (*axes, Axis(n_channels, "xyz" if n_channels == 3 else "channel"))
     return Numbers(values, axes)
@@ -128,11 +128,11 @@ def _cells(
     dtype = np.dtype((">" if message["is_bigendian"] else "<") + code)
     end = offset + n * dtype.itemsize
     if step < n_cols * pitch or data.size != step * n_rows or end > pitch:
-        shape = f"{n_rows} x {n_cols} of {pitch} bytes"
-        raise SourceError(f"rows of {step} bytes, {data.size} bytes in all, for {shape}")
-    shape = (n_rows, n_cols) if n == 1 else (n_rows, n_cols, n)
-    strides = (step, pitch) if n == 1 else (step, pitch, dtype.itemsize)
-    return np.ndarray(shape, dtype, data, offset, strides)
+        sizes = f"{n_rows} x {n_cols} of {pitch} bytes"
+        raise SourceError(f"rows of {step} bytes, {data.size} bytes in all, for {sizes}")
+    shape = (n_rows, n_cols, n)
+    values: npt.NDArray[Any] = np.ndarray(shape, dtype, data, offset, (step, pitch, dtype.itemsize))
+    return values[..., 0] if n == 1 else values
 
 
 def _array(message: Message) -> Numbers:
