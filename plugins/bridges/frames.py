@@ -1,115 +1,150 @@
-"""Messages of ROS as frames of readings: images, point clouds and arrays."""
+"""Messages of ROS as frames of readings, of recordings and of topics."""
 
 from __future__ import annotations
 
-import re
-from math import prod
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import choose
+from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
+from sparseskin.nodes.sensor.layout.times import named_unit
 
-from .cdr import CLOUD, IMAGE, types
+from .cdr import CLOUD
+from .messages.decoding import Decoder, Message
+from .messages.definitions import HEADER, TIME, Definitions
+from .messages.fields import numbers_at, only_channel, paths_of, value_at
+from .messages.grids import KINDS, EmptyMessageError, Numbers, fields_of
 
-FORMATS = {
-    **{"32FC1": "f4", "64FC1": "f8", "16UC1": "u2", "mono16": "u2"},
-    **{"16SC1": "i2", "8UC1": "u1", "mono8": "u1", "32SC1": "i4"},
-}
-"""Encodings of sensor_msgs/Image that hold one number a pixel, and the dtype of each."""
-FIELDS = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-"""Dtypes of a field of sensor_msgs/PointCloud2, by the number of its type."""
-PLACES = re.compile(r"[xyzt]|(n|normal_)[xyz]|rgba?|ring|row|index|time.*|curvature")
-"""Fields of a point cloud that are no readings."""
-ARRAYS = tuple(
-    f"std_msgs/msg/{kind}MultiArray"
-    for kind in ("Float32", "Float64", *(f"{u}Int{n}" for u in ("", "U") for n in (8, 16, 32, 64)))
-)
-KINDS = (IMAGE, CLOUD, *ARRAYS)
-"""Types of messages that can hold frames."""
+
+class OtherFrameError(SourceError):
+    """A message of another frame than the stated one."""
+
+
+LOG, NONE = "log", "none"
+"""Values of `Layout.time`: the times at which messages were recorded; no times."""
+STAMP = "header.stamp"
+XYZ_SIZE = 3
 
 
 class Received(NamedTuple):
-    """A message that was read: its stamp in nanoseconds, None where it has none, and its values of
-    shape (n_rows, n_cols), or (n_cells,) where the message does not state it.
+    """A message that was read: its numbers, its time in the unit of the reader, None where it has
+    none, and the frame that its header names, "" where there is none.
     """
 
-    stamp_ns: int | None
-    values: npt.NDArray[np.generic]
+    numbers: Numbers
+    time: int | float | None
+    frame_id: str
 
 
-def read_frame(kind: str, data: bytes, field: str | None = None, ros: int = 2) -> Received:
-    """Read a message of one of `KINDS`, of ROS 2 (CDR) or ROS 1; of a point cloud the stated field,
-    or the only one that is neither place nor normal.
-    Raises SourceError if it is none, or states sizes that do not fit together.
+class MessageReader:
+    """Reads messages of one type: the numbers at a field, and their times.
+
+    `field` is "" for an image, an array, or a point cloud with one field of readings. Raises
+    SourceError if the definition of the type is not known, or the field of times is none.
     """
-    from rosbags.serde import SerdeError
 
-    store = types(ros)
-    try:
-        found = (store.deserialize_cdr if ros == 2 else store.deserialize_ros1)(data, kind)
-    except (SerdeError, ValueError) as error:  # of texts that are no UTF-8, too
-        raise SourceError(f"no {kind}: {' '.join(str(error).split())[:200]}") from error
-    if kind in ARRAYS:
-        return Received(None, _array(found))
-    values = _image(found) if kind == IMAGE else _cloud(found, field)
-    stamp_ns = found.header.stamp.sec * 1_000_000_000 + found.header.stamp.nanosec
-    return Received(stamp_ns or None, values)
+    def __init__(self, definitions: Definitions, kind: str, layout: Layout) -> None:
+        self.kind = kind
+        self.field = layout.field
+        #: Unit of the times; "" if nothing states it.
+        self.time_unit = "ns"
+        self._decode = Decoder(definitions, kind).decode
+        members = definitions.members(kind)
+        self._has_header = any(one.name == "header" and one.kind == HEADER for one in members)
+        stamps = [one.name for one in members if one.kind == TIME and one.count is None]
 
+        #: Where the times stand in a message; "" if they are those of the recording.
+        self.time_path = layout.time
+        if layout.time in (LOG, NONE):
+            self.time_path = ""
+        elif not layout.time and self._has_header:
+            self.time_path = STAMP
+        elif not layout.time and len(stamps) == 1:
+            self.time_path = stamps[0]
+        self._is_header_time = self.time_path == STAMP
+        self._stated_unit = layout.time_unit
+        self._frame_id = layout.frame_id
 
-def _image(found: Any) -> npt.NDArray[np.generic]:
-    encoding = found.encoding
-    if encoding not in FORMATS:
-        raise SourceError(f"encoding {encoding[:32]!r}; allowed are {', '.join(FORMATS)}")
-    _check_size(found.height, found.width)
-    return _cells(found, found.width, FORMATS[encoding], 0, np.dtype(FORMATS[encoding]).itemsize)
+    def decode(self, data: bytes) -> Message:
+        """Read a message. Raises EmptyMessageError if it has no byte, SourceError if it is none."""
+        if not data:
+            raise EmptyMessageError("holds no byte")
+        return self._decode(data)
 
+    def read_frame(self, data: bytes) -> Received:
+        """Read the numbers of a message. Raises EmptyMessageError if it holds none,
+        OtherFrameError if its frame is not the stated one, SourceError if it is malformed.
+        """
+        message = self.decode(data)
+        self.check_frame(message)
+        numbers = numbers_at(message, self.field)
+        return Received(numbers, self.time_of(message), self.frame_of(message))
 
-def _cloud(found: Any, field: str | None) -> npt.NDArray[np.generic]:
-    fields = {
-        one.name: one for one in found.fields if one.count == 1 and one.datatype in range(1, 9)
-    }
-    wanted = fields if field else {k: v for k, v in fields.items() if not PLACES.fullmatch(k)}
-    name = choose(
-        {k: FIELDS[v.datatype] for k, v in wanted.items()},
-        field,
-        "point cloud",
-        "fields of readings",
-        "columns",
-    )
-    _check_size(found.height, found.width)
-    values = _cells(
-        found, found.width, FIELDS[fields[name].datatype], fields[name].offset, found.point_step
-    )
-    return values if found.height > 1 else values[0]
+    def frame_of(self, message: Message) -> str:
+        """The frame that the header of a message names, "" where there is none."""
+        return str(message["header"]["frame_id"]) if self._has_header else ""
 
+    def check_frame(self, message: Message) -> None:
+        """Raise OtherFrameError if the frame of a message is not the stated one."""
+        if self._frame_id and self.frame_of(message) != self._frame_id:
+            raise OtherFrameError(f"frame_id {printable(self.frame_of(message)[:40])!r}")
 
-def _cells(found: Any, n_cols: int, code: str, offset: int, pitch: int) -> npt.NDArray[np.generic]:
-    """A number of each cell, (height, n_cols), at an offset in each `pitch` bytes of each row."""
-    dtype = np.dtype((">" if found.is_bigendian else "<") + code)
-    step, size = found.step if hasattr(found, "step") else found.row_step, len(found.data)
-    if step < n_cols * pitch or size != step * found.height or offset + dtype.itemsize > pitch:
-        shape = f"{found.height} x {n_cols} of {pitch} bytes"
-        raise SourceError(f"rows of {step} bytes, {size} bytes in all, for {shape}")
-    rows = np.ascontiguousarray(found.data.reshape(found.height, step)[:, : n_cols * pitch])
-    cells = rows.reshape(found.height, n_cols, pitch)[..., offset : offset + dtype.itemsize]
-    return np.ascontiguousarray(cells).view(dtype)[..., 0].astype(dtype.newbyteorder("="))
-
-
-def _array(found: Any) -> npt.NDArray[np.generic]:
-    shape = [dimension.size for dimension in found.layout.dim]
-    offset, n = found.layout.data_offset, prod(shape) if shape else len(found.data)
-    _check_size(1, n)
-    if offset + n > len(found.data):
-        raise SourceError(f"{len(found.data)} numbers, from {offset} on, for {shape}")
-    values: npt.NDArray[np.generic] = found.data[offset : offset + n]
-    grid = [side for side in shape if side != 1] if len(shape) > 2 else shape
-    return values.reshape(grid) if len(grid) == 2 else values
+    def time_of(self, message: Message) -> int | float | None:
+        if not self.time_path:
+            return None
+        if self._is_header_time:
+            stamp: Any = message["header"]["stamp"]
+        else:
+            stamp = value_at(message, self.time_path)
+        if isinstance(stamp, Message):
+            # 0: the header has no stamp.
+            return stamp["sec"] * 1_000_000_000 + stamp["nanosec"] or None
+        self.time_unit = self._stated_unit or named_unit(self.time_path)
+        number: int | float = stamp
+        return number
 
 
-def _check_size(n_rows: int, n_cols: int) -> None:
-    if not 1 <= n_rows * n_cols <= MAX_ELEMENTS:
-        raise SourceError(f"{n_rows} x {n_cols} taxels; allowed are 1..{MAX_ELEMENTS}")
+def fields_that_fit(message: Message, layout: Layout) -> dict[str, Numbers]:
+    """The fields of a message that can be frames, by their path, and their numbers: those of the
+    stated shape, where one is stated. Raises SourceError if the message is a malformed frame.
+    """
+    if message.kind == CLOUD:
+        names = only_channel(fields_of(message, readings=True), layout.channel)
+        found = {name: numbers_at(message, name) for name in names}
+    elif message.kind in KINDS:
+        found = {"": numbers_at(message, "")}
+    else:
+        found = paths_of(message, layout.channel)
+    fitting = {field: one for field, one in found.items() if _fits(one, layout.n_stated)}
+    return fitting or found
+
+
+def choose_field(message: Message, layout: Layout, where: str) -> str:
+    """The field that holds the readings: the stated one, or the only one that can. Raises
+    SourceError if there is none, UnstatedError if there are several.
+    """
+    if layout.field:
+        return layout.field
+    fitting = fields_that_fit(message, layout)
+    if not fitting:
+        raise SourceError(f"{where}: {message.kind} holds no list of numbers")
+    if len(fitting) > 1:
+        listed = ", ".join(f"{printable(field)} {size_text(one)}" for field, one in fitting.items())
+        fault = f"{message.kind} holds {len(fitting)} fields of numbers: {listed[:300]}"
+        options = [{"field": field} for field in fitting]
+        raise UnstatedError(f"{where}: {fault}; state field", *options)
+    return next(iter(fitting))
+
+
+def size_text(numbers: Numbers) -> str:
+    """Sizes of the axes of a message: "(4 x 3)"."""
+    return f"({' x '.join(str(axis.size) for axis in numbers.axes)})"
+
+
+def _fits(numbers: Numbers, n_stated: int | None) -> bool:
+    """True if a frame of so many taxels can be read from the numbers: a channel is their last
+    axis.
+    """
+    n = numbers.values.size
+    n_last = numbers.axes[-1].size if len(numbers.axes) > 1 else 1
+    return n_stated in (None, n, n // n_last)

@@ -2,212 +2,436 @@
 
 from __future__ import annotations
 
-import bz2
-import sqlite3
-from collections.abc import Callable, Iterator
-from contextlib import closing
-from dataclasses import replace
-from functools import partial
+import heapq
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import lz4.frame  # type: ignore[import-untyped, unused-ignore]
-import mcap.records
 import numpy as np
-from mcap.opcode import Opcode
 
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
-from sparseskin.nodes.recorder.bag.records import (
-    MAGIC,
-    Break,
-    Record,
-    chunk_records,
-    message_of,
-    open_chunk,
-    records,
-)
+from sparseskin.nodes.recorder.bag.records import MAGIC as MCAP_MAGIC
 from sparseskin.nodes.sensor.files.format import Format
 from sparseskin.nodes.sensor.files.recording import (
+    Block,
     File,
-    Parsed,
+    Head,
     Recording,
     choose,
+    frames_per_block,
     reading,
-    rising,
-    shape_text,
     unreadable,
 )
+from sparseskin.nodes.sensor.layout.layout import UnstatedError
+from sparseskin.nodes.sensor.layout.tally import Tally
 
+from .bags.bag_storage import MAGIC as BAG_MAGIC
+from .bags.bag_storage import BagStorage
+from .bags.db3_storage import Db3Storage
+from .bags.mcap_storage import McapStorage
+from .bags.metadata import Metadata, metadata_of
+from .bags.storage import (
+    CONVERT,
+    Recorded,
+    Storage,
+    Topic,
+    Workspace,
+    decompressed,
+    plain_message,
+    with_log,
+)
 from .base import check_installed
-from .frames import KINDS, Received, read_frame
+from .frames import (
+    LOG,
+    NONE,
+    STAMP,
+    MessageReader,
+    OtherFrameError,
+    Received,
+    fields_that_fit,
+    size_text,
+)
+from .messages.definitions import Definitions
+from .messages.grids import KINDS, EmptyMessageError, Numbers
 
-MAX_BAG_CHUNK_BYTES = 1 << 28
-"""Largest chunk of a bag of ROS 1 after decompression; chosen: a hundred times the usual."""
+SQLITE_MAGIC = b"SQLite format 3\0"
+WINDOW = 1024
+"""Messages that wait for one that was recorded before them; chosen: bags are nearly in order."""
+WINDOW_BYTES = 1 << 24
+MAX_TRIES = 100
+"""Messages of a topic after which it holds no frames, if none of them does; chosen."""
+MAX_FRAME_IDS = 8
+EMPTY, OTHER_FRAME, SKIPPED = "empty messages", "messages of another frame_id", "skipped"
+MALFORMED, OTHER_TYPE = "malformed messages", "messages of another type"
+OTHER_SHAPE = "messages of another shape"
+IN_ORDER = "ros2 bag convert, or mcap sort, writes it in order"
 
 
-class Recorded(NamedTuple):
-    """A message of a recording, and the time at which it was recorded."""
+class First(NamedTuple):
+    """The first message of a topic that holds numbers: its reader, its fields that can be frames,
+    and its own time.
+    """
+
+    reader: MessageReader
+    fields: dict[str, Numbers]
+    received: Received
+
+
+class Stream(NamedTuple):
+    """The messages that are read: their topic, and how."""
 
     topic: str
-    kind: str
-    log_ns: int
-    data: bytes
+    reader: MessageReader
+    first: Received
+    uses_log: bool  # their times are those of the recording
+    notes: tuple[str, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Sizes of the axes of a message."""
+        return self.first.numbers.values.shape
 
 
 class RosRecording(Recording):
-    """The messages of a topic that hold frames: the stated topic, or the only one. Times are those
-    of the headers, or of the recording where a header has none or they do not rise.
+    """The messages of a topic that hold numbers: the stated topic and field, or the only ones.
 
-    Raises
-    ------
-    SourceError
-        If the file is damaged, no topic or several hold frames, or their shape changes.
+    Times are those of the headers, or of the recording where a header has none. Raises SourceError
+    if nothing can be read, UnstatedError if several topics, fields or frames can be meant.
     """
 
     def __init__(self, file: File) -> None:
         check_installed(file.name, "ros", "rosbags", error=SourceError)
-        self._file, self._ros = file, 1 if file.name.lower().endswith(".bag") else 2
+        self.tally = Tally("messages")
+        self._layout = file.layout
+        self._name = file.name if not file.parts else str(Path(file.name).parent)
+        self._work = Workspace(self)
+        paths = (file.name, *file.parts)
+        self._metadata = _metadata(paths)
+        self._n_bytes = sum(Path(path).stat().st_size for path in paths)
+        self._storages = [open_storage(path, self._work) for path in paths]
+        self._stream: Stream | None = None
 
-    def read(self) -> Parsed:
-        name = self._file.name
-        try:
-            topic = self._chosen()
-            messages = [one for one in self._all() if one.topic == topic]
-            messages.sort(key=lambda one: one.log_ns)
-            found = [self._frame(one) for one in messages]
-        except SourceError:
-            raise
-        except Exception as error:  # of rosbags and SQLite, at malformed bytes of any kind
-            raise unreadable(name, error) from error
-        if len(shapes := {one.values.shape for one in found}) > 1:
-            raise SourceError(f"{name}: {topic}: its shape changes: {sorted(shapes)[:4]}")
-        stamps = [one.stamp_ns or 0 for one in found]
-        if not all(stamps) or sorted(set(stamps)) != stamps:
-            stamps = [one.log_ns for one in messages]
-        return Parsed(
-            np.stack([one.values for one in found]),
-            stamp_ns=rising(stamps, name),
-            notes=(f"topic {topic}",),
+    def head(self) -> Head:
+        if self._stream is None:
+            self._stream = self._choose()
+        stream = self._stream
+        return Head(
+            stream.first.numbers.axes,
+            is_timed=self._layout.time != NONE,
+            time_unit="ns" if stream.uses_log else stream.reader.time_unit,
+            time_name="log time" if stream.uses_log else stream.reader.time_path,
+            notes=stream.notes,
         )
 
-    def _all(self) -> Iterator[Recorded]:
-        """All messages; SourceError once they are larger than any recording of that size is."""
-        names = self._file.name, *self._file.parts
-        left = max(MAX_GROWN_BYTES, MAX_GROWTH * sum(Path(name).stat().st_size for name in names))
-        for name in names:
-            with reading(name) as opened:
-                read = READERS[Path(name).suffix.lower()]
-                for one in read(replace(self._file, file=opened, name=name)):
-                    left -= len(one.data)
-                    if left < 0:
-                        raise SourceError(f"{name}: its messages are far larger than the file")
-                    yield one
+    def blocks(self) -> Iterator[Block]:
+        self.head()
+        stream = self._stream
+        assert stream is not None
+        dtype = stream.first.numbers.values.dtype.newbyteorder("=")
+        size = frames_per_block(stream.first.numbers.values.size)
+        self.tally.begin()
+        reads = _Reads(self._name, stream, self.tally, self._layout.n_stated is not None)
+        numbers = np.empty((size, *stream.shape), dtype)
+        times: list[int | float] = []
+        messages = in_order(self._messages((stream.topic,)))
+        for n, message in enumerate(messages):
+            if n < self._layout.skip:
+                self.tally.drop(SKIPPED)
+                continue
+            received = reads.received(message)
+            if received is None:
+                continue
+            if not self._layout.frame_id:
+                self._check_frames(received, messages, stream)
+            times.append(reads.time(message, received))
+            numbers[len(times) - 1] = received.numbers.values
+            if len(times) == size:
+                self.tally.take(size, size)
+                yield Block(numbers, times)
+                numbers = np.empty((size, *stream.shape), dtype)
+                times = []
+        if times:
+            self.tally.take(len(times), len(times))
+            yield Block(numbers[: len(times)], times)
+        self._account(stream.topic)
 
-    def _frame(self, one: Recorded) -> Received:
-        try:
-            return read_frame(one.kind, one.data, self._file.columns, self._ros)
-        except SourceError as error:
-            raise SourceError(f"{self._file.name}: {one.topic}: {error}") from error
+    def _choose(self) -> Stream:
+        """The topic and the field that are stated, or the only ones."""
+        layout = self._layout
+        topics = self._topics()
+        if layout.topic:
+            listed = {topic: of.kind for topic, of in topics.items()}
+            choose(listed, layout.topic, self._name, "topics")
+        wanted = [layout.topic] if layout.topic else self._likely(topics)
+        firsts = self._firsts({topic: topics[topic] for topic in wanted})
+        ways = [(topic, field) for topic, first in firsts.items() for field in first.fields]
+        if len(ways) > 1:
+            raise self._unstated(firsts, ways)
+        topic, field = ways[0]
+        first = firsts[topic]
+        reader = first.reader
+        notes = [f"topic {topic}"]
+        if reader.field != field:
+            reader.field = field
+            notes.append(f"field {field}")
+        received = first.received._replace(numbers=first.fields[field])
+        uses_log = layout.time == LOG or received.time is None
+        if uses_log and reader.time_path == STAMP:
+            notes.append("its headers have no stamps: times of the recording")
+        if not all(storage.is_closed for storage in self._storages):
+            notes.append("its recorder was killed: what it wrote is read")
+        return Stream(topic, reader, received, uses_log, tuple(notes))
 
-    def _chosen(self) -> str:
-        """The topic whose first message is a frame."""
-        firsts: dict[str, Recorded] = {}
-        for one in self._all():
-            firsts.setdefault(one.topic, one)
-        fitting: dict[str, str] = {}
-        more = ""
-        for topic, one in firsts.items():
-            if one.kind not in KINDS:
+    def _topics(self) -> dict[str, Topic]:
+        topics: dict[str, Topic] = {}
+        for storage in self._storages:
+            for topic, of in storage.topics().items():
+                topics.setdefault(topic, of)
+        return topics
+
+    def _likely(self, topics: dict[str, Topic]) -> list[str]:
+        """Topics that can hold frames: of types that are frames by themselves, or that ROS does not
+        have; or else all. Those without a message are left out.
+        """
+        counts = self._metadata.counts if self._metadata else {}
+        filled = {topic: of for topic, of in topics.items() if counts.get(topic) != 0}
+        likely = [
+            topic
+            for topic, of in filled.items()
+            if of.kind in KINDS or not Definitions(of.ros).is_of_ros(of.kind)
+        ]
+        return likely or list(filled)
+
+    def _firsts(self, topics: dict[str, Topic]) -> dict[str, First]:
+        """The first message with numbers of each topic that has one."""
+        readers: dict[str, MessageReader] = {}
+        faults: dict[str, str] = {}
+        for topic, of in topics.items():
+            try:
+                readers[topic] = self._reader(of)
+            except SourceError as error:
+                faults[topic] = str(error)
+        firsts: dict[str, First] = {}
+        tries = dict.fromkeys(readers, 0)
+        for message in self._messages(readers):
+            topic = message.topic
+            if topic in firsts or tries[topic] >= MAX_TRIES:
                 continue
             try:
-                shape = self._frame(one).values.shape
+                firsts[topic] = self._first(readers[topic], plain_message(message.data))
+            except (EmptyMessageError, OtherFrameError) as error:
+                faults.setdefault(topic, str(error))
+            except UnstatedError:
+                raise
+            except SourceError as error:
+                faults[topic] = str(error)
+                tries[topic] += 1
+            if all(one in firsts or tries[one] >= MAX_TRIES for one in readers):
+                break
+        if firsts:
+            return firsts
+        if len(topics) == 1 and faults:
+            raise SourceError(f"{self._name}: {next(iter(topics))}: {next(iter(faults.values()))}")
+        listed = ", ".join(
+            f"{printable(topic)} ({printable(of.kind)}{f': {faults[topic]}' * (topic in faults)})"
+            for topic, of in [*topics.items()][:8]
+        )
+        raise SourceError(f"{self._name}: no topic holds frames; it holds {listed or 'no message'}")
+
+    def _reader(self, of: Topic) -> MessageReader:
+        definitions = Definitions(of.ros)
+        if of.text:
+            try:
+                definitions.add(of.kind, of.text, of.form)
             except SourceError:
-                if topic == self._file.topic or len(firsts) == 1:
+                if not definitions.is_of_ros(of.kind):
                     raise
-                continue
-            if not fitting and len(shape) == 1 and not (self._file.n_rows or self._file.n_cols):
-                more = f" {shape_text(*shape)}"
-            fitting[topic] = f"{one.kind.rpartition('/')[2]}, {' x '.join(map(str, shape))}"
-        if not fitting:
-            held = ", ".join(f"{topic} ({one.kind})" for topic, one in [*firsts.items()][:8])
-            raise SourceError(
-                f"{self._file.name}: no topic holds frames; it holds {held or 'no message'}"
-            )
-        file = self._file
-        return choose(fitting, file.topic, file.name, "topics of frames", more=more)
+        return MessageReader(definitions, of.kind, self._layout)
 
+    def _first(self, reader: MessageReader, data: bytes) -> First:
+        message = reader.decode(data)
+        reader.check_frame(message)
+        if reader.field:
+            received = reader.read_frame(data)
+            return First(reader, {reader.field: received.numbers}, received)
+        fields = fields_that_fit(message, self._layout)
+        if not fields:
+            raise EmptyMessageError("holds no list of numbers")
+        numbers = next(iter(fields.values()))
+        received = Received(numbers, reader.time_of(message), reader.frame_of(message))
+        return First(reader, fields, received)
 
-def _mcap(file: File) -> Iterator[Recorded]:
-    """The messages of an .mcap, in or outside chunks."""
-    schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
+    def _unstated(self, firsts: dict[str, First], ways: list[tuple[str, str]]) -> UnstatedError:
+        """The error that names the topics and fields of which each can be meant."""
+        options = []
+        texts = []
+        for topic, field in ways:
+            option = {} if self._layout.topic else {"topic": topic}
+            if field and field != self._layout.field:
+                option["field"] = field
+            options.append(option)
+            kind = firsts[topic].reader.kind.rpartition("/")[2]
+            size = size_text(firsts[topic].fields[field])
+            texts.append(f"{printable(topic)} {printable(field)}".strip() + f" {kind} {size}")
+        what = "topics of frames" if len(firsts) == len(ways) else "fields of frames"
+        fault = f"holds {len(ways)} {what}, which is not stated: {', '.join(texts)[:400]}"
+        keys = " and ".join(dict.fromkeys(key for option in options for key in option))
+        return UnstatedError(f"{self._name}: {fault}; state {keys}", *options)
 
-    def one(record: Record) -> Iterator[Recorded]:
-        if record.opcode == Opcode.SCHEMA:
-            schema = record.parsed(mcap.records.Schema.read)
-            schemas[schema.id] = schema.name
-        elif record.opcode == Opcode.CHANNEL:
-            channel = record.parsed(mcap.records.Channel.read)
-            is_cdr = channel.message_encoding == "cdr"
-            kind = schemas.get(channel.schema_id, "") if is_cdr else channel.message_encoding
-            channels[channel.id] = channel.topic, kind
-        elif record.opcode == Opcode.MESSAGE:
-            id, log_ns, _, payload = message_of(memoryview(record.data), record.offset)
-            if id not in channels:
-                raise Break(record.offset, "a message there has no channel")
-            yield Recorded(*channels[id], log_ns, bytes(payload))
-
-    size = file.file.seek(0, 2)
-    for record in records(file.file, len(MAGIC), size):
-        if record.opcode == Opcode.DATA_END:
+    def _check_frames(
+        self, received: Received, messages: Iterator[Recorded], stream: Stream
+    ) -> None:
+        """Raise UnstatedError if a message is of another frame than the first one."""
+        if received.frame_id == stream.first.frame_id:
             return
-        if record.opcode == Opcode.CHUNK:
-            for opcode, content in chunk_records(open_chunk(record), record.offset):
-                yield from one(Record(opcode, record.offset, bytes(content)))
+        frame_ids = {stream.first.frame_id: None, received.frame_id: None}
+        for message in messages:
+            try:
+                frame_ids[stream.reader.read_frame(plain_message(message.data)).frame_id] = None
+            except SourceError:
+                continue
+            if len(frame_ids) >= MAX_FRAME_IDS:
+                break
+        listed = ", ".join(repr(printable(one[:40])) for one in frame_ids)
+        fault = f"{stream.topic}: messages of {len(frame_ids)} frames, {listed}"
+        options = [{"frame_id": frame_id} for frame_id in frame_ids if frame_id]
+        raise UnstatedError(f"{self._name}: {fault}; state frame_id", *options)
+
+    def _messages(self, topics: Collection[str]) -> Iterator[Recorded]:
+        """All messages of some topics; SourceError once they are larger than any recording of that
+        size is.
+        """
+        room_bytes = max(MAX_GROWN_BYTES, MAX_GROWTH * self._n_bytes)
+        for storage in self._storages:
+            try:
+                for message in storage.messages(topics):
+                    room_bytes -= len(message.data)
+                    if room_bytes < 0:
+                        raise SourceError(
+                            f"{self._name}: its messages are far larger than the file"
+                        )
+                    yield message
+            except (ValueError, KeyError, OverflowError) as error:  # of malformed bytes
+                raise unreadable(storage.name, error) from error
+
+    def _account(self, topic: str) -> None:
+        """Name the messages that the file does not hold, as far as their number is known."""
+        n_stated = self._metadata.counts.get(topic) if self._metadata else None
+        n_missing = (n_stated or 0) - self.tally.n_items
+        if n_missing > 0:
+            self.tally.drop(f"missing of the {n_stated} that metadata.yaml states", n_missing)
+        if n_missing != 0 or n_stated is None:
+            for storage in self._storages:
+                for loss in storage.losses:
+                    self.tally.drop(f"or more lost {loss}", 0 if n_missing > 0 else 1)
+
+
+class _Reads:
+    """Reads the messages of a stream, and drops by name those that hold no frame."""
+
+    def __init__(self, name: str, stream: Stream, tally: Tally, is_stated: bool) -> None:
+        self._where = f"{name}: {stream.topic}"
+        self._stream = stream
+        self._tally = tally
+        self._is_stated = is_stated
+        self._last_time: int | float | None = None
+
+    def received(self, message: Recorded) -> Received | None:
+        """What a message holds; None if it is dropped. Raises SourceError if its shape changes."""
+        if message.kind != self._stream.reader.kind:
+            self._tally.drop(OTHER_TYPE)
+            return None
+        try:
+            received = self._stream.reader.read_frame(plain_message(message.data))
+        except EmptyMessageError:
+            self._tally.drop(EMPTY)
+        except OtherFrameError:
+            self._tally.drop(OTHER_FRAME)
+        except SourceError:
+            self._tally.drop(MALFORMED)
         else:
-            yield from one(record)
+            return received if self._has_shape(received) else None
+        return None
+
+    def time(self, message: Recorded, received: Received) -> int | float:
+        """The time of a message. Raises UnstatedError if stamps of headers fall, or one is
+        missing.
+        """
+        time = message.log_ns if self._stream.uses_log else received.time
+        place = f"{self._where}: message {self._tally.n_items + 1}"
+        is_header_time = not self._stream.uses_log and self._stream.reader.time_unit == "ns"
+        if time is None or (is_header_time and time < (self._last_time or 0)):
+            fault = "its stamp is before that of the one before it, or missing"
+            hint = f"state time={LOG}, the times of the recording"
+            raise UnstatedError(f"{place}: {fault}; {hint}", {"time": LOG})
+        if self._stream.uses_log and time < (self._last_time or 0):
+            fault = f"was recorded before more than {WINDOW} messages that stand before it"
+            raise SourceError(f"{place}: {fault}; {IN_ORDER}")
+        self._last_time = time
+        return time
+
+    def _has_shape(self, received: Received) -> bool:
+        shape = received.numbers.values.shape
+        if shape == self._stream.shape:
+            return True
+        if self._is_stated:
+            self._tally.drop(OTHER_SHAPE)
+            return False
+        shapes = f"{size_text(self._stream.first.numbers)}, then {size_text(received.numbers)}"
+        hint = "state n_rows and n_cols: messages of other shapes are left out"
+        raise SourceError(f"{self._where}: its shape changes: {shapes}; {hint}")
 
 
-def _db3(file: File) -> Iterator[Recorded]:
-    """The messages of an SQLite file, whose tables are no views and call nothing."""
-    where = f"{Path(file.name).resolve().as_uri()}?mode=ro&immutable=1"
-    with closing(sqlite3.connect(where, uri=True)) as base:
-        base.execute("PRAGMA trusted_schema = OFF")
-        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_GROWN_BYTES)
-        tables = {*base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        if not tables >= {("topics",), ("messages",)}:
-            raise SourceError(f"{file.name}: holds no tables topics and messages of a bag of ROS 2")
-        rows = base.execute("SELECT id, name, type, serialization_format FROM topics")
-        topics = {id: (str(name), str(kind if f == "cdr" else f)) for id, name, kind, f in rows}
-        rows = base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp")
-        for id, log_ns, data in rows:
-            if not (id in topics and isinstance(log_ns, int) and isinstance(data, bytes)):
-                raise SourceError(f"{file.name}: a message has no topic, time or content")
-            yield Recorded(*topics[id], log_ns, data)
+def open_storage(path: str, work: Workspace) -> Storage:
+    """A file of recorded messages, by its begin, decompressed where needed. Raises SourceError if
+    it is none.
+    """
+    plain = decompressed(path, work)
+    with reading(plain) as file:
+        begin = file.read(len(SQLITE_MAGIC))
+    if begin == SQLITE_MAGIC:
+        complete = with_log(plain, work) if plain == path else plain
+        return Db3Storage(complete, path, has_log=complete != plain)
+    if begin.startswith(MCAP_MAGIC):
+        return McapStorage(plain, path)
+    if begin.startswith(BAG_MAGIC):
+        return BagStorage(plain, path)
+    raise SourceError(f"{path}: is no .bag, .db3 or .mcap of ROS; if it is {CONVERT}")
 
 
-def _bag(file: File) -> Iterator[Recorded]:
-    """The messages of a bag of ROS 1."""
-    from rosbags.rosbag1 import Reader
-    from rosbags.rosbag1.reader import decompressors
-
-    bounded = {
-        decompressors["bz2"]: bz2.BZ2Decompressor,
-        decompressors["lz4"]: lz4.frame.LZ4FrameDecompressor,
-    }
-
-    with Reader(Path(file.name)) as reader:
-        for at, chunk in reader.chunks.items():
-            if (make := bounded.get(chunk.decompressor)) is not None:
-                reader.chunks[at] = chunk._replace(decompressor=partial(_plain, make))
-        for connection, log_ns, data in reader.messages():
-            yield Recorded(connection.topic, connection.msgtype, log_ns, data)
-
-
-def _plain(make: Callable[[], Any], data: bytes) -> bytes:
-    return bytes(make().decompress(data, max_length=MAX_BAG_CHUNK_BYTES))
+def in_order(messages: Iterator[Recorded]) -> Iterator[Recorded]:
+    """Messages in the order of the times at which they were recorded, as far as each is at most
+    `WINDOW` messages, or `WINDOW_BYTES`, from its place.
+    """
+    waiting: list[tuple[int, int, Recorded]] = []
+    n_bytes = 0
+    for number, message in enumerate(messages):
+        heapq.heappush(waiting, (message.log_ns, number, message))
+        n_bytes += len(message.data)
+        while len(waiting) > WINDOW or n_bytes > WINDOW_BYTES:
+            first = heapq.heappop(waiting)[2]
+            n_bytes -= len(first.data)
+            yield first
+    while waiting:
+        yield heapq.heappop(waiting)[2]
 
 
-READERS = {".bag": _bag, ".db3": _db3, ".mcap": _mcap}
-ROS = Format({".bag": "ROS 1", ".db3": "ROS 2", ".mcap": "ROS 2"}, RosRecording)
+def _metadata(paths: tuple[str, ...]) -> Metadata | None:
+    """The metadata of a bag whose files are all read; None: of others. Raises SourceError if its
+    messages are compressed in a form that is not read.
+    """
+    found = metadata_of(Path(paths[0]).parent)
+    names = {Path(path).name.removesuffix(".zstd") for path in paths}
+    if found is None or names != {name.removesuffix(".zstd") for name in found.files}:
+        return None
+    if found.mode not in ("", "none") and found.form not in ("", "zstd"):
+        raise SourceError(f"{paths[0]}: {found.form} is not read; {CONVERT}")
+    return found
+
+
+_ROS_2 = "ROS 2"
+_SUFFIXES = {".bag": "ROS 1", ".db3": _ROS_2, ".mcap": _ROS_2}
+_MORE = {".active": "ROS 1, of a killed recorder", ".zstd": "ROS 2, compressed"}
+ROS = Format({**_SUFFIXES, **_MORE}, RosRecording)

@@ -6,28 +6,33 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.driver import RESTART_NS, DriverSource
+from sparseskin.nodes.sensor.layout.arrangement import Arrangement, arrange
+from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout, UnstatedError
+from sparseskin.nodes.sensor.layout.times import NS
 from sparseskin.nodes.sensor.source import Address
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.plugins.boards.settings import split_source, typed
 
-from . import cdr, topics
-from .frames import read_frame
+from . import topics
+from .frames import MessageReader, Received, choose_field
+from .messages import installed
+from .messages.definitions import Definitions
 
 WAIT_S = 0.1
 HISTORY = 1000
 """Samples that wait for a sensor that is behind: one second at 1 kHz."""
 BATCH = 256
-KINDS = (cdr.IMAGE, cdr.ARRAY)
-"""Types of messages that are frames."""
+ARRANGED = ("order", "row_order", "col_order", "channel")
+"""Keys of `Layout` by which numbers are arranged."""
+TIMED = ("time", "time_unit", "frame_id")
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,7 @@ class Ros2Address(Address):
 
     delivers = "taxels"
     form = "ros2:/TOPIC"
+    keys = ("n_rows", "n_cols", *ARRANGED, "field", *TIMED, "unit", "f_max", "missing", "nan")
 
     def check(self) -> None:
         parse(self.source)
@@ -62,23 +68,98 @@ class Ros2Address(Address):
 
     def open(self) -> DriverSource:
         self.check()
-        return DriverSource(self, frames(self.source))
+        # The frames are arranged already, by the labels of the messages, too.
+        rest = self.layout.stating({key: getattr(EMPTY, key) for key in ARRANGED})
+        return DriverSource(replace(self, layout=rest), frames(self.source, self.layout))
 
 
-def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
+class TopicFrames:
+    """Frames of the messages on a topic, which are read as those of a recording are.
+
+    Raises SourceError if the definition of their type is not known.
+    """
+
+    def __init__(self, source: str, kind: str, layout: Layout) -> None:
+        self.n_refused = 0
+        #: Why the last message that was refused was.
+        self.why = "none"
+        self._source = source
+        self._layout = layout
+        installed.learn(kind)
+        self._reader = MessageReader(Definitions(), kind, layout)
+        self._is_chosen = bool(layout.field)
+        self._arrangement: Arrangement | None = None
+        self._first: Received | None = None
+        self._last_ns = -1
+
+    def frame(self, data: bytes) -> tuple[int, npt.NDArray[Any]] | None:
+        """Stamp and frame of a message; None if it is refused. Raises SourceError if the field, the
+        shape or the frame_id of the messages has to be stated.
+        """
+        try:
+            if not self._is_chosen:
+                self._reader.field = self._chosen_field(data)
+                self._is_chosen = True
+            received = self._reader.read_frame(data)
+        except UnstatedError:
+            raise
+        except SourceError as error:
+            self._refuse(str(error))
+            return None
+        numbers = received.numbers
+        if self._first is None:
+            self._arrangement = arrange(self._layout, numbers.axes, self._source)
+            self._first = received
+        first = self._first
+        assert self._arrangement is not None
+        if received.frame_id != first.frame_id:
+            both = f"messages of several frames: {first.frame_id!r}, {received.frame_id!r}"
+            raise SourceError(f"{self._source}: {both[:120]}; state frame_id")
+        if numbers.values.shape != first.numbers.values.shape:
+            self._refuse("a shape that is not that of the first one")
+            return None
+        stamp_ns = self._stamp_ns(received)
+        if self._last_ns - RESTART_NS < stamp_ns <= self._last_ns:
+            self._refuse("a stamp that is not after the one before it")
+            return None
+        self._last_ns = stamp_ns
+        return stamp_ns, self._arrangement.frames(numbers.values[None])[0]
+
+    def _chosen_field(self, data: bytes) -> str:
+        message = self._reader.decode(data)
+        return choose_field(message, self._layout, self._source)
+
+    def _stamp_ns(self, received: Received) -> int:
+        """The time of a message, or of its arrival where it has none."""
+        if received.time is None:
+            return time.monotonic_ns()
+        unit = self._reader.time_unit
+        if not unit:
+            raise SourceError(
+                f"{self._source}: the unit of the times is not stated; state time_unit"
+            )
+        return round(received.time * NS[unit])
+
+    def _refuse(self, why: str) -> None:
+        self.n_refused += 1
+        self.why = why
+
+
+def frames(source: str, layout: Layout = EMPTY) -> Iterator[tuple[int, npt.NDArray[Any]]]:
     """Yield (stamp_ns, forces) of each message: the stamp of its header, or of its arrival where it
     has none, or 0.
 
-    Messages that are malformed, or less than 1 s older than the last one, are dropped and counted
-    in the log, as are those that were lost on the way. Raises SourceError if nothing is published
-    there, or nothing comes for `timeout_s`.
+    Messages that are malformed or empty, or less than 1 s older than the last one, are dropped and
+    counted in the log, as are those that were lost on the way. Raises SourceError if nothing is
+    published there, nothing comes for `timeout_s`, or the messages can be read in several ways.
     """
     topic, query = parse(source)
     with closing(topics.join(query.domain, query.interface, "source")) as member:
         print(f"{source}: {member.where}", file=sys.stderr, flush=True)
         kind, reliable = _publication(member, topic, query.timeout_s)
+        read = TopicFrames(source, kind, layout)
         reader = member.reader(topic, kind, HISTORY, reliable)
-        last_ns, n_refused, logged, why = -1, 0, 0, "none"
+        n_logged = 0
         heard_s = time.monotonic()
         while True:
             messages = reader.take(WAIT_S, BATCH)
@@ -87,37 +168,24 @@ def frames(source: str) -> Iterator[tuple[int, npt.NDArray[np.generic]]]:
             elif time.monotonic() - heard_s > query.timeout_s:
                 raise SourceError(f"{source}: nothing came for {query.timeout_s:g} s")
             for data in messages:
-                try:
-                    received = read_frame(kind, data)
-                    stamp_ns = received.stamp_ns or time.monotonic_ns()
-                    if received.values.ndim != 2:
-                        raise SourceError("a shape that is not (rows, columns)")
-                    if last_ns - RESTART_NS < stamp_ns <= last_ns:
-                        raise SourceError("a stamp that is not after the one before it")
-                except SourceError as error:
-                    n_refused, why = n_refused + 1, str(error)
-                    continue
-                last_ns = stamp_ns
-                yield stamp_ns, received.values
-            if (total := n_refused + reader.n_lost()) > 2 * logged:
-                logged = total
-                counts = (
-                    f"{n_refused} messages refused, {reader.n_lost()} lost; last refusal: {why}"
-                )
-                print(f"{source}: {counts}", file=sys.stderr, flush=True)
+                stamped = read.frame(data)
+                if stamped is not None:
+                    yield stamped
+            n_lost = reader.n_lost()
+            if read.n_refused + n_lost > 2 * n_logged:
+                n_logged = read.n_refused + n_lost
+                counts = f"{read.n_refused} messages refused, {n_lost} lost"
+                print(f"{source}: {counts}; last refusal: {read.why}", file=sys.stderr, flush=True)
 
 
 def _publication(member: Any, topic: str, timeout_s: float) -> tuple[str, bool]:
-    """Type of the messages on a topic, of `KINDS`, and True if they are sent reliably."""
-    deadline_s, published = time.monotonic() + timeout_s, dict[str, tuple[str, bool]]()
+    """Type of the messages on a topic, and True if they are sent reliably."""
+    deadline_s = time.monotonic() + timeout_s
+    published: dict[str, tuple[str, bool]] = {}
     while time.monotonic() < deadline_s:
         published = member.publications()
         if topic in published:
-            kind, reliable = published[topic]
-            if kind in KINDS:
-                return kind, reliable
-            allowed = ", ".join(KINDS)
-            raise SourceError(f"ros2:{topic}: is of type {kind[:80]}; allowed are {allowed}")
+            return published[topic]
         time.sleep(0.01)
     raise SourceError(
         f"ros2:{topic}: nobody publishes there on {member.where} within {timeout_s:g} s"

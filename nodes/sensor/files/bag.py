@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.tally import Tally
 
-from .recording import File, Parsed, Recording, choose, rising
+from .recording import Block, File, Head, Recording, choose, frames_per_block
+
+if TYPE_CHECKING:
+    from sparseskin.messages import Taxels
+    from sparseskin.nodes.recorder.bag.reader import BagReader
 
 
 def is_bag(begin: bytes) -> bool:
@@ -16,44 +26,96 @@ def is_bag(begin: bytes) -> bool:
 
 
 class BagRecording(Recording):
-    """The taxels of a patch: that of the stated topic, or the only one. Raises SourceError if the
-    recording cannot be read, holds no taxels, or forces where readings are expected.
+    """The taxels of a patch: that of the stated topic, or the only one. Readings that were missing
+    are NaN. Raises SourceError if the recording cannot be read, holds no taxels, or forces where
+    readings are expected.
     """
 
     def __init__(self, file: File) -> None:
+        self.tally = Tally("messages")
         self._file = file
 
-    def read(self) -> Parsed:
-        from sparseskin.messages import Calibration, Taxels
+    def head(self) -> Head:
+        from sparseskin.nodes.recorder.bag.frames import described, patch_of, skin_of
+
+        with self._opened() as bag:
+            topic = self._topic(bag)
+            first = next(self._taxels(bag, topic))
+            skin = skin_of(bag, patch_of(topic))
+            n_rows, n_cols = first.forces.shape[1:]
+            return Head(
+                (Axis(n_rows, "rows"), Axis(n_cols, "cols")),
+                is_timed=True,
+                time_unit="ns",
+                n_items=bag.topics[topic].n_messages,
+                notes=(bag.recovered,) if bag.recovered else (),
+                **({} if skin is None else described(skin, skin.rate_hz)),
+            )
+
+    def blocks(self) -> Iterator[Block]:
         from sparseskin.messages.frames import known_forces
-        from sparseskin.messages.topics import topic_of
+
+        self.tally.begin()
+        with self._opened() as bag:
+            topic = self._topic(bag)
+            frames: list[np.ndarray[tuple[int, ...], np.dtype[np.float32]]] = []
+            stamps: list[int] = []
+            for message in self._taxels(bag, topic):
+                forces = known_forces(message)
+                if frames and forces.shape != frames[0].shape:
+                    raise SourceError(
+                        f"{self._file.name}: {topic}: the shape of its frames changes"
+                    )
+                frames.append(forces)
+                stamps.append(message.stamp_ns)
+                if len(frames) == frames_per_block(forces.size):
+                    self.tally.take(len(frames), len(frames))
+                    yield Block(np.stack(frames), stamps)
+                    frames = []
+                    stamps = []
+            if frames:
+                self.tally.take(len(frames), len(frames))
+                yield Block(np.stack(frames), stamps)
+
+    @contextmanager
+    def _opened(self) -> Iterator[BagReader]:
         from sparseskin.nodes.recorder.bag.format import BagError
-        from sparseskin.nodes.recorder.bag.frames import decoded, described, patch_of, skin_of
         from sparseskin.nodes.recorder.bag.patches import split_bag
         from sparseskin.nodes.recorder.bag.reader import BagReader
 
-        name, wants_raw = self._file.name, self._file.policy.raw
         try:
-            with BagReader(name) as whole:
-                bag = split_bag(whole)
-                held = {t: i for t, i in bag.topics.items() if i.schema == Taxels.schema}
-                topics = {t: f"{i.n_messages} frames" for t, i in held.items() if i.n_messages}
-                topic = choose(topics, self._file.topic, name, "topics of taxels")
-                patch = patch_of(topic)
-                if wants_raw and topic_of(patch, Calibration.schema) in bag.topics:
-                    what = "its taxels are forces, of a calibrated skin; expected raw readings"
-                    raise SourceError(f"{name}: {what}")
-                messages = (decoded(bag, each) for each in bag.messages([topic]))
-                found = [one for one in messages if isinstance(one, Taxels)]
-                skin = skin_of(bag, patch)
+            with BagReader(self._file.name) as whole:
+                yield split_bag(whole)
         except BagError as error:
             raise SourceError(str(error)) from error
-        if len({one.forces.shape for one in found}) != 1:
-            raise SourceError(f"{name}: {topic}: the shape of its frames changes")
-        stated = {} if skin is None else described(skin, skin.rate_hz)
-        return Parsed(
-            np.stack([known_forces(one) for one in found]),
-            stamp_ns=rising([one.stamp_ns for one in found], name),
-            notes=(bag.recovered,) if bag.recovered else (),
-            **stated,
-        )
+
+    def _topic(self, bag: BagReader) -> str:
+        """The topic of the taxels."""
+        from sparseskin.messages import Calibration, Taxels
+        from sparseskin.messages.topics import topic_of
+        from sparseskin.nodes.recorder.bag.frames import patch_of
+
+        name = self._file.name
+        counts = {
+            topic: info.n_messages
+            for topic, info in bag.topics.items()
+            if info.schema == Taxels.schema and info.n_messages
+        }
+        about = {topic: f"{n} frames" for topic, n in counts.items()}
+        topic = choose(about, self._file.layout.topic, name, "topics of taxels")
+        if self._file.raw and topic_of(patch_of(topic), Calibration.schema) in bag.topics:
+            what = "its taxels are forces, of a calibrated skin; expected raw readings"
+            raise SourceError(f"{name}: {what}")
+        return topic
+
+    def _taxels(self, bag: BagReader, topic: str) -> Iterator[Taxels]:
+        """The messages of the topic."""
+        from sparseskin.messages import Taxels
+        from sparseskin.nodes.recorder.bag.frames import decoded
+
+        for recorded in bag.messages([topic]):
+            message = decoded(bag, recorded)
+            if isinstance(message, Taxels):
+                yield message
+            else:
+                self.tally.drop("messages of another type")

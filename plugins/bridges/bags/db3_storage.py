@@ -1,0 +1,89 @@
+"""Recordings .db3 of ROS 2, which are databases of SQLite."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Collection, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES
+from sparseskin.nodes.sensor.files.recording import unreadable
+
+from .storage import Recorded, Storage, Topic
+
+FORMS = {"ros2msg": "msg", "ros2idl": "idl"}
+
+
+class Db3Storage(Storage):
+    """A database, whose tables are no views and call nothing. It is not changed: one that a killed
+    recorder left is a copy (`storage.with_log`), into which SQLite writes what its log holds.
+    """
+
+    def __init__(self, path: str, name: str, has_log: bool = False) -> None:
+        super().__init__(path, name)
+        self.is_closed = not has_log
+        self._topics: dict[int, tuple[str, Topic]] = {}
+
+    def topics(self) -> dict[str, Topic]:
+        with self._opened() as base:
+            texts = self._definitions(base)
+            rows = base.execute("SELECT id, name, type, serialization_format FROM topics")
+            for number, name, kind, encoding in rows:
+                form, text = texts.get(str(kind), ("msg", ""))
+                is_cdr = encoding in ("cdr", "")
+                of = Topic(str(kind), text, form) if is_cdr else Topic(str(encoding))
+                self._topics[number] = str(name), of
+        return dict(self._topics.values())
+
+    def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
+        self.losses.clear()
+        if not self._topics:
+            self.topics()
+        numbers = [number for number, (name, _) in self._topics.items() if name in topics]
+        marks = ",".join("?" * len(numbers))
+        # As they were written: an index may be behind the place where a file is cut off.
+        columns = "topic_id, timestamp, data"
+        query = f"SELECT {columns} FROM messages NOT INDEXED WHERE topic_id IN ({marks})"
+        n = 0
+        with self._opened() as base:
+            try:
+                for number, log_ns, data in base.execute(query, numbers):
+                    n += 1
+                    name, of = self._topics[number]
+                    if not isinstance(log_ns, int):
+                        raise SourceError(f"{self.name}: a message has no time")
+                    payload = data if isinstance(data, bytes) else b""
+                    yield Recorded(name, of.kind, log_ns, payload)
+            except sqlite3.DatabaseError as error:
+                if not n:
+                    raise
+                reason = " ".join(str(error).split())[:80]
+                self.losses.append(f"behind message {n} of the file ({reason})")
+
+    def _definitions(self, base: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+        """Form and text of the definition of each type, of recorders that write them."""
+        tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master")}
+        if "message_definitions" not in tables:
+            return {}
+        columns = "topic_type, encoding, encoded_message_definition"
+        rows = base.execute(f"SELECT {columns} FROM message_definitions")
+        return {str(k): (FORMS[form], str(text)) for k, form, text in rows if form in FORMS}
+
+    @contextmanager
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        mode = "mode=ro&immutable=1" if self.is_closed else "mode=rw"
+        where = f"{Path(self.path).resolve().as_uri()}?{mode}"
+        try:
+            with closing(sqlite3.connect(where, uri=True)) as base:
+                base.execute("PRAGMA trusted_schema = OFF")
+                base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_GROWN_BYTES)
+                query = "SELECT name FROM sqlite_master WHERE type = 'table'"
+                tables = {name for (name,) in base.execute(query)}
+                if not tables >= {"topics", "messages"}:
+                    fault = "holds no tables topics and messages of a bag of ROS 2"
+                    raise SourceError(f"{self.name}: {fault}")
+                yield base
+        except (sqlite3.Error, UnicodeError, OverflowError) as error:
+            raise unreadable(self.name, error) from error

@@ -1,0 +1,144 @@
+"""A file of recorded messages: the interface, and files that are compressed or not closed."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import zstandard
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.sensor.files.recording import reading
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+MAX_MESSAGE_BYTES = 1 << 28
+"""Largest message after decompression; chosen: more numbers than a frame has."""
+MAX_WINDOW_BYTES = 1 << 27
+"""Largest window of a decompressor of zstd, its own default."""
+COPY_BYTES = 1 << 20
+SPARE_DISK_BYTES = 1 << 26
+CONVERT = "compressed: ros2 bag convert writes it plain"
+
+
+class Topic(NamedTuple):
+    """Type of the messages on a topic, and its definition, in the form "msg" or "idl"; "" where the
+    file has none. `ros`: the version of ROS whose bytes they are.
+    """
+
+    kind: str
+    text: str = ""
+    form: str = "msg"
+    ros: int = 2
+
+
+class Recorded(NamedTuple):
+    """A message as it was recorded, and the time at which it was."""
+
+    topic: str
+    kind: str
+    log_ns: int
+    data: bytes
+
+
+class Storage(ABC):
+    """One file of recorded messages, which is opened each time that it is read."""
+
+    def __init__(self, path: str, name: str) -> None:
+        self.path = path
+        self.name = name
+        #: What the last `messages` could not read, a text each.
+        self.losses: list[str] = []
+        #: False if the recorder did not close the file.
+        self.is_closed = True
+
+    @abstractmethod
+    def topics(self) -> dict[str, Topic]:
+        """The topics of the file. Raises SourceError if it cannot be read."""
+
+    @abstractmethod
+    def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
+        """The messages on some topics, as they stand in the file: about in the order of their
+        times. A damaged part is named in `losses`. Raises SourceError if nothing can be read.
+        """
+
+
+class Workspace:
+    """A folder for files that are made of a recording, which lasts as long as its owner."""
+
+    def __init__(self, owner: object) -> None:
+        self._owner = owner
+        self._folder = ""
+
+    def path(self, name: str, n_bytes: int, of: str) -> str:
+        """The path of a new file of about that size. Raises SourceError if the disk is full."""
+        if not self._folder:
+            self._folder = tempfile.mkdtemp(prefix="sparseskin-")
+            weakref.finalize(self._owner, shutil.rmtree, self._folder, ignore_errors=True)
+        free_bytes = shutil.disk_usage(self._folder).free
+        if n_bytes > free_bytes - SPARE_DISK_BYTES:
+            needed = f"needs {n_bytes / 1e6:.0f} MB in {self._folder}, which has"
+            raise SourceError(f"{of}: {needed} {free_bytes / 1e6:.0f} MB")
+        return str(Path(self._folder) / f"{len(list(Path(self._folder).iterdir()))}_{name}")
+
+
+def decompressed(path: str, work: Workspace) -> str:
+    """The path of a file, or of its decompressed copy, if it is compressed by zstd. Raises
+    SourceError if it cannot be decompressed, or grows far more than recordings do.
+    """
+    with reading(path) as file:
+        is_compressed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+        if not is_compressed:
+            return path
+        size = file.seek(0, 2)
+        file.seek(0)
+        copy = work.path(Path(path).stem, 2 * size, path)
+        room_bytes = max(MAX_GROWN_BYTES, MAX_GROWTH * size)
+        free_bytes = shutil.disk_usage(Path(copy).parent).free - SPARE_DISK_BYTES
+        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
+        try:
+            with Path(copy).open("wb") as out, decompressor.stream_reader(file) as stream:
+                while part := stream.read(COPY_BYTES):
+                    room_bytes -= len(part)
+                    free_bytes -= len(part)
+                    if min(room_bytes, free_bytes) < 0:
+                        raise SourceError(f"{path}: is far larger than its file; {CONVERT}")
+                    out.write(part)
+        except zstandard.ZstdError as error:
+            # What came before the damage is read as a file that is cut off.
+            if not Path(copy).stat().st_size:
+                raise SourceError(f"{path}: cannot be decompressed ({error}); {CONVERT}") from error
+    return copy
+
+
+def with_log(path: str, work: Workspace) -> str:
+    """The path of a database, or of a copy of it with what a killed recorder left beside it."""
+    logs = [Path(path + ending) for ending in ("-wal", "-journal")]
+    logs = [log for log in logs if log.is_file() and log.stat().st_size]
+    if not logs:
+        return path
+    n_bytes = sum(file.stat().st_size for file in (Path(path), *logs))
+    copy = work.path(Path(path).name, 2 * n_bytes, path)
+    shutil.copyfile(path, copy)
+    for log in logs:
+        shutil.copyfile(log, copy + log.name.removeprefix(Path(path).name))
+    return copy
+
+
+def plain_message(data: bytes) -> bytes:
+    """A message, decompressed if it is compressed by zstd. Raises SourceError if it cannot be."""
+    if not data.startswith(ZSTD_MAGIC):
+        return data
+    try:
+        if zstandard.frame_content_size(data) > MAX_MESSAGE_BYTES:
+            raise SourceError(f"a message is larger than {MAX_MESSAGE_BYTES} bytes")
+        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
+        with decompressor.stream_reader(data) as stream:
+            return bytes(stream.read(MAX_MESSAGE_BYTES))
+    except zstandard.ZstdError as error:
+        raise SourceError(f"a message cannot be decompressed ({error}); {CONVERT}") from error

@@ -1,0 +1,1 @@
+"""Messages of ROS: their definitions, their bytes, and the fields that hold numbers."""

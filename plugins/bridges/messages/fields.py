@@ -1,0 +1,278 @@
+"""Fields of messages by their path: sensors[0].taxels[].z, where [] is an axis and [0] an entry."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.layout.arrangement import COLS, ROWS, XYZ, Axis
+from sparseskin.plugins.bridges.cdr import CLOUD
+
+from .decoding import Message
+from .definitions import TIME
+from .grids import KINDS, MAX_NUMBERS, EmptyMessageError, Numbers, fields_of, grid_of
+
+STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{0,9}\])*)")
+INDEX = re.compile(r"\[(\d*)\]")
+ENDING = re.compile(r"(.*?)((?:\[\])*)", re.DOTALL)
+"""A path, without the axes at its end, and these."""
+NO_READINGS = re.compile(r"(.*_)?(ids?|index|seq|count|stamps?|sec|nsec|nanosec|time.*)")
+"""Fields of messages that are no readings, where there are others."""
+MAX_LISTED = 8
+"""Most entries of a list of which each may be a skin of its own; chosen."""
+MAX_PATHS = 256
+"""Most fields of a message that are looked at; chosen."""
+NORMAL = "z"
+
+Step = str | int | None
+"""A name, an entry, or an axis."""
+
+
+def steps_of(path: str) -> list[Step]:
+    """The steps of a path. Raises SourceError if it is none."""
+    steps: list[Step] = []
+    for part in path.split("."):
+        match = STEP.fullmatch(part)
+        if match is None:
+            allowed = "allowed: names and [k] or [], as sensors[0].taxels[].z"
+            raise SourceError(f"field: {printable(path[:60])!r}; {allowed}")
+        steps.append(match[1])
+        steps += [int(index) if index else None for index in INDEX.findall(match[2])]
+    return steps
+
+
+def numbers_at(message: Message, path: str) -> Numbers:
+    """The numbers at a path of a message.
+
+    A list of three or two numbers of fixed length per entry is an axis of channels. All other axes
+    are one, unless their names are those of rows or columns. Raises EmptyMessageError if there are
+    none, SourceError if there is no such field, or its lists have several lengths.
+    """
+    if message.kind in KINDS and (not path or path in fields_of(message)):
+        return grid_of(message, path)
+    found = _walk(message, steps_of(path), 0, ())
+    values = found.values
+    if values.size == 0:
+        raise EmptyMessageError("holds no number")
+    if values.size > MAX_NUMBERS:
+        raise SourceError(f"{values.size} numbers; at most {MAX_NUMBERS}")
+    if values.dtype.kind == "b":
+        values = values.view(np.uint8)
+    if values.dtype.kind not in "iuf":
+        raise SourceError(f"field: {printable(path[:60])!r} holds no numbers")
+    return Numbers(values, found.axes) if found.is_grid else _joined(values, found.axes)
+
+
+def value_at(message: Message, path: str) -> int | float | Message:
+    """One number, or a time, at a path of a message. Raises SourceError if there is none."""
+    value: Any = message
+    try:
+        for step in steps_of(path):
+            value = value[step]
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise SourceError(f"time: there is no field {printable(path[:60])!r}") from error
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, Message) and value.kind == TIME:
+        return value
+    if isinstance(value, int | float):
+        return value
+    raise SourceError(f"time: {printable(path[:60])!r} is no time")
+
+
+def paths_of(message: Message, channel: str = "") -> dict[str, Numbers]:
+    """The fields of a message that hold lists of numbers, by their path: of fields named x, y and z
+    beside each other that of the channel, or z.
+    """
+    found: dict[str, Numbers] = {}
+    for path in only_channel(_paths(message), channel):
+        try:
+            found[path] = numbers_at(message, path)
+        except SourceError:  # empty, or of several lengths
+            continue
+    readings = {p: numbers for p, numbers in found.items() if not NO_READINGS.fullmatch(_last(p))}
+    return readings or found
+
+
+class _Walked(NamedTuple):
+    """Numbers behind some steps, and their axes; `is_grid`: those of a message of `KINDS`."""
+
+    values: npt.NDArray[Any]
+    axes: tuple[Axis, ...]
+    is_grid: bool = False
+
+
+def _walk(value: Any, steps: list[Step], n_open: int, axes: tuple[Axis, ...]) -> _Walked:
+    """The numbers behind the steps. `value` has the first `n_open` axes already."""
+    name = ""
+    for at, step in enumerate(steps):
+        if isinstance(value, Message):
+            if step in fields_of(value):
+                grid = grid_of(value, str(step))
+                return _Walked(grid.values, (*axes, *grid.axes), True)
+            value = _of_message(value, step)
+        elif isinstance(value, list):
+            if step is None:
+                return _stacked(value, steps[at + 1 :], name, axes)
+            value = _entry(value, step, name)
+        elif isinstance(value, np.ndarray) and isinstance(step, str):
+            value = _member_of(value, step)
+        elif isinstance(value, np.ndarray) and n_open < value.ndim:
+            if step is None:
+                axes = (*axes, Axis(value.shape[n_open], name))
+                n_open += 1
+            else:
+                value = _entry(value, step, name, n_open)
+        else:
+            raise SourceError(f"field: {printable(name)!r} is no list")
+        name = step if isinstance(step, str) else name
+
+    if isinstance(value, Message) and value.kind in KINDS:
+        grid = grid_of(value)
+        return _Walked(grid.values, (*axes, *grid.axes), True)
+    if not isinstance(value, np.ndarray | int | float):
+        raise SourceError("field: a list of messages; state [] or [k], and the name of a number")
+    values = np.asarray(value)
+    return _Walked(values, (*axes, *(Axis(size, name) for size in values.shape[n_open:])))
+
+
+def _of_message(message: Message, step: Step) -> Any:
+    if isinstance(step, str) and step in message:
+        return message[step]
+    names = ", ".join(printable(name) for name in [*message][:MAX_LISTED])
+    shown = "[]" if step is None else printable(str(step))
+    raise SourceError(f"field: {message.kind} has no member {shown}; it has {names}")
+
+
+def _member_of(array: Any, name: str) -> Any:
+    names = array.dtype.names or ()
+    if name not in names:
+        raise SourceError(f"field: there is no {printable(name)!r}; allowed: {', '.join(names)}")
+    return array[name]
+
+
+def _entry(values: Any, step: Step, name: str, n_open: int = 0) -> Any:
+    """The entry of a list, which is the next axis of an array."""
+    size = len(values) if isinstance(values, list) else values.shape[n_open]
+    if not isinstance(step, int):
+        raise SourceError(f"field: {printable(name)!r} is a list; state {name}[] or {name}[0]")
+    if size == 0:
+        raise EmptyMessageError("holds no number")
+    if step >= size:
+        raise SourceError(f"field: {name}[{step}]: its list has {size} entries")
+    return values[step] if isinstance(values, list) else values[(*[slice(None)] * n_open, step)]
+
+
+def _stacked(values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, ...]) -> _Walked:
+    """The numbers of each entry of a list, together."""
+    if not values:
+        raise EmptyMessageError("holds no number")
+    parts = [_walk(value, steps, 0, ()) for value in values]
+    shapes = {part.values.shape for part in parts}
+    if len(shapes) > 1:
+        sizes = ", ".join(str(part.values.size) for part in parts[:MAX_LISTED])
+        raise SourceError(f"field: the entries of {name} hold {sizes} numbers; state {name}[0]")
+    stacked = np.stack([part.values for part in parts])
+    inner = parts[0]
+    return _Walked(stacked, (*axes, Axis(len(values), name), *inner.axes), inner.is_grid)
+
+
+def _joined(values: npt.NDArray[Any], axes: tuple[Axis, ...]) -> Numbers:
+    """Numbers whose axes are labelled, or one."""
+    is_labelled = any(axis.label.lower() in (*ROWS, *COLS) for axis in axes)
+    if len(axes) > 1 and not is_labelled:
+        n_last = axes[-1].size
+        has_channels = n_last in (2, len(XYZ)) and axes[-1].label != axes[-2].label
+        axes = (Axis(values.size, "taxels"),)
+        if has_channels:
+            axes = (Axis(values.size // n_last, "taxels"), Axis(n_last, "channel"))
+    return Numbers(values.reshape([axis.size for axis in axes]), axes)
+
+
+def _last(path: str) -> str:
+    """The last name of a path."""
+    return path.rpartition(".")[2].partition("[")[0].lower()
+
+
+def _paths(message: Message) -> list[str]:
+    found = []
+    for name, value in message.items():
+        if name == "header":
+            continue
+        for ending in _endings(value, False):
+            found.append(name + ending)
+            if len(found) >= MAX_PATHS:
+                return found
+    return found
+
+
+def _endings(value: Any, is_listed: bool) -> Iterator[str]:
+    """What follows the name of a member in the paths of its lists of numbers; `is_listed`: it is a
+    member of the entries of a list, so that a number is enough.
+    """
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        yield from ("[]" + ending for ending in _of_dtype(value.dtype))
+    elif isinstance(value, np.ndarray):
+        if value.dtype.kind in "iuf":
+            yield "[]"
+    elif isinstance(value, Message) and value.kind == CLOUD:
+        yield from (f".{name}" for name in fields_of(value, readings=True))
+    elif isinstance(value, Message) and value.kind in KINDS:
+        yield ""
+    elif isinstance(value, Message):
+        for name, member in value.items():
+            if name != "header":
+                yield from (f".{name}{ending}" for ending in _endings(member, is_listed))
+    elif isinstance(value, list) and value:
+        endings = list(_endings(value[0], True))
+        # Numbers beside lists are about the entry: it is a skin, and no taxel.
+        of_lists = [ending for ending in endings if "[]" in ending]
+        for ending in of_lists or endings:
+            yield from _of_list(len(value), ending, value[0])
+    elif is_listed and isinstance(value, int | float) and not isinstance(value, bool):
+        yield ""
+
+
+def _of_list(n: int, ending: str, first: Any) -> Iterator[str]:
+    """The paths into a list of messages: all entries, and each of them where it may be a skin."""
+    has_lists = "[]" in ending or (isinstance(first, Message) and first.kind in KINDS)
+    if not has_lists:
+        yield "[]" + ending
+        return
+    yield from (f"[{k}]{ending}" for k in range(min(n, MAX_LISTED)))
+    if n > 1:
+        yield "[]" + ending
+
+
+def _of_dtype(dtype: np.dtype[Any]) -> Iterator[str]:
+    """The numbers in messages of one size."""
+    for name in dtype.names or ():
+        member = dtype[name]
+        if member.names:
+            yield from (f".{name}{ending}" for ending in _of_dtype(member))
+        elif member.subdtype is not None:
+            if member.subdtype[0].kind in "iuf":
+                yield f".{name}[]"
+        elif member.kind in "iuf":
+            yield f".{name}"
+
+
+def only_channel(paths: Iterable[str], channel: str) -> list[str]:
+    """Of paths that end with x, y and z beside each other, that of the channel, or z."""
+    every = list(paths)
+    wanted = channel.lower() if channel.lower() in XYZ else NORMAL
+    chosen = []
+    for path in every:
+        whole, lists = ENDING.fullmatch(path).groups()  # type: ignore[union-attr]
+        stem, letter = whole[:-1], whole[-1:]
+        axes = XYZ if letter.islower() else tuple(axis.upper() for axis in XYZ)
+        is_one_of_three = letter in axes and all(stem + axis + lists in every for axis in axes)
+        if not is_one_of_three or letter.lower() == wanted:
+            chosen.append(path)
+    return chosen

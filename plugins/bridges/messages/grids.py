@@ -1,0 +1,185 @@
+"""Messages of ROS that are frames by themselves: images, point clouds and arrays."""
+
+from __future__ import annotations
+
+import re
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.fields import MAX_ELEMENTS
+from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.recording import choose
+from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.layout import UnstatedError
+from sparseskin.plugins.bridges.cdr import CLOUD, IMAGE
+
+from .decoding import Message
+
+ENCODING = re.compile(r"(8|16|32|64)([USF])C([1-9])|mono(8|16)")
+"""Encodings of sensor_msgs/Image that are read: bits, kind and numbers per pixel."""
+ALLOWED = "8UC1, 8SC1, 16UC1, 16SC1, 32SC1, 32FC1, 64FC1, as C3 of three axes, mono8 and mono16"
+KINDS_OF_NUMBERS = {"U": "u", "S": "i", "F": "f"}
+FIELDS = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+"""Dtypes of a field of sensor_msgs/PointCloud2, by the number of its type."""
+PLACES = re.compile(r"[xyzt]|(n|normal_)[xyz]|rgba?|ring|row|index|time.*|curvature")
+"""Fields of a point cloud that are no readings."""
+ARRAYS = tuple(
+    f"std_msgs/msg/{kind}MultiArray"
+    for kind in ("Float32", "Float64", *(f"{u}Int{n}" for u in ("", "U") for n in (8, 16, 32, 64)))
+)
+KINDS = (IMAGE, CLOUD, *ARRAYS)
+"""Types of messages that are frames by themselves."""
+MAX_NUMBERS = 16 * MAX_ELEMENTS
+"""Most numbers of a message that is read."""
+MAX_DIMS = 8
+
+
+class EmptyMessageError(SourceError):
+    """A message without a number."""
+
+
+class Numbers(NamedTuple):
+    """The numbers of a message, and their axes."""
+
+    values: npt.NDArray[Any]
+    axes: tuple[Axis, ...]
+
+
+def grid_of(message: Message, field: str = "") -> Numbers:
+    """The numbers of a message of `KINDS`; of a point cloud those of a field, or of the only one
+    that is neither place nor normal. Raises EmptyMessageError if there are none, SourceError if it
+    states sizes that do not fit together, UnstatedError if it has several such fields.
+    """
+    if message.kind == IMAGE:
+        return _image(message)
+    if message.kind == CLOUD:
+        return _cloud(message, field)
+    return _array(message)
+
+
+def fields_of(message: Message, readings: bool = False) -> dict[str, str]:
+    """Fields of a point cloud, and the dtype of each; none of other messages. `readings`: without
+    those that are places, normals, colours or times.
+    """
+    if message.kind != CLOUD:
+        return {}
+    return {
+        field["name"]: FIELDS[field["datatype"]]
+        for field in message["fields"]
+        if 1 <= field["datatype"] < len(FIELDS)
+        and not (readings and PLACES.fullmatch(field["name"]))
+    }
+
+
+def _image(message: Message) -> Numbers:
+    encoding = message["encoding"]
+    match = ENCODING.fullmatch(encoding)
+    if match is None:
+        raise SourceError(f"encoding {printable(encoding[:32])!r}; allowed are {ALLOWED}")
+    n_bits = int(match[1] or match[4])
+    code = KINDS_OF_NUMBERS[match[2] or "U"] + str(n_bits // 8)
+    if code == "f1" or code == "f2":
+        raise SourceError(f"encoding {encoding!r}; allowed are {ALLOWED}")
+    n_channels = int(match[3] or 1)
+    pitch = n_channels * n_bits // 8
+    values = _cells(message, message["step"], pitch, 0, code, n_channels)
+    axes: tuple[Axis, ...] = (Axis(message["height"], "rows"), Axis(message["width"], "cols"))
+    if n_channels > 1:
+        axes = (*axes, Axis(n_channels, "xyz" if n_channels == 3 else "channel"))
+    return Numbers(values, axes)
+
+
+def _cloud(message: Message, field: str) -> Numbers:
+    readable = fields_of(message, readings=not field)
+    name = choose(readable, field, "point cloud", "fields of readings", "field")
+    place = next(one for one in message["fields"] if one["name"] == name)
+    values = _cells(
+        message,
+        message["row_step"],
+        message["point_step"],
+        place["offset"],
+        readable[name],
+        max(1, place["count"]),
+    )
+    axes: tuple[Axis, ...] = (Axis(message["height"], "rows"), Axis(message["width"], "cols"))
+    if message["height"] == 1 or message["width"] == 1:
+        axes = (Axis(message["height"] * message["width"], "taxels"),)
+    if place["count"] > 1:
+        axes = (*axes, Axis(place["count"], "channel"))
+    return Numbers(values.reshape([axis.size for axis in axes]), axes)
+
+
+def _cells(
+    message: Message, step: int, pitch: int, offset: int, code: str, n: int
+) -> npt.NDArray[Any]:
+    """The numbers of each cell, (height, width) or (height, width, n), at an offset in each `pitch`
+    bytes of each `step` bytes.
+    """
+    n_rows, n_cols = message["height"], message["width"]
+    data = message["data"]
+    if n_rows * n_cols == 0:
+        raise EmptyMessageError("holds no number")
+    if n_rows * n_cols * n > MAX_NUMBERS:
+        raise SourceError(f"{n_rows} x {n_cols} taxels; at most {MAX_NUMBERS} numbers")
+    dtype = np.dtype((">" if message["is_bigendian"] else "<") + code)
+    end = offset + n * dtype.itemsize
+    if step < n_cols * pitch or data.size != step * n_rows or end > pitch:
+        sizes = f"{n_rows} x {n_cols} of {pitch} bytes"
+        raise SourceError(f"rows of {step} bytes, {data.size} bytes in all, for {sizes}")
+    shape = (n_rows, n_cols, n)
+    values: npt.NDArray[Any] = np.ndarray(shape, dtype, data, offset, (step, pitch, dtype.itemsize))
+    return values[..., 0] if n == 1 else values
+
+
+def _array(message: Message) -> Numbers:
+    """The numbers of a MultiArray, by the sizes, labels and strides of its dimensions."""
+    data = message["data"]
+    offset = message["layout"]["data_offset"]
+    dims = message["layout"]["dim"]
+    if data.size == 0:
+        raise EmptyMessageError("holds no number")
+    if len(dims) > MAX_DIMS:
+        raise SourceError(f"{len(dims)} dimensions; at most {MAX_DIMS}")
+    sizes = [int(dim["size"]) for dim in dims]
+    if not any(sizes):
+        # Its dimensions state nothing.
+        rest = data[offset:]
+        return Numbers(rest, (Axis(rest.size, "taxels"),))
+    if 0 in sizes:
+        raise EmptyMessageError("holds no number")
+    axes = tuple(_axis(size, str(dim["label"])) for size, dim in zip(sizes, dims, strict=True))
+    steps = _steps(sizes, [int(dim["stride"]) for dim in dims], data.size - offset)
+    strides = [step * data.itemsize for step in steps]
+    return Numbers(np.ndarray(sizes, data.dtype, data, offset * data.itemsize, strides), axes)
+
+
+def _axis(size: int, label: str) -> Axis:
+    """An axis, with the names of its entries where its label is a list of them."""
+    names = tuple(name.strip() for name in label.split(","))
+    is_list = len(names) == size > 1
+    return Axis(size, "channel" if is_list else label, names if is_list else ())
+
+
+def _steps(sizes: list[int], strides: list[int], n: int) -> list[int]:
+    """Numbers from one entry of each dimension to the next, of n numbers.
+
+    The stride of a dimension is the size of one of its entries' lists: entry (i, j) stands at
+    stride[1] i + j. Where the numbers are as many as the sizes, no other order is possible.
+    """
+    dense = [prod(sizes[at + 1 :]) for at in range(len(sizes))]
+    n_sizes = prod(sizes)
+    if n_sizes == n:
+        return dense
+    steps = [*strides[1:], 1]
+    spans = [size * step for size, step in zip(sizes, steps, strict=True)]
+    is_nested = all(span <= step for span, step in zip(spans[1:], steps, strict=False))
+    last = sum((size - 1) * step for size, step in zip(sizes, steps, strict=True))
+    if is_nested and last < n and spans[0] in (n, strides[0]):
+        return steps
+    shape = " x ".join(map(str, sizes))
+    fault = f"its dimensions {shape} with strides {strides} do not fit its {n} numbers"
+    raise UnstatedError(f"{fault}; state field=data to read all of them", {"field": "data"})
