@@ -115,7 +115,7 @@ class TestSerial:
         source = opened(f"serial:{line.device}?profile=flexitac_12x32")
         line.sending([flexitac(3)] * 12)
         text = logged(source, "came")
-        assert "no frame of 386 bytes: check start, rows, cols" in text
+        assert "no frame of 386 bytes: check start, n_rows, n_cols" in text
         assert text.endswith("from AA 55 to AA 55 it is 514 bytes, 512 of readings")
 
 
