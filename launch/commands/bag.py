@@ -22,6 +22,7 @@ from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_exp
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.files.recording import spelled
 
+from . import look
 from .options import add_commands, add_layout, bag_names, layout_of, rare, show, whole
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     add = add_commands(parser, "Work with recordings (.mcap).")
+    look.configure(add("look", look.look, "show how a file would be read, and its first frame"))
     info = add("info", _info, "print what a recording holds")
     info.add_argument("bag", metavar="F.mcap", help=f"NAME{FILE_SUFFIX}, or an address of one")
     info.add_argument("--json", action="store_true", help="print JSON in place of a table")

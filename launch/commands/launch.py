@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from sparseskin.launch.launchfile.spec import LaunchFile
     from sparseskin.launch.run.run_log import RunLog
 
+REPLAY = "replay"
+"""The bundled launch file that a recording is replayed by."""
 STATUS_LINE = (
     "The status line: frames, frames a second, frames lost; contacts or force; of contact frames, "
     "mean PSNR and share trusted by the solver; latency; PSNR of the taxels themselves."
@@ -37,7 +39,7 @@ STATUS_LINE = (
 NEXT = """
 The live page:  {0} launch {1} --open
 Other scenes:   {0} scenes
-Your own file:  {0} launch replay --set sensor.source=file:F"""
+Your own file:  {0} launch F"""
 """What is printed in a terminal after a bundled launch file."""
 
 
@@ -45,7 +47,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
     parser.epilog = f"Bundled launch files: {', '.join(bundled_names())}. {STATUS_LINE}"
     more = rare(parser)
-    parser.add_argument("name", metavar="NAME|FILE.toml", help="launch file")
+    about = "launch file; or a recording, which is replayed as a skin"
+    parser.add_argument("name", metavar="NAME|FILE", help=about)
     add_set(
         parser,
         "change one setting of one node, or with graph.KEY=VALUE of the graph",
@@ -72,6 +75,10 @@ def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.launchfile.load import load
     from sparseskin.nodes.monitor.node import Monitor
 
+    source = _source_of(arguments.name)
+    if source:
+        arguments.name = REPLAY
+        arguments.set = [f"sensor.source={source}", *arguments.set]
     launch = load(arguments.name, arguments.set, arguments.record)
     wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
     if wanted:
@@ -85,6 +92,16 @@ def _launch(arguments: argparse.Namespace) -> int:
         print(graph_text(launch))
         return 0
     return _run(launch.part(arguments.host), arguments)
+
+
+def _source_of(name: str) -> str:
+    """The source that a name states in place of a launch file, file:PATH, example:NAME or the path
+    of a recording; "" if it is a launch file.
+    """
+    if name.partition(":")[0] in ("file", "example"):
+        return name
+    is_launch_file = name in bundled_names() or name.endswith(".toml")
+    return f"file:{name}" if not is_launch_file and Path(name).exists() else ""
 
 
 def graph_text(launch: "LaunchFile") -> str:

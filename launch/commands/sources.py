@@ -10,7 +10,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 
@@ -22,8 +21,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.files.recording import READ_AS, Policy, spelled
-from sparseskin.nodes.sensor.settings import SensorSettings
+from sparseskin.nodes.sensor.files.recording import spelled
+from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
 from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
 
@@ -89,13 +88,13 @@ def configure_scope(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="one of sparseskin sources")
     parser.add_argument("--frames", type=whole(1), metavar="N", help="end after so many frames")
     parser.add_argument("--seconds", type=real(True), metavar="S", help="end after so long")
-    add_set(parser, f"state what the source does not: {', '.join(READ_AS)}")
+    add_set(parser, f"state what the source does not: {', '.join(KEYS)}")
     parser.set_defaults(run=_scope)
 
 
 def _scope(arguments: argparse.Namespace) -> int:
     try:
-        source = open_source(arguments.source, seed=0, **_stated(arguments.set))
+        source = open_source(arguments.source, layout=_stated(arguments.set))
     except SourceError as error:
         raise SourceError(spelled(str(error), lambda key: f"--set {key}=")) from error
     view = View(source)
@@ -129,13 +128,10 @@ def _scope(arguments: argparse.Namespace) -> int:
     return 0 if view.n_frames else 1
 
 
-def _stated(words: list[str]) -> dict[str, Any]:
-    """Properties of a source from KEY=VALUE."""
-    values = stated_values(words, [e for e in SensorSettings.described() if e["key"] in READ_AS])
-    with naming_options({key: f"--set {key}" for key in READ_AS}):
-        checked = SensorSettings.from_mapping(values)
-    stated = {key: value for key, value in values.items() if key not in ("nan", "negative")}
-    return {**stated, "policy": Policy(checked.nan, checked.negative)}
+def _stated(words: list[str]) -> Layout:
+    """What is stated of a source by KEY=VALUE."""
+    with naming_options({key: f"--set {key}" for key in KEYS}):
+        return Layout.from_mapping(stated_values(words, Layout.described()))
 
 
 def _frames(source: Source) -> Iterator[Floats | None]:
@@ -145,7 +141,7 @@ def _frames(source: Source) -> Iterator[Floats | None]:
             frame = source.next_frame(WAIT_S)
             yield None if frame is None else frame[1]
     period_s = 1 / (source.rate_hz or DEFAULT_RATE_HZ)
-    paced = source.n_frames is not None  # a driver has its own pace
+    paced = not source.is_live  # a driver has its own pace
     begin_s = time.monotonic()
     for k, (_, forces) in enumerate(source):
         while paced and (left_s := begin_s + k * period_s - time.monotonic()) > 0:

@@ -47,6 +47,7 @@ class DriverSource(LiveSource):
         self._layout = layout
         self._raw = raw
         self._arrangement: Arrangement | None = None
+        self._shape: tuple[int, ...] = ()  # of the frames as they come
         self._accepts_missing = layout.nan != REFUSE or bool(layout.missing)
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._is_in_newtons = unit is None and f_max is None and not raw

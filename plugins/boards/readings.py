@@ -29,7 +29,7 @@ class Decoder:
     ) -> None:
         self._dtype = np.dtype(dtype).newbyteorder("<" if byte_order == "little" else ">")
         self._shape = arrangement.shape
-        self._places: Indices | None = arrangement.index
+        self._places: Indices | None = arrangement.places
         self._scale = scale
         self._zero = zero
 

@@ -258,8 +258,8 @@ class BoardSource(LiveSource):
         if n_bytes > n:  # one may wait for the start bytes of the next
             baud = ", baud" if isinstance(settings, SerialSettings) else ""
             return (
-                f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, n_rows, "
-                f"n_cols, dtype, checksum{baud}{self._port.hint()}"
+                f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, "
+                f"n_rows, n_cols, dtype, checksum{baud}{self._port.hint()}"
             )
         if isinstance(settings, UdpSettings) and settings.bind.startswith("127."):
             return (

@@ -15,7 +15,7 @@ from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.isolation import output_of
-from sparseskin.nodes.sensor.files.recording import check_grid, check_stated_shape
+from sparseskin.nodes.sensor.layout.arrangement import check_grid, check_stated_shape
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
 
 MUJOCO = "mujoco:"

@@ -15,7 +15,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.process.isolation import child_status
-from sparseskin.nodes.sensor.files.recording import check_stated_shape
+from sparseskin.nodes.sensor.layout.arrangement import check_stated_shape
 from sparseskin.nodes.sensor.source import Address, Source
 
 from .model import check_model, find_pad, load_model, split_address

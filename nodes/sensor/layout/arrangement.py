@@ -32,27 +32,27 @@ class Axis(NamedTuple):
 
 
 class Arrangement(NamedTuple):
-    """Places of the taxels in an item: `index` (n_rows, n_cols) into its numbers in their order, or
+    """Places of the taxels in an item: `places` (n_rows, n_cols) into its numbers in their order, or
     None where they are a frame as they are.
     """
 
     shape: tuple[int, int]
-    index: Indices | None
+    places: Indices | None
     notes: tuple[str, ...] = ()
 
     def frames(self, numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Frames (k, n_rows, n_cols) of the numbers of k items, (k, ...)."""
         flat = numbers.reshape(len(numbers), -1)
-        if self.index is None:
+        if self.places is None:
             return flat.reshape(-1, *self.shape)
-        return flat[:, self.index]
+        return flat[:, self.places]
 
     @property
     def columns(self) -> npt.NDArray[np.intp]:
         """Numbers of an item that are read, each once, in the order of the taxels."""
-        if self.index is None:
+        if self.places is None:
             return np.arange(math.prod(self.shape))
-        return self.index.ravel()
+        return self.places.ravel()
 
 
 def arrange(
@@ -86,7 +86,7 @@ def arrange(
     else:
         places, labelled, notes = _one_channel(layout, places, labelled, where)
     places = _as_grid(layout, places, labelled, where)
-    check_grid(*places.shape, where)
+    check_grid(places.shape[0], places.shape[1], where)
     places = _ordered(layout, places, where)
     is_plain = places.size == n_numbers and bool((np.diff(places.ravel()) == 1).all())
     return Arrangement((places.shape[0], places.shape[1]), None if is_plain else places, notes)
@@ -184,7 +184,7 @@ def _as_grid(
         grid = places.T if is_transposed else places
         is_stated_flat = 1 in grid.shape and layout.n_stated == grid.size
         if not is_stated_flat:
-            check_stated_shape(*grid.shape, n_rows, n_cols, where)
+            check_stated_shape(grid.shape[0], grid.shape[1], n_rows, n_cols, where)
             return grid
         places = grid
     n = places.size
