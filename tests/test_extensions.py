@@ -21,15 +21,13 @@ import numpy as np
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.recorder.convert.export import Export
 from sparseskin.nodes.sensor.files.format import Format
-from sparseskin.nodes.sensor.files.recording import Head, Parsed, Recording
+from sparseskin.nodes.sensor.files.recording import Parsed, WholeRecording
 
 
-class Counted(Recording):
+class Counted(WholeRecording):
     def __init__(self, file):
+        super().__init__()
         self.numbers = np.loadtxt(list(file.lines)[1:], ndmin=2)
-
-    def head(self):
-        return Head((1, 3), 3, "N")
 
     def read(self):
         return Parsed(self.numbers[:, None, :], "N")

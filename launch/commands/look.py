@@ -73,10 +73,10 @@ def _first_numbers(block: Block | None, head: Head) -> str:
     """The first numbers of the first item that may be readings."""
     if block is None:
         return "none"
-    numbers = block.numbers[0].reshape(-1)
+    numbers = np.asarray(block.numbers[0], dtype=np.float64).reshape(-1)
     if head.usable is not None:
         numbers = numbers[list(head.usable)]
-    shown: str = ", ".join(f"{float(number):.6g}" for number in numbers[:MAX_NUMBERS])
+    shown = ", ".join(f"{number:.6g}" for number in numbers[:MAX_NUMBERS].tolist())
     return shown + ", ..." * (numbers.size > MAX_NUMBERS)
 
 

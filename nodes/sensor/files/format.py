@@ -68,7 +68,8 @@ def recording_of(file: File) -> Recording:
     """
     path = Path(file.name)
     suffix = path.suffix.lower()
-    for format_ in loaded(FILES).values():
+    plugins: list[Format] = list(loaded(FILES).values())
+    for format_ in plugins:
         if path.name in format_.markers:
             return format_.open(file)
     fitting = [format_ for format_ in OWN if suffix in format_.suffixes]
@@ -76,8 +77,7 @@ def recording_of(file: File) -> Recording:
     if suffix in (".csv", ".txt", ".mcap") or not fitting:
         begin = file.file.read(HEAD_BYTES)
         file.file.seek(0)
-        plugins = [one for one in loaded(FILES).values() if suffix in one.suffixes]
-        fitting = [*fitting, *plugins]
+        fitting = [*fitting, *(one for one in plugins if suffix in one.suffixes)]
         sure = [one for one in fitting if one.recognises is not None and one.recognises(begin)]
         fitting = sure or [one for one in fitting if one.recognises is None] or fitting
     if not fitting:

@@ -78,7 +78,7 @@ def find_frame_axis(
     In this order: as it is stated; as the labels of the file say; the only one as long as times
     beside the array (`n_times`), and that leaves the stated shape, of which rows and columns are
     transposed where nothing else fits; and then the first one, where that is usual: where it is the
-    longest, or `first_is_usual` is None. Raises SourceError if what is stated does not fit the
+    longest, or the others are a square, or `first_is_usual` is None. Raises SourceError if what is stated does not fit the
     array, UnstatedError with the possible ways if there are several.
     """
     names = layout.axis_names
@@ -228,8 +228,8 @@ def _decided(
             return axis, "the array is one frame of the stated shape"
         has_times = array.sides[axis] in n_times
         return axis, "as long as the times" if has_times else "it leaves the stated shape"
-    is_longest = array.sides[0] == max(array.sides)
-    if 0 in axes and (first_is_usual is None or (first_is_usual and is_longest)):
+    is_plausible = _first_is_plausible(array.sides)
+    if 0 in axes and (first_is_usual is None or (first_is_usual and is_plausible)):
         return 0, "the first one, as is usual"
     options = [{"axes": _axes_text(array, axis)} for axis in axes]
     ways = [
@@ -239,6 +239,12 @@ def _decided(
     ]
     fault = f"which axis of {array.text} is that of the frames is not stated"
     raise UnstatedError(f"{array.where}: {fault}: state {' or '.join(ways)}", *options)
+
+
+def _first_is_plausible(sides: Sequence[int]) -> bool:
+    """True if the first axis is longer than the others, or these are a square."""
+    others = [side for side in sides[1:] if side > 1]
+    return all(side < sides[0] for side in others) or len(set(others)) == 1
 
 
 def _axes_text(array: ArrayShape, axis: int | None) -> str:

@@ -32,7 +32,7 @@ class Axis(NamedTuple):
 
 
 class Arrangement(NamedTuple):
-    """Places of the taxels in an item: `places` (n_rows, n_cols) into its numbers in their order, or
+    """Places of the taxels in an item: `places` (n_rows, n_cols) into its numbers in order, or
     None where they are a frame as they are.
     """
 

@@ -9,9 +9,10 @@ import pytest
 from damaged import refusal
 
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.sensor import driver
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
 from sparseskin.nodes.sensor.sources import DriverAddress, open_source
 
@@ -30,8 +31,8 @@ def module(tmp_path, monkeypatch):
     return write
 
 
-def opened(target, **stated):
-    return driver.open_callable(DriverAddress(target, **stated))
+def opened(target, raw=False, **stated):
+    return driver.open_callable(DriverAddress(target, Layout(**stated), raw=raw))
 
 
 def yielding(module, *pairs):
@@ -55,9 +56,9 @@ class TestFrames:
 
     def test_a_first_frame_of_another_shape_than_stated_is_refused(self, module):
         name = module("def frames():\n    yield 0, np.zeros((2, 3))\n")
-        assert open_source(f"{name}:frames", n_rows=2, n_cols=3).skin.shape == (2, 3)
+        assert open_source(f"{name}:frames", layout=Layout(n_rows=2, n_cols=3)).skin.shape == (2, 3)
         with pytest.raises(SourceError, match="n_cols = 4 is stated, but the frames have 3"):
-            open_source(f"{name}:frames", seed=0, n_rows=2, n_cols=4)
+            open_source(f"{name}:frames", layout=Layout(n_rows=2, n_cols=4))
 
     def test_readings_beyond_the_range_saturate_and_are_counted(self, module):
         source = yielding(module, "(0, [[-0.1, 2.6, 2.5, 0.0]])", "(1, [[1e300, 1, 1, -1e300]])")
@@ -151,7 +152,7 @@ class TestSourceObject:
     @pytest.mark.parametrize(
         ("old", "new", "message"),
         [
-            ("4.0", "2.0", r"f_max = 4 is stated, .* skin has 2\.0"),
+            ("4.0", "2.0", r"f_max = 4\.0 is stated, .* skin has 2\.0"),
             ('"truth"', '"noise"', "delivers = 'noise'; allowed are truth, taxels"),
             ("n_frames = 1", "n_frames = 1.5", "n_frames = '1.5'"),
             ("def __iter__", "def frames", "returned Hand; expected a generator or an iterable"),
@@ -174,7 +175,7 @@ class TestName:
     def test_what_is_not_module_and_callable_is_refused(self, target, message):
         with pytest.raises(SourceError, match=message):
             opened(target)
-        with pytest.raises(SourceError, match="f_max = "):
+        with pytest.raises(SettingsError, match="f_max: nan is outside"):
             opened("a_skin:frames", f_max=float("nan"))
 
     @pytest.mark.parametrize(
@@ -182,7 +183,7 @@ class TestName:
         [
             ("def frame():\n    yield 0, [[1.0]]", r"has no 'frames' \(did you mean 'frame'\?"),
             ("frames = 3", "is int, which cannot be called"),
-            ("def frames():\n    yield 0, np.zeros((0, 3))", "0 rows x 3 columns"),
+            ("def frames():\n    yield 0, np.zeros((0, 3))", "an item holds 0 numbers"),
             ("def frames():\n    yield 0, np.ones((1, 2), int)", "whole numbers, .*; add unit=c"),
             ("def frames():\n    yield from ()\n", "ended before its first frame"),
             ("def frames(port):\n    yield", "the driver failed: TypeError: .*'port'"),
@@ -197,6 +198,7 @@ class TestName:
 
 def test_a_frame_is_a_copy_of_what_was_delivered():
     delivered = np.ones((3, 4), np.float32)
-    ((_, forces),) = driver.DriverSource(DriverAddress("skin:frames", f_max=2.5), [(0, delivered)])
+    address = DriverAddress("skin:frames", Layout(f_max=2.5))
+    ((_, forces),) = driver.DriverSource(address, [(0, delivered)])
     assert not np.shares_memory(forces, delivered)
     np.testing.assert_array_equal(forces, delivered)

@@ -13,9 +13,9 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor import sources
-from sparseskin.nodes.sensor.files.file_source import RecordedSource
+from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
-from sparseskin.nodes.sensor.source import Skin
 
 GLOVE = """
 import numpy as np
@@ -139,9 +139,10 @@ def test_a_source_that_computes_its_frames_is_read_a_frame_at_a_time_and_ends():
     assert source.ended
 
 
-def test_a_recording_that_loops_begins_again_and_its_stamps_go_on():
+def test_a_recording_that_loops_begins_again_and_its_stamps_go_on(tmp_path):
     frames = np.arange(4, dtype=np.float32).reshape(2, 1, 2)
-    source = RecordedSource("r", Skin(1, 2, 3.0), frames, [0, 10])
+    np.savez(tmp_path / "r.npz", forces=frames, stamp_ns=np.array([0, 10]))
+    source = open_file(tmp_path / "r.npz")
     source.loops, source.period_s = True, 1e-8
     read = [source.next_frame(0.0) for _ in range(5)]
     assert [(ns, forces[0, 0]) for ns, forces in filter(None, read)] == [
@@ -150,7 +151,7 @@ def test_a_recording_that_loops_begins_again_and_its_stamps_go_on():
 
 
 def test_no_address_is_refused_and_any_other_is_of_a_driver(tmp_path, monkeypatch, offering):
-    address = sources.find_address("my_skin:frames", n_rows=2, n_cols=3)
+    address = sources.find_address("my_skin:frames", layout=Layout(n_rows=2, n_cols=3))
     assert isinstance(address, sources.DriverAddress)
     assert (address.n_taxels(), sources.find_address("my_skin:frames").n_taxels()) == (6, None)
     monkeypatch.chdir(tmp_path)

@@ -16,6 +16,7 @@ from sparseskin.nodes.recorder.convert.csv import export_csv
 from sparseskin.nodes.recorder.convert.npz import export_npz
 from sparseskin.nodes.recorder.convert.to_bag import import_file, recover_bag
 from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 
@@ -89,7 +90,7 @@ def test_an_exported_csv_states_its_skin_and_is_a_recording(rich):
     file = rich.with_name("a_csv") / "skin_taxels.csv"
     skin = json.loads(file.read_text().splitlines()[1].removeprefix("# "))["skin"]
     assert (skin["f_max"], skin["unit"], skin["pitch_m"], skin["rate_hz"]) == (2.5, "N", 0.005, 50)
-    again = open_file(file, unit="N")
+    again = open_file(file, Layout(unit="N"))
     taxels = [one.forces[0] for one in rich_frames() if isinstance(one, Taxels)]
     np.testing.assert_array_equal(again.frames, taxels)
 
@@ -118,7 +119,7 @@ def test_an_exported_csv_is_a_table_with_a_header(rich):
     assert np.array_equal(sd.loc[:, "r0c0":].to_numpy(np.float32).reshape(expected.shape), expected)
 
 
-SIZE = {"n_rows": 2, "n_cols": 3}
+SIZED = Layout(n_rows=2, n_cols=3, unit="N", f_max=10.0)
 
 
 def write_frames(path, lines):
@@ -129,7 +130,7 @@ def write_frames(path, lines):
 def test_an_imported_bag_holds_every_frame_and_is_the_same_each_time(tmp_path):
     source = write_frames(tmp_path / "a.csv", [f"{k},0,0,0,0,{k + 1}" for k in range(5)])
     for name in ("one.mcap", "two.mcap"):
-        assert import_file(source, tmp_path / name, unit="N", f_max=10.0, **SIZE) == 5
+        assert import_file(source, tmp_path / name, layout=SIZED) == 5
     with BagReader(tmp_path / "one.mcap") as one, BagReader(tmp_path / "two.mcap") as two:
         assert list(one.messages()) == list(two.messages())
         assert one.metadata["imported_from"] == "a.csv"
@@ -156,7 +157,7 @@ def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path, monkeyp
 
     monkeypatch.setattr("sparseskin.nodes.recorder.convert.to_bag.progress", break_off)
     with pytest.raises(SparseskinError, match="frame 1 is malformed"):
-        import_file(source, tmp_path / "out.mcap", unit="N", f_max=10.0, **SIZE)
+        import_file(source, tmp_path / "out.mcap", layout=SIZED)
     assert seen == ["out.mcap.part"]  # it had begun
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
