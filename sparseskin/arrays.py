@@ -475,7 +475,7 @@ def read_recording(
         "forces": np.concatenate(blocks),
         "stamp_ns": np.concatenate(stamps),
         **described(source.skin, source.rate_hz),
-        "notes": (*source.notes, *source.take_lines()),
+        "notes": tuple(source.take_lines()),
     }
 
 

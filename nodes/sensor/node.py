@@ -74,7 +74,8 @@ class Sensor(SourceNode[SensorSettings]):
             raise SourceError(text) from error
         skin = self._stage.skin if self._stage else self._source_skin
         learns = settings.nan == MASK and self._source.is_live
-        self._f_min = self._stage.description.f_min if self._stage else 0.0  # end of the range
+        lower_end = self._stage.description.f_min if self._stage else self._source.f_min
+        self._f_min = lower_end
         self._accepts_missing = settings.nan != REFUSE or bool(settings.missing)
         self._readings = MissingReadings(missing_way(settings.layout), skin, learns)
         has_level = self._source.delivers == "taxels" and not settings.tare

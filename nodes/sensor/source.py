@@ -42,6 +42,7 @@ class Source:
     arrives: bool = False  # frames arrive whether or not they are read; `next_frame` states when
     on_points: bool = False  # frames of a skin of points are on its virtual grid already
     ended: bool = False  # `next_frame` has found that there is no frame any more
+    f_min: float = 0.0  # lower end of the range, 0 or less, in the unit of the skin
     clipped: Clipped = Clipped()  # counts of the readings that were clipped to the range
     #: Noise of a taxel at half the range, and untouched, in the unit of the skin, that the sensor
     #: adds to a truth; None: that of the paper's skin.
