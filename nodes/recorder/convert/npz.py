@@ -129,10 +129,12 @@ class _Columns:
             raise BagError(f"{self._place}, stamp {message.stamp_ns}: {sizes}")
         self._shapes.append(frame.shape)
         for name in self._files.keys() & values.keys():
-            value = values[name]
+            is_sent = values[name] is not None
+            value = frame if is_sent and name != "sd" else values[name]  # NaN where missing
             self._held |= set() if value is None else {name}
             with self._files[name].open("ab") as file:
-                file.write(np.full_like(frame, np.nan).data if value is None else value.data)
+                shown = np.full_like(frame, np.nan) if value is None else value
+                file.write(np.ascontiguousarray(shown).data)
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file; a field that no message has gets none."""

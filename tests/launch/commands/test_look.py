@@ -1,0 +1,57 @@
+"""A file is looked at before it is imported, and launched by its name."""
+
+import shlex
+
+import numpy as np
+import pytest
+
+import sparseskin
+from sparseskin.launch.commands.cli import main
+
+TABLE = "time_s,s0,s1,s2,s3\n0.00,1,2,3,4\n0.02,5,-1,7,8\n0.04,90,80,70,60\n"
+
+
+@pytest.fixture
+def log(tmp_path, monkeypatch):
+    """A table whose shape, unit and mark of missing readings have to be stated."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "glove log.csv").write_text(TABLE)
+    return "glove log.csv"
+
+
+def test_what_is_not_stated_is_named_and_nothing_is_chosen(log, capsys):
+    assert main(["recording", "look", log]) == 2
+    shown = capsys.readouterr()
+    assert "5 columns per frame: s0, s1, s2, s3" in shown.out
+    assert "column 'time_s' in s" in shown.out
+    assert "state n_rows and n_cols, 2 x 2, 1 x 4 or 4 x 1" in shown.err
+
+
+def test_the_command_that_is_printed_imports_the_file_as_it_was_shown(log, capsys):
+    stated = ["--n-rows", "2", "--n-cols", "2", "--unit", "counts", "--missing", "-1"]
+    assert main(["recording", "look", log, *stated]) == 0
+    shown = capsys.readouterr().out
+    assert "first frame:" in shown
+    assert "4 lines: 3 frames, 1 header" in shown
+    command = shlex.split(shown.splitlines()[-1].partition("import it: ")[2])
+    assert command[0] == "sparseskin"
+    assert main(command[1:]) == 0
+    recording = sparseskin.read_recording("glove log.mcap")
+    assert np.isnan(recording["forces"][1, 0, 1])
+    assert recording["forces"][2].tolist() == [[90, 80], [70, 60]]
+    assert recording["stamp_ns"].tolist() == [0, 20_000_000, 40_000_000]
+
+
+@pytest.mark.parametrize("form", ["{}", "file:{}"])
+def test_a_recording_is_launched_by_its_name(form, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.save("log.npy", np.ones((60, 16, 16), np.uint8))
+    assert main(["launch", form.format("log.npy"), "--dry-run"]) == 0
+    assert "source = 'file:log.npy'" in capsys.readouterr().out
+
+
+def test_an_error_spells_what_is_missing_as_an_option(log, capsys):
+    stated = ["--n-rows", "2", "--n-cols", "2", "--unit", "counts"]
+    assert main(["recording", "look", log, *stated]) == 2
+    (tail,) = (line for line in capsys.readouterr().err.splitlines() if line)
+    assert "-1 is below 0" in tail
