@@ -78,8 +78,8 @@ class RecordedSource(Source):
     def blocks(self) -> Iterator[Stamped]:
         """Yield blocks of stamps and frames, as `Stamped`."""
         if self._kept is not None:
-            for stamp_ns, kept in self._kept:
-                yield stamp_ns, self._treatment.apply(kept.copy())
+            for stamp_ns, blocks_kept in self._kept:
+                yield stamp_ns, self._treatment.apply(blocks_kept.copy())
             return
         with opened(self._path, self._layout, self._raw) as frames:
             for stamp_ns, part in frames.blocks():
@@ -144,20 +144,20 @@ class RecordedSource(Source):
         is_stated = (self._layout.f_max or frames.head.f_max) is not None
         needs_all = not is_stated or self._raw or Treatment.needs_survey(self._layout)
         n_kept_bytes = 0
-        kept: list[Stamped] | None = []
+        blocks_kept: list[Stamped] | None = []
         for stamp_ns, part in frames.blocks():
             survey.add(part)
             n_kept_bytes += part.nbytes
             if n_kept_bytes > KEPT_BYTES:
-                kept = None
+                blocks_kept = None
                 if not needs_all:
                     survey.n_frames = 0  # not known
                     return survey
-            if kept is not None:
-                kept.append((stamp_ns, part))
+            if blocks_kept is not None:
+                blocks_kept.append((stamp_ns, part))
             if survey.n_frames > MAX_FRAMES:
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")
-        self._kept = kept
+        self._kept = blocks_kept
         return survey
 
     def _noted(self, frames: Frames, survey: Survey) -> tuple[str, ...]:
@@ -273,8 +273,8 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
         text = str(error)
         ways = [option for option in error.options if _reads(path, layout, raw, option)]
         if len(ways) == 1:
-            stated = [f"{key}={shlex.quote(value)}" for key, value in ways[0].items()]
-            text = f"{text}{ADD}{' '.join(stated)}"
+            unit_or_range = [f"{key}={shlex.quote(value)}" for key, value in ways[0].items()]
+            text = f"{text}{ADD}{' '.join(unit_or_range)}"
         raise SourceError(text) from error
 
 
@@ -320,34 +320,36 @@ def _skin(frames: Frames, survey: Survey, treatment: Treatment) -> Skin:
 
 def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
     """Upper end of the range: stated, that of the file, or the largest reading."""
-    stated = frames.layout.f_max or frames.head.f_max
-    if stated is not None and frames.layout.f_max is None:
-        stated -= treatment.offset
+    unit_or_range = frames.layout.f_max or frames.head.f_max
+    if unit_or_range is not None and frames.layout.f_max is None:
+        unit_or_range -= treatment.offset
     peak = survey.highest - treatment.offset
     if frames.raw:
-        return max(peak, stated or 1.0)
-    if stated is None:
+        return max(peak, unit_or_range or 1.0)
+    if unit_or_range is None:
         if peak <= 0:
             fault = "all readings are 0, so its range is unknown; state f_max"
             raise SourceError(f"{frames.name}: {fault}")
         return peak
     # In float32 as the frames are: 0.1 in a float32 recording is above 0.1 in float64.
-    if np.float32(peak) > np.float32(stated):
-        fault = f"f_max = {stated:g} is below the largest reading, {peak:g}"
+    if np.float32(peak) > np.float32(unit_or_range):
+        fault = f"f_max = {unit_or_range:g} is below the largest reading, {peak:g}"
         raise SourceError(f"{frames.name}: {fault}")
-    return float(stated)
+    return float(unit_or_range)
 
 
 def _unit(frames: Frames) -> str:
     """Unit of the readings: stated, that of the file, or an assumption."""
-    stated = frames.layout.unit
+    unit_or_range = frames.layout.unit
     of_file = frames.head.unit
     check_unit(frames.name, of_file)
-    if stated is not None and of_file is not None and stated != of_file:
-        both = f"unit = {shown(stated)} is stated, but the file states {shown(of_file)}"
-        raise SourceError(f"{frames.name}: {both}")
-    if stated or of_file:
-        return stated or str(of_file)
+    if unit_or_range is not None and of_file is not None and unit_or_range != of_file:
+        contradiction = (
+            f"unit = {shown(unit_or_range)} is stated, but the file states {shown(of_file)}"
+        )
+        raise SourceError(f"{frames.name}: {contradiction}")
+    if unit_or_range or of_file:
+        return unit_or_range or str(of_file)
     if frames.is_whole:
         return COUNTS
     return "raw" if frames.raw else "N"

@@ -77,9 +77,15 @@ def recording_of(file: File) -> Recording:
     if suffix in (".csv", ".txt", ".mcap") or not fitting:
         begin = file.file.read(HEAD_BYTES)
         file.file.seek(0)
-        fitting = [*fitting, *(one for one in plugins if suffix in one.suffixes)]
-        sure = [one for one in fitting if one.recognises is not None and one.recognises(begin)]
-        fitting = sure or [one for one in fitting if one.recognises is None] or fitting
+        fitting = [*fitting, *(candidate for candidate in plugins if suffix in candidate.suffixes)]
+        sure = [
+            candidate
+            for candidate in fitting
+            if candidate.recognises is not None and candidate.recognises(begin)
+        ]
+        fitting = (
+            sure or [candidate for candidate in fitting if candidate.recognises is None] or fitting
+        )
     if not fitting:
         allowed = f"allowed are {', '.join(suffixes())}{failures(FILES)}"
         unknown = f"suffix {shown(path.suffix)} is not known"
@@ -97,7 +103,7 @@ def folder_files(path: str) -> Iterator[tuple[str, tuple[str, ...]]]:
     if not folder.is_dir():
         yield path, ()
         return
-    markers = [name for one in loaded(FILES).values() for name in one.markers]
+    markers = [name for candidate in loaded(FILES).values() for name in candidate.markers]
     for name in markers:
         if (folder / name).is_file():
             yield str(folder / name), ()

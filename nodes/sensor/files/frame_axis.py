@@ -78,8 +78,8 @@ def find_frame_axis(
     In this order: as it is stated; as the labels of the file say; the only one as long as times
     beside the array (`n_times`), and that leaves the stated shape, of which rows and columns are
     transposed where nothing else fits; and then the first one, where that is usual: where it is the
-    longest, or the others are a square, or `first_is_usual` is None. Raises SourceError if what is stated does not fit the
-    array, UnstatedError with the possible ways if there are several.
+    longest, or the others are a square, or `first_is_usual` is None. Raises SourceError if what is
+    stated does not fit the array, UnstatedError with the possible ways if there are several.
     """
     names = layout.axis_names
     n_long = sum(side > 1 for side in array.sides)

@@ -56,8 +56,8 @@ class Frames:
         try:
             self.arrangement = arrange(self.layout, self.head.axes, self.name, self.head.usable)
         except UnstatedError as error:
-            both = f"{error}; unit is not stated either" if needs_unit else str(error)
-            raise UnstatedError(both, *error.options) from error
+            text = f"{error}; unit is not stated either" if needs_unit else str(error)
+            raise UnstatedError(text, *error.options) from error
         self.mask = self._arranged_mask()
         self._sampled: Sampled | None = None
         if needs_unit:
@@ -111,11 +111,11 @@ class Frames:
         """Lines on how the file was read, after its end."""
         lines = [*self.head.notes, *self.arrangement.notes]
         if self.is_timed:
-            named = f" {self.head.time_name}" if self.head.time_name else ""
+            time_name = f" {self.head.time_name}" if self.head.time_name else ""
             if not (self.layout.time_unit or self.head.time_unit):
-                lines.append(f"times{named} are taken as {self.time_unit}")
-            elif named:
-                lines.append(f"times:{named} in {self.time_unit}")
+                lines.append(f"times{time_name} are taken as {self.time_unit}")
+            elif time_name:
+                lines.append(f"times:{time_name} in {self.time_unit}")
         if self.n_repeated:
             lines.append(f"{self.n_repeated} times repeat the one before: 1 ns later each")
         lines.append(self.recording.tally.text)
@@ -147,9 +147,9 @@ class Frames:
         return self.head.asks_unit and bool((readings == np.rint(readings)).all())
 
     def _unit_of(self, block: Block) -> str:
-        stated = self.head.time_unit or self.layout.time_unit
-        if stated or not self.is_timed:
-            return stated or "ns"
+        unit_stated = self.head.time_unit or self.layout.time_unit
+        if unit_stated or not self.is_timed:
+            return unit_stated or "ns"
         return unit_of([float(time) for time in block.times or ()], self.name)
 
     def _ask_for_unit(self) -> None:
@@ -214,12 +214,12 @@ class Frames:
         no reading; else they are noise around 0, or a signed quantity.
         """
         values = np.unique(frames[below])
-        others = frames[~below & np.isfinite(frames)]
+        other_readings = frames[~below & np.isfinite(frames)]
         place = self._place(readings, below)
         ways = f"state negative={KEEP}, zero, offset or mask"
-        is_marker = values.size == 1 and others.size > 0
+        is_marker = values.size == 1 and other_readings.size > 0
         marker = float(values[0])
-        if is_marker and others.min() > marker + ISOLATED * abs(marker):
+        if is_marker and other_readings.min() > marker + ISOLATED * abs(marker):
             option = {"missing": f"{marker:g}"}
             raise UnstatedError(f"{place} is below 0, as no other reading", option)
         hint = f"; or missing={marker:g}, if it stands for no reading" if is_marker else ""

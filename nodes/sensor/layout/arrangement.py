@@ -71,11 +71,11 @@ def arrange(
     labelled = list(axes)
     notes: tuple[str, ...] = ()
 
-    named = [at for at, axis in enumerate(labelled) if axis.names]
-    if len(labelled) == 1 and (named or usable is not None):
+    with_names = [at for at, axis in enumerate(labelled) if axis.names]
+    if len(labelled) == 1 and (with_names or usable is not None):
         names = labelled[0].names or ("",) * labelled[0].size
-        kept = range(labelled[0].size) if usable is None else usable
-        selection = select(layout, names, kept, where)
+        remaining = range(labelled[0].size) if usable is None else usable
+        selection = select(layout, names, remaining, where)
         places = places[list(selection.columns)]
         notes = selection.notes
         if selection.shape is not None:
@@ -119,18 +119,18 @@ def shapes_of(n: int) -> str:
     """Shapes of n taxels, the most square ones first: "2 x 3, 3 x 2, 1 x 6 or 6 x 1"."""
     sides = [k for k in range(1, min(n, MAX_SIDE) + 1) if n % k == 0 and n // k <= MAX_SIDE]
     sides.sort(key=lambda k: (abs(math.log(k * k / n)), k))
-    shown = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
-    return f"{', '.join(shown[:-1])} or {shown[-1]}" if len(shown) > 1 else "".join(shown)
+    shapes = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
+    return f"{', '.join(shapes[:-1])} or {shapes[-1]}" if len(shapes) > 1 else "".join(shapes)
 
 
 def _one_channel(
     layout: Layout, places: npt.NDArray[Any], axes: list[Axis], where: str
 ) -> tuple[npt.NDArray[Any], list[Axis], tuple[str, ...]]:
     """The places of one channel, without axes of one entry."""
-    kept = [at for at, axis in enumerate(axes) if axis.size > 1 or len(axes) <= 2]
-    kept = kept or [len(axes) - 1]
-    places = places.reshape([axes[at].size for at in kept])
-    axes = [axes[at] for at in kept]
+    remaining = [at for at, axis in enumerate(axes) if axis.size > 1 or len(axes) <= 2]
+    remaining = remaining or [len(axes) - 1]
+    places = places.reshape([axes[at].size for at in remaining])
+    axes = [axes[at] for at in remaining]
     at = _channel_axis(layout, axes)
     if at is None:
         if len(axes) > 2:
@@ -158,18 +158,18 @@ def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
     names = tuple(map(str.lower, axis.names))
     if not names and axis.size == len(XYZ) and axis.label.lower() in ("xyz", "axis", "axes"):
         names = XYZ
-    wanted = layout.channel.lower()
-    if not wanted and NORMAL in names:
-        wanted = NORMAL
-    if wanted in names:
-        return names.index(wanted), f"channel {wanted} of {', '.join(names)}"
-    if not names and wanted in XYZ and axis.size == len(XYZ):
-        return XYZ.index(wanted), f"channel {wanted}, entry {XYZ.index(wanted)} of {axis.size}"
-    if wanted.isdecimal() and int(wanted) < axis.size:
-        return int(wanted), f"channel {wanted} of {axis.size}"
+    channel = layout.channel.lower()
+    if not channel and NORMAL in names:
+        channel = NORMAL
+    if channel in names:
+        return names.index(channel), f"channel {channel} of {', '.join(names)}"
+    if not names and channel in XYZ and axis.size == len(XYZ):
+        return XYZ.index(channel), f"channel {channel}, entry {XYZ.index(channel)} of {axis.size}"
+    if channel.isdecimal() and int(channel) < axis.size:
+        return int(channel), f"channel {channel} of {axis.size}"
     allowed = ", ".join(names) or f"0..{axis.size - 1}"
-    if wanted:
-        raise SourceError(f"{where}: channel: {wanted!r} is none of {allowed}")
+    if channel:
+        raise SourceError(f"{where}: channel: {channel!r} is none of {allowed}")
     raise UnstatedError(f"{where}: {axis.size} numbers per taxel; state channel, of {allowed}")
 
 
@@ -208,9 +208,11 @@ def check_stated_shape(
     rows: int, cols: int, n_rows: int | None, n_cols: int | None, where: str
 ) -> None:
     """Raise SourceError if a stated side, `n_rows` or `n_cols`, is not that of the frames."""
-    for what, stated, actual in (("n_rows", n_rows, rows), ("n_cols", n_cols, cols)):
-        if stated is not None and stated != actual:
-            raise SourceError(f"{where}: {what} = {stated} is stated, but the frames have {actual}")
+    for key, required, actual in (("n_rows", n_rows, rows), ("n_cols", n_cols, cols)):
+        if required is not None and required != actual:
+            raise SourceError(
+                f"{where}: {key} = {required} is stated, but the frames have {actual}"
+            )
 
 
 def _ordered(layout: Layout, places: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:

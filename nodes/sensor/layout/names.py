@@ -75,9 +75,9 @@ def matching(part: str, names: Sequence[str], n: int, where: str, key: str) -> l
     numbers = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", part)
     columns: list[int] = []
     if numbers and part not in names:
-        first, last = int(numbers[1]), int(numbers[2] or numbers[1])
-        if 1 <= first <= last <= n:
-            columns = list(range(first - 1, last))
+        begin, end = int(numbers[1]), int(numbers[2] or numbers[1])
+        if 1 <= begin <= end <= n:
+            columns = list(range(begin - 1, end))
     else:
         columns = [k for k, name in enumerate(names) if name == part]
         columns = columns or [k for k, name in enumerate(names) if fnmatchcase(name, part)]
@@ -117,13 +117,13 @@ def _chosen(
     indexed = {family: columns for family, columns in families.items() if "#" in family.pattern}
     channels = _channels(indexed)
     if layout.channel or len(channels) > 1:
-        wanted = layout.channel or NORMAL
-        if wanted not in channels:
+        channel_name = layout.channel or NORMAL
+        if channel_name not in channels:
             kinds = ", ".join(channels) or "none"
-            raise SourceError(f"{where}: channel: no columns of {wanted!r}; it has {kinds}")
-        columns = channels[wanted]
+            raise SourceError(f"{where}: channel: no columns of {channel_name!r}; it has {kinds}")
+        columns = channels[channel_name]
         if layout.n_stated is None or len(columns) == layout.n_stated:
-            return columns, (f"channel {wanted} of {', '.join(channels)}",)
+            return columns, (f"channel {channel_name} of {', '.join(channels)}",)
 
     ways = [columns for columns in indexed.values() if len(columns) > 1]
     ways.append(sorted(k for columns in ways for k in columns))
@@ -169,19 +169,19 @@ def _undecided(
 
 def _channels(indexed: dict[Family, list[int]]) -> dict[str, list[int]]:
     """Columns of each of x, y and z, if their families are as large as each other."""
-    found: dict[str, list[int]] = {}
+    by_channel: dict[str, list[int]] = {}
     for family, columns in indexed.items():
         if family.channel:
-            found.setdefault(family.channel, []).extend(columns)
-    sizes = {len(columns) for columns in found.values()}
-    return found if len(found) > 1 and len(sizes) == 1 and NORMAL in found else {}
+            by_channel.setdefault(family.channel, []).extend(columns)
+    sizes = {len(columns) for columns in by_channel.values()}
+    return by_channel if len(by_channel) > 1 and len(sizes) == 1 and NORMAL in by_channel else {}
 
 
 def _of_channel(channel: str, names: Sequence[str], columns: list[int], where: str) -> list[int]:
-    chosen = [k for k in columns if _family(names[k]).channel == channel.lower()]
-    if not chosen:
+    of_channel = [k for k in columns if _family(names[k]).channel == channel.lower()]
+    if not of_channel:
         raise SourceError(f"{where}: channel: no column of {channel!r} among the stated ones")
-    return chosen
+    return of_channel
 
 
 def _placed(
@@ -216,7 +216,7 @@ def _grid_numbers(name: str, numbers: Sequence[tuple[int, ...]]) -> list[int]:
     labelled = [at for at, word in enumerate(words) if word in ROW_WORDS or word in COL_WORDS]
     if len(labelled) == 2:
         return labelled
-    return [at for at in range(len(words)) if len({each[at] for each in numbers}) > 1]
+    return [at for at in range(len(words)) if len({number[at] for number in numbers}) > 1]
 
 
 def _grid(
@@ -229,18 +229,18 @@ def _grid(
     firsts, seconds = ({pair[side] for pair in pairs} for side in (0, 1))
     if len(pairs) != len(numbers) or len(firsts) * len(seconds) != len(pairs):
         return None
-    first, second = (_words(name)[at] for at in varying)
-    is_labelled = first in ROW_WORDS and second in COL_WORDS
-    is_labelled |= first in COL_WORDS and second in ROW_WORDS
-    if not (is_labelled or not second):
+    outer, inner = (_words(name)[at] for at in varying)
+    is_labelled = outer in ROW_WORDS and inner in COL_WORDS
+    is_labelled |= outer in COL_WORDS and inner in ROW_WORDS
+    if not (is_labelled or not inner):
         return None  # two numbers that count something else, as a sensor and its taxels
-    rows_first = first in ROW_WORDS or not is_labelled
+    rows_first = outer in ROW_WORDS or not is_labelled
     shape = (len(firsts), len(seconds)) if rows_first else (len(seconds), len(firsts))
     notes: tuple[str, ...] = ()
     if not is_labelled:
         # Without words the order of a matrix is meant: row, then column. A stated shape decides.
-        stated = (layout.n_rows, layout.n_cols)
-        if stated != shape and stated == shape[::-1]:
+        required_shape = (layout.n_rows, layout.n_cols)
+        if required_shape != shape and required_shape == shape[::-1]:
             rows_first = False
             shape = shape[::-1]
         notes = (f"the numbers in the names are {'row, column' if rows_first else 'column, row'}",)
@@ -251,13 +251,13 @@ def _grid(
 
 def _as_text(names: Sequence[str], columns: Sequence[int]) -> str:
     """The setting `columns` of some columns: a range of numbers, or numbers."""
-    first, last = columns[0], columns[-1]
-    if list(columns) == list(range(first, last + 1)):
-        return f"{first + 1}-{last + 1}"
+    begin, end = columns[0], columns[-1]
+    if list(columns) == list(range(begin, end + 1)):
+        return f"{begin + 1}-{end + 1}"
     patterns = {re.sub(r"\d+", "*", names[k]) for k in columns}
     return ",".join(sorted(patterns))
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(printable(name) for name in names[:MAX_SHOWN])
-    return shown + ", ..." * (len(names) > MAX_SHOWN)
+    text = ", ".join(printable(name) for name in names[:MAX_SHOWN])
+    return text + ", ..." * (len(names) > MAX_SHOWN)

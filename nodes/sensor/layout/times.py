@@ -44,10 +44,10 @@ def named_unit(name: str) -> str:
     """Unit in the name of a column or array, as of "time_ms"; "" if there is none."""
     if re.fullmatch(r"%time", name.strip().lower()):
         return "ns"  # as rostopic echo -p prints it
-    found = UNIT_NAME.search(name.lower())
-    if found is None:
+    match = UNIT_NAME.search(name.lower())
+    if match is None:
         return ""
-    unit = found[1] or found[2]
+    unit = match[1] or match[2]
     return LONG_UNITS.get(unit, unit)
 
 
@@ -65,11 +65,11 @@ def iso_ns(text: str) -> int | None:
 
 def clock_ns(text: str) -> int | None:
     """Nanoseconds since midnight of a time of day; None if a text is none."""
-    found = CLOCK.fullmatch(text)
-    if found is None:
+    match = CLOCK.fullmatch(text)
+    if match is None:
         return None
-    seconds, _, fraction = found[3].replace(",", ".").partition(".")
-    whole_s = 3600 * int(found[1]) + 60 * int(found[2]) + int(seconds)
+    seconds, _, fraction = match[3].replace(",", ".").partition(".")
+    whole_s = 3600 * int(match[1]) + 60 * int(match[2]) + int(seconds)
     return whole_s * 10**9 + int(fraction.ljust(9, "0") or 0)
 
 
@@ -107,8 +107,8 @@ def unit_of(times: Sequence[float], where: str) -> str:
     usual = {unit: rate for unit, rate in rates_hz.items() if low <= rate <= high}
     if len(usual) == 1:
         return next(iter(usual))
-    named = " or ".join(f"time_unit={unit} ({rate:.4g} Hz)" for unit, rate in usual.items())
-    hint = named or "time_unit"
+    ways = " or ".join(f"time_unit={unit} ({rate:.4g} Hz)" for unit, rate in usual.items())
+    hint = ways or "time_unit"
     raise UnstatedError(f"{where}: the unit of the times is not stated: state {hint}")
 
 
@@ -162,7 +162,7 @@ class Stamps:
         """Nanoseconds since the first time."""
         if self._first is None and len(times):
             self._first = times[0]
-        first = self._first or 0
+        origin = self._first or 0
         per_unit = NS[self.unit]
         # Python's own numbers: whole ones are exact, whatever their size.
-        return [round((time - first) * per_unit) for time in times]
+        return [round((time - origin) * per_unit) for time in times]

@@ -148,8 +148,8 @@ def _first_lines(file: File) -> list[tuple[int, str]]:
 
 def _excel(raw: list[tuple[int, str]], layout: Layout) -> tuple[str, int]:
     """The separator that the first line states for Excel, and the lines that are not looked at."""
-    stated = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
-    separator = stated[1] if stated else ""
+    setting = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
+    separator = setting[1] if setting else ""
     return separator, max(layout.skip, int(bool(separator)))
 
 
@@ -202,8 +202,8 @@ def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
     """True if a line has texts in columns that hold numbers later; or all are 0, 1, 2, ..., as
     pandas names columns.
     """
-    named = [cell for cell in cells if cell]
-    if len(named) >= COUNTED and named == [*map(str, range(len(named)))]:
+    by_name = [cell for cell in cells if cell]
+    if len(by_name) >= COUNTED and by_name == [*map(str, range(len(by_name)))]:
         return True
     for k, cell in enumerate(cells):
         if _is_value(cell):
@@ -222,10 +222,10 @@ def _is_value(cell: str) -> bool:
 
 def _named_by_comment(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> None:
     """Names of columns in the comment before the data, as np.savetxt writes them."""
-    before = [text.strip() for number, text in raw if number < first_number and text.strip()]
-    if not before or not before[-1].startswith(COMMENTS):
+    texts_before = [text.strip() for number, text in raw if number < first_number and text.strip()]
+    if not texts_before or not texts_before[-1].startswith(COMMENTS):
         return
-    text = before[-1].lstrip("#%/ ")
+    text = texts_before[-1].lstrip("#%/ ")
     names = tuple(cell.strip() for cell in head.dialect.cells(text))
     has_names = any(map(is_time_name, names)) or any(re.search(r"\d", name) for name in names)
     if len(names) == head.width and has_names and not any(map(is_number, names)):
@@ -236,17 +236,17 @@ def _count_before(
     head: TableHead, raw: list[tuple[int, str]], first_number: int, layout: Layout, has_sep: bool
 ) -> None:
     """Count the lines before the data by their names."""
-    before = [text for number, text in raw if number < first_number]
-    head.n_before = len(before)
+    texts_before = [text for number, text in raw if number < first_number]
+    head.n_before = len(texts_before)
     head.dropped["line of the separator"] += int(has_sep)
-    n_skipped = max(0, min(layout.skip, len(before)) - int(has_sep))
+    n_skipped = max(0, min(layout.skip, len(texts_before)) - int(has_sep))
     head.dropped["skipped lines"] += n_skipped
-    rest = before[max(layout.skip, int(has_sep)) :]
-    n_blank = sum(not text.strip() for text in rest)
-    n_comments = sum(not _is_body(text) and bool(text.strip()) for text in rest)
+    unskipped = texts_before[max(layout.skip, int(has_sep)) :]
+    n_blank = sum(not text.strip() for text in unskipped)
+    n_comments = sum(not _is_body(text) and bool(text.strip()) for text in unskipped)
     head.dropped["blank lines"] += n_blank
     head.dropped["comments"] += n_comments
-    n_others = len(before) - head.dropped.total()
+    n_others = len(texts_before) - head.dropped.total()
     if n_others:
         head.dropped["lines before the table"] += n_others
 
@@ -274,14 +274,14 @@ def _find_kind(
     if head.header or layout.columns or layout.time not in ("", "none"):
         return
     n_rows, n_cols = layout.n_rows, layout.n_cols
-    stated = layout.n_stated or 0
-    fits = stated > head.width == n_cols and n_rows is not None
+    setting = layout.n_stated or 0
+    fits = setting > head.width == n_cols and n_rows is not None
     heights = _block_heights(head, raw, data[0].number)
     if fits and n_rows is not None:
         head.height = n_rows
-    elif not stated and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
+    elif not setting and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
         head.height = heights[0]
-    elif file.parts and not stated:
+    elif file.parts and not setting:
         head.height = sum(heights)
     else:
         return
@@ -310,11 +310,11 @@ def _long_columns(head: TableHead, data: Sequence[_Line]) -> LongColumns | None:
     """Columns of frame, row, column and value, where the names state them."""
     names = [name.lower() for name in head.names]
     words = ((*ROW_WORDS, "i"), (*COL_WORDS, "j"), VALUE_WORDS)
-    chosen = [[k for k, name in enumerate(names) if name in each] for each in words]
+    by_word = [[k for k, name in enumerate(names) if name in group] for group in words]
     frames = [k for k, name in enumerate(names) if name in FRAME_WORDS or is_time_name(name)]
-    if any(len(columns) != 1 for columns in chosen) or not frames:
+    if any(len(columns) != 1 for columns in by_word) or not frames:
         return None
-    row, col, value = (columns[0] for columns in chosen)
+    row, col, value = (columns[0] for columns in by_word)
     key = data[0].cells[frames[0]]
     first = [line for line in data if line.cells[frames[0]] == key]
     places = [(line.cells[row], line.cells[col]) for line in first]
@@ -332,15 +332,15 @@ def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: s
         return None
     if layout.time:
         ends = {"first": 0, "last": head.width - 1}
-        stated = ends.get(layout.time)
-        return stated if stated is not None else _stated_time(head, layout.time, name)
+        setting = ends.get(layout.time)
+        return setting if setting is not None else _stated_time(head, layout.time, name)
     if head.dialect.has_prefix:
         return 0
-    named = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
-    named = [k for k in named if all(_is_value(line.cells[k]) for line in data)]
+    by_name = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
+    by_name = [k for k in by_name if all(_is_value(line.cells[k]) for line in data)]
     texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]
     dates = [k for k in head.numeric if not _is_indexed(head, k) and is_epoch(_column(data, k))]
-    for candidates, note in ((named, ""), (texts, ""), (dates, "holds dates")):
+    for candidates, note in ((by_name, ""), (texts, ""), (dates, "holds dates")):
         if len(candidates) > 1:
             labels = " or ".join(f"time={head.label(k)}" for k in candidates)
             options = [{"time": head.names[k] or str(k + 1)} for k in candidates]
@@ -428,8 +428,8 @@ def _unit_of_column(head: TableHead, data: Sequence[_Line]) -> str:
 
 def left_out(head: TableHead, read: Sequence[int]) -> str:
     """A note on the columns that are not read, "" if all are."""
-    others = [head.label(k) for k in range(head.width) if k not in (*read, head.time)]
-    if not others:
+    unread = [head.label(k) for k in range(head.width) if k not in (*read, head.time)]
+    if not unread:
         return ""
-    further = ", ..." if len(others) > MAX_SHOWN else ""
-    return f"left out: column {', '.join(map(printable, others[:MAX_SHOWN]))}{further}"
+    further = ", ..." if len(unread) > MAX_SHOWN else ""
+    return f"left out: column {', '.join(map(printable, unread[:MAX_SHOWN]))}{further}"

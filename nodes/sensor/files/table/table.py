@@ -85,8 +85,8 @@ class TableRecording(Recording):
         """Numbers of lines (k, width), and their times."""
         size = frames_per_block(self._head.width)
         for texts, numbers, _ in self._lines():
-            for first in range(0, len(texts), size):
-                part = slice(first, first + size)
+            for start in range(0, len(texts), size):
+                part = slice(start, start + size)
                 yield self._parsed(texts[part], numbers[part])
 
     def _lines(self) -> Iterator[tuple[list[str], list[int], list[bool]]]:
@@ -225,8 +225,8 @@ class TableRecording(Recording):
             if np.isfinite(value) or self._accepts_missing:
                 return value
         place = f"{self._file.name}, line {line}, column {self._head.label(column)}"
-        stated = cell.lower() in self._layout.missing_texts
-        if stated or (is_missing(cell) and self._accepts_missing):
+        is_marker = cell.lower() in self._layout.missing_texts
+        if is_marker or (is_missing(cell) and self._accepts_missing):
             return np.nan
         if is_missing(cell):
             raise SourceError(f"{place}: {shown(cell)} is not a number; {NAN_HINT}")
@@ -258,11 +258,11 @@ class TableRecording(Recording):
         waiting_numbers: list[int] = []
         for texts, numbers, begun in self._lines():
             ends = [k for k, begins in enumerate(begun) if begins] + [len(texts)]
-            for first, last in zip([0, *ends], ends, strict=False):
-                if first < len(begun) and begun[first]:
-                    self._check_block(len(waiting_texts), numbers[first])
-                waiting_texts += texts[first:last]
-                waiting_numbers += numbers[first:last]
+            for start, stop in zip([0, *ends], ends, strict=False):
+                if start < len(begun) and begun[start]:
+                    self._check_block(len(waiting_texts), numbers[start])
+                waiting_texts += texts[start:stop]
+                waiting_numbers += numbers[start:stop]
                 n_whole = len(waiting_texts) // height * height
                 if n_whole:
                     parsed, _ = self._parsed(waiting_texts[:n_whole], waiting_numbers[:n_whole])

@@ -82,11 +82,11 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
     is_first = True
     while data := file.read(PIECE_BYTES):
         if not data.endswith(b"\n"):
-            rest = file.readline(MAX_LINE_BYTES)
-            if len(rest) == MAX_LINE_BYTES:
+            line_end = file.readline(MAX_LINE_BYTES)
+            if len(line_end) == MAX_LINE_BYTES:
                 line = number + data.count(b"\n")
                 raise SourceError(f"{name}, line {line}: is longer than {MAX_LINE_BYTES} bytes")
-            data += rest
+            data += line_end
         if is_first:
             data = data.removeprefix(b"\xef\xbb\xbf")
             is_first = False
