@@ -42,7 +42,7 @@ EMPTY = "structure_needs_at_least_one_member"
 """The member of a message without members, as ROS 2 sends it."""
 LINE = re.compile(
     r"(?P<type>[A-Za-z]\w*(?:/\w+){0,2})(?:<=\d+)?"
-    r"(?:(?P<list>\[)(?P<limit><=)?(?P<count>\d*)\])?[ \t]+(?P<name>[A-Za-z]\w*)[ \t]*(?P<rest>.*)"
+    r"(?:(?P<list>\[)(?P<limit><=)?(?P<count>\d*)\])?[ \t]+(?P<name>[A-Za-z]\w*)(?P<rest>[ \t]*=.*|[ \t]+\S.*)?"
 )
 """A line of a definition: a type, [] of a list, a name, and what follows it."""
 
@@ -125,7 +125,7 @@ def _members(kind: str, text: str, ros: int) -> Iterator[Member]:
         if match is None:
             place = f"the definition of {printable(kind)}, line {number}"
             raise SourceError(f"{place}: {printable(line[:60])!r} is no member")
-        if match["rest"].startswith("="):
+        if (match["rest"] or "").lstrip().startswith("="):
             continue
         count = None
         if match["list"]:
