@@ -37,7 +37,7 @@ uint8 place
 Taxel[] taxels
 {SEPARATOR}
 MSG: maker_msgs/Taxel
-uint8 state
+uint8 id
 int32 x
 int32 y
 int32 z
@@ -194,8 +194,9 @@ def _image(types: Any, header: Any, grid: Grid, values: Any) -> tuple[str, Any]:
     dtype = np.dtype(grid.dtype)
     code = f"{8 * dtype.itemsize}{ {'u': 'U', 'i': 'S', 'f': 'F'}[dtype.kind]}C{grid.axes}"
     n_rows, n_cols = values.shape[:2]
-    rows = np.ascontiguousarray(values.astype(dtype)).reshape(n_rows, -1).view("u1")
-    rows = np.pad(rows.reshape(n_rows, -1), ((0, 0), (0, grid.padding)), constant_values=7)
+    n_bytes = n_cols * grid.axes * dtype.itemsize
+    rows = np.frombuffer(values.astype(dtype).tobytes(), "u1").reshape(n_rows, n_bytes)
+    rows = np.pad(rows, ((0, 0), (0, grid.padding)), constant_values=7)
     is_big = int(grid.dtype[0] == ">")
     members = (header, n_rows, n_cols, code, is_big, rows.shape[1], rows.ravel())
     return cdr.IMAGE, types[cdr.IMAGE](*members)
@@ -257,7 +258,8 @@ def write_bag(
     path.unlink(missing_ok=True)
     writer: Any
     if ros == 1:
-        writer = rosbag1.Writer(path, chunk_threshold=600)
+        writer = rosbag1.Writer(path)
+        writer.chunk_threshold = 600
         if mode:
             forms = writer.CompressionFormat
             writer.set_compression(forms.LZ4 if mode == "file" else forms.BZ2)

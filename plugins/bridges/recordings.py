@@ -145,7 +145,7 @@ class RosRecording(Recording):
                 continue
             if not self._layout.frame_id:
                 self._check_frames(received, messages, stream)
-            times.append(reads.time(message, received))
+            times.append(reads.time(message, received, n + 1))
             numbers[len(times) - 1] = received.numbers.values
             if len(times) == size:
                 self.tally.take(size, size)
@@ -355,12 +355,12 @@ class _Reads:
             return received if self._has_shape(received) else None
         return None
 
-    def time(self, message: Recorded, received: Received) -> int | float:
-        """The time of a message. Raises UnstatedError if stamps of headers fall, or one is
+    def time(self, message: Recorded, received: Received, number: int) -> int | float:
+        """The time of a message, which is one of a number. Raises UnstatedError if stamps of headers fall, or one is
         missing.
         """
         time = message.log_ns if self._stream.uses_log else received.time
-        place = f"{self._where}: message {self._tally.n_items + 1}"
+        place = f"{self._where}: message {number}"
         is_header_time = not self._stream.uses_log and self._stream.reader.time_unit == "ns"
         if time is None or (is_header_time and time < (self._last_time or 0)):
             fault = "its stamp is before that of the one before it, or missing"

@@ -111,8 +111,11 @@ def decompressed(path: str, work: Workspace) -> str:
                     out.write(part)
         except zstandard.ZstdError as error:
             # What came before the damage is read as a file that is cut off.
-            if not Path(copy).stat().st_size:
-                raise SourceError(f"{path}: cannot be decompressed ({error}); {CONVERT}") from error
+            fault = str(error)
+        else:
+            fault = "it is empty"
+        if not Path(copy).stat().st_size:
+            raise SourceError(f"{path}: cannot be decompressed ({fault}); {CONVERT}")
     return copy
 
 
