@@ -234,11 +234,12 @@ class RosRecording(Recording):
             return firsts
         if len(topics) == 1 and faults:
             raise SourceError(f"{self._name}: {next(iter(topics))}: {next(iter(faults.values()))}")
-        listed = ", ".join(
-            f"{printable(topic)} ({printable(of.kind)}{f': {faults[topic]}' * (topic in faults)})"
-            for topic, of in [*topics.items()][:8]
-        )
-        raise SourceError(f"{self._name}: no topic holds frames; it holds {listed or 'no message'}")
+        abouts = []
+        for topic, of in [*topics.items()][:8]:
+            parts = [printable(of.kind), *([faults[topic]] if topic in faults else [])]
+            abouts.append(f"{printable(topic)} ({': '.join(parts)})")
+        held = ", ".join(abouts) or "no message"
+        raise SourceError(f"{self._name}: no topic holds frames; it holds {held}")
 
     def _reader(self, of: Topic) -> MessageReader:
         definitions = Definitions(of.ros)

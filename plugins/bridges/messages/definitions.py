@@ -63,7 +63,8 @@ class Definitions:
 
     def __init__(self, ros: int = 2) -> None:
         self.ros = ros
-        self._store = types(ros)
+        # One store for ROS 2: of the cache of `types`, too.
+        self._store = types() if ros == 2 else types(ros)
         self._added: dict[str, Members] = {}
 
     def add(self, kind: str, text: str, form: str = "msg") -> None:
