@@ -192,7 +192,7 @@ def message_of(store: Any, ros: int, grid: Grid, sent: Sent) -> tuple[str, Any]:
 
 def _image(types: Any, header: Any, grid: Grid, values: Any) -> tuple[str, Any]:
     dtype = np.dtype(grid.dtype)
-    code = f"{8 * dtype.itemsize}{ {'u': 'U', 'i': 'S', 'f': 'F'}[dtype.kind]}C{grid.axes}"
+    code = f"{8 * dtype.itemsize}{ {'u': 'U', 'i': 'S', 'f': 'F'}[dtype.kind] }C{grid.axes}"
     n_rows, n_cols = values.shape[:2]
     n_bytes = n_cols * grid.axes * dtype.itemsize
     rows = np.frombuffer(values.astype(dtype).tobytes(), "u1").reshape(n_rows, n_bytes)

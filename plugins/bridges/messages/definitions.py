@@ -42,7 +42,8 @@ EMPTY = "structure_needs_at_least_one_member"
 """The member of a message without members, as ROS 2 sends it."""
 LINE = re.compile(
     r"(?P<type>[A-Za-z]\w*(?:/\w+){0,2})(?:<=\d+)?"
-    r"(?:(?P<list>\[)(?P<limit><=)?(?P<count>\d*)\])?[ \t]+(?P<name>[A-Za-z]\w*)(?P<rest>[ \t]*=.*|[ \t]+\S.*)?"
+    r"(?:(?P<list>\[)(?P<limit><=)?(?P<count>\d*)\])?[ \t]+"
+    r"(?P<name>[A-Za-z]\w*)(?P<rest>[ \t]*=.*|[ \t]+\S.*)?"
 )
 """A line of a definition: a type, [] of a list, a name, and what follows it."""
 

@@ -158,5 +158,5 @@ def test_times_are_those_of_a_field_of_any_unit():
         reader = MessageReader(known, KIND, Layout(field="data", time=time))
         assert reader.read_frame(raw).time == expected
         assert reader.time_unit == ("ms" if time == "time_ms" else "ns")
-    with pytest.raises(SourceError, match="time: there is no field 'data.x'"):
+    with pytest.raises(SourceError, match=r"time: there is no field 'data\.x'"):
         MessageReader(known, KIND, Layout(field="data", time="data.x")).read_frame(raw)

@@ -21,8 +21,12 @@ from drawn_messages import (
     frames_sent,
     grids,
     interleaved,
+    message_of,
+    stream_store,
     write_bag,
 )
+from rosbags import rosbag2
+from rosbags.rosbag2.enums import StoragePlugin
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.file_source import open_file
@@ -103,11 +107,10 @@ def test_of_a_bag_that_is_cut_off_all_before_the_cut_is_read(tmp_path, data, gri
     whole = file.read_bytes()
     n_bytes = data.draw(st.integers(1, len(whole)))
     file.write_bytes(whole[:n_bytes])
-    try:
-        read = Read(path, grid.layout)
-    except SourceError as error:
-        assert str(error).isprintable()
+    reads = []
+    if refusal(lambda: reads.append(Read(path, grid.layout)), SourceError):
         return
+    (read,) = reads
     frames = [one.frame for one in sent]
     assert np.array_equal(read.frames, frames[: len(read.frames)])
     n_missing = len(frames) - len(read.frames)
@@ -235,7 +238,7 @@ def test_stamps_that_fall_are_never_used_without_a_word(tmp_path):
         Read(path)
     assert refused.value.options == ({"time": "log"},)
     assert Read(path, replace(EMPTY, time="log")).times == [one.log_ns for one in sent]
-    with pytest.raises(SourceError, match="; add time=log$"):
+    with pytest.raises(SourceError, match=r"; add time=log$"):
         open_file(path)
 
 
@@ -271,11 +274,6 @@ def test_a_change_of_shape_is_refused_or_left_out_by_name(tmp_path):
 
 def write_topics(folder, storage, grids_of):
     """A bag of several topics."""
-    from rosbags import rosbag2
-    from rosbags.rosbag2.enums import StoragePlugin
-
-    from drawn_messages import message_of, stream_store
-
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     path = folder / "topics"
     store = stream_store(2)
@@ -298,7 +296,7 @@ def write_topics(folder, storage, grids_of):
 def test_of_several_topics_none_is_chosen(tmp_path, storage):
     topics = {"/joints": None, "/left": IMAGES, "/right": Grid("stream", 3, 4, "<i4", 3)}
     path = write_topics(tmp_path, storage, topics)
-    with pytest.raises(UnstatedError, match="2 topics of frames.*/left Image .3 x 4") as refused:
+    with pytest.raises(UnstatedError, match=r"2 topics of frames.*/left Image .3 x 4") as refused:
         Read(path)
     ways = [{"topic": "/left"}, {"topic": "/right", "field": "modules[0].taxels[].z"}]
     assert list(refused.value.options) == ways

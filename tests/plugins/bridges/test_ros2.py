@@ -28,9 +28,9 @@ from sparseskin.messages import Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.sources import find_address, open_source
 from sparseskin.plugins.bridges import cdr, dds, topics
-from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.plugins.bridges.frames import MessageReader
 from sparseskin.plugins.bridges.messages.definitions import Definitions
 from sparseskin.plugins.bridges.ros2 import OF_CONTACTS, Ros2Bridge, Ros2Settings
@@ -181,7 +181,9 @@ def test_a_topic_whose_fields_or_shape_are_not_stated_names_them():
     state = cdr.types().serialize_cdr(joints(header, ["a"], *[np.ones(2)] * 3), joints.__msgtype__)
     with pytest.raises(SourceError, match=r"3 fields of numbers: position\[\] .2., velocity"):
         TopicFrames("ros2:/a", joints.__msgtype__, Layout()).frame(bytes(state))
-    with pytest.raises(SourceError, match="maker_msgs/msg/None is not known; source the setup.bash"):
+    with pytest.raises(
+        SourceError, match=r"maker_msgs/msg/None is not known; source the setup\.bash"
+    ):
         TopicFrames("ros2:/a", "maker_msgs/msg/None", Layout())
     with pytest.raises(SourceError, match="in which shape is not stated"):
         TopicFrames("ros2:/a", joints.__msgtype__, Layout(field="effort")).frame(bytes(state))
