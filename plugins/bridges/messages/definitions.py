@@ -153,8 +153,13 @@ def _of_idl(text: str) -> dict[str, Members]:
     """The types in a definition .idl."""
     from rosbags.typesys import get_types_from_idl
 
+    found: dict[str, Any] = {}
     try:
-        found = get_types_from_idl(text)
+        # Those of its members follow it, each behind a line of = and its name.
+        lines = re.sub(r"^[ \t]*(#include|//).*", "", text, flags=re.MULTILINE)
+        for part in re.split(r"^={3,}[ \t]*\r?\nIDL:.*\n", lines, flags=re.MULTILINE):
+            if part.strip():
+                found |= get_types_from_idl(part)
     except Exception as error:  # of its parser, at any text
         reason = " ".join(str(error).split())[:100]
         raise SourceError(f"a definition .idl cannot be read: {printable(reason)}") from error

@@ -74,6 +74,22 @@ def test_hostile_definitions_are_refused_in_one_line(text, fault):
     assert fault in line
 
 
+def test_definitions_in_idl_are_read():
+    taxel = "module any_msgs { module msg { struct Taxel { float z; int16 x; }; }; };\n"
+    include = '// generated\n#include "any_msgs/msg/Taxel.idl"\n'
+    text = (
+        include
+        + "module any_msgs { module msg { struct Any { sequence<any_msgs::msg::Taxel> t; }; }; };"
+    )
+    whole = f"{SEPARATOR}\nIDL: {KIND}\n{text}\n{SEPARATOR}\nIDL: any_msgs/msg/Taxel\n{taxel}"
+    known = Definitions()
+    known.add(KIND, whole, "idl")
+    raw = b"\0\1\0\0" + np.array([1], "<u4").tobytes() + np.array([2.5], "<f4").tobytes() + b"\7\0"
+    assert Decoder(known, KIND).decode(raw)["t"].tolist() == [(2.5, 7)]
+    with pytest.raises(SourceError, match=r"\.idl cannot be read"):
+        known.add(KIND, "module {", "idl")
+
+
 def test_lists_that_multiply_are_refused_before_memory_is_used():
     levels = [f"MSG: any_msgs/L{k}\nL{k + 1}[1000] a\n" for k in range(12)]
     text = SEPARATOR.join(["L0 a\n", *(f"\n{level}" for level in levels)])
