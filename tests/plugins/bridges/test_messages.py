@@ -166,6 +166,17 @@ def test_fields_that_can_be_meant_are_named_and_none_is_chosen():
     assert choose_field(skins(), Layout(field="modules[].gain"), "a.bag") == "modules[].gain"
 
 
+@pytest.mark.parametrize(("channel", "expected"), [("", "Z"), ("y", "Y"), ("2", "Z")])
+def test_of_three_axes_beside_each_other_one_is_meant(channel, expected):
+    pillars = np.ones(9, [(name, "f4") for name in ("id", "fX", "fY", "fZ", "dZ")])
+    message = Message(KIND)
+    message["pillars"] = pillars
+    with pytest.raises(UnstatedError) as refused:
+        choose_field(message, Layout(channel=channel), "a.bag")
+    fields = [f"pillars[].f{expected}", "pillars[].dZ"]
+    assert list(refused.value.options) == [{"field": field} for field in fields]
+
+
 def test_times_are_those_of_a_field_of_any_unit():
     known = Definitions()
     known.add(KIND, "float64 time_ms\nbuiltin_interfaces/Time at\nfloat32[] data")
