@@ -51,7 +51,7 @@ class MessageReader:
         self._decode = Decoder(definitions, kind).decode
         members = definitions.members(kind)
         self._has_header = any(one.name == "header" and one.kind == HEADER for one in members)
-        stamps = [one.name for one in members if one.kind == TIME and one.count is None]
+        stamps = [one.name for one in members if one.kind == TIME and one.n_entries is None]
 
         #: Where the times stand in a message; "" if they are those of the recording.
         self.time_path = layout.time

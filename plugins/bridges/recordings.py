@@ -41,6 +41,7 @@ from .bags.storage import (
     decompressed,
     plain_message,
     with_log,
+    workspace_of,
 )
 from .base import check_installed
 from .frames import (
@@ -106,11 +107,12 @@ class RosRecording(Recording):
         self.tally = Tally("messages")
         self._layout = file.layout
         self._name = file.name if not file.parts else str(Path(file.name).parent)
-        self._work = Workspace(self)
         paths = (file.name, *file.parts)
+        self._work = workspace_of(paths)
         self._metadata = _metadata(paths)
         self._n_bytes = sum(Path(path).stat().st_size for path in paths)
         self._storages = [open_storage(path, self._work) for path in paths]
+        self._is_closed = all(storage.is_closed for storage in self._storages)
         self._stream: Stream | None = None
 
     def head(self) -> Head:
@@ -145,7 +147,7 @@ class RosRecording(Recording):
                 continue
             if not self._layout.frame_id:
                 self._check_frames(received, messages, stream)
-            times.append(reads.time(message, received))
+            times.append(reads.time(message, received, n + 1))
             numbers[len(times) - 1] = received.numbers.values
             if len(times) == size:
                 self.tally.take(size, size)
@@ -180,7 +182,7 @@ class RosRecording(Recording):
         uses_log = layout.time == LOG or received.time is None
         if uses_log and reader.time_path == STAMP:
             notes.append("its headers have no stamps: times of the recording")
-        if not all(storage.is_closed for storage in self._storages):
+        if not self._is_closed:
             notes.append("its recorder was killed: what it wrote is read")
         return Stream(topic, reader, received, uses_log, tuple(notes))
 
@@ -196,6 +198,8 @@ class RosRecording(Recording):
         have; or else all. Those without a message are left out.
         """
         counts = self._metadata.counts if self._metadata else {}
+        if not (self._is_closed and any(counts.values())):
+            counts = {}  # of a recorder that was killed, and are not true
         filled = {topic: of for topic, of in topics.items() if counts.get(topic) != 0}
         likely = [
             topic
@@ -234,11 +238,12 @@ class RosRecording(Recording):
             return firsts
         if len(topics) == 1 and faults:
             raise SourceError(f"{self._name}: {next(iter(topics))}: {next(iter(faults.values()))}")
-        listed = ", ".join(
-            f"{printable(topic)} ({printable(of.kind)}{f': {faults[topic]}' * (topic in faults)})"
-            for topic, of in [*topics.items()][:8]
-        )
-        raise SourceError(f"{self._name}: no topic holds frames; it holds {listed or 'no message'}")
+        abouts = []
+        for topic, of in [*topics.items()][:8]:
+            parts = [printable(of.kind), *([faults[topic]] if topic in faults else [])]
+            abouts.append(f"{printable(topic)} ({': '.join(parts)})")
+        held = ", ".join(abouts) or "no message"
+        raise SourceError(f"{self._name}: no topic holds frames; it holds {held}")
 
     def _reader(self, of: Topic) -> MessageReader:
         definitions = Definitions(of.ros)
@@ -320,12 +325,14 @@ class RosRecording(Recording):
         """Name the messages that the file does not hold, as far as their number is known."""
         n_stated = self._metadata.counts.get(topic) if self._metadata else None
         n_missing = (n_stated or 0) - self.tally.n_items
+        losses = [loss for storage in self._storages for loss in storage.losses]
         if n_missing > 0:
-            self.tally.drop(f"missing of the {n_stated} that metadata.yaml states", n_missing)
-        if n_missing != 0 or n_stated is None:
-            for storage in self._storages:
-                for loss in storage.losses:
-                    self.tally.drop(f"or more lost {loss}", 0 if n_missing > 0 else 1)
+            place = f", {losses[0]}" if losses else ""
+            name = f"missing of the {n_stated} that metadata.yaml states{place}"
+            self.tally.drop(name, n_missing)
+        elif n_missing < 0 or n_stated is None:
+            for loss in losses:
+                self.tally.drop(f"or more lost {loss}")
 
 
 class _Reads:
@@ -355,12 +362,12 @@ class _Reads:
             return received if self._has_shape(received) else None
         return None
 
-    def time(self, message: Recorded, received: Received) -> int | float:
-        """The time of a message. Raises UnstatedError if stamps of headers fall, or one is
-        missing.
+    def time(self, message: Recorded, received: Received, number: int) -> int | float:
+        """The time of a message, of which this is the number. Raises UnstatedError if stamps of
+        headers fall, or one is missing.
         """
         time = message.log_ns if self._stream.uses_log else received.time
-        place = f"{self._where}: message {self._tally.n_items + 1}"
+        place = f"{self._where}: message {number}"
         is_header_time = not self._stream.uses_log and self._stream.reader.time_unit == "ns"
         if time is None or (is_header_time and time < (self._last_time or 0)):
             fault = "its stamp is before that of the one before it, or missing"
@@ -388,12 +395,16 @@ def open_storage(path: str, work: Workspace) -> Storage:
     """A file of recorded messages, by its begin, decompressed where needed. Raises SourceError if
     it is none.
     """
+    with reading(path) as file:
+        begin = file.read(len(SQLITE_MAGIC))
+    if begin == SQLITE_MAGIC:
+        complete = with_log(path, work)
+        return Db3Storage(complete, path, has_log=complete != path)
     plain = decompressed(path, work)
     with reading(plain) as file:
         begin = file.read(len(SQLITE_MAGIC))
     if begin == SQLITE_MAGIC:
-        complete = with_log(plain, work) if plain == path else plain
-        return Db3Storage(complete, path, has_log=complete != plain)
+        return Db3Storage(plain, path)
     if begin.startswith(MCAP_MAGIC):
         return McapStorage(plain, path)
     if begin.startswith(BAG_MAGIC):

@@ -82,7 +82,26 @@ class Array(IdlStruct, typename="std_msgs::msg::dds_::Float32MultiArray_"):
     data: sequence[float32]
 
 
-KINDS = {"image": Image, "points": Points, "array": Array}
+@dataclass
+class Taxel(IdlStruct, typename="maker_msgs::msg::dds_::Taxel_"):
+    x: float32
+    y: float32
+    z: float32
+
+
+@dataclass
+class Module(IdlStruct, typename="maker_msgs::msg::dds_::Module_"):
+    place: uint8
+    taxels: sequence[Taxel]
+
+
+@dataclass
+class Skin(IdlStruct, typename="maker_msgs::msg::dds_::Skin_"):
+    header: Header
+    modules: sequence[Module]
+
+
+KINDS = {"image": Image, "points": Points, "array": Array, "skin": Skin}
 LOOPBACK = (
     "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface name='lo'/></Interfaces>"
     "<AllowMulticast>false</AllowMulticast></General><Discovery>"
@@ -122,6 +141,9 @@ def main(action: str, name: str, kind: str, n: int, domain: int) -> None:
         header = Header(Time(100, 1 + k), "peer")
         if kind == "image":
             writer.write(Image(header, 6, 9, "32FC1", 0, 36, list(made.tobytes())))
+        elif kind == "skin":
+            taxels = [Taxel(-1.0, 2.0, z) for z in made.ravel().tolist()]
+            writer.write(Skin(header, [Module(7, taxels)]))
         else:
             dims = [Dimension("rows", 6, 54), Dimension("cols", 9, 9)]
             writer.write(Array(Layout(dims, 0), made.ravel().tolist()))

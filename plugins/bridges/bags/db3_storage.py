@@ -78,6 +78,8 @@ class Db3Storage(Storage):
         try:
             with closing(sqlite3.connect(where, uri=True)) as base:
                 base.execute("PRAGMA trusted_schema = OFF")
+                # A file that is cut off is read, too; none is written.
+                base.execute("PRAGMA writable_schema = ON")
                 base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_GROWN_BYTES)
                 query = "SELECT name FROM sqlite_master WHERE type = 'table'"
                 tables = {name for (name,) in base.execute(query)}

@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +22,8 @@ MAX_MESSAGE_BYTES = 1 << 28
 MAX_WINDOW_BYTES = 1 << 27
 """Largest window of a decompressor of zstd, its own default."""
 COPY_BYTES = 1 << 20
+LOGS = ("-wal", "-journal")
+"""Endings of the files of SQLite with what is not in the database yet."""
 SPARE_DISK_BYTES = 1 << 26
 CONVERT = "compressed: ros2 bag convert writes it plain"
 
@@ -69,28 +71,52 @@ class Storage(ABC):
 
 
 class Workspace:
-    """A folder for files that are made of a recording, which lasts as long as its owner."""
+    """A folder for copies of files that are compressed or not closed. It lasts as long as a
+    recording that reads them, and until those of other files are read.
+    """
 
-    def __init__(self, owner: object) -> None:
-        self._owner = owner
+    def __init__(self) -> None:
+        #: Paths of the copies, by those of the files.
+        self.copies: dict[str, str] = {}
         self._folder = ""
 
     def path(self, name: str, n_bytes: int, of: str) -> str:
         """The path of a new file of about that size. Raises SourceError if the disk is full."""
         if not self._folder:
             self._folder = tempfile.mkdtemp(prefix="sparseskin-")
-            weakref.finalize(self._owner, shutil.rmtree, self._folder, ignore_errors=True)
-        free_bytes = shutil.disk_usage(self._folder).free
-        if n_bytes > free_bytes - SPARE_DISK_BYTES:
+            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+        if n_bytes > self.free_bytes:
             needed = f"needs {n_bytes / 1e6:.0f} MB in {self._folder}, which has"
-            raise SourceError(f"{of}: {needed} {free_bytes / 1e6:.0f} MB")
-        return str(Path(self._folder) / f"{len(list(Path(self._folder).iterdir()))}_{name}")
+            raise SourceError(f"{of}: {needed} {self.free_bytes / 1e6:.0f} MB")
+        return str(Path(self._folder) / f"{len(self.copies)}_{name}")
+
+    @property
+    def free_bytes(self) -> int:
+        """Bytes that may be written."""
+        return shutil.disk_usage(self._folder).free - SPARE_DISK_BYTES
+
+
+_LAST: dict[tuple[object, ...], Workspace] = {}
+"""The copies of the files that were read last: a launch opens them several times."""
+
+
+def workspace_of(paths: Sequence[str]) -> Workspace:
+    """The copies of some files, as long as these are not changed."""
+    files = [Path(path + ending) for path in paths for ending in ("", *LOGS)]
+    states = [file.stat() for file in files if file.is_file()]
+    key = (*paths, *((state.st_mtime_ns, state.st_size) for state in states))
+    if key not in _LAST:
+        _LAST.clear()
+        _LAST[key] = Workspace()
+    return _LAST[key]
 
 
 def decompressed(path: str, work: Workspace) -> str:
     """The path of a file, or of its decompressed copy, if it is compressed by zstd. Raises
     SourceError if it cannot be decompressed, or grows far more than recordings do.
     """
+    if path in work.copies:
+        return work.copies[path]
     with reading(path) as file:
         is_compressed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
         if not is_compressed:
@@ -99,7 +125,7 @@ def decompressed(path: str, work: Workspace) -> str:
         file.seek(0)
         copy = work.path(Path(path).stem, 2 * size, path)
         room_bytes = max(MAX_GROWN_BYTES, MAX_GROWTH * size)
-        free_bytes = shutil.disk_usage(Path(copy).parent).free - SPARE_DISK_BYTES
+        free_bytes = work.free_bytes
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
         try:
             with Path(copy).open("wb") as out, decompressor.stream_reader(file) as stream:
@@ -111,14 +137,20 @@ def decompressed(path: str, work: Workspace) -> str:
                     out.write(part)
         except zstandard.ZstdError as error:
             # What came before the damage is read as a file that is cut off.
-            if not Path(copy).stat().st_size:
-                raise SourceError(f"{path}: cannot be decompressed ({error}); {CONVERT}") from error
+            fault = str(error)
+        else:
+            fault = "it is empty"
+        if not Path(copy).stat().st_size:
+            raise SourceError(f"{path}: cannot be decompressed ({fault}); {CONVERT}")
+    work.copies[path] = copy
     return copy
 
 
 def with_log(path: str, work: Workspace) -> str:
     """The path of a database, or of a copy of it with what a killed recorder left beside it."""
-    logs = [Path(path + ending) for ending in ("-wal", "-journal")]
+    if path in work.copies:
+        return work.copies[path]
+    logs = [Path(path + ending) for ending in LOGS]
     logs = [log for log in logs if log.is_file() and log.stat().st_size]
     if not logs:
         return path
@@ -127,6 +159,7 @@ def with_log(path: str, work: Workspace) -> str:
     shutil.copyfile(path, copy)
     for log in logs:
         shutil.copyfile(log, copy + log.name.removeprefix(Path(path).name))
+    work.copies[path] = copy
     return copy
 
 

@@ -42,7 +42,8 @@ EMPTY = "structure_needs_at_least_one_member"
 """The member of a message without members, as ROS 2 sends it."""
 LINE = re.compile(
     r"(?P<type>[A-Za-z]\w*(?:/\w+){0,2})(?:<=\d+)?"
-    r"(?:(?P<list>\[)(?P<limit><=)?(?P<count>\d*)\])?[ \t]+(?P<name>[A-Za-z]\w*)[ \t]*(?P<rest>.*)"
+    r"(?:(?P<list>\[)(?P<limit><=)?(?P<count>\d*)\])?[ \t]+"
+    r"(?P<name>[A-Za-z]\w*)(?P<rest>[ \t]*=.*|[ \t]+\S.*)?"
 )
 """A line of a definition: a type, [] of a list, a name, and what follows it."""
 
@@ -63,7 +64,8 @@ class Definitions:
 
     def __init__(self, ros: int = 2) -> None:
         self.ros = ros
-        self._store = types(ros)
+        # One store for ROS 2: of the cache of `types`, too.
+        self._store = types() if ros == 2 else types(ros)
         self._added: dict[str, Members] = {}
 
     def add(self, kind: str, text: str, form: str = "msg") -> None:
@@ -125,7 +127,7 @@ def _members(kind: str, text: str, ros: int) -> Iterator[Member]:
         if match is None:
             place = f"the definition of {printable(kind)}, line {number}"
             raise SourceError(f"{place}: {printable(line[:60])!r} is no member")
-        if match["rest"].startswith("="):
+        if (match["rest"] or "").lstrip().startswith("="):
             continue
         count = None
         if match["list"]:
@@ -151,8 +153,13 @@ def _of_idl(text: str) -> dict[str, Members]:
     """The types in a definition .idl."""
     from rosbags.typesys import get_types_from_idl
 
+    found: dict[str, Any] = {}
     try:
-        found = get_types_from_idl(text)
+        # Those of its members follow it, each behind a line of = and its name.
+        lines = re.sub(r"^[ \t]*(#include|//).*", "", text, flags=re.MULTILINE)
+        for part in re.split(r"^={3,}[ \t]*\r?\nIDL:.*\n", lines, flags=re.MULTILINE):
+            if part.strip():
+                found |= get_types_from_idl(part)
     except Exception as error:  # of its parser, at any text
         reason = " ".join(str(error).split())[:100]
         raise SourceError(f"a definition .idl cannot be read: {printable(reason)}") from error

@@ -66,7 +66,9 @@ def numbers_at(message: Message, path: str) -> Numbers:
         values = values.view(np.uint8)
     if values.dtype.kind not in "iuf":
         raise SourceError(f"field: {printable(path[:60])!r} holds no numbers")
-    return Numbers(values, found.axes) if found.is_grid else _joined(values, found.axes)
+    if found.is_grid:
+        return Numbers(values, found.axes)
+    return _joined(found._replace(values=values))
 
 
 def value_at(message: Message, path: str) -> int | float | Message:
@@ -106,6 +108,7 @@ class _Walked(NamedTuple):
     values: npt.NDArray[Any]
     axes: tuple[Axis, ...]
     is_grid: bool = False
+    has_channels: bool = False  # the last axis is a list of numbers, and no list of messages
 
 
 def _walk(value: Any, steps: list[Step], n_open: int, axes: tuple[Axis, ...]) -> _Walked:
@@ -139,7 +142,9 @@ def _walk(value: Any, steps: list[Step], n_open: int, axes: tuple[Axis, ...]) ->
     if not isinstance(value, np.ndarray | int | float):
         raise SourceError("field: a list of messages; state [] or [k], and the name of a number")
     values = np.asarray(value)
-    return _Walked(values, (*axes, *(Axis(size, name) for size in values.shape[n_open:])))
+    rest = tuple(Axis(size, name) for size in values.shape[n_open:])
+    ends_in_list = bool(rest) or steps[-1] is None
+    return _Walked(values, (*axes, *rest), has_channels=ends_in_list)
 
 
 def _of_message(message: Message, step: Step) -> Any:
@@ -166,7 +171,9 @@ def _entry(values: Any, step: Step, name: str, n_open: int = 0) -> Any:
         raise EmptyMessageError("holds no number")
     if step >= size:
         raise SourceError(f"field: {name}[{step}]: its list has {size} entries")
-    return values[step] if isinstance(values, list) else values[(*[slice(None)] * n_open, step)]
+    if isinstance(values, list):
+        return values[step]
+    return np.asarray(values[(*[slice(None)] * n_open, step)])
 
 
 def _stacked(values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, ...]) -> _Walked:
@@ -180,19 +187,20 @@ def _stacked(values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, 
         raise SourceError(f"field: the entries of {name} hold {sizes} numbers; state {name}[0]")
     stacked = np.stack([part.values for part in parts])
     inner = parts[0]
-    return _Walked(stacked, (*axes, Axis(len(values), name), *inner.axes), inner.is_grid)
+    return inner._replace(values=stacked, axes=(*axes, Axis(len(values), name), *inner.axes))
 
 
-def _joined(values: npt.NDArray[Any], axes: tuple[Axis, ...]) -> Numbers:
+def _joined(found: _Walked) -> Numbers:
     """Numbers whose axes are labelled, or one."""
-    is_labelled = any(axis.label.lower() in (*ROWS, *COLS) for axis in axes)
-    if len(axes) > 1 and not is_labelled:
-        n_last = axes[-1].size
-        has_channels = n_last in (2, len(XYZ)) and axes[-1].label != axes[-2].label
-        axes = (Axis(values.size, "taxels"),)
-        if has_channels:
-            axes = (Axis(values.size // n_last, "taxels"), Axis(n_last, "channel"))
-    return Numbers(values.reshape([axis.size for axis in axes]), axes)
+    axes = found.axes
+    n = found.values.size
+    is_labelled = len(axes) > 1 and any(axis.label.lower() in (*ROWS, *COLS) for axis in axes)
+    if not is_labelled:
+        n_last = axes[-1].size if len(axes) > 1 and found.has_channels else 1
+        axes = (Axis(n, "taxels"),)
+        if n_last in (2, len(XYZ)):
+            axes = (Axis(n // n_last, "taxels"), Axis(n_last, "channel"))
+    return Numbers(found.values.reshape([axis.size for axis in axes]), axes)
 
 
 def _last(path: str) -> str:
