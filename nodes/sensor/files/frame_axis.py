@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.layout.arrangement import CHANNELS, COLS, ROWS, Axis
+from sparseskin.nodes.sensor.layout.arrangement import CHANNELS, COLS, ROWS, XYZ, Axis
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 
 FRAME_LABELS = frozenset(
@@ -78,8 +78,8 @@ def find_frame_axis(
     In this order: as it is stated; as the labels of the file say; the only one as long as times
     beside the array (`n_times`), and that leaves the stated shape, of which rows and columns are
     transposed where nothing else fits; and then the first one, where that is usual: where it is the
-    longest, or the others are a square, or `first_is_usual` is None. Raises SourceError if what is stated does not fit the
-    array, UnstatedError with the possible ways if there are several.
+    longest, or the others are a square, or `first_is_usual` is None. Raises SourceError if what is
+    stated does not fit the array, UnstatedError with the possible ways if there are several.
     """
     names = layout.axis_names
     n_long = sum(side > 1 for side in array.sides)
@@ -156,7 +156,8 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     if len(others) > 2 or layout.channel:
         # Several numbers per taxel stand last more often than first.
         extra = _DIRECT if layout.channel else _CHANNELS
-        grids = [(extra, at, [k for k in others if k != at]) for at in reversed(others)] + grids
+        channels = [at for at in reversed(others) if _has_channel(layout, array.sides[at])]
+        grids = [(extra, at, [k for k in others if k != at]) for at in channels] + grids
     ways = [
         _Way(axis, extra + fit, channel if layout.n_stated else None)
         for extra, channel, grid in grids
@@ -165,6 +166,13 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     if is_labelled or not ways:
         return _Way(axis, _DIRECT if is_labelled else _NO_FIT, None)
     return min(ways, key=lambda way: way.fit)
+
+
+def _has_channel(layout: Layout, side: int) -> bool:
+    """True if an axis with so many entries can be that of the channels."""
+    if layout.channel.isdecimal():
+        return int(layout.channel) < side
+    return layout.channel.lower() not in XYZ or side == len(XYZ)
 
 
 def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
@@ -176,7 +184,7 @@ def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
         has_columns = layout.columns or has_time_column(layout)
         if n_wanted is None or has_columns:
             is_whole = n % (rows or cols or 1) == 0
-            fits = n > n_wanted if n_wanted else is_whole or has_columns
+            fits = n >= n_wanted if n_wanted else is_whole or has_columns
             yield from (_DIRECT,) * bool(fits)
         elif n in (n_wanted, n_wanted + 1):
             yield _DIRECT if n == n_wanted else _WITH_TIME
@@ -231,7 +239,7 @@ def _decided(
     is_plausible = _first_is_plausible(array.sides)
     if 0 in axes and (first_is_usual is None or (first_is_usual and is_plausible)):
         return 0, "the first one, as is usual"
-    options = [{"axes": _axes_text(array, axis)} for axis in axes]
+    options = [{"axes": _axes_text(array, _best_way(layout, array, axis))} for axis in axes]
     ways = [
         f"axes={option['axes']} ({array.sides[axis]} frames)"
         for axis, option in zip(axes, options, strict=True)
@@ -247,15 +255,17 @@ def _first_is_plausible(sides: Sequence[int]) -> bool:
     return all(side < sides[0] for side in others) or len(set(others)) == 1
 
 
-def _axes_text(array: ArrayShape, axis: int | None) -> str:
-    """The setting `axes` if the frames are an axis, and the others come as usual."""
-    others = [at for at in array.others(axis) if array.sides[at] > 1]
+def _axes_text(array: ArrayShape, way: _Way) -> str:
+    """The setting `axes` for a way, whose rows come before its columns."""
+    others = [at for at in array.others(way.axis) if array.sides[at] > 1 and at != way.channel]
     names = ["-"] * len(array.sides)
-    usual = ("taxels",) if len(others) == 1 else ("rows", "cols", "channel")
+    usual = ("taxels",) if len(others) == 1 else ("rows", "cols", CHANNEL)
     for at, name in zip(others, usual, strict=False):
         names[at] = name
-    if axis is not None:
-        names[axis] = "frames"
+    if way.channel is not None:
+        names[way.channel] = CHANNEL
+    if way.axis is not None:
+        names[way.axis] = "frames"
     return ",".join(names)
 
 
