@@ -24,11 +24,13 @@ FORCES = "forces"
 """Name of the array of frames in what this package writes."""
 STAMPS = "stamp_ns"
 MASK, POINTS, POINT_ROWS, UNIT = "mask", "points", "point_rows", "unit"
-NUMBERS = ("rate_hz", "f_max", "pitch_m")
-PROPERTIES = frozenset({MASK, POINTS, POINT_ROWS, UNIT, *NUMBERS, STAMPS})
+RATE, F_MAX, PITCH = "rate_hz", "f_max", "pitch_m"
+PROPERTIES = frozenset({MASK, POINTS, POINT_ROWS, UNIT, RATE, F_MAX, PITCH, STAMPS})
 """Names of the arrays beside it."""
-RATES = ("rate_hz", "rate", "fs", "fps", "sampling_rate", "sample_rate", "sampling_frequency")
-RATES = (*RATES, "sampling_rate_hz", "frame_rate", "frequency_hz")
+RATES = (
+    *(RATE, "rate", "fs", "fps", "frame_rate", "frequency_hz"),
+    *("sampling_rate", "sampling_rate_hz", "sampling_frequency", "sample_rate"),
+)
 """Names of rates in hertz, of attributes and of single numbers."""
 NO_UNITS = frozenset({"", "-", "1", "none", "unknown", "n/a"})
 TIME_UNITS = {

@@ -201,7 +201,8 @@ def _fitting(
     """Those axes that fit best what is stated, and times beside the array."""
     if not (layout.n_rows or layout.n_cols):
         long_axes = [at for at in axes if at is not None and (at == 0 or array.sides[at] > 1)]
-        return [at for at in long_axes if array.sides[at] in n_times] or [*long_axes]
+        as_long: list[int | None] = [at for at in long_axes if array.sides[at] in n_times]
+        return as_long or [*long_axes]
     shape = f"{layout.n_rows or 'any'} x {layout.n_cols or 'any'} taxels (n_rows, n_cols)"
     fits = {at: _best_way(layout, array, at).fit for at in axes}
     fits = {at: fit for at, fit in fits.items() if fit != _NO_FIT}
@@ -210,10 +211,10 @@ def _fitting(
             return [None]
         fault = f"no axis of {array.text} leaves a frame of {shape}"
         raise SourceError(f"{array.where}: {fault}")
-    as_long = [at for at in axes if at is not None and array.sides[at] in n_times]
-    candidates = [at for at in fits if at in as_long] or list(fits)
-    if as_long and candidates[0] not in as_long:
-        at = as_long[0]
+    timed = [at for at in axes if at is not None and array.sides[at] in n_times]
+    candidates = [at for at in fits if at in timed] or [*fits]
+    if timed and candidates[0] not in timed:
+        at = timed[0]
         fault = (
             f"axis {at + 1} of {array.text} is as long as the times, but leaves no frame of {shape}"
         )

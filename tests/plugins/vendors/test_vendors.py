@@ -111,7 +111,8 @@ class TestRealTekscan:
     def test_the_example_of_the_package_is_this_recording(self):
         whole, example = open_file(recording("iscan_test.csv")), open_file("example:fingers")
         np.testing.assert_array_equal(example.frames, whole.frames)
-        assert (example.stamp_ns, example.skin.unit) == (whole.stamp_ns, whole.skin.unit)
+        np.testing.assert_array_equal(example.stamp_ns, whole.stamp_ns)
+        assert example.skin.unit == whole.skin.unit
 
 
 class TestEmed:

@@ -406,6 +406,14 @@ class TestNpz:
         with pytest.raises(SourceError, match=r"lasts longer than 2\*\*63 ns"):
             open_bytes(tmp_path, "skin.npz", npz(forces=FORCES, stamp_ns=stamps))
 
+    def test_a_flipped_bit_is_found_by_the_checksum(self, tmp_path):
+        buffer = io.BytesIO()
+        np.savez(buffer, forces=FORCES)
+        raw = bytearray(buffer.getvalue())
+        raw[raw.index(FORCES.tobytes()) + 80] ^= 1
+        with pytest.raises(SourceError, match="not a readable NumPy file"):
+            open_bytes(tmp_path, "skin.npz", bytes(raw))
+
     def test_arrays_far_larger_than_the_file_are_refused(self, tmp_path, monkeypatch):
         monkeypatch.setattr(arrays_module, "MAX_GROWN_BYTES", 1 << 10)
         raw = npz(forces=np.zeros((1 << 10, 16, 16), "u1"))
