@@ -129,7 +129,7 @@ class DatasetRecording(Recording):
 
         place = "one frame" if frames.axis is None else f"frames are axis {frames.axis + 1}"
         about = f"{f'array {printable(key)}, ' if key else ''}{dataset.text}"
-        notes = [f"{about}: {place} ({frames.reason})", *time_notes]
+        notes = [f"{about}: {place} ({frames.reason})", *arrays.notes, *time_notes]
         if dataset.dtype.kind == "b":
             notes.append("True and False are read as 1 and 0")
         plan = _Plan(key, frames, time_key, None, tuple(notes))

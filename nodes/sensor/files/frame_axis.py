@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 from sparseskin.nodes.errors import SourceError
@@ -36,11 +37,14 @@ class FrameAxis(NamedTuple):
 
 
 class ArrayShape(NamedTuple):
-    """Sides of an array, labels of its axes ("" for none), and its place for errors."""
+    """Sides of an array, labels of its axes ("" for none), its place for errors, and names of the
+    entries of axes.
+    """
 
     sides: tuple[int, ...]
     labels: tuple[str, ...]
     where: str
+    names: Mapping[int, tuple[str, ...]] = MappingProxyType({})
 
     @property
     def text(self) -> str:
@@ -279,7 +283,7 @@ def _items(array: ArrayShape, way: _Way) -> Iterator[Axis]:
             label = CHANNEL
         elif at in grid and way.fit & _TRANSPOSED:
             label = ("cols", "rows")[grid.index(at)]
-        yield Axis(array.sides[at], "" if label == "-" else label)
+        yield Axis(array.sides[at], "" if label == "-" else label, array.names.get(at, ()))
 
 
 def _said(way: _Way) -> str:

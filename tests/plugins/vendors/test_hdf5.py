@@ -190,7 +190,7 @@ def test_links_to_other_files_are_not_followed(tmp_path):
         layout[:] = h5py.VirtualSource(str(tmp_path / "b.h5"), "forces", FRAMES.shape)
         file.create_virtual_dataset("virtual", layout)
     for topic in ("", "forces", "virtual"):
-        with pytest.raises(SourceError, match="holds no (arrays|topic)"):
+        with pytest.raises(SourceError, match=r"holds no (arrays|topic)"):
             open_file(tmp_path / "a.h5", Layout(topic=topic))
 
 

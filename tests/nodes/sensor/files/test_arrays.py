@@ -273,7 +273,7 @@ class TestNpy:
         [
             (np.zeros(4), r"has 1 axes, 4; expected frames, rows and columns"),
             (np.zeros((8, 6)), "holds 6 readings, .* shape is not stated: state n_rows and n_cols"),
-            (np.zeros((3, 6)), "axes=frames,taxels .3 frames. or axes=taxels,frames"),
+            (np.zeros((3, 4, 6)), "axes=frames,rows,cols .3 frames. or axes=rows,frames,cols"),
             (np.zeros((0, 3, 4)), "axes=frames,rows,cols .0 frames"),
             (np.zeros((3, 0)), "holds 0 numbers"),
             (np.zeros((4096, 2048, 1024), "u1")[:1], "2048 x 1024 = 2097152 cells"),
