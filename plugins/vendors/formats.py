@@ -7,7 +7,6 @@ from .hdf5 import Hdf5Recording
 from .matlab import MatlabRecording
 from .tekscan import TekscanRecording, is_tekscan
 from .xsensor import XsensorRecording, is_xsensor
-from .zarr import MARKERS, ZarrRecording
 
 EMED = Format({".lst": "Novel emed text export"}, lambda file: EmedRecording(file.lines))
 TEKSCAN = Format(
@@ -18,4 +17,3 @@ TEKSCAN = Format(
 XSENSOR = Format({".csv": "XSENSOR export"}, lambda file: XsensorRecording(file.lines), is_xsensor)
 MATLAB = Format({".mat": "MATLAB"}, MatlabRecording)
 HDF5 = Format({".h5": "HDF5", ".hdf5": "HDF5"}, Hdf5Recording)
-ZARR = Format({".zarr": "Zarr"}, ZarrRecording, markers=MARKERS)

@@ -255,9 +255,10 @@ def _decided(
 
 
 def _first_is_plausible(sides: Sequence[int]) -> bool:
-    """True if the first axis is longer than the others, or these are a square."""
+    """True if the first axis is longer than the others, or these are one, or a square."""
     others = [side for side in sides[1:] if side > 1]
-    return all(side < sides[0] for side in others) or len(set(others)) == 1
+    is_square = len(others) == 2 and others[0] == others[1]
+    return all(side < sides[0] for side in others) or len(others) == 1 or is_square
 
 
 def _axes_text(array: ArrayShape, way: _Way) -> str:

@@ -13,7 +13,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files import recording
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.layout.layout import Layout
-from sparseskin.plugins.vendors import zarr as reader
+from sparseskin.plugins.zarr import reader
 
 zarr = pytest.importorskip("zarr", minversion="3", reason="zarr is not installed")
 numcodecs = pytest.importorskip("numcodecs")
@@ -145,7 +145,7 @@ class TestEpisodes:
     def test_ends_that_are_none_are_refused(self, tmp_path, ends):
         folder = buffer(tmp_path / "a.zarr", ends, right_tactile_data_palm=FRAMES)
         stated = {"topic": f"right_tactile_data_palm:{0 if ends[0] < 1 else 1}"}
-        with pytest.raises(SourceError, match="no episode|holds no topic"):
+        with pytest.raises(SourceError, match=r"no episode|holds no topic"):
             read(folder, **stated)
 
 
@@ -168,7 +168,7 @@ class TestRefused:
             ({"filters": [{"id": "delta"}]}, "holds Python objects"),
             ({"compressor": {"id": "pickle"}}, "codec 'pickle'; allowed: blosc, zstd"),
             ({"shape": [1 << 40, 4, 3]}, "would have .* bytes, of files of"),
-            ({"shape": [7, 1 << 20, 1 << 20]}, "chunks of 4 entries of axis 1 need"),
+            ({"shape": [7, 1 << 20, 1 << 20]}, "an item holds 1099511627776 numbers"),
             ({"chunks": [4, 4]}, r"\.zarray is malformed"),
             ({"chunks": [0, 4, 3]}, r"\.zarray is malformed"),
             ({"shape": [7, 4, "a"]}, r"\.zarray is malformed"),
@@ -185,7 +185,7 @@ class TestRefused:
     def test_links(self, folder, tmp_path):
         (folder / "pad" / "0.0.0").rename(tmp_path / "elsewhere")
         (folder / "pad" / "0.0.0").symlink_to(tmp_path / "elsewhere")
-        with pytest.raises(SourceError, match="'0.0.0': cannot be read"):
+        with pytest.raises(SourceError, match=r"'0\.0\.0': cannot be read"):
             read(folder)
         (folder / "pad").rename(tmp_path / "pad")
         (folder / "pad").symlink_to(tmp_path / "pad")
@@ -194,7 +194,7 @@ class TestRefused:
 
     def test_bombs(self, folder):
         (folder / "pad" / "0.0.0").write_bytes(numcodecs.Zlib().encode(bytes(1 << 20)))
-        with pytest.raises(SourceError, match="chunk 0.0.0 has 193 bytes in place of 192"):
+        with pytest.raises(SourceError, match=r"chunk 0\.0\.0 has 193 bytes in place of 192"):
             read(folder)
 
     @CASES
