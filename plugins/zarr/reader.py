@@ -244,10 +244,11 @@ class ZarrFolder(ArrayFile):
         self._stored[path] = _Stored(
             folder / path, dtype, sides, chunks, codec, fill, order, separator
         )
-        labels = attributes.get(LABELS)
-        is_named = isinstance(labels, list) and len(labels) == len(sides)
+        stated = attributes.get(LABELS)
         names: dict[int, tuple[str, ...]] = {}
-        labels = tuple(map(str, labels)) if is_named else ()
+        labels: tuple[str, ...] = ()
+        if isinstance(stated, list) and len(stated) == len(sides):
+            labels = tuple(map(str, stated))
         if SENSORS.search(path) and len(sides) > 1 and not labels:
             labels = ("frames", *("",) * (len(sides) - 1))
             if len(sides) > 3:

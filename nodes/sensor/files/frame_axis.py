@@ -216,7 +216,8 @@ def _fitting(
         fault = f"no axis of {array.text} leaves a frame of {shape}"
         raise SourceError(f"{array.where}: {fault}")
     timed = [at for at in axes if at is not None and array.sides[at] in n_times]
-    candidates = [at for at in fits if at in timed] or [*fits]
+    candidates: list[int | None] = [at for at in fits if at in timed]
+    candidates = candidates or list(fits)
     if timed and candidates[0] not in timed:
         at = timed[0]
         fault = (
