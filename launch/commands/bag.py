@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     export = add(
         "export", _export, "convert a recording to NumPy, CSV or the format of another tool"
     )
-    about = f"NAME{FILE_SUFFIX}; several for lerobot: an episode each"
+    about = f"NAME{FILE_SUFFIX}; several for lerobot, zarr: an episode each"
     export.add_argument("bags", metavar="F.mcap", type=Path, nargs="+", help=about)
     export.add_argument("--to", choices=export_names(), required=True, help="the format")
     about = "default: NAME and the ending of the format, as NAME.npz, NAME_csv, NAME_ros2"
@@ -131,8 +131,8 @@ def _export(arguments: argparse.Namespace) -> int:
     """Convert the frames of a recording: npz (a file per patch, which a source file:PATH reads),
     csv (a folder, a file per topic, a frame per line), ros2 (a folder with CDR messages and
     metadata.yaml), foxglove (an .mcap with Foxglove's schemas), lerobot (a folder, a dataset of
-    codebase version v3.0), or skin (the file skin.toml of a calibrated skin). The patches of a
-    body that were recorded in batches are exported one by one.
+    codebase version v3.0), zarr (a folder, a tactile dataset), or skin (the file skin.toml of a
+    calibrated skin). The patches of a body that were recorded in batches are exported one by one.
     """
     from sparseskin.nodes.recorder.bag.patches import split_bag
     from sparseskin.nodes.recorder.bag.reader import BagReader

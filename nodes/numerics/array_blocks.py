@@ -61,8 +61,6 @@ class StoredArray:
         for first in range(0, sides[at], size):
             n = min(size, sides[at] - first)
             yield self._read(stream, (*sides[:at], n, *sides[at + 1 :]))
-        if stream.read(1):
-            raise ArrayFileError("more numbers follow than its header states")
 
     def _scattered(
         self, stream: IO[bytes], sides: tuple[int, ...], at: int, size: int
@@ -99,7 +97,7 @@ class StoredArray:
 
     def _read(self, stream: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
         array = np.empty(shape, self.dtype)
-        wanted = memoryview(array.reshape(-1).view(np.uint8))
+        wanted = memoryview(array.reshape(-1).view(np.uint8).data)
         at = 0
         while at < len(wanted):
             # A part at a time: some streams copy what they read.

@@ -18,7 +18,7 @@ from sparseskin.nodes.sensor.files.recording import File, unreadable
 
 _BEGIN = b"\x89HDF\r\n\x1a\n"
 _MATLAB_CLASS = "MATLAB_class"
-_MAX_CHUNK_BYTES = 1 << 30
+MAX_CHUNK_BYTES = 1 << 30
 """Memory of the chunks that hold some frames together, chosen."""
 _OF_ARRAY = frozenset({UNIT, "units", "long_name"})
 """Attributes that hold for an array alone, not for those in a group that has them."""
@@ -53,7 +53,7 @@ class Hdf5File(ArrayFile):
             self._list(opened)
 
     def whole(self, key: str) -> npt.NDArray[Any]:
-        self._check_size(key, self.datasets[key].n_bytes)
+        self._check_size(key)
         with self._opened() as opened:
             dataset = opened[key.replace(self.separator, "/")]
             return self._as_read(key, self._readable(key, dataset)[()])
@@ -61,7 +61,7 @@ class Hdf5File(ArrayFile):
     def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
         sides = self.datasets[key].sides
         stored_axis = len(sides) - 1 - axis if self._is_matlab else axis
-        self._check_size(key, self.datasets[key].n_bytes)
+        self._check_size(key)
         with self._opened() as opened:
             dataset = opened[key.replace(self.separator, "/")]
             step = self._step(key, dataset, stored_axis, size)
@@ -73,29 +73,29 @@ class Hdf5File(ArrayFile):
 
     def _step(self, key: str, dataset: Any, axis: int, size: int) -> int:
         """Entries of an axis that are read together: whole chunks, each inflated once."""
-        chunks = dataset.chunks
-        if not chunks:
+        if not dataset.chunks:
             return size
-        entry_bytes = dataset.size * dataset.dtype.itemsize // max(1, dataset.shape[axis])
-        self._check_size(key, math.prod(chunks) * dataset.dtype.itemsize, _MAX_CHUNK_BYTES)
-        self._check_size(
-            key, min(chunks[axis], dataset.shape[axis]) * entry_bytes, _MAX_CHUNK_BYTES
-        )
-        return max(1, size // chunks[axis]) * int(chunks[axis])
+        length = int(dataset.chunks[axis])
+        n_entries = max(1, dataset.shape[axis])
+        row_bytes = dataset.size // n_entries * min(length, n_entries) * dataset.dtype.itemsize
+        needed = max(row_bytes, math.prod(dataset.chunks) * dataset.dtype.itemsize)
+        if needed > MAX_CHUNK_BYTES:
+            fault = f"chunks of {length} entries of axis {axis + 1} need {needed} bytes"
+            raise SourceError(f"{self.where(key)}: {fault}; at most {MAX_CHUNK_BYTES}")
+        return max(1, size // length) * length
 
-    def _check_size(self, key: str, n_bytes: int, limit: int | None = None) -> None:
-        limit = limit or self._limit
-        if n_bytes > limit:
-            raise SourceError(f"{self.where(key)}: {n_bytes} bytes; at most {limit}")
+    def _check_size(self, key: str) -> None:
+        n_bytes = self.datasets[key].n_bytes
+        if n_bytes > self._limit:
+            raise SourceError(f"{self.where(key)}: {n_bytes} bytes; at most {self._limit}")
 
     def _readable(self, key: str, dataset: Any) -> Any:
         return dataset.asstr() if self.datasets[key].dtype.kind == "U" else dataset
 
     def _as_read(self, key: str, array: Any) -> npt.NDArray[Any]:
         dtype = self.datasets[key].dtype
-        array = np.asarray(array, dtype=None if dtype.kind == "U" else dtype)
-        array = array.astype(np.str_) if dtype.kind == "U" else array
-        return array.transpose() if self._is_matlab else array
+        numbers = np.asarray(array).astype(np.str_ if dtype.kind == "U" else dtype, copy=False)
+        return numbers.transpose() if self._is_matlab else numbers
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:

@@ -19,10 +19,11 @@ from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 
 from .datasets import (
+    F_MAX,
     FORCES,
     MASK,
     NO_UNITS,
-    NUMBERS,
+    PITCH,
     POINT_ROWS,
     POINTS,
     RATES,
@@ -128,7 +129,7 @@ class DatasetRecording(Recording):
 
         place = "one frame" if frames.axis is None else f"frames are axis {frames.axis + 1}"
         about = f"{f'array {printable(key)}, ' if key else ''}{dataset.text}"
-        notes = [f"{about}: {place} ({frames.reason})", *time_notes]
+        notes = [f"{about}: {place} ({frames.reason})", *arrays.notes, *time_notes]
         if dataset.dtype.kind == "b":
             notes.append("True and False are read as 1 and 0")
         plan = _Plan(key, frames, time_key, None, tuple(notes))
@@ -188,7 +189,6 @@ class DatasetRecording(Recording):
         unit, time_unit = self._unit(plan), self._time_unit(plan)
         mask, mask_notes = self._mask(plan)
         rate_hz, rate_notes = self._rate(plan)
-        numbers = {name: self._number(plan.key, name) for name in NUMBERS[1:]}
         long_name = dataset.attributes.get("long_name")
         title = (f"long name: {printable(str(long_name))[:60]}",) if long_name else ()
         return Head(
@@ -199,12 +199,13 @@ class DatasetRecording(Recording):
             time_name=plan.time_key or f"column {(plan.time_column or 0) + 1}",
             unit=unit,
             rate_hz=rate_hz,
+            f_max=self._number(plan.key, F_MAX),
+            pitch_m=self._number(plan.key, PITCH),
             mask=mask,
             points=self._array(plan.key, POINTS),
             point_rows=self._array(plan.key, POINT_ROWS),
             n_items=1 if plan.frames.axis is None else dataset.sides[plan.frames.axis],
             notes=(*plan.notes, *title, *rate_notes, *mask_notes),
-            **numbers,
         )
 
     def _array(self, key: str, name: str) -> npt.NDArray[Any] | None:
@@ -345,7 +346,8 @@ def checked_times(numbers: npt.NDArray[Any], where: str) -> list[int | float]:
         return [_text_time(text_of(text), where) for text in numbers.tolist()]
     elif kind == "f" and not np.isfinite(numbers).all():
         raise SourceError(f"{where}: a time is not a finite number")
-    return numbers.tolist()
+    whole: list[int | float] = numbers.tolist()
+    return whole
 
 
 def _text_time(text: str, where: str) -> int:

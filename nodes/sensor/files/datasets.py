@@ -20,15 +20,19 @@ from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 from .frame_axis import ArrayShape, can_be_frames, has_time_column
 from .recording import choose, shown
 
+TACTILE = "tactile_data"
+"""Part of the names of arrays of tactile datasets."""
 FORCES = "forces"
 """Name of the array of frames in what this package writes."""
 STAMPS = "stamp_ns"
 MASK, POINTS, POINT_ROWS, UNIT = "mask", "points", "point_rows", "unit"
-NUMBERS = ("rate_hz", "f_max", "pitch_m")
-PROPERTIES = frozenset({MASK, POINTS, POINT_ROWS, UNIT, *NUMBERS, STAMPS})
+RATE, F_MAX, PITCH = "rate_hz", "f_max", "pitch_m"
+PROPERTIES = frozenset({MASK, POINTS, POINT_ROWS, UNIT, RATE, F_MAX, PITCH, STAMPS})
 """Names of the arrays beside it."""
-RATES = ("rate_hz", "rate", "fs", "fps", "sampling_rate", "sample_rate", "sampling_frequency")
-RATES = (*RATES, "sampling_rate_hz", "frame_rate", "frequency_hz")
+RATES = (
+    *(RATE, "rate", "fs", "fps", "frame_rate", "frequency_hz"),
+    *("sampling_rate", "sampling_rate_hz", "sampling_frequency", "sample_rate"),
+)
 """Names of rates in hertz, of attributes and of single numbers."""
 NO_UNITS = frozenset({"", "-", "1", "none", "unknown", "n/a"})
 TIME_UNITS = {
@@ -52,13 +56,14 @@ MAX_PROPERTY_BYTES = 64 * MAX_ELEMENTS
 @dataclass(frozen=True)
 class Dataset:
     """An array of a file before it is read, with labels of its axes, () where the file has none,
-    and the attributes of itself and of the groups around it.
+    the attributes of itself and of the groups around it, and names of the entries of an axis.
     """
 
     sides: tuple[int, ...]
     dtype: np.dtype[Any]
     labels: tuple[str, ...] = ()
     attributes: Mapping[str, Any] = field(default_factory=dict)
+    names: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def n_axes(self) -> int:
@@ -86,6 +91,8 @@ class ArrayFile(ABC):
     def __init__(self, name: str) -> None:
         self.name = name
         self.datasets: dict[str, Dataset] = {}
+        #: For the log.
+        self.notes: tuple[str, ...] = ()
 
     @abstractmethod
     def whole(self, key: str) -> npt.NDArray[Any]:
@@ -118,7 +125,7 @@ class ArrayFile(ABC):
     def shape(self, key: str) -> ArrayShape:
         dataset = self.datasets[key]
         labels = dataset.labels or ("",) * len(dataset.sides)
-        return ArrayShape(dataset.sides, labels, self.where(key))
+        return ArrayShape(dataset.sides, labels, self.where(key), dataset.names)
 
     def property_array(self, key: str) -> npt.NDArray[Any]:
         """An array that is no larger than one of a property. Raises SourceError if it is."""
@@ -171,6 +178,9 @@ def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
         and arrays.last_part(key) not in PROPERTIES
         and not times.is_time_name(arrays.last_part(key))
     }
+    # Where arrays are labelled as tactile data, others are none.
+    tactile = {key: kind for key, kind in readable.items() if TACTILE in arrays.last_part(key)}
+    readable = tactile or readable
     numbers = [key for key, kind in readable.items() if kind != "b"]
     keys = numbers or [*readable]
     if layout.axes:

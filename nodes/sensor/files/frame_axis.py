@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.layout.arrangement import CHANNELS, COLS, ROWS, Axis
+from sparseskin.nodes.sensor.layout.arrangement import CHANNELS, COLS, ROWS, XYZ, Axis
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 
 FRAME_LABELS = frozenset(
@@ -36,11 +37,14 @@ class FrameAxis(NamedTuple):
 
 
 class ArrayShape(NamedTuple):
-    """Sides of an array, labels of its axes ("" for none), and its place for errors."""
+    """Sides of an array, labels of its axes ("" for none), its place for errors, and names of the
+    entries of axes.
+    """
 
     sides: tuple[int, ...]
     labels: tuple[str, ...]
     where: str
+    names: Mapping[int, tuple[str, ...]] = MappingProxyType({})
 
     @property
     def text(self) -> str:
@@ -156,7 +160,8 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     if len(others) > 2 or layout.channel:
         # Several numbers per taxel stand last more often than first.
         extra = _DIRECT if layout.channel else _CHANNELS
-        grids = [(extra, at, [k for k in others if k != at]) for at in reversed(others)] + grids
+        channels = [at for at in reversed(others) if _has_channel(layout, array.sides[at])]
+        grids = [(extra, at, [k for k in others if k != at]) for at in channels] + grids
     ways = [
         _Way(axis, extra + fit, channel if layout.n_stated else None)
         for extra, channel, grid in grids
@@ -165,6 +170,13 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     if is_labelled or not ways:
         return _Way(axis, _DIRECT if is_labelled else _NO_FIT, None)
     return min(ways, key=lambda way: way.fit)
+
+
+def _has_channel(layout: Layout, side: int) -> bool:
+    """True if an axis with so many entries can be that of the channels."""
+    if layout.channel.isdecimal():
+        return int(layout.channel) < side
+    return layout.channel.lower() not in XYZ or side == len(XYZ)
 
 
 def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
@@ -176,7 +188,7 @@ def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
         has_columns = layout.columns or has_time_column(layout)
         if n_wanted is None or has_columns:
             is_whole = n % (rows or cols or 1) == 0
-            fits = n > n_wanted if n_wanted else is_whole or has_columns
+            fits = n >= n_wanted if n_wanted else is_whole or has_columns
             yield from (_DIRECT,) * bool(fits)
         elif n in (n_wanted, n_wanted + 1):
             yield _DIRECT if n == n_wanted else _WITH_TIME
@@ -193,7 +205,8 @@ def _fitting(
     """Those axes that fit best what is stated, and times beside the array."""
     if not (layout.n_rows or layout.n_cols):
         long_axes = [at for at in axes if at is not None and (at == 0 or array.sides[at] > 1)]
-        return [at for at in long_axes if array.sides[at] in n_times] or [*long_axes]
+        as_long: list[int | None] = [at for at in long_axes if array.sides[at] in n_times]
+        return as_long or [*long_axes]
     shape = f"{layout.n_rows or 'any'} x {layout.n_cols or 'any'} taxels (n_rows, n_cols)"
     fits = {at: _best_way(layout, array, at).fit for at in axes}
     fits = {at: fit for at, fit in fits.items() if fit != _NO_FIT}
@@ -202,10 +215,11 @@ def _fitting(
             return [None]
         fault = f"no axis of {array.text} leaves a frame of {shape}"
         raise SourceError(f"{array.where}: {fault}")
-    as_long = [at for at in axes if at is not None and array.sides[at] in n_times]
-    candidates = [at for at in fits if at in as_long] or list(fits)
-    if as_long and candidates[0] not in as_long:
-        at = as_long[0]
+    timed = [at for at in axes if at is not None and array.sides[at] in n_times]
+    candidates: list[int | None] = [at for at in fits if at in timed]
+    candidates = candidates or list(fits)
+    if timed and candidates[0] not in timed:
+        at = timed[0]
         fault = (
             f"axis {at + 1} of {array.text} is as long as the times, but leaves no frame of {shape}"
         )
@@ -231,7 +245,7 @@ def _decided(
     is_plausible = _first_is_plausible(array.sides)
     if 0 in axes and (first_is_usual is None or (first_is_usual and is_plausible)):
         return 0, "the first one, as is usual"
-    options = [{"axes": _axes_text(array, axis)} for axis in axes]
+    options = [{"axes": _axes_text(array, _best_way(layout, array, axis))} for axis in axes]
     ways = [
         f"axes={option['axes']} ({array.sides[axis]} frames)"
         for axis, option in zip(axes, options, strict=True)
@@ -242,20 +256,23 @@ def _decided(
 
 
 def _first_is_plausible(sides: Sequence[int]) -> bool:
-    """True if the first axis is longer than the others, or these are a square."""
+    """True if the first axis is longer than the others, or these are one, or a square."""
     others = [side for side in sides[1:] if side > 1]
-    return all(side < sides[0] for side in others) or len(set(others)) == 1
+    is_square = len(others) == 2 and others[0] == others[1]
+    return all(side < sides[0] for side in others) or len(others) == 1 or is_square
 
 
-def _axes_text(array: ArrayShape, axis: int | None) -> str:
-    """The setting `axes` if the frames are an axis, and the others come as usual."""
-    others = [at for at in array.others(axis) if array.sides[at] > 1]
+def _axes_text(array: ArrayShape, way: _Way) -> str:
+    """The setting `axes` for a way, whose rows come before its columns."""
+    others = [at for at in array.others(way.axis) if array.sides[at] > 1 and at != way.channel]
     names = ["-"] * len(array.sides)
-    usual = ("taxels",) if len(others) == 1 else ("rows", "cols", "channel")
+    usual = ("taxels",) if len(others) == 1 else ("rows", "cols", CHANNEL)
     for at, name in zip(others, usual, strict=False):
         names[at] = name
-    if axis is not None:
-        names[axis] = "frames"
+    if way.channel is not None:
+        names[way.channel] = CHANNEL
+    if way.axis is not None:
+        names[way.axis] = "frames"
     return ",".join(names)
 
 
@@ -268,7 +285,7 @@ def _items(array: ArrayShape, way: _Way) -> Iterator[Axis]:
             label = CHANNEL
         elif at in grid and way.fit & _TRANSPOSED:
             label = ("cols", "rows")[grid.index(at)]
-        yield Axis(array.sides[at], "" if label == "-" else label)
+        yield Axis(array.sides[at], "" if label == "-" else label, array.names.get(at, ()))
 
 
 def _said(way: _Way) -> str:

@@ -1,137 +1,168 @@
-"""Arrays in files of MATLAB and HDF5: which one is taken, in which order, and what is refused."""
+"""Arrays in files of MATLAB: those that SciPy writes are read back, and what is refused."""
 
 import io
 import re
 import struct
-import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import PATIENCE_S
 from damaged import mutated, refusal
+from drawn_arrays import arrays, check
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
+from scipy.sparse import csc_matrix
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.process import isolation
+from sparseskin.nodes.numerics import array_files
+from sparseskin.nodes.sensor.files import recording
 from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.plugins.vendors import matlab
 
-h5py = pytest.importorskip("h5py", reason="h5py is not installed")
 FRAMES = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
 LAST = np.moveaxis(FRAMES, 0, -1)
+SHAPE = {"n_rows": 3, "n_cols": 4}
+CASES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(autouse=True)
-def direct(request, monkeypatch):
-    """Read in this process, without the start of another, unless a test is of that."""
-
-    def output_of(module, name, most, topic, *, n_bytes, data):
-        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data)))
-        key, array = matlab._chosen(name, int(most), topic or None)
-        np.save(out := io.BytesIO(), array)
-        return f"{key}\n".encode() + out.getvalue()
-
-    monkeypatch.setattr(isolation, "START_S", PATIENCE_S)
-    if "isolated" not in request.keywords:
-        monkeypatch.setattr(matlab, "output_of", output_of)
+def small_blocks(monkeypatch):
+    """Blocks of a few frames."""
+    monkeypatch.setattr(recording, "BLOCK_NUMBERS", 40)
 
 
-def mat(packed=True, **arrays):
+def mat(packed=True, **content):
     buffer = io.BytesIO()
-    savemat(buffer, arrays, do_compression=packed)
+    savemat(buffer, content, do_compression=packed)
     return buffer.getvalue()
 
 
-def hdf5(**arrays):
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w") as file:
-        for name, array in arrays.items():
-            file[name.replace("__", "/")] = array
-    return buffer.getvalue()
+def read(folder, raw, **stated):
+    (folder / "a.mat").write_bytes(raw)
+    return open_file(folder / "a.mat", Layout(**stated))
 
 
-def read(folder, name, raw, **stated):
-    (folder / name).write_bytes(raw)
-    return open_file(folder / name, **stated)
+def saved(array, packed, in_struct):
+    """A drawn array, and its times, as the bytes of a file."""
+    content = {"pressure": array.stored.astype(array.stored.dtype.newbyteorder("="))}
+    if content["pressure"].dtype == np.float16:
+        content["pressure"] = content["pressure"].astype(np.float32)
+    if array.time_name:
+        content[array.time_name] = array.times
+    if in_struct:
+        content = {"log": {"run": content, "name": "grasp"}, "fs": 50.0}
+    return mat(packed, note="left alone", **content)
+
+
+@CASES
+@given(array=arrays(), packed=st.booleans(), in_struct=st.booleans())
+def test_a_drawn_array_whose_axes_are_stated_is_read_as_it_was_written(
+    tmp_path, array, packed, in_struct
+):
+    source = read(tmp_path, saved(array, packed, in_struct), **array.axes_stated, rate_hz=None)
+    if array.time_name or not in_struct:
+        check(source, array, has_times=True)
+    else:
+        assert source.rate_hz == 50.0
+        np.testing.assert_array_equal(source.frames, array.frames)
+
+
+@CASES
+@given(array=arrays(), packed=st.booleans(), knows_shape=st.booleans())
+def test_without_its_axes_it_is_read_right_or_the_ways_are_named(
+    tmp_path, array, packed, knows_shape
+):
+    stated = array.shape_stated if knows_shape else {}
+    sources = []
+    raw = saved(array, packed, in_struct=False)
+    text = refusal(lambda: sources.append(read(tmp_path, raw, **stated)), SourceError)
+    if sources:
+        assert knows_shape or array.time_name
+        if array.is_plain:
+            check(sources[0], array, has_times=True)
+    else:
+        assert "axes=" in text
 
 
 @pytest.mark.parametrize(
-    ("name", "raw", "stated"),
+    ("content", "stated"),
     [
-        ("a.mat", mat(forces=LAST, a=LAST, text="x", cell=np.array([1, "a"], object)), {}),
-        pytest.param(
-            *("a.mat", mat(False, a=LAST, b=LAST), {"topic": "b"}), marks=pytest.mark.isolated
-        ),
-        ("a.mat", mat(log={"rate": 9.0, "left": {"pad": LAST}}), {}),
-        ("a.mat", mat(a=LAST + 1, log={"left": {"pad": LAST}}), {"topic": "log.left.pad"}),
-        ("a.mat", mat(a=FRAMES), {"n_rows": 3, "n_cols": 4}),
-        ("a.mat", mat(a=FRAMES.reshape(2, 12)), {"n_rows": 3}),
-        ("a.mat", hdf5(a=LAST.T), {}),
-        ("a.h5", hdf5(run__left=FRAMES, run__right=FRAMES), {"topic": "/run/left"}),
-        ("a.hdf5", hdf5(run__forces=FRAMES, b=FRAMES), {}),
+        ({"forces": LAST, "a": LAST, "text": "x", "cell": np.array([1, "a"], object)}, SHAPE),
+        ({"a": LAST, "b": LAST}, {"topic": "b", **SHAPE}),
+        ({"log": {"rate": 9.0, "left": {"pad": LAST}}}, SHAPE),
+        ({"a": LAST + 1, "log": {"left": {"pad": LAST}}}, {"topic": "log.left.pad", **SHAPE}),
+        ({"a": LAST + 1, "log": {"left": {"pad": LAST}}}, {"topic": "pad", **SHAPE}),
+        ({"a": FRAMES}, SHAPE),
+        ({"a": FRAMES.reshape(2, 12)}, SHAPE),
+        ({"a": LAST, "sparse": csc_matrix(np.eye(5)), "complex": LAST * 1j, "none": []}, SHAPE),
+        ({"a": LAST, "many": np.array([(1,), (2,)], [("x", object)])}, SHAPE),
     ],
 )
-def test_the_frames_are_found(tmp_path, name, raw, stated):
-    source = read(tmp_path, name, raw, **stated)
+@pytest.mark.parametrize("packed", [False, True])
+def test_the_frames_are_found(tmp_path, content, stated, packed):
+    source = read(tmp_path, mat(packed, **content), **stated)
     np.testing.assert_array_equal(source.frames, FRAMES)
     assert source.skin.unit == "counts"
 
 
+def element(order, kind, raw):
+    """An element of the format, padded."""
+    return struct.pack(f"{order}II", kind, len(raw)) + raw + bytes(-len(raw) % 8)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_whole_float64_numbers_are_stored_as_bytes_in_either_order(tmp_path, order):
+    flags = element(order, 6, struct.pack(f"{order}II", 6, 0))  # 6: of float64
+    sides = element(order, 5, struct.pack(f"{order}3i", *LAST.shape))
+    # A short name stands in its tag.
+    name = struct.pack(f"{order}I", 1 << 16 | 1) + b"a\0\0\0"
+    numbers = element(order, 2, LAST.astype("u1").tobytes("F"))
+    array = element(order, 14, flags + sides + name + numbers)
+    head = (
+        b"MATLAB 5.0".ljust(124)
+        + struct.pack(f"{order}H", 0x100)
+        + b"MI"[:: 1 if order == ">" else -1]
+    )
+    source = read(tmp_path, head + array, **SHAPE)
+    np.testing.assert_array_equal(source.frames, FRAMES)
+    assert source.skin.unit == "N"  # as float64 has no other
+
+
 @pytest.mark.parametrize(
-    ("name", "raw", "message"),
+    ("raw", "message"),
     [
-        ("a.mat", mat(a=LAST, b=LAST), r"a .3-D., b .3-D.; add topic=a"),
-        ("a.mat", mat(a="text"), "holds no arrays of frames"),
-        ("a.mat", mat(a=LAST)[:180], "cannot be read"),
-        ("a.mat", b"MATLAB" * 40, "cannot be read"),
-        ("a.h5", hdf5(a=np.zeros((2, 3, 4), complex)), "dtype 'complex128'"),
-        ("a.h5", hdf5(a=FRAMES)[:900], "cannot be read"),
+        (mat(a=LAST), "state axes=frames,rows,cols .3 frames. or .*axes=rows,cols,frames"),
+        (mat(a=LAST, b=LAST), r"a .3 x 4 x 2., b .3 x 4 x 2.; state topic"),
+        (mat(a="text"), "holds no arrays of frames"),
+        (mat(a=LAST)[:180], "cannot be read: the file ends within an array"),
+        (mat(False, a=LAST)[:-9], "cannot be read: the file ends within an array"),
+        (b"MATLAB" * 40, "cannot be read: no MATLAB file of version 5 or later"),
     ],
 )
-def test_what_holds_no_frames_is_refused(tmp_path, name, raw, message):
-    assert re.search(message, refusal(lambda: read(tmp_path, name, raw), SourceError))
+def test_what_holds_no_frames_is_refused(tmp_path, raw, message):
+    assert re.search(message, refusal(lambda: read(tmp_path, raw), SourceError))
 
 
-def test_links_to_other_files_are_not_followed(tmp_path):
-    (tmp_path / "b.h5").write_bytes(hdf5(forces=FRAMES))
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["forces"] = h5py.ExternalLink(str(tmp_path / "b.h5"), "forces")
-        layout = h5py.VirtualLayout((2, 3, 4), "u2")
-        layout[:] = h5py.VirtualSource(str(tmp_path / "b.h5"), "forces", (2, 3, 4))
-        file.create_virtual_dataset("virtual", layout)
-    for topic in (None, "forces", "virtual"):
-        with pytest.raises(SourceError, match="holds no arrays of frames"):
-            open_file(tmp_path / "a.h5", topic=topic)
-
-
-def test_a_reader_that_is_ended_is_named_with_its_signal(tmp_path, monkeypatch):
-    (tmp_path / "dying.py").write_text("import os; os.kill(os.getpid(), 11)")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(SourceError, match=r"^any\.mat: its reader was ended by SIGSEGV; a damaged"):
-        isolation.output_of("dying", "any.mat", n_bytes=1)
-
-
-@pytest.mark.isolated
-def test_bytes_at_which_scipy_may_end_the_process_are_refused_in_one_line(tmp_path):
-    raw = bytearray(mat(False, forces=LAST.astype(float)))
+def test_numbers_of_an_unknown_type_or_of_another_size_are_refused(tmp_path):
+    raw = mat(False, forces=LAST.astype(float))
     at = raw.index(struct.pack("<II", 9, 8 * LAST.size))  # 9: of float64
-    raw[at] = 200
-    # What SciPy does with a type that it has no entry for depends on what its memory holds there.
-    ends = r"its reader (was ended|failed).*; a damaged"
-    with pytest.raises(SourceError, match=rf"^\S+any\.mat: ({ends}|cannot be read \()") as refused:
-        read(tmp_path, "any.mat", bytes(raw))
-    assert "\n" not in str(refused.value)
+    for kind, n_bytes, what in ((200, 8 * LAST.size, "unknown type"), (7, 8 * LAST.size, "states")):
+        damaged = raw[:at] + struct.pack("<II", kind, n_bytes) + raw[at + 8 :]
+        with pytest.raises(SourceError, match=what):
+            read(tmp_path, damaged, **SHAPE)
 
 
-@pytest.mark.isolated
-@settings(
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-    max_examples=settings().max_examples // 5,  # each starts a process
-)
+def test_arrays_far_larger_than_the_file_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(matlab, "MAX_GROWN_BYTES", 1 << 10)
+    raw = mat(forces=np.zeros((16, 16, 1 << 10), "u1"))
+    with pytest.raises(SourceError, match=r"an array would have \d+ bytes; at most"):
+        read(tmp_path, raw)
+    assert array_files.MAX_GROWTH * len(raw) < 16 * 16 << 10
+
+
+@CASES
 @given(data=st.data(), packed=st.booleans())
-def test_mutated_files_of_matlab_are_read_or_refused_in_one_line(tmp_path, data, packed):
-    raw = mutated(data, mat(packed, forces=LAST))
-    refusal(lambda: read(tmp_path, "any.mat", raw), SourceError)
+def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, data, packed):
+    raw = mutated(data, mat(packed, log={"forces": LAST, "t": np.array([0.0, 0.1])}))
+    refusal(lambda: read(tmp_path, raw, **SHAPE), SourceError)

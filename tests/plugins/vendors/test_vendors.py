@@ -13,6 +13,7 @@ from vendor_texts import EMED_KPA, XSENSOR_FRAMES, emed_text, tekscan_text, xsen
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.file_source import n_taxels, open_file
+from sparseskin.nodes.sensor.layout.layout import Layout
 
 FOLDER = Path(
     os.environ.get("SPARSESKIN_RECORDINGS")
@@ -44,7 +45,7 @@ def opened(tmp_path):
     def write_and_open(name, text, **stated):
         path = tmp_path / name
         path.write_bytes(text.encode("latin-1"))
-        return open_file(path, **stated)
+        return open_file(path, Layout(**stated))
 
     return write_and_open
 
@@ -110,7 +111,8 @@ class TestRealTekscan:
     def test_the_example_of_the_package_is_this_recording(self):
         whole, example = open_file(recording("iscan_test.csv")), open_file("example:fingers")
         np.testing.assert_array_equal(example.frames, whole.frames)
-        assert (example.stamp_ns, example.skin.unit) == (whole.stamp_ns, whole.skin.unit)
+        np.testing.assert_array_equal(example.stamp_ns, whole.stamp_ns)
+        assert example.skin.unit == whole.skin.unit
 
 
 class TestEmed:
@@ -216,7 +218,7 @@ def found_in(folder, name, text):
     path.write_bytes(text.encode("latin-1"))
     f_max = 100.0 if name in ("foot.lst", "sole.csv") else None
     found = []
-    assert refusal(lambda: found.append(open_file(path, f_max=f_max))).isprintable()
+    assert refusal(lambda: found.append(open_file(path, Layout(f_max=f_max)))).isprintable()
     return found[0] if found else None
 
 

@@ -1,0 +1,1 @@
+"""Plug-in `zarr`: folders of Zarr as recordings, and bags as such folders."""

@@ -1,0 +1,364 @@
+"""Folders of Zarr, version 2: arrays in groups, of which those of tactile datasets are known."""
+
+from __future__ import annotations
+
+import bz2
+import itertools
+import json
+import lzma
+import math
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import lz4.block
+import numpy as np
+import numpy.typing as npt
+import zstandard
+
+from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording
+from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, ArrayFile, Dataset
+from sparseskin.nodes.sensor.files.recording import File, shown
+from sparseskin.nodes.sensor.layout.layout import UnstatedError
+
+# Format: Zarr storage specification, version 2.
+GROUP, ARRAY, ATTRIBUTES, NEW = ".zgroup", ".zarray", ".zattrs", "zarr.json"
+MARKERS = (GROUP, ARRAY, NEW)
+EPISODES = "meta/episode_ends"
+"""Array of the numbers of frames up to the end of each episode, as replay buffers have it."""
+LABELS = "_ARRAY_DIMENSIONS"
+"""Attribute of an array with the names of its axes, as xarray writes it."""
+SENSORS = re.compile(r"(?:^|/)[a-z]+_tactile_data_\w+$")
+"""Arrays (frames, sensors, *sides of a frame) of the tactile datasets."""
+EPISODE_TOPIC = re.compile(r"(.*):(\d{1,6})")
+MAX_JSON_BYTES = 1 << 20
+MAX_CHUNK_BYTES = 1 << 29
+"""Memory of the chunks that hold some frames together, chosen."""
+MAX_CHUNKS = 1 << 16
+"""Chunks that hold some frames together, chosen."""
+MAX_DEPTH = 8
+"""Groups within groups, chosen."""
+MAX_AXES = 32
+
+
+class ZarrRecording(DatasetRecording):
+    """The frames of an array in a folder of Zarr, of one of its episodes. The topic is the path of
+    the array; where there are several episodes, it has the number of one behind it, from 0, as
+    data/right_tactile_data_palm:3.
+    """
+
+    def __init__(self, file: File) -> None:
+        arrays = ZarrFolder(Path(file.name).parent)
+        stated = EPISODE_TOPIC.fullmatch(file.layout.topic)
+        topic = stated[1] if stated else file.layout.topic
+        arrays.choose_episode(int(stated[2]) if stated else None, topic)
+        super().__init__(replace(file, layout=file.layout.stating({"topic": topic})), arrays)
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """What is stated of the chunks of an array."""
+
+    folder: Path
+    dtype: np.dtype[Any]
+    sides: tuple[int, ...]
+    chunks: tuple[int, ...]
+    codec: dict[str, Any] | None
+    fill: Any
+    order: str
+    separator: str
+
+    @property
+    def chunk_bytes(self) -> int:
+        return math.prod(self.chunks) * self.dtype.itemsize
+
+
+class ZarrFolder(ArrayFile):
+    """The arrays of a folder. Links are not followed, and no chunk is unpickled. Raises SourceError
+    if a file of it is malformed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(str(folder))
+        self._stored: dict[str, _Stored] = {}
+        self._frames = range(0)  # those of the chosen episode; empty: all
+        for path, attributes in _arrays_of(folder, "", {}, self.name):
+            self._add(folder, path, attributes)
+
+    def choose_episode(self, number: int | None, topic: str) -> None:
+        """Read the frames of one episode alone. Raises SourceError if there is none of this number,
+        or none is stated of several.
+        """
+        if EPISODES not in self.datasets:
+            if number is not None:
+                raise SourceError(
+                    f"{self.name}: topic: states episode {number}, but there are none"
+                )
+            return
+        numbers = self.property_array(EPISODES)
+        if numbers.dtype.kind not in "iu":
+            raise SourceError(f"{self.where(EPISODES)}: expected whole numbers")
+        ends = [0, *map(int, numbers.reshape(-1))]
+        n = len(ends) - 1
+        if number is None and n > 1:
+            name = topic or "NAME"
+            ways = f"state topic={name}:0 .. topic={name}:{n - 1}"
+            names = ", ".join(printable(key) for key in self._tactile()) or "none of tactile data"
+            fault = f"holds {n} episodes, which is not stated: {ways}; arrays: {names}"
+            raise UnstatedError(f"{self.name}: {fault}")
+        number = number or 0
+        if not number < n or not ends[number] < ends[number + 1]:
+            raise SourceError(f"{self.name}: topic: no episode {number}; it holds {n}")
+        self._frames = range(ends[number], ends[number + 1])
+        self.notes = (f"episode {number} of {n}",)
+        for key, dataset in [*self.datasets.items()]:
+            if key.startswith("meta/"):
+                continue
+            if dataset.sides[:1] != (ends[-1],):
+                del self.datasets[key]  # nothing states its part of the episode
+                continue
+            sides = (len(self._frames), *dataset.sides[1:])
+            self.datasets[key] = replace(dataset, sides=sides)
+
+    def whole(self, key: str) -> npt.NDArray[Any]:
+        stored = self._stored[key]
+        if not stored.sides:
+            return self._part(key, ())
+        blocks = list(self.blocks(key, 0, max(1, stored.sides[0])))
+        return np.concatenate(blocks) if blocks else np.empty(stored.sides, stored.dtype)
+
+    def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
+        stored = self._stored[key]
+        is_cut = self.datasets[key].sides != stored.sides and axis == 0
+        entries = self._frames if is_cut else range(stored.sides[axis])
+        length = stored.chunks[axis]
+        step = max(1, size // length) * length
+        self._check_sizes(key, axis)
+        # Begins of parts are those of chunks, so that each chunk is read once.
+        for begin in range(entries.start // length * length, entries.stop, step):
+            wanted = range(max(begin, entries.start), min(begin + step, entries.stop))
+            ranges = [range(side) for side in stored.sides]
+            ranges[axis] = wanted
+            yield np.moveaxis(self._part(key, tuple(ranges)), axis, 0)
+
+    def _check_sizes(self, key: str, axis: int) -> None:
+        """Raise SourceError if parts along an axis need too much memory, or the array is far larger
+        than its files.
+        """
+        stored = self._stored[key]
+        length = stored.chunks[axis]
+        n_entries = max(1, stored.sides[axis])
+        row_bytes = math.prod(stored.sides) // n_entries * stored.dtype.itemsize * length
+        sides = zip(stored.sides, stored.chunks, strict=True)
+        n_chunks = math.prod(-(-side // chunk) for side, chunk in sides) // -(-n_entries // length)
+        if max(row_bytes, stored.chunk_bytes) > MAX_CHUNK_BYTES or n_chunks > MAX_CHUNKS:
+            fault = (
+                f"{n_chunks} chunks of {length} entries of axis {axis + 1} need {row_bytes} bytes"
+            )
+            allowed = f"at most {MAX_CHUNKS} of {MAX_CHUNK_BYTES} bytes together"
+            raise SourceError(f"{self.where(key)}: {fault}; {allowed}")
+        n_files_bytes = sum(
+            os.lstat(os.path.join(folder, name)).st_size
+            for folder, _, names in os.walk(stored.folder)
+            for name in names
+        )
+        n_bytes = math.prod(stored.sides) * stored.dtype.itemsize
+        limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_files_bytes)
+        if n_bytes > limit:
+            fault = f"would have {n_bytes} bytes, of files of {n_files_bytes}"
+            raise SourceError(f"{self.where(key)}: {fault}; at most {limit}")
+
+    def _part(self, key: str, ranges: tuple[range, ...]) -> npt.NDArray[Any]:
+        """The numbers of an array in a range of each axis."""
+        stored = self._stored[key]
+        part = np.full([len(span) for span in ranges], stored.fill, stored.dtype)
+        numbers = [
+            range(span.start // side, -(-span.stop // side)) if span else range(0)
+            for span, side in zip(ranges, stored.chunks, strict=True)
+        ]
+        for place in itertools.product(*numbers):
+            chunk = self._chunk(key, place)
+            if chunk is None:
+                continue
+            to: list[slice] = []
+            of: list[slice] = []
+            for at, span, side in zip(place, ranges, stored.chunks, strict=True):
+                first = max(span.start, at * side)
+                last = min(span.stop, (at + 1) * side)
+                to.append(slice(first - span.start, last - span.start))
+                of.append(slice(first - at * side, last - at * side))
+            part[tuple(to)] = chunk[tuple(of)]
+        return part
+
+    def _chunk(self, key: str, place: tuple[int, ...]) -> npt.NDArray[Any] | None:
+        """One chunk; None where its numbers are those that fill the array."""
+        stored = self._stored[key]
+        name = stored.separator.join(map(str, place)) or "0"
+        raw = _file_bytes(
+            stored.folder / name, stored.chunk_bytes + MAX_JSON_BYTES, self.where(key)
+        )
+        if raw is None:
+            return None
+        try:
+            plain = _decoded(stored.codec, raw, stored.chunk_bytes)
+        except Exception as error:  # of five libraries, at malformed bytes
+            fault = f"chunk {name} cannot be decoded ({error})"
+            raise SourceError(f"{self.where(key)}: {' '.join(fault.split())[:200]}") from error
+        if len(plain) != stored.chunk_bytes:
+            fault = f"chunk {name} has {len(plain)} bytes in place of {stored.chunk_bytes}"
+            raise SourceError(f"{self.where(key)}: {fault}")
+        flat = np.frombuffer(plain, stored.dtype)
+        return flat.reshape(stored.chunks, order="F" if stored.order == "F" else "C")
+
+    def _tactile(self) -> list[str]:
+        return [key for key in self.datasets if SENSORS.search(key)]
+
+    def _add(self, folder: Path, path: str, attributes: dict[str, Any]) -> None:
+        """Add an array; one of objects, or with filters, is listed and cannot be read."""
+        where = self.where(path)
+        head = _json(folder / path / ARRAY, where) or {}
+        try:
+            sides = tuple(map(int, head["shape"]))
+            chunks = tuple(map(int, head["chunks"]))
+            text = head["dtype"]
+            is_plain = isinstance(text, str) and not head.get("filters")
+            dtype = np.dtype(text) if is_plain else np.dtype(object)
+            codec = head.get("compressor")
+            fill = head.get("fill_value")
+            order = str(head.get("order", "C"))
+            separator = str(head.get("dimension_separator", "."))
+        except (KeyError, TypeError, ValueError) as error:
+            raise SourceError(f"{where}: {ARRAY} is malformed ({error!r})") from error
+        is_sound = len(sides) == len(chunks) <= MAX_AXES and all(0 <= n < 1 << 48 for n in sides)
+        if not is_sound or min(chunks, default=1) < 1 or separator not in (".", "/"):
+            raise SourceError(f"{where}: {ARRAY} is malformed")
+        fill = 0 if fill is None or dtype.kind not in "iufb" else _fill(fill, where)
+        self._stored[path] = _Stored(
+            folder / path, dtype, sides, chunks, codec, fill, order, separator
+        )
+        stated = attributes.get(LABELS)
+        names: dict[int, tuple[str, ...]] = {}
+        labels: tuple[str, ...] = ()
+        if isinstance(stated, list) and len(stated) == len(sides):
+            labels = tuple(map(str, stated))
+        if SENSORS.search(path) and len(sides) > 1 and not labels:
+            labels = ("frames", *("",) * (len(sides) - 1))
+            if len(sides) > 3:
+                # One of several sensors is read, as a channel is.
+                labels = ("frames", "channel", *labels[2:])
+                names = {1: tuple(f"sensor{k}" for k in range(min(sides[1], MAX_ARRAYS)))}
+        self.datasets[path] = Dataset(sides, dtype, labels, attributes, names)
+
+
+def _arrays_of(
+    folder: Path, path: str, around: dict[str, Any], where: str
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Paths of the arrays in a folder, and attributes of themselves and the groups around them."""
+    here = folder / path
+    own = _json(here / ATTRIBUTES, where) or {}
+    attributes = {**around, **{str(name).lower(): value for name, value in own.items()}, **own}
+    if (here / ARRAY).is_file():
+        yield path, attributes
+        return
+    if path.count("/") >= MAX_DEPTH:
+        return
+    if (here / NEW).is_file():
+        fault = "is of Zarr format 3; allowed is format 2, as zarr_format=2 writes it"
+        raise SourceError(f"{where}: {fault}")
+    with os.scandir(here) as entries:
+        names = sorted(
+            entry.name for entry in itertools.islice(entries, MAX_ARRAYS) if _is_folder(entry)
+        )
+    for name in names:
+        yield from _arrays_of(folder, f"{path}/{name}" if path else name, attributes, where)
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    return entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".")
+
+
+def _file_bytes(path: Path, limit: int, where: str) -> bytes | None:
+    """The bytes of a file, None if there is none. Raises SourceError if it is a link, or larger
+    than `limit`.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise SourceError(
+            f"{where}: {shown(path.name)}: cannot be read ({error.strerror})"
+        ) from error
+    with open(descriptor, "rb") as file:
+        raw = file.read(limit + 1)
+    if len(raw) > limit:
+        raise SourceError(f"{where}: {shown(path.name)} is larger than {limit} bytes")
+    return raw
+
+
+def _json(path: Path, where: str) -> dict[str, Any] | None:
+    raw = _file_bytes(path, MAX_JSON_BYTES, where)
+    if raw is None:
+        return None
+    try:
+        content = json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise SourceError(f"{where}: {path.name} is no JSON") from error
+    if not isinstance(content, dict):
+        raise SourceError(f"{where}: {path.name} is malformed")
+    return content
+
+
+def _fill(value: Any, where: str) -> float | int | bool:
+    """The number of places that are not stored."""
+    named = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+    if isinstance(value, str) and value in named:
+        return named[value]
+    if isinstance(value, int | float):
+        return value
+    raise SourceError(f"{where}: fill_value {shown(value)} is no number")
+
+
+def _decoded(codec: dict[str, Any] | None, raw: bytes, n_bytes: int) -> bytes:
+    """The bytes of a chunk, of which there should be `n_bytes`, and no more are made. Raises any
+    error at malformed ones.
+    """
+    kind = codec.get("id") if isinstance(codec, dict) else codec
+    if kind is None:
+        return raw
+    if kind in ("zlib", "gzip"):
+        return zlib.decompressobj(zlib.MAX_WBITS | 32).decompress(raw, n_bytes + 1)
+    if kind == "zstd":
+        stated = zstandard.frame_content_size(raw)
+        if stated not in (-1, n_bytes):
+            return b""
+        return zstandard.ZstdDecompressor().decompress(raw, max_output_size=n_bytes)
+    if kind == "lz4":
+        (stated,) = struct.unpack_from("<I", raw)  # before the block, as numcodecs writes it
+        return lz4.block.decompress(raw) if stated == n_bytes else b""
+    if kind == "bz2":
+        return bz2.BZ2Decompressor().decompress(raw, n_bytes + 1)
+    if kind == "lzma":
+        return lzma.LZMADecompressor(memlimit=MAX_CHUNK_BYTES).decompress(raw, n_bytes + 1)
+    if kind == "blosc":
+        # Of its header: the bytes of the numbers, of a block, and of all that follows.
+        stated, _, n_packed = struct.unpack_from("<III", raw, 4)
+        return _blosc(raw) if (stated, n_packed) == (n_bytes, len(raw)) else b""
+    raise ValueError(f"codec {str(kind)[:40]!r}; allowed: blosc, zstd, lz4, zlib, gzip, bz2, lzma")
+
+
+def _blosc(raw: bytes) -> bytes:
+    try:
+        from numcodecs.blosc import decompress
+    except ImportError as error:
+        raise ValueError('blosc needs numcodecs; pip install "sparseskin[zarr]"') from error
+    plain: bytes = decompress(raw)
+    return plain
