@@ -163,6 +163,7 @@ class Sensor(SourceNode[SensorSettings]):
             seed=self.settings.seed,
             rate_hz=self.rate_hz,
             has_truth=has_truth,
+            live=self._source.is_live,
             sigma_mid=sigma_mid,
             sigma_end=sigma_end,
             f_min=self._f_min,
