@@ -25,8 +25,8 @@ class SkinState(Message):
     possible), and if /PATCH/truth and /PATCH/taxels are published (not those of a skin that is
     compressed outside the graph).
 
-    `live` is True where frames are of the time at which they are read, as those of a board or
-    driver: who is behind uses the newest one. Those of scenes and recordings wait.
+    `live` is True where a clock sets the pace of frames that are no recorded ones, as those of a
+    board, a driver or a scene: who is behind uses the newest one. Recorded frames wait.
 
     `sigma_mid` and `sigma_end` are the standard deviations of the noise at mid-range and at both
     ends, `f_min` the lower end of the range, 0 or less: below 0, noise around 0 is not clipped.

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 EVERY_FRAME, NEWEST = 0, 1
-"""Depths where the settings state none: of recordings and scenes, and of a live source."""
+"""Depths where the settings state none: of recorded frames, and of a live source."""
 
 
 class Reconstructor(Node[ReconstructorSettings]):

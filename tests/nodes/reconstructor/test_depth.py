@@ -162,16 +162,26 @@ def frames():
 
 
 @pytest.mark.parametrize(
-    ("source", "live"), [("pad:frames", True), ("scene:path_40", False), ("file:log.npy", False)]
+    ("source", "rate_hz", "live"),
+    [
+        ("pad:frames", None, True),
+        ("scene:path_40", None, True),
+        ("scene:path_40", 0.0, False),  # its readers set the pace
+        ("file:log.npy", None, False),
+        ("file:log.npy", 50.0, False),
+    ],
 )
-def test_a_skin_is_live_where_its_frames_do_not_wait(source, live, tmp_path, monkeypatch):
+def test_a_skin_is_live_where_a_clock_sets_the_pace(source, rate_hz, live, tmp_path, monkeypatch):
     (tmp_path / "pad.py").write_text(PAD)
     np.save(tmp_path / "log.npy", np.full((3, 8, 8), 0.5, np.float32))
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     unit = {"unit": "N"} if source.startswith("file") else {}
-    chosen = Sensor.Settings.from_mapping({"source": source, **unit})
+    chosen = Sensor.Settings.from_mapping({"source": source, "rate_hz": rate_hz, **unit})
     sensor = Sensor(chosen, Context("sensor", ManualClock(1)))
     (skin,) = sensor.start()
     assert skin.live is live
+    if source.startswith("scene"):
+        (again,) = sensor.change(chosen.changed({"rate_hz": 0.0 if live else 50.0}))
+        assert again.live is not live
     sensor.close({})
