@@ -1,7 +1,8 @@
 """Compressed sensing for robot tactile skins.
 
-The names below work on arrays, in one program, with no process and no socket. Each is imported
-when it is first used. The node set is in `sparseskin.nodes`, the launcher in `sparseskin.launch`.
+But for `subscribe`, which reads a running graph, the names below work on arrays, in one program,
+with no process and no socket. Each is imported when it is first used. The node set is in
+`sparseskin.nodes`, the launcher in `sparseskin.launch`.
 """
 
 import os

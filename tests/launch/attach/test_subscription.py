@@ -4,8 +4,10 @@ import asyncio
 import json
 import math
 import os
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ import sparseskin
 from sparseskin.messages import Contacts, Reconstruction, Taxels
 from sparseskin.nodes.network.sockets import NEWEST_ALONE, QUEUE_FRAMES, Reader, Writer
 
+PAGE = Path(__file__).parents[3] / "docs" / "howto" / "control_loop.md"
 bursts = st.lists(st.integers(1, QUEUE_FRAMES // 4), min_size=1, max_size=4)
 own_publisher = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -210,3 +213,17 @@ def test_forces_and_contacts_of_a_graph_in_a_loop(start, monkeypatch):
     assert isinstance(forces, Reconstruction)
     assert forces.forces.shape == (1, 40, 40)
     assert contacts.lost == frames.skipped == 0
+    n_calls = 0
+
+    class DoneError(Exception):
+        pass
+
+    def called(*_):
+        nonlocal n_calls
+        n_calls += 1
+        if n_calls == 20:
+            raise DoneError
+
+    (block,) = re.findall(r"^```py\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    with pytest.raises(DoneError):
+        exec(compile(block, PAGE.name, "exec"), {"hold": called, "act": called})
