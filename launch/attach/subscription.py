@@ -103,10 +103,12 @@ class Subscription:
 
     def __next__(self) -> Message:
         until_s = time.monotonic() + self._timeout_s
-        while (message := self._take()) is None:
+        message = self._take()
+        while message is None:
             if self._ended:
                 raise StopIteration
             self._stream.wait(self._wait_s(until_s))
+            message = self._take()
         return message
 
     async def __aenter__(self) -> Self:
@@ -122,11 +124,14 @@ class Subscription:
         import asyncio
 
         until_s = time.monotonic() + self._timeout_s
-        await asyncio.sleep(0)  # where messages always wait, other tasks run all the same
-        while (message := self._take()) is None:
+        # Other tasks run, too, where a message always waits.
+        await asyncio.sleep(0)
+        message = self._take()
+        while message is None:
             if self._ended:
                 raise StopAsyncIteration
             await self._readable(self._wait_s(until_s))
+            message = self._take()
         return message
 
     async def _readable(self, wait_s: float) -> None:
@@ -152,35 +157,40 @@ class Subscription:
     def _take(self) -> Message | None:
         """The next message that has come, or None; `_ended` is set where none will come."""
         while not self._ended:
-            if not self._arrivals and not self._receive():
+            if not self._arrivals:
+                self._receive()
+            if not self._arrivals:
                 return None
+
             arrival = self._arrivals.popleft()
             self._losses.add(arrival)
             if arrival.ends:
                 self.close()
                 return None
+
             try:
                 message = decode(arrival.topic, arrival.payload)
-            except MessageError:  # a later one may be well-formed
-                self._malformed += 1
+            except MessageError:
+                self._malformed += 1  # a later one may be well-formed
                 continue
+
             self.age_s = (arrival.at_ns - arrival.stamp_ns) / 1e9
             return message
         return None
 
-    def _receive(self) -> bool:
-        """Read what has come; False if nothing has."""
+    def _receive(self) -> None:
+        """Read what has come, and end where no more will."""
         # Looked at first: what the graph sent before its end is there then.
         has_ended = self._stream.graph_has_ended()
         arrivals = self._stream.read()
         if self._newest:
             # The end of the stream replaces no message.
             n_ends = sum(arrival.ends for arrival in arrivals)
-            arrivals = arrivals[max(0, len(arrivals) - n_ends - 1) :]
+            first = max(0, len(arrivals) - n_ends - 1)
+            arrivals = arrivals[first:]
         self._arrivals.extend(arrivals)
         if has_ended and not arrivals:
             self.close()
-        return bool(arrivals)
 
 
 def subscribe(
