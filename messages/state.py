@@ -25,6 +25,9 @@ class SkinState(Message):
     possible), and if /PATCH/truth and /PATCH/taxels are published (not those of a skin that is
     compressed outside the graph).
 
+    `live` is True where a clock sets the pace of frames that are no recorded ones, as those of a
+    board, a driver or a scene: who is behind uses the newest one. Recorded frames wait.
+
     `sigma_mid` and `sigma_end` are the standard deviations of the noise at mid-range and at both
     ends, `f_min` the lower end of the range, 0 or less: below 0, noise around 0 is not clipped.
     """
@@ -46,6 +49,7 @@ class SkinState(Message):
     sigma_end: float = wire(Real(0.0))
     has_taxels: bool = wire(Flag(), default=True, omitted=True)
     f_min: float = wire(Real(high=0.0), default=0.0, omitted=True)
+    live: bool = wire(Flag(), default=False, omitted=True)
     points: Floats | None = wire(
         Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6), default=None, omitted=True
     )

@@ -1,7 +1,8 @@
 """Compressed sensing for robot tactile skins.
 
-The names below work on arrays, in one program, with no process and no socket. Each is imported
-when it is first used. The node set is in `sparseskin.nodes`, the launcher in `sparseskin.launch`.
+But for `subscribe`, which reads a running graph, the names below work on arrays, in one program,
+with no process and no socket. Each is imported when it is first used. The node set is in
+`sparseskin.nodes`, the launcher in `sparseskin.launch`.
 """
 
 import os
@@ -16,11 +17,13 @@ if not os.path.isdir(os.path.join(_here, "launch")):
     __path__.append(os.path.dirname(_here))
 
 if TYPE_CHECKING:
+    from sparseskin.launch.attach.subscription import Subscription, subscribe
     from sparseskin.launch.launchfile.load import load as load_launch
     from sparseskin.nodes.compressor.phi.base import make_phi
     from sparseskin.nodes.errors import SparseskinError
     from sparseskin.nodes.reconstructor.bases.base import make_basis
     from sparseskin.nodes.reconstructor.contacts import find_contacts
+    from sparseskin.nodes.sensor.noise import NoiseModel
 
     from .arrays import (
         compress,
@@ -37,9 +40,10 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
-    "SparseskinError", "Stream", "__version__", "check_basis", "check_phi", "check_solver",
-    "compress", "find_contacts", "load_launch", "make_basis", "make_phi", "make_solver", "psnr_db",
-    "read_recording", "reconstruct", "run_launch", "simulate",
+    "NoiseModel", "SparseskinError", "Stream", "Subscription", "__version__", "check_basis",
+    "check_phi", "check_solver", "compress", "find_contacts", "load_launch", "make_basis",
+    "make_phi", "make_solver", "psnr_db", "read_recording", "reconstruct", "run_launch",
+    "simulate", "subscribe",
 ]  # fmt: skip
 
 #: Module of each name, where it is not `arrays`.
@@ -50,7 +54,10 @@ _HOMES = {
     "check_basis": "sparseskin.checks",
     "check_solver": "sparseskin.checks",
     "find_contacts": "sparseskin.nodes.reconstructor.contacts",
+    "NoiseModel": "sparseskin.nodes.sensor.noise",
     "SparseskinError": "sparseskin.nodes.errors",
+    "Subscription": "sparseskin.launch.attach.subscription",
+    "subscribe": "sparseskin.launch.attach.subscription",
     "Stream": "sparseskin.stream",
     "load_launch": "sparseskin.launch.launchfile.load",
 }

@@ -181,7 +181,7 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
         Forces, newtons, 0 or more; 0 where no taxel exists. `solver.reason` states why the last
         frame is not to be trusted, "" if it is, as in a graph; `solver.noise_sd` and
-        `solver.noise_model`, which the caller may set before the first frame, help it to see.
+        `solver.noise_model`, a `NoiseModel`, help it to see; set them before the first frame.
 
     Raises
     ------

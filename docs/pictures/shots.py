@@ -129,7 +129,7 @@ def contact(page: Any, folder: Path) -> None:
 def contacts(page: Any, folder: Path) -> None:
     """A plate and a peg slide over the skin: rings, trails, list, events."""
     (folder / "two_bodies.py").write_text(TWO_BODIES)
-    stated = ("contacts=true", "contact_over=50", "contact_slide=20", "depth=1")
+    stated = ("contacts=true", "contact_over=50", "contact_slide=20")
     settings = ("sensor.source=two_bodies:Bodies", "sensor.rate_hz=20")
     named = (f"reconstructor.{setting}" for setting in stated)
     with launched(page, folder, "replay", *settings, *named):

@@ -72,7 +72,10 @@ def find_topic(graph: RunningGraph, name: str) -> str:
     read = topics_of(describe(graph))
     if name in read or f"/{name}" in read:
         raise GraphError(f"{name}: is published on another host; look at it there")
-    raise GraphError(f"{name}: {graph.label} has no such topic{did_you_mean(name, writers)}")
+    hint = did_you_mean(name, writers)
+    if name.endswith("/contacts"):
+        hint = "; start it with reconstructor.contacts=true"
+    raise GraphError(f"{name}: {graph.label} has no such topic{hint}")
 
 
 def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> str:

@@ -23,7 +23,7 @@ from sparseskin.messages.wire import Payload
 from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.network.keys import read_key_pair
-from sparseskin.nodes.network.sockets import QUEUE_FRAMES, Reader, make_context
+from sparseskin.nodes.network.sockets import NEWEST_ALONE, QUEUE_FRAMES, Reader, make_context
 
 from .client import describe, topics_of
 from .text import flowing
@@ -89,17 +89,25 @@ class TopicStream:
     wire form, which are left out, `interrupted` is True once SIGINT or SIGTERM came.
 
     Messages may wait `patience_s` seconds to be read together; where more than `QUEUE_FRAMES` are
-    sent meanwhile, those beyond are lost. Raises KeyFileError if the graph asks for a key that this
-    user may not read.
+    sent meanwhile, those beyond are lost. Of one topic, `newest` keeps the newest message alone.
+    Raises KeyFileError if the graph asks for a key that this user may not read.
     """
 
-    def __init__(self, graph: RunningGraph, *topics: str, patience_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        graph: RunningGraph,
+        *topics: str,
+        patience_s: float = 0.0,
+        newest: bool = False,
+    ) -> None:
         self._graph = graph
         self._patience_s = patience_s
         self._clock = SystemClock(graph.offset_ns)
         self._context = make_context()
         keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
         ahead = READ_AHEAD if patience_s else QUEUE_FRAMES
+        if newest:
+            ahead = NEWEST_ALONE
         options: dict[str, Any] = {"present": False, "keys": keys, "read_ahead": ahead}
         self._reader = Reader(self._context, f"observer_{os.getpid()}", (), topics, **options)
         writers = graph.writers()
@@ -108,8 +116,32 @@ class TopicStream:
             self._reader.connect(node.endpoint, node.key)
         self._least_age_ns: float = math.inf
         self._drained = False
+        self._look_at_s = time.monotonic()
         self.unreadable = 0
         self.interrupted = False
+
+    @property
+    def descriptor(self) -> int:
+        """File that is readable when something may have come, for an event loop: zmq_getsockopt(3),
+        ZMQ_FD. All messages are read before it is waited for.
+        """
+        return self._reader.socket.fileno()
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until a message is there, at most `timeout_s` seconds."""
+        self._reader.socket.poll(math.ceil(1e3 * timeout_s))
+
+    def read(self) -> list[Arrival]:
+        """The messages that are there, at once; at most `BATCH`."""
+        return self._read()
+
+    def graph_has_ended(self) -> bool:
+        """True if the graph no longer runs: looked at every `LOOK_S` seconds."""
+        now_s = time.monotonic()
+        if now_s < self._look_at_s:
+            return False
+        self._look_at_s = now_s + LOOK_S
+        return not is_running(self._graph)
 
     def __enter__(self) -> Self:
         self._handlers = {
@@ -131,16 +163,14 @@ class TopicStream:
         """Yield the messages since the last batch, every 100 ms or sooner, later where it is
         patient, until `duration_s` is over, an interrupt comes or the graph ends.
         """
-        began_s = look_at_s = time.monotonic()
+        began_s = time.monotonic()
         while not self.interrupted:
             now_s = time.monotonic()
             if duration_s is not None and now_s - began_s >= duration_s:
                 return
-            if now_s >= look_at_s:
-                look_at_s = now_s + LOOK_S
-                if not is_running(self._graph):
-                    yield self._read()
-                    return
+            if self.graph_has_ended():
+                yield self._read()
+                return
             left_s = math.inf if duration_s is None else began_s + duration_s - now_s
             timeout_ms = max(1, round(min(POLL_MS, 1e3 * left_s)))
             came_ns, is_idle = None, self._drained and not self._reader.socket.poll(0)

@@ -74,8 +74,8 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    """Describe one topic: its publisher, how many messages each subscriber received and lost (as of
-    half a second ago at most), the fields of its schema.
+    """Describe one topic: its publisher and where that sends, how many messages each subscriber
+    received and lost (as of half a second ago at most), the fields of its schema.
     """
     from sparseskin.messages.base import wire_fields
     from sparseskin.messages.wire import SCHEMAS
@@ -90,12 +90,15 @@ def _info(arguments: argparse.Namespace) -> int:
         "about": about(cls),
         "kind": "state: latched" if topic["latched"] else "a stream",
         "publisher": f"{topic['publisher']}, {topic['sent']} sent",
+        "address": graph.nodes[topic["publisher"]].endpoint,
+        "clock offset": f"{graph.offset_ns} ns",
     }
     readers = [[one["node"], *(one[what] for what in COUNTED)] for one in topic["subscribers"]]
     lines = [name, *facts(named, "  "), ""]
     lines += table(["SUBSCRIBER", *(what.upper() for what in COUNTED)], readers, "  ")
     lines += ["", *table(["FIELD", "TYPE"], list(fields.items()), "  ")]
     described = {"graph": graph.label, **topic, "version": cls.version, "about": about(cls)}
+    described |= {"address": named["address"], "clock_offset_ns": graph.offset_ns}
     return show(arguments, "topic-info", {**described, "fields": fields}, lines)
 
 

@@ -53,6 +53,8 @@ MAX_EVENTS = 1000
 """Largest number of subscriptions, or of events of connections, between two looks at messages."""
 QUEUE_FRAMES = 1000
 """High-water mark of each queue: one second at 1 kHz before messages are dropped and counted."""
+NEWEST_ALONE = 0
+"""A `read_ahead` with which the newest message replaces all that wait."""
 HANDSHAKE_MS = 2000
 """Longest handshake; ZeroMQ's default of 30 s would hide a wrong key."""
 OVER_NETWORK_MS = {
@@ -258,7 +260,8 @@ class Reader:
 
     Writers know it by its name, and wait for it as they start, if it is `present`; none that
     follows its readers waits for one that `observes`. `keys` are those of this host, for writers
-    that need them. Of `read_ahead` messages of a writer, further ones wait at the writer.
+    that need them. Of `read_ahead` messages of a writer, further ones wait at the writer; with
+    `NEWEST_ALONE` none waits: such a reader has one topic, and is not present.
     """
 
     def __init__(
@@ -273,7 +276,9 @@ class Reader:
         observes: bool = False,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
-        _set_options(self.socket, {zmq.RCVHWM: read_ahead, zmq.MAXMSGSIZE: MAX_MESSAGE_BYTES})
+        # Conflation keeps one subscription of several, too.
+        queue = {zmq.RCVHWM: read_ahead} if read_ahead != NEWEST_ALONE else {zmq.CONFLATE: 1}
+        _set_options(self.socket, {**queue, zmq.MAXMSGSIZE: MAX_MESSAGE_BYTES})
         self._topics = {topic.encode() for topic in topics}
         self._tag = PRESENCE + (OBSERVER if observes else "").encode() + name.encode()
         self._queue: deque[tuple[bytes, Payload]] = deque()

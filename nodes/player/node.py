@@ -286,7 +286,9 @@ class Player(SourceNode[PlayerSettings]):
             raise SparseskinError(f"{self.settings.file}: {topic}: {error}") from error
         if isinstance(message, SkinState):
             truth = topic_of(split_topic(topic)[0], Truth.schema)
-            message = replace(message, has_truth=message.has_truth and truth in self._names)
+            has_truth = message.has_truth and truth in self._names
+            # Recorded frames wait, whatever they were when they were sensed.
+            message = replace(message, has_truth=has_truth, live=False)
         patch = split_topic(self._names[topic])[0]
         return message if patch == message.patch else replace(message, patch=patch)
 

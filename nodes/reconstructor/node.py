@@ -47,6 +47,10 @@ if TYPE_CHECKING:
     from .idle import IdleWatch
 
 
+EVERY_FRAME, NEWEST = 0, 1
+"""Depths where the settings state none: of recorded frames, and of a live source."""
+
+
 class Reconstructor(Node[ReconstructorSettings]):
     """Publishes /PATCH/solver once it knows skin and Phi, then /PATCH/reconstruction and, of each
     of them, /PATCH/contacts.
@@ -100,7 +104,9 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     @property
     def depth(self) -> int:
-        return self.settings.depth
+        if self.settings.depth is not None:
+            return self.settings.depth
+        return NEWEST if self._skin is not None and self._skin.live else EVERY_FRAME
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, Measurements):
@@ -142,6 +148,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         chosen, preset = self.settings.chosen(), self.settings.preset
         state: dict[str, Any] = {
             "left_out": self._left_out,
+            "depth": self.depth,
             "swamped": any(patch.faults.swamped for patch in self._patches),
             "faulty_taxels": self._patches[0].faults.taxels,
         }

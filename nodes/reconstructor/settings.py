@@ -97,10 +97,11 @@ class ReconstructorSettings(PatchesSettings):
         high=60_000.0,
         live=True,
     )
-    depth: int = setting(
-        0,
+    depth: int | None = setting(
+        None,
         "most measurements that may wait: older ones are skipped and counted, so that no old frame "
-        "is reconstructed; 0: every frame is reconstructed. Nothing is skipped where the source "
+        "is reconstructed; 0: every frame is reconstructed; not stated: 1 where a clock sets the "
+        "pace (a board, a driver, a scene), 0 for recordings. Nothing is skipped where the source "
         "waits for its readers",
         low=0,
         high=1000,

@@ -152,6 +152,12 @@ class Sensor(SourceNode[SensorSettings]):
         # What arrives does not wait: its frames would be lost where nobody counts them.
         return super().follows_readers and not self._source.arrives
 
+    @property
+    def _is_of_now(self) -> bool:
+        """True if a clock sets the pace of frames that are no recorded ones."""
+        source = self._source
+        return source.is_live or (source.simulates and self.rate_hz > 0)
+
     def _describe(self) -> SkinState:
         self._readings.is_news = False
         has_truth, noise = self._source.delivers == "truth", self._noise
@@ -167,6 +173,7 @@ class Sensor(SourceNode[SensorSettings]):
             seed=self.settings.seed,
             rate_hz=self.rate_hz,
             has_truth=has_truth,
+            live=self._is_of_now,
             sigma_mid=sigma_mid,
             sigma_end=sigma_end,
             f_min=self._f_min,

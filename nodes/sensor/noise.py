@@ -37,15 +37,30 @@ class NoiseModel:
     """Zero-mean normal noise whose sigma depends on the force, clipped to [0, f_max].
 
     Clipping makes untouched taxels read sigma_end / sqrt(2 pi) = 0.4 sigma_end too high on average.
-    Raises SettingsError if a parameter is not finite or outside its range.
+
+    Parameters
+    ----------
+    f_max : float
+        Upper end of the range, in the unit of the forces, above 0.
+    sigma_mid, sigma_end : float
+        Standard deviation at mid-range and at both ends, in the same unit, in [0, f_max].
+    clips : bool
+        True if readings are clipped at 0; those of `apply` always are.
+    of_touched : bool
+        True if taxels that nothing touches are not read: `variance` is 0 there.
+
+    Raises
+    ------
+    SettingsError
+        If a parameter is not finite or outside its range.
     """
 
-    f_max: float = PAPER_F_MAX_N  # upper end of the range, in the unit of the forces, above 0
-    sigma_mid: float = PAPER_SIGMA_MID_N  # standard deviation at mid-range, in [0, f_max]
-    sigma_end: float = PAPER_SIGMA_END_N  # the same at both ends
+    f_max: float = PAPER_F_MAX_N
+    sigma_mid: float = PAPER_SIGMA_MID_N
+    sigma_end: float = PAPER_SIGMA_END_N
     _: KW_ONLY
-    clips: bool = True  # readings are clipped at 0; those of `apply` always are
-    of_touched: bool = False  # taxels that nothing touches are not read: `variance` is 0 there
+    clips: bool = True
+    of_touched: bool = False
 
     def __post_init__(self) -> None:
         most = f"0 to f_max = {self.f_max!r}, both included"

@@ -40,6 +40,7 @@ class Source:
     n_frames: int | None = None  # None: endless
     is_live: bool = False  # a frame is of the time at which it is read; others are read ahead
     arrives: bool = False  # frames arrive whether or not they are read; `next_frame` states when
+    simulates: bool = False  # frames are made for the time at which they are sent, as by a scene
     on_points: bool = False  # frames of a skin of points are on its virtual grid already
     ended: bool = False  # `next_frame` has found that there is no frame any more
     f_min: float = 0.0  # lower end of the range, 0 or less, in the unit of the skin

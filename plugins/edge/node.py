@@ -146,6 +146,7 @@ class Edge(SourceNode[EdgeSettings]):
             rate_hz=0.0,
             has_truth=False,
             has_taxels=False,
+            live=True,
             sigma_mid=0.0,
             sigma_end=0.0,
         )
@@ -161,6 +162,11 @@ class Edge(SourceNode[EdgeSettings]):
             rows=d.rows,
             rule=d.rule,
         )
+
+    @property
+    def follows_readers(self) -> bool:
+        # What arrives does not wait: its frames would be lost where nobody counts them.
+        return False
 
     def tick(self, tick: Tick) -> Iterable[Message]:
         found = self._wire.next_payload(WAIT_S)

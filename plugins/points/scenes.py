@@ -89,6 +89,7 @@ class PointScene(Source):
     """
 
     delivers = "truth"
+    simulates = True
     on_points = True
 
     def __init__(self, name: str, placement: Placement, seed: int) -> None:

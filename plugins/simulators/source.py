@@ -40,6 +40,7 @@ class MujocoSource(Source):
     """
 
     delivers = "truth"
+    simulates = True
 
     def __init__(
         self,

@@ -192,7 +192,7 @@ def graph_text(graph: Mapping[str, Any] | None = None, **changed: Mapping[str, A
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"source": "scene:path_40", "rate_hz": RATE_HZ},
         "compressor": {"rows": FIXED},
-        "reconstructor": {"preset": "skin"},
+        "reconstructor": {"preset": "skin", "depth": 0},
         "monitor": {"page": False},
     }
     nodes = {name: {**settings, **changed.get(name, {})} for name, settings in nodes.items()}

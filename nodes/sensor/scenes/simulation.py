@@ -136,6 +136,7 @@ class SceneSource(Source):
     """
 
     delivers = "truth"
+    simulates = True
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene = scene

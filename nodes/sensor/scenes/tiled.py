@@ -66,6 +66,7 @@ class TiledScene(Source):
     """
 
     delivers = "truth"
+    simulates = True
     on_points = True
 
     def __init__(

@@ -13,7 +13,8 @@ from processes import SENSOR
 from sparseskin.launch.launchfile.load import BUNDLED
 from sparseskin.messages import Reconstruction
 
-SLOWLY = ("--set", "sensor.rate_hz=20", "--set", "reconstructor.iterations=3")
+EVERY_FRAME = ("--set", "reconstructor.depth=0")
+SLOWLY = ("--set", "sensor.rate_hz=20", "--set", "reconstructor.iterations=3", *EVERY_FRAME)
 NONE_MISSING = {"skipped": 0, "lost": 0, "unpaired": 0}
 TAP = """
 import numpy as np
@@ -113,7 +114,7 @@ def test_over_any_transport_the_forces_are_the_same_bits(start, tmp_path, transp
     # Live, the host's speed would choose their number.
     iterations = ["reconstructor.iterations=8"]
     start(
-        *("launch", "tapped.toml", "--frames", "150", "--set", *iterations),
+        *("launch", "tapped.toml", "--frames", "150", "--set", *iterations, *EVERY_FRAME),
         environment={"SPARSESKIN_FAST": "auto"},
     ).ended()
     between_processes = np.load(tmp_path / "tap.npy")
@@ -225,7 +226,7 @@ def test_a_run_in_which_a_node_raised_errors_is_no_success(start, tmp_path):
     (tmp_path / "own.toml").write_text(text.read_text() + '\n[nodes.own]\ntype = "mine:Tap"\n')
     stdout, stderr = start(
         *("launch", "own.toml", "--frames", "20", "--summary", "out.json"),
-        *("--set", "graph.log_dir=logs", "--set", "monitor.page=false"),
+        *("--set", "graph.log_dir=logs", "--set", "monitor.page=false", *EVERY_FRAME),
     ).ended(1)
     assert "reconstructed 20, lost 0" in stdout
     assert f"[own] failed: ValueError: \\x1b[2Jno\\x07 (mine.py:{number})\n" in stderr

@@ -183,7 +183,7 @@ skin.body = "body.toml"
 [nodes]
 sensor = {{ type = "sensor", source = "scene:lying", rate_hz = 20 }}
 compressor.type = "compressor"
-reconstructor.type = "reconstructor"
+reconstructor = {{ type = "reconstructor", depth = 0 }}
 monitor = {{ type = "monitor", host = "desk", page = false }}
 """
 

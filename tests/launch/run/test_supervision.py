@@ -102,6 +102,7 @@ def launched(start, tmp_path, keys, *arguments):
     program = start(
         *("launch", "graph.toml", "--frames", "1000", "--summary", "out.json"),
         *("--set", "monitor.page=false", "--set", "reconstructor.iterations=3", *arguments),
+        *("--set", "reconstructor.depth=0"),
     )
     program.wait_for("[launch] ready")
     return program

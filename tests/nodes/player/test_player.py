@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bags import MASK, PERIOD_NS, chain, launched, make_bag, skin_state
+from bags import MASK, PERIOD_NS, chain, frames, launched, make_bag, skin_state
 from damaged import launch_faults
 
 from sparseskin.messages import Measurements, PhiState, Reconstruction, decode, encode
@@ -235,3 +235,11 @@ def test_targets_are_absolute_and_a_change_of_rate_while_paused_keeps_the_positi
     assert schedule.due_ns(40 * MS) is None
     schedule.toggle_pause(now_ns=100 * MS)
     assert (schedule.due_ns(40 * MS), schedule.due_ns(80 * MS)) == (100 * MS, 110 * MS)
+
+
+def test_frames_of_a_board_wait_when_they_are_played(tmp_path):
+    path = tmp_path / "live.mcap"
+    make_bag(path, [skin_state(live=True), *frames(2)[1:]])
+    node = player(path)
+    (skin,) = [state for state in node.start() if state.schema == "skin"]
+    assert skin.live is False

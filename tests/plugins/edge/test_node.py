@@ -173,6 +173,7 @@ def test_its_frames_are_recorded_with_their_bits_and_reconstructed(start, tmp_pa
             *("launch", "edge", "--frames", str(N_FRAMES), "--record", "out.mcap"),
             *("--set", f"edge.source=serial:{os.ttyname(host)}"),
             *("--set", f"edge.description={out / 'edge.toml'}"),
+            *("--set", "reconstructor.depth=0"),  # frames come as fast as they are read
             *("--set", "monitor.page=false"),
         )
         program.wait_for("[launch] ready")

@@ -323,6 +323,7 @@ def test_a_colour_range_grows_at_once_and_shrinks_after_a_while(page):
 def test_the_numbers_of_the_page_are_those_of_the_summary(start, page, tmp_path):
     summary = tmp_path / "summary.json"
     settings = ("--set", "sensor.rate_hz=30", "--frames", "450", "--summary", str(summary))
+    settings += ("--set", "reconstructor.depth=0")
     open_page(start, page, "drag_wrench_40", *settings).ended()
     wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end on the page")
     assert "The graph has ended: nothing can be set." in text(page, "#controls")
@@ -379,7 +380,8 @@ def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(start, page, tmp_pa
 
 
 def test_a_replay_is_paused_stepped_and_sought(start, page, tmp_path):
-    program = start("launch", "path_40", "--frames", "300", "--record", "path.mcap")
+    every = ("--set", "reconstructor.depth=0")
+    program = start("launch", "path_40", "--frames", "300", "--record", "path.mcap", *every)
     assert program.finish()[0] == 0
     with BagReader(tmp_path / "path.mcap") as bag:
         # On a busy host they are not 5 ms apart.

@@ -1,0 +1,34 @@
+// Prints the age of each contact message that is read, the newest ones, for some seconds:
+//
+//     g++ -std=c++17 -O2 ages.cpp -o ages -lzmq
+//     ./ages ADDRESS OFFSET_NS SECONDS
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <vector>
+
+#include "sparseskin.hpp"
+
+int main(int n_arguments, char** arguments) {
+    if (n_arguments != 4) {
+        std::fprintf(stderr, "usage: %s ADDRESS OFFSET_NS SECONDS\n", arguments[0]);
+        return 2;
+    }
+    const std::int64_t offset_ns = std::atoll(arguments[2]);
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(std::atoi(arguments[3]));
+    std::vector<double> ages_ms;
+    try {
+        sparseskin::Reader<sparseskin::Contacts> reader(arguments[1], "/skin/contacts", true);
+        sparseskin::Contacts contacts;
+        while (std::chrono::steady_clock::now() < end) {
+            const sparseskin::Status status = reader.next(contacts, 100);
+            if (status == sparseskin::Status::ended) break;
+            if (status == sparseskin::Status::timeout) continue;
+            ages_ms.push_back(1e3 * sparseskin::age_s(contacts, offset_ns));
+        }
+    } catch (const sparseskin::Error& error) {
+        std::fprintf(stderr, "%s\n", error.what());
+        return 1;
+    }
+    for (const double age_ms : ages_ms) std::printf("%.4f\n", age_ms);
+}

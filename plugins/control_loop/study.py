@@ -1,0 +1,196 @@
+"""Study `control-loop`: the age of forces in a loop, by the way in which it gets them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pandas as pd
+
+from sparseskin import nodes
+from sparseskin.launch.attach.client import ask_node, stop
+from sparseskin.launch.run.running import RunningGraph, choose_graph
+from sparseskin.studies.points import StudyError
+from sparseskin.studies.report import Page, markdown
+
+from .ages import CONTACTS, DOMAIN, LOOPBACK, RATE_HZ
+
+WAYS = {
+    "stream": "`Stream` in the process (forces, no contacts)",
+    "cpp": "C++, the newest",
+    "subscribe": "`subscribe(newest=True)`",
+    "ros2": "ROS 2 bridge, by DDS",
+    "echo": "`topic echo --json`, by a pipe",
+}
+N_ROUNDS, ROUND_S = 10, 20
+QUICK_ROUNDS, QUICK_S = 2, 6
+WARM_UP_S = 3
+"""First seconds of each round, left out: a program imports, compiles and fills its caches."""
+COMPARED = "echo"
+"""The way with whose p50 in the same round each other one is compared."""
+GRAPH = f"""\
+[nodes.sensor]
+type = "sensor"
+source = "sparseskin.studies.looped:path_40"
+rate_hz = {RATE_HZ}
+
+[nodes.compressor]
+type = "compressor"
+
+[nodes.reconstructor]
+type = "reconstructor"
+contacts = true
+"""
+
+
+def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
+    """Measure the ages, write the page and return its conclusion; see `command.Study`. They are
+    measured anew each time, on this host; neither `seed` nor `executor` is used.
+    """
+    n_rounds = QUICK_ROUNDS if quick else N_ROUNDS
+    seconds = QUICK_S if quick else ROUND_S
+    rows = []
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sparseskin-loop-")))
+        graph = stack.enter_context(running(folder))
+        commands, absent = ways(folder, graph, seconds)
+        if "ros2" in commands:
+            stack.enter_context(bridge(folder))
+        for number in range(n_rounds):
+            for way, words in commands.items():
+                # Nothing else runs beside a loop that has the skin in its own process.
+                ask_node(graph, "sensor", "pause", way == "stream")
+                for age_ms in ages_of(way, words, folder):
+                    rows.append({"round": number, "way": way, "age_ms": age_ms})
+    table = summary(pd.DataFrame(rows))
+    page = Page(out, "control-loop", Path(__file__).with_suffix(".md"), quick)
+    cores = len(os.sched_getaffinity(0))
+    page.section(
+        "",
+        markdown(table, {"p50, ms": ".2f", "p99, ms": ".2f", "p50 to echo": ".3f"}),
+        **{"rate_hz": RATE_HZ, "n_rounds": n_rounds, "seconds": seconds, "cores": cores},
+        warm_up=WARM_UP_S,
+        absent="; ".join(absent) or "none",
+    )
+    page.csv("ages", rows)
+    lines = [
+        f"{row['way']}: p50 {row['p50, ms']:.2f} ms, p99 {row['p99, ms']:.2f} ms."
+        for row in table.to_dict("records")
+    ]
+    page.write(lines)
+    return lines
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[RunningGraph]:
+    """A graph of the study, in a runtime folder of its own."""
+    (folder / "loop.toml").write_text(GRAPH)
+    before = os.environ.get("SPARSESKIN_RUNTIME_DIR")
+    os.environ["SPARSESKIN_RUNTIME_DIR"] = str(folder / "graphs")
+    words = [sys.executable, "-m", "sparseskin", "launch", "loop.toml"]
+    with subprocess.Popen(words, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stderr is not None
+            if not any("[launch] ready" in line for line in process.stderr):
+                raise StudyError(f"the graph ended with {process.wait()} before it was ready")
+            # What it logs later is read, lest it waits for a reader.
+            Thread(target=process.stderr.read, daemon=True).start()
+            graph = choose_graph(None)
+            yield graph
+            stop(graph)
+        finally:
+            process.terminate()
+            if before is None:
+                del os.environ["SPARSESKIN_RUNTIME_DIR"]
+            else:
+                os.environ["SPARSESKIN_RUNTIME_DIR"] = before
+
+
+@contextmanager
+def bridge(folder: Path) -> Iterator[None]:
+    """The bridge to ROS 2, on the loopback interface alone."""
+    words = [sys.executable, "-m", "sparseskin", "bridge", "ros2", "--set", f"domain={DOMAIN}"]
+    words += ["--set", f"interface={LOOPBACK}", "--set", 'maps=["reconstruction"]']
+    log = (folder / "bridge.log").open("w")
+    with log, subprocess.Popen(words, cwd=folder, stdout=log, stderr=log) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
+
+
+def ways(folder: Path, graph: RunningGraph, seconds: int) -> tuple[dict[str, list[str]], list[str]]:
+    """Command of each way that this host has, and why it lacks the others."""
+    commands: dict[str, list[str]] = {}
+    absent: list[str] = []
+    for way in WAYS:
+        if way == "cpp":
+            program, why = compiled(folder)
+            endpoint = graph.nodes[graph.writers()[CONTACTS]].endpoint
+            words = [program, endpoint, str(graph.offset_ns), str(seconds)]
+        else:
+            lacking = way == "ros2" and find_spec("cyclonedds") is None
+            why = "cyclonedds is not installed" if lacking else ""
+            module = f"{__package__}.ages"
+            words = [sys.executable, "-m", module, way, str(seconds)]
+        if why:
+            absent.append(f"{WAYS[way]}: {why}")
+        else:
+            commands[way] = words
+    return commands, absent
+
+
+def compiled(folder: Path) -> tuple[str, str]:
+    """The program in C++ that reads contacts; and why there is none, "" if there is one."""
+    sources = Path(nodes.__path__[0]).resolve().parent / "examples" / "cpp"
+    if not sources.is_dir():
+        return "", "is in the repository, not in the package"
+    if shutil.which("g++") is None:
+        return "", "g++ is not installed"
+    program = str(folder / "ages")
+    words = ["g++", "-std=c++17", "-O2", str(sources / "ages.cpp"), "-o", program, "-lzmq"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return program, "libzmq3-dev is not installed" if done.returncode else ""
+
+
+def ages_of(way: str, words: list[str], folder: Path) -> list[float]:
+    """Ages that a program prints, ms, without those of its first `WARM_UP_S` seconds."""
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    ages_ms = [float(line) for line in done.stdout.split()]
+    n_first = WARM_UP_S * RATE_HZ if way != "echo" else RATE_HZ
+    if done.returncode or len(ages_ms) < 2:
+        raise StudyError(f"{WAYS[way]}: ended with {done.returncode}: {done.stderr[-500:]}")
+    return ages_ms[min(n_first, len(ages_ms) // 2) :]
+
+
+def summary(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row for each way: quantiles of the ages of all rounds; mean over the rounds of its p50 in
+    parts of that of `COMPARED`.
+    """
+    p50s = rows.groupby(["way", "round"])["age_ms"].median().unstack("round")
+    found = []
+    for way, text in WAYS.items():
+        if way not in p50s.index:
+            continue
+        ages_ms = rows.loc[rows["way"] == way, "age_ms"]
+        ratio = float(np.mean(p50s.loc[way] / p50s.loc[COMPARED]))
+        p50, p99 = np.quantile(ages_ms, [0.5, 0.99])
+        found.append(
+            {
+                "way": text,
+                "p50, ms": float(p50),
+                "p99, ms": float(p99),
+                "p50 to echo": ratio,
+                "messages": len(ages_ms),
+            }
+        )
+    return pd.DataFrame(found)
