@@ -75,6 +75,8 @@ class Patch:
         self._believed: Floats | None = None
         self._found = ""
         self._f_max = 0.0
+        #: Why the sensor does not trust the readings of the next frame; "" if it does.
+        self.sensed = ""
         self._missing: Mask | None = None
         self._blind = False  # a reading is missing whose neighbours are missing, too
         self._subsets: list[Phi] = []
@@ -251,9 +253,11 @@ class Patch:
 
     def _reason(self, of_frame: str) -> str:
         """Why the frame is not to be trusted; "" if it is. `of_frame` is what was found of it."""
-        if self._blind and of_frame not in OF_MEASUREMENTS:
-            return Reason.MISSING
-        return of_frame
+        if of_frame in OF_MEASUREMENTS:
+            return of_frame
+        if self.sensed:
+            return self.sensed
+        return Reason.MISSING if self._blind else of_frame
 
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""

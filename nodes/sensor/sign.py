@@ -1,0 +1,110 @@
+"""Sign: whether readings rise with force, or fall below those at rest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.text import printable
+from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.touch import DIFFERENCE, touch_level
+
+from .files.recording import ADD
+
+SIGMAS = 6.0
+"""Standard deviations of noise that no reading of an untouched taxel falls below. Chosen: one in
+10^9 does."""
+UNKNOWN = 0.01
+"""Least fall in parts of f_max where the noise is not known. Chosen: a count of a converter of 7
+bits, whose noise may hide between its steps."""
+MAD_TO_SD = 1.4826
+"""Standard deviation of normal noise in its median absolute deviation. Derived."""
+TOGETHER = 2
+"""Taxels that fall together: a single one may be broken. Chosen."""
+FALLS = 10
+"""Falls of taxels from which on all frames are in doubt. Chosen: two presses of a finger."""
+FALLS_PER_RISE = 3.0
+"""Falls for each rise from which on readings fall. Chosen: after a press, readings may swing below
+those at rest for a while, but each of them has risen before."""
+
+
+class Sign:
+    """Notices readings that fall below 0, the reading at rest, where hardly any rises above it.
+
+    A fall is the first frame of a taxel below 0 by more than noise, a rise is one above it. Frames
+    are in doubt where `TOGETHER` taxels or more are below, and all once there were `FALLS`, as long
+    as there is not a rise for each `FALLS_PER_RISE` falls.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames, as where the reading at rest is another."""
+        self.n_falls = 0
+        self.n_rises = 0
+        self.lowest = 0.0
+        self._n_below = 0
+        self._below: Mask = np.zeros(0, np.bool_)
+        self._above: Mask = np.zeros(0, np.bool_)
+
+    @property
+    def falls(self) -> bool:
+        """True if the last frame is in doubt."""
+        if self.n_falls <= FALLS_PER_RISE * self.n_rises:
+            return False
+        return self._n_below >= TOGETHER or self.is_found
+
+    @property
+    def is_found(self) -> bool:
+        """True if all frames are in doubt."""
+        return self.n_falls >= max(FALLS, FALLS_PER_RISE * self.n_rises + 1)
+
+    def line(self, unit: str, invert: str) -> str:
+        """What was found, and the setting that answers it, behind `ADD`; `invert` is its value."""
+        depth = f"{-self.lowest:.3g} {printable(unit)}"
+        found = f"{self.n_falls} taxels fell by up to {depth} below rest, {self.n_rises} rose"
+        return f"{found}{ADD}invert={invert} if a press moves them so, else take a tare"
+
+    def update(self, readings: npt.NDArray[Any], low: float, margin: float) -> None:
+        """Add a frame, (rows, cols), NaN where a reading is missing; `low` is the lower end of the
+        range, 0 or less, `margin` what noise may exceed.
+        """
+        below = readings < low - margin
+        above = readings > margin
+        if self._below.shape != below.shape:
+            self._below = np.zeros_like(below)
+            self._above = np.zeros_like(below)
+        self.n_rises += int(np.count_nonzero(above & ~self._above))
+        self._n_below = int(np.count_nonzero(below))
+        if self._n_below:
+            self.n_falls += int(np.count_nonzero(below & ~self._below))
+            self.lowest = min(self.lowest, float(np.nanmin(readings)))
+        self._below = below
+        self._above = above
+
+
+class Margin:
+    """What the noise of readings may exceed an end of the range by."""
+
+    def __init__(self) -> None:
+        self._last: npt.NDArray[Any] | None = None
+
+    def of(self, readings: npt.NDArray[Any], f_max: float, noise: float | None) -> float:
+        """Margin of a frame, in its unit; `noise` is its standard deviation, None if not known:
+        then it is the less of what the frame shows over its taxels, and since the one before.
+        """
+        if noise is not None:
+            return touch_level(noise, f_max, SIGMAS)
+        values = readings[np.isfinite(readings)]
+        spread = 0.0
+        if values.size:
+            spread = MAD_TO_SD * float(np.median(np.abs(values - np.median(values))))
+        last, self._last = self._last, readings.copy()
+        if last is not None and last.shape == readings.shape:
+            changes = np.abs(readings - last)
+            change = float(np.nanmedian(changes)) / DIFFERENCE if values.size else 0.0
+            spread = min(spread, change) if change == change else spread
+        return max(SIGMAS * spread, UNKNOWN * f_max)
