@@ -87,6 +87,17 @@ class Reason(StrEnum):
     )
 
 
+OF_MEASUREMENTS = (Reason.CONSTANT, Reason.FROZEN, Reason.CLIPPED)
+"""Reasons that measurements show as they are received: they come before others."""
+
+
+def first_reason(of_frame: str, of_readings: str) -> str:
+    """The reason of a frame: `of_frame` is what its measurements and forces show, `of_readings`
+    what the sensor states of its readings; "" if there is none.
+    """
+    return of_frame if of_frame in OF_MEASUREMENTS else of_readings or of_frame
+
+
 _REASONS = {reason.value: reason for reason in Reason}
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sparseskin.messages import PhiState, Reason, SkinState
+from sparseskin.messages.reasons import first_reason
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
@@ -40,10 +41,6 @@ from .settings import PRESETS, ReconstructorSettings
 
 if TYPE_CHECKING:
     from .contact_tracks import ContactTracker, Followed
-
-
-OF_MEASUREMENTS = (Reason.CONSTANT, Reason.FROZEN, Reason.CLIPPED)
-"""Reasons that measurements show as they are received: they come before others."""
 
 
 class Solved(NamedTuple):
@@ -253,11 +250,8 @@ class Patch:
 
     def _reason(self, of_frame: str) -> str:
         """Why the frame is not to be trusted; "" if it is. `of_frame` is what was found of it."""
-        if of_frame in OF_MEASUREMENTS:
-            return of_frame
-        if self.sensed:
-            return self.sensed
-        return Reason.MISSING if self._blind else of_frame
+        of_readings = Reason.MISSING if self._blind and not self.sensed else self.sensed
+        return first_reason(of_frame, of_readings)
 
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""

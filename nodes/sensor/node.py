@@ -87,6 +87,8 @@ class Sensor(SourceNode[SensorSettings]):
         self._described_changes = bool(self._described and self._described.changes_readings)
         self._said_sign = False
         self._line = ""  # on rest and sign, as it was logged last
+        if self._source.is_live:
+            self._source.clipped.mask = skin.mask
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._clock = self._source.clock if settings.clock == "source" else None

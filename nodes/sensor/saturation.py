@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from sparseskin.messages import Reason
 from sparseskin.messages.text import printable
+from sparseskin.nodes.numerics.arrays import Mask
 
 from .sign import Margin, Sign
 
@@ -29,6 +30,7 @@ class Clipped:
     lowest: float = math.inf  # of the frames that had such, before they were clipped
     highest: float = -math.inf
     n_now: int = field(default=0, compare=False)  # of the last frame, by more than its noise
+    mask: Mask | None = field(default=None, compare=False)  # True where a taxel exists; None: all
     sign: Sign = field(default_factory=Sign, compare=False)
     _margin: Margin = field(default_factory=Margin, compare=False)
 
@@ -43,6 +45,8 @@ class Clipped:
         """Count those of a frame, (rows, cols), that are below `low` or above `high`; NaN is
         neither. `noise` is the standard deviation of an untouched taxel, None if not known.
         """
+        if self.mask is not None:
+            readings = readings[self.mask]
         margin = self._margin.of(readings, high, noise)
         self.sign.update(readings, low, margin)
         self.n_now = 0
