@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sparseskin.messages import Reason
@@ -13,9 +15,9 @@ from sparseskin.nodes.touch import MeasuredNoise, touch_level
 from .calibration.chain import TARE_FRAMES
 from .files.recording import ADD
 
-SHARE = 0.98
-"""Part of the taxels that a level at rest lifts; all but one of few. Chosen: a load that is there
-from the first frame on leaves more of them untouched, and a skin has few broken ones."""
+DEAD = 0.04
+"""Part of the taxels that a level at rest may leave out, rounded up. Chosen: a skin has fewer dead
+taxels, and a load that is there from the first frame on leaves more of them untouched."""
 EVEN = 0.2
 """Least level of these in that of the median taxel. Chosen: the readings of untouched taxels are of
 one kind; noise of one sign, and loads, have readings near 0."""
@@ -66,8 +68,9 @@ class Rest:
         self._n_frames += 1
         is_last = self._n_frames == TARE_FRAMES
         if self._is_first:
-            self._look(self._noise.update(forces))
-            self.is_settled = is_last and not self._levels.size
+            self._noise.update(forces)
+            self._look()
+            self.is_settled |= is_last and not self._levels.size
         elif is_last:
             means = self._sum[self._skin.exists] / TARE_FRAMES
             self.is_settled = float(np.median(means)) <= self._least()
@@ -79,16 +82,20 @@ class Rest:
         self._n_frames = 0
         return is_new
 
-    def _look(self, noise: float) -> None:
+    def _look(self) -> None:
         """Find whether the mean of the frames so far is a level."""
         means = self._sum[self._skin.exists] / self._n_frames
-        n_below = max(round((1 - SHARE) * means.size), 1)
+        n_below = math.ceil(DEAD * means.size)
         if n_below >= means.size:
             return
         ordered = np.partition(means, (n_below, means.size // 2))
-        lowest, median = ordered[n_below], ordered[means.size // 2]
-        is_lifted = lowest > self._least() and lowest > EVEN * median
+        lowest = ordered[n_below]
+        median = ordered[means.size // 2]
+        least = self._least()
+        is_lifted = lowest > max(least, EVEN * median)
         self._levels = ordered[n_below:] if is_lifted else means[:0]
+        # Most taxels read 0: no level, and what comes later is a load.
+        self.is_settled = median <= least
 
     def _least(self) -> float:
         """Least level, in the unit of the forces."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,13 @@ SIGMAS = 6.0
 UNKNOWN = 0.01
 """Least fall in parts of f_max where the noise is not known. Chosen: a count of a converter of 7
 bits, whose noise may hide between its steps."""
+WHOLE, MOST_WHOLE = 2.5, 0.03
+"""The same of readings that are whole numbers, in these, and the most in parts of f_max. Chosen:
+noise of less than a step of the converter moves a reading by 2."""
+N_SPREADS = 9
+"""Frames whose median shows the noise. Chosen: longer than the onset of a load."""
 MAD_TO_SD = 1.4826
 """Standard deviation of normal noise in its median absolute deviation. Derived."""
-TOGETHER = 2
-"""Taxels that fall together: a single one may be broken. Chosen."""
 FALLS = 10
 """Falls of taxels from which on all frames are in doubt. Chosen: two presses of a finger."""
 FALLS_PER_RISE = 3.0
@@ -34,8 +38,8 @@ class Sign:
     """Notices readings that fall below 0, the reading at rest, where hardly any rises above it.
 
     A fall is the first frame of a taxel below 0 by more than noise, a rise is one above it. Frames
-    are in doubt where `TOGETHER` taxels or more are below, and all once there were `FALLS`, as long
-    as there is not a rise for each `FALLS_PER_RISE` falls.
+    are in doubt where a taxel is below, and all once there were `FALLS`, as long as there is not a
+    rise for each `FALLS_PER_RISE` falls: one broken taxel falls once.
     """
 
     def __init__(self) -> None:
@@ -55,7 +59,7 @@ class Sign:
         """True if the last frame is in doubt."""
         if self.n_falls <= FALLS_PER_RISE * self.n_rises:
             return False
-        return self._n_below >= TOGETHER or self.is_found
+        return self._n_below > 0 or self.is_found
 
     @property
     def is_found(self) -> bool:
@@ -91,20 +95,34 @@ class Margin:
 
     def __init__(self) -> None:
         self._last: npt.NDArray[Any] | None = None
+        self._spreads: deque[float] = deque(maxlen=N_SPREADS)
 
     def of(self, readings: npt.NDArray[Any], f_max: float, noise: float | None) -> float:
         """Margin of a frame, in its unit; `noise` is its standard deviation, None if not known:
-        then it is the less of what the frame shows over its taxels, and since the one before.
+        then it is the median of what the last frames show.
         """
         if noise is not None:
             return touch_level(noise, f_max, SIGMAS)
         values = readings[np.isfinite(readings)]
-        spread = 0.0
-        if values.size:
-            spread = MAD_TO_SD * float(np.median(np.abs(values - np.median(values))))
+        least = UNKNOWN * f_max
+        if not values.size:
+            return least
+        self._spreads.append(self._spread(readings, values))
+        spreads = sorted(self._spreads)
+        if np.array_equal(values, np.rint(values)):
+            least = max(least, min(WHOLE, MOST_WHOLE * f_max))
+        return max(SIGMAS * spreads[(len(spreads) - 1) // 2], least)
+
+    def _spread(self, readings: npt.NDArray[Any], values: npt.NDArray[Any]) -> float:
+        """Standard deviation of noise as a frame shows it: the less of that over its taxels, which
+        a load raises, and of that since the frame before, which a motion raises.
+        """
+        over_taxels = MAD_TO_SD * float(np.median(np.abs(values - np.median(values))))
         last, self._last = self._last, readings.copy()
-        if last is not None and last.shape == readings.shape:
-            changes = np.abs(readings - last)
-            change = float(np.nanmedian(changes)) / DIFFERENCE if values.size else 0.0
-            spread = min(spread, change) if change == change else spread
-        return max(SIGMAS * spread, UNKNOWN * f_max)
+        if last is None or last.shape != readings.shape:
+            return over_taxels
+        changes = np.abs(readings - last)
+        changes = changes[np.isfinite(changes)]
+        if not changes.size:
+            return over_taxels
+        return min(over_taxels, float(np.median(changes)) / DIFFERENCE)

@@ -58,7 +58,9 @@ class Chain:
         d = self.description = description  # with the baseline in use; it contains no drift
         self.skin: Skin = d.skin
         self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
-        self.clipped = Clipped(mask=self.skin.mask)  # above f_max, and below f_min by more than noise
+        self.clipped = Clipped(
+            mask=self.skin.mask
+        )  # above f_max, and below f_min by more than noise
         self._last: Doubles | None = None
         self._untared: Mask = np.zeros(d.shape, np.bool_)
         self._log = log
