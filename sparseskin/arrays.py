@@ -152,11 +152,11 @@ def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bo
     forces = frames.copy() if zero.changes_readings else frames
     can_fall = zero.changes_readings or bool((frames[:, exists] < 0).any())
     for k, frame in enumerate(frames):
-        if zero.is_settled and not can_fall:
+        if zero.doubt.is_settled and not can_fall:
             break
         forces[k] = zero.forces(frame)
     phi.sensed = str(zero.reason)
-    line = zero.line
+    line = zero.doubt.line
     # A frame alone may show a level, but not whether it stays.
     if line and len(frames) > 1:
         warnings.warn(f"compress: {line}", RuntimeWarning, stacklevel=3)

@@ -252,7 +252,7 @@ class Stream:
             self._doubts[self._n_compressed] = self.sensed
             if len(self._doubts) > MOST_WAITING:
                 del self._doubts[next(iter(self._doubts))]
-        if line := self._zero.take_line():
+        if line := self._zero.doubt.take_line():
             warnings.warn(f"stream: {line}", RuntimeWarning, stacklevel=3)
 
     def reconstruct(self, y: Floats, k: int | None = None, sensed: str = "") -> Floats:

@@ -4,7 +4,6 @@ import argparse
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,16 +18,16 @@ from sparseskin.nodes.recorder.bag.format import (
     span_ns,
 )
 from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
+from sparseskin.nodes.sensor.calibration.chain import MAX_TARE_FRAMES
 from sparseskin.nodes.sensor.files.format import suffixes
 from sparseskin.nodes.sensor.files.recording import (
     NAN_WAYS,
     NEGATIVE_WAYS,
     READ_AS,
     REFUSE,
-    spelled,
 )
 
-from .options import add_commands, add_shape, bag_names, rare, show, whole
+from .options import add_commands, add_shape, as_options, bag_names, rare, show, whole
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -91,6 +90,13 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     more.add_argument("--nan", choices=NAN_WAYS, default=REFUSE, help=about)
     about = "readings below 0 (default: refuse)"
     more.add_argument("--negative", choices=NEGATIVE_WAYS, default=REFUSE, help=about)
+    about = (
+        "first frames, of the untouched skin, whose median is the reading at rest, and which are "
+        "left out; 0: readings are forces, whatever the untouched skin reads"
+    )
+    parser.add_argument("--tare", metavar="N", type=whole(0, MAX_TARE_FRAMES), help=about)
+    about = "readings fall with force: a force is the reading at rest less the reading"
+    more.add_argument("--invert", choices=("true", "false"), default="false", help=about)
 
 
 def _path(text: str) -> Path:
@@ -130,13 +136,16 @@ def _import(arguments: argparse.Namespace) -> int:
     names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
     outs = bag_names(names, arguments.out)
     for file, bag in zip(arguments.files, map(Path, outs), strict=True):
-        options = {key: getattr(arguments, key) for key in READ_AS}
+        options = {key: getattr(arguments, key) for key in (*READ_AS, "tare")}
+        options["invert"] = arguments.invert == "true"
+
+        def log(line: str, file: Path = file) -> None:
+            print(f"{file}: {as_options(line)}", file=sys.stderr)
+
         try:
-            log = partial(print, f"{file}:", file=sys.stderr)
             n_frames = import_file(file, bag, log=log, **options)
         except SourceError as error:
-            text = spelled(str(error), lambda key: f"--{key.replace('_', '-')} ")
-            raise SourceError(text) from error
+            raise SourceError(as_options(str(error))) from error
         print(f"{bag}: {_count(n_frames, 'frame')}")
     return 0
 

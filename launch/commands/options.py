@@ -78,6 +78,13 @@ def add_shape(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--n-{what}", metavar="N", type=whole(1), help=about)
 
 
+def as_options(line: str) -> str:
+    """A line whose missing settings, KEY=VALUE, are spelled as options of a command."""
+    from sparseskin.nodes.sensor.files.recording import spelled
+
+    return spelled(line, lambda key: f"--{key.replace('_', '-')} ")
+
+
 def bag_names(names: Sequence[str], out: str) -> list[str]:
     """Path or address of each bag that a command writes: `out`, or of its name in the folder `out`,
     which is made for several.

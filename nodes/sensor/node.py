@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Calibration, Message, SkinState, Taxels, Truth, topic_of
+from sparseskin.messages import Calibration, Message, Reason, SkinState, Taxels, Truth, topic_of
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
@@ -19,11 +19,11 @@ from .calibration.chain import Chain
 from .calibration.description import of_skin
 from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
+from .doubt import Doubt
 from .files.recording import MASK, REFUSE, spelled
 from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
-from .rest import Rest
 from .saturation import Clipped, clipped_text
 from .settings import NO_TRUTH, SensorSettings
 from .source import DEFAULT_RATE_HZ, Skin
@@ -82,10 +82,9 @@ class Sensor(SourceNode[SensorSettings]):
         learns = settings.nan == MASK and self._source.is_live
         self._f_min = self._stage.description.f_min if self._stage else 0.0  # end of the range
         self._readings = MissingReadings(settings.nan, skin, learns)
-        self._rest: Rest | None = None  # from the first frame on
+        self._doubt: Doubt | None = None  # from the first frame on
         self._stated_rest = settings.tare is not None or settings.invert
         self._described_changes = bool(self._described and self._described.changes_readings)
-        self._said_sign = False
         self._line = ""  # on rest and sign, as it was logged last
         if self._source.is_live:
             self._source.clipped.mask = skin.mask
@@ -188,7 +187,6 @@ class Sensor(SourceNode[SensorSettings]):
     def _calibration(self) -> Iterable[Message]:
         if self._stage is not None:
             self._stage.is_news = False
-            self._said_sign = False
             found, now_ns = self._stage.description, self.context.clock.now_ns()
             yield found.message(now_ns, self.settings.patch)
 
@@ -207,6 +205,7 @@ class Sensor(SourceNode[SensorSettings]):
             stamp_ns = self._stamp_ns
         if self._stage is not None and self._stage.is_news:
             self._stated_rest = True
+            self._doubt = None
             yield from self._calibration()
             self._readings.is_news |= self._readings.is_known
         if self._next is None:
@@ -322,24 +321,22 @@ class Sensor(SourceNode[SensorSettings]):
                 return None
             forces, missing = filled
         if source.delivers == "taxels":
-            return _Frame(forces, None, missing, self._doubt(forces))
+            return _Frame(forces, None, missing, self._reason(forces))
         return _Frame(self._measured(forces), self._truth(forces), missing)
 
-    def _doubt(self, forces: Floats) -> str:
-        """Why the readings of a frame are not to be trusted, "" if they are: rest, sign, range."""
-        level = ""
-        if not self._stated_rest:
-            self._rest = self._rest or Rest(self.skin)
-            if self._rest.update(forces):
-                self._say(self._rest.line)
-            # A level that a calibration leaves is one that a person has seen.
-            level = "" if self._described_changes else self._rest.reason
-        clipped = self._clips
-        if clipped.sign.is_found and not self._said_sign:
-            self._said_sign = True
-            other = "false" if self.settings.invert else "true"
-            self._say(clipped.sign.line(self.skin.unit, other))
-        return level or clipped.reason(self.skin.n_taxels)
+    def _reason(self, forces: Floats) -> str:
+        """Why the readings of a frame are not to be trusted, "" if they are."""
+        if self._doubt is None:
+            s = self.settings
+            level = not self._stated_rest
+            self._doubt = Doubt(self.skin, has_level=level, is_inverted=s.invert)
+        reason = self._doubt.look(forces, self._clips)
+        if line := self._doubt.take_line():
+            self._say(line)
+        # A level that a calibration leaves is named, but a person has seen the readings.
+        if self._described_changes and reason == Reason.REST:
+            return self._clips.reason(self.skin.n_taxels)
+        return reason
 
     def _say(self, line: str) -> None:
         """Log a line that names settings, for the end of the run, too."""

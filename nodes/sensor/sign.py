@@ -8,11 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages.text import printable
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.touch import DIFFERENCE, touch_level
-
-from .files.recording import ADD
 
 SIGMAS = 6.0
 """Standard deviations of noise that no reading of an untouched taxel falls below. Chosen: one in
@@ -65,12 +62,6 @@ class Sign:
     def is_found(self) -> bool:
         """True if all frames are in doubt."""
         return self.n_falls >= max(FALLS, FALLS_PER_RISE * self.n_rises + 1)
-
-    def line(self, unit: str, invert: str) -> str:
-        """What was found, and the setting that answers it, behind `ADD`; `invert` is its value."""
-        depth = f"{-self.lowest:.3g} {printable(unit)}"
-        found = f"{self.n_falls} taxels fell by up to {depth} below rest, {self.n_rises} rose"
-        return f"{found}{ADD}invert={invert} if a press moves them so, else take a tare"
 
     def update(self, readings: npt.NDArray[Any], low: float, margin: float) -> None:
         """Add a frame, (rows, cols), NaN where a reading is missing; `low` is the lower end of the

@@ -11,7 +11,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .calibration.chain import MAX_TARE_FRAMES
-from .rest import Rest
+from .doubt import Doubt
 from .saturation import Clipped
 
 
@@ -34,6 +34,8 @@ class Zero:
     ----------
     reason : str
         Word of the `Reason` for which the last frame is not to be trusted; "" if it is.
+    doubt : Doubt
+        What was found of all frames.
 
     Raises SettingsError, after the name of the argument, if one is not allowed.
     """
@@ -55,45 +57,19 @@ class Zero:
         self.reason = ""
         self._untouched: list[Floats] = []
         self._baseline: Floats | None = None
-        self._rest = Rest(self._skin)
         self._clipped = Clipped(mask=self._skin.mask)
-        self._new = False
+        self.doubt = Doubt(self._skin, has_level=self._has_level, is_inverted=self._invert)
 
     @property
     def changes_readings(self) -> bool:
         """True if forces differ from readings."""
         return self._invert or self._n_tare > 0
 
-    @property
-    def is_taring(self) -> bool:
-        """True while the next frame is one of the tare."""
-        return len(self._untouched) < self._n_tare
-
-    @property
-    def is_settled(self) -> bool:
-        """True if no level at rest can be found any more."""
-        return self._rest.is_settled or not self._has_level
-
-    @property
-    def line(self) -> str:
-        """What makes all frames so far untrusted, with the arguments that answer it; "" if nothing
-        does.
-        """
-        if self._has_level and self._rest.reason:
-            return self._rest.line
-        sign = self._clipped.sign
-        return sign.line(self._skin.unit, str(not self._invert)) if sign.is_found else ""
-
-    def take_line(self) -> str:
-        """That line, once there are enough frames for it, and once each; "" at other times."""
-        found, self._new = self._new, False
-        return self.line if found else ""
-
     def forces(self, readings: Floats) -> Floats:
         """Forces of a frame, float32 (n_rows, n_cols), 0 in those of the tare; not clipped."""
-        if self.is_taring:
+        if len(self._untouched) < self._n_tare:
             self._untouched.append(readings.copy())
-            if not self.is_taring:
+            if len(self._untouched) == self._n_tare:
                 self._baseline = np.median(self._untouched, axis=0).astype(np.float32)
             self.reason = Reason.REST
             return np.zeros_like(readings)
@@ -102,18 +78,8 @@ class Zero:
             forces = forces - self._baseline
         if self._invert:
             forces = -forces
-        self._look(forces)
+        mask = self._skin.mask
+        existing = forces if mask is None else np.where(mask, forces, np.float32(0))
+        self._clipped.add(existing, 0.0, self._skin.f_max)
+        self.reason = self.doubt.look(existing, self._clipped)
         return forces
-
-    def _look(self, forces: Floats) -> None:
-        skin = self._skin
-        existing = forces if skin.mask is None else np.where(skin.mask, forces, np.float32(0))
-        level = ""
-        if self._has_level:
-            self._new |= self._rest.update(existing)
-            level = self._rest.reason
-        sign = self._clipped.sign
-        was_found = sign.is_found
-        self._clipped.add(existing, 0.0, skin.f_max)
-        self._new |= sign.is_found and not was_found
-        self.reason = level or self._clipped.reason(skin.n_taxels)
