@@ -24,8 +24,9 @@ N_SPREADS = 9
 """Frames whose median shows the noise. Chosen: longer than the onset of a load."""
 MAD_TO_SD = 1.4826
 """Standard deviation of normal noise in its median absolute deviation. Derived."""
-FALLS = 10
-"""Falls of taxels from which on all frames are in doubt. Chosen: two presses of a finger."""
+FALLS = 4
+"""Falls of taxels from which on all frames are in doubt. Chosen: a press of a finger, and more than
+the broken taxels of a skin that nothing has touched."""
 FALLS_PER_RISE = 3.0
 """Falls for each rise from which on readings fall. Chosen: after a press, readings may swing below
 those at rest for a while, but each of them has risen before."""

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.sensor.zero import Zero
@@ -128,15 +127,21 @@ def reasons_of(world: RestWorld) -> list[str]:
     return found
 
 
-def is_missed(world: RestWorld, reasons: list[str]) -> bool:
-    """True if a frame with a wrong force is trusted: any one of a level; of falls one whose press
-    is twice what noise and contact may hide.
+def are_hidden(world: RestWorld, reasons: list[str]) -> list[bool]:
+    """True for each frame that is trusted, and whose force is wrong: all of a level; of falls those
+    whose press is twice what noise and contact may hide.
     """
     if world.kind in (LEVEL, LEVEL_FALLS):
-        return "" in reasons
+        return [not reason for reason in reasons]
     least = 2 * max(0.01 * world.skin.f_max, 6 * world.noise)
-    hidden = (float(forces.max()) > least for forces in world.forces)
-    return any(is_wrong and not reason for is_wrong, reason in zip(hidden, reasons, strict=True))
+    is_pressed = [float(forces.max()) > least for forces in world.forces]
+    is_wrong = [world.kind == FALLS and pressed for pressed in is_pressed]
+    return [wrong and not reason for wrong, reason in zip(is_wrong, reasons, strict=True)]
+
+
+def is_missed(world: RestWorld, reasons: list[str]) -> bool:
+    """True if a frame with a wrong force is trusted."""
+    return any(are_hidden(world, reasons))
 
 
 def is_false_alarm(world: RestWorld, reasons: list[str]) -> bool:
@@ -145,23 +150,33 @@ def is_false_alarm(world: RestWorld, reasons: list[str]) -> bool:
 
 
 def main(n_worlds: int) -> None:
-    """Print the shares of misses and false alarms."""
+    """Print the shares of misses and false alarms: worlds, and frames of them."""
     for kind in KINDS:
-        wrong = {"untouched at first": [0, 0], "touched at first": [0, 0]}
-        for seed in range(n_worlds):
-            world = draw_rest_world(np.random.default_rng((KINDS.index(kind), seed)), kind)
-            counts = wrong["touched at first" if world.begin == 0 else "untouched at first"]
-            reasons = reasons_of(world)
-            check = is_false_alarm if kind == FORCES else is_missed
-            counts[0] += check(world, reasons)
-            counts[1] += 1
-        what = "false alarms" if kind == FORCES else "misses"
-        shares = ", ".join(f"{name} {n} of {total}" for name, (n, total) in wrong.items())
-        print(f"{kind}: {what}: {shares}")
+        for begins in (True, False):
+            counts = _counts(kind, n_worlds, begins)
+            when = "touched from the first frame on" if begins else "untouched at first"
+            what = "false alarms" if kind == FORCES else "misses"
+            print(f"{kind}, {when}: {what}: {counts[0]} of {counts[1]} worlds, ", end="")
+            print(f"{counts[2]} of {counts[3]} frames")
+
+
+def _counts(kind: str, n_worlds: int, begins: bool) -> list[int]:
+    """Numbers of wrong worlds, of worlds, of wrong frames and of frames."""
+    counts = [0, 0, 0, 0]
+    for seed in range(n_worlds):
+        world = draw_rest_world(np.random.default_rng((KINDS.index(kind), seed)), kind)
+        if (world.begin == 0) != begins:
+            continue
+        reasons = reasons_of(world)
+        wrong = are_hidden(world, reasons)
+        if kind == FORCES:
+            wrong = [bool(reason) for reason in reasons]
+        counts[0] += any(wrong)
+        counts[1] += 1
+        counts[2] += sum(wrong)
+        counts[3] += len(wrong)
+    return counts
 
 
 if __name__ == "__main__":
     main(int(sys.argv[1]))
-
-
-__all__ = ["KINDS", "Reason", "RestWorld", "draw_rest_world", "is_false_alarm", "is_missed"]
