@@ -50,8 +50,8 @@ class Clipped:
         margin = self._margin.of(readings, high, noise)
         self.sign.update(readings, low, margin)
         self.n_now = 0
-        lowest = float(np.fmin.reduce(readings, axis=None))
-        highest = float(np.fmax.reduce(readings, axis=None))
+        lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
+        highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
         least = low if noise is None else low - margin
         if least <= lowest and highest <= high:
             return

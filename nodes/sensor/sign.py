@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.touch import DIFFERENCE, touch_level
 
 SIGMAS = 6.0
@@ -22,6 +23,8 @@ WHOLE, MOST_WHOLE = 2.5, 0.03
 noise of less than a step of the converter moves a reading by 2."""
 N_SPREADS = 9
 """Frames whose median shows the noise. Chosen: longer than the onset of a load."""
+N_SHOWN = 256
+"""Least number of taxels of a large skin that show the noise. Chosen: 6 % of error."""
 MAD_TO_SD = 1.4826
 """Standard deviation of normal noise in its median absolute deviation. Derived."""
 FALLS = 4
@@ -73,7 +76,8 @@ class Sign:
         if self._below.shape != below.shape:
             self._below = np.zeros_like(below)
             self._above = np.zeros_like(below)
-        self.n_rises += int(np.count_nonzero(above & ~self._above))
+        if above.any():
+            self.n_rises += int(np.count_nonzero(above & ~self._above))
         self._n_below = int(np.count_nonzero(below))
         if self._n_below:
             self.n_falls += int(np.count_nonzero(below & ~self._below))
@@ -91,30 +95,39 @@ class Margin:
 
     def of(self, readings: npt.NDArray[Any], f_max: float, noise: float | None) -> float:
         """Margin of a frame, in its unit; `noise` is its standard deviation, None if not known:
-        then it is the median of what the last frames show.
+        then it is the median of what some taxels show in the last frames.
         """
         if noise is not None:
             return touch_level(noise, f_max, SIGMAS)
-        values = readings[np.isfinite(readings)]
         least = UNKNOWN * f_max
+        step = max(readings.size // N_SHOWN, 1) | 1  # odd, as rows often have an even number
+        values = readings.reshape(-1)[::step].astype(np.float64)
+        last = self._last
+        self._last = values
+        is_known = np.isfinite(values)
+        if not is_known.all():
+            values = values[is_known]
+            last = None
         if not values.size:
             return least
-        self._spreads.append(self._spread(readings, values))
+        self._spreads.append(_spread(values, last))
         spreads = sorted(self._spreads)
         if np.array_equal(values, np.rint(values)):
             least = max(least, min(WHOLE, MOST_WHOLE * f_max))
         return max(SIGMAS * spreads[(len(spreads) - 1) // 2], least)
 
-    def _spread(self, readings: npt.NDArray[Any], values: npt.NDArray[Any]) -> float:
-        """Standard deviation of noise as a frame shows it: the less of that over its taxels, which
-        a load raises, and of that since the frame before, which a motion raises.
-        """
-        over_taxels = MAD_TO_SD * float(np.median(np.abs(values - np.median(values))))
-        last, self._last = self._last, readings.copy()
-        if last is None or last.shape != readings.shape:
-            return over_taxels
-        changes = np.abs(readings - last)
-        changes = changes[np.isfinite(changes)]
-        if not changes.size:
-            return over_taxels
-        return min(over_taxels, float(np.median(changes)) / DIFFERENCE)
+
+def _spread(values: Doubles, last: Doubles | None) -> float:
+    """Standard deviation of noise as a frame shows it: the less of that over its taxels, which a
+    load raises, and of that since the frame before, which a motion raises.
+    """
+    over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values)))
+    if last is None or last.size != values.size:
+        return over_taxels
+    change = _middle(np.abs(values - last)) / DIFFERENCE
+    return over_taxels if math.isnan(change) else min(over_taxels, change)
+
+
+def _middle(values: Doubles) -> float:
+    """Median of values, the upper one of two."""
+    return float(np.partition(values, values.size // 2)[values.size // 2])

@@ -181,7 +181,9 @@ def test_readings_of_the_other_sign_are_not_trusted_and_a_line_says_which(folder
 
 
 def test_the_sign_may_be_changed_while_a_graph_runs(folder):
-    sensor = Sensor(Sensor.Settings(source="file:falls.npy", tare=30), Context("sensor", ManualClock()))
+    sensor = Sensor(
+        Sensor.Settings(source="file:falls.npy", tare=30), Context("sensor", ManualClock())
+    )
     frames = taxels_of(sensor)
     assert any(message.reason == ("sign",) for message in frames)
     list(sensor.change(sensor.settings.changed({"invert": True})))
