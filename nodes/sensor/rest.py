@@ -56,7 +56,8 @@ class Rest:
             return ""
         lowest, highest = self._levels.min(), self._levels.max()
         levels = f"{lowest:.2g} to {highest:.2g} {printable(self._skin.unit)}"
-        found = f"all {self._levels.size} taxels read {levels} at first, and may do so at rest"
+        part = f"{self._levels.size} of {self._skin.n_taxels}"
+        found = f"{part} taxels read {levels} at first, and may do so at rest"
         answers = f"tare={TARE_FRAMES} if nothing touched them, tare=0 if these are forces"
         return f"{found}{ADD}{answers}"
 
@@ -93,7 +94,7 @@ class Rest:
         median = ordered[means.size // 2]
         least = self._least()
         is_lifted = lowest > max(least, EVEN * median)
-        self._levels = ordered[n_below:] if is_lifted else means[:0]
+        self._levels = means[means > least] if is_lifted else means[:0]
         # Most taxels read 0: no level, and what comes later is a load.
         self.is_settled = median <= least
 
