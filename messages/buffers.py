@@ -206,11 +206,14 @@ def _describe(message: Message) -> _Stream:
         for name, kind in form.arrays
         if values[name] is not None
     }
+    texts = [kind.pack(values[name]) for name, kind in form.texts]
+    while isinstance(form.texts[len(texts) - 1][1], Words) and not texts[-1].strip():
+        texts.pop()
     described = {
         "wire": WIRE_VERSION,
         "schema": message.schema,
         "version": message.version,
-        "texts": [kind.pack(values[name]) for name, kind in form.texts],
+        "texts": texts,
         "arrays": arrays,
     }
     description = msgpack.packb(described)
@@ -259,7 +262,7 @@ def _learn(description: bytes) -> _Stream:
         values[name] = text.unpack(name, value)
     n_patches = len(values.get("names") or ()) or 1
     for name, words in form.texts:
-        if isinstance(words, Words):  # recordings of version 0.2.0.dev0 may not have them
+        if isinstance(words, Words):  # left out where none is stated
             values[name] = values[name] or words.unstated * n_patches
             if len(values[name]) != n_patches:
                 raise MalformedError(f"{cls.schema}: {name}: expected {n_patches} words")

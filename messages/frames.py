@@ -105,6 +105,9 @@ class Sensed(Frames):
     missing: npt.NDArray[np.uint8] | None = wire(
         Array("|u1", 1, optional=True), default=None, omitted=True
     )
+    reason: tuple[str, ...] = wire(Words(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
+    """Why a patch is not trusted: a `Reason`, or a word that another version of this program wrote;
+    "" else, or not stated. What the sensor states of its readings goes on with the frame."""
 
     def validate(self) -> None:
         super().validate()
@@ -221,9 +224,6 @@ class Reconstruction(Sensed):
     unchanged: tuple[bool, ...] = wire(Each(Flag(), (False,)), default=(), omitted=True)
     """True where measurements changed by no more than their noise: the frame was not solved, and
     its forces are those of the frame before."""
-    reason: tuple[str, ...] = wire(Words(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
-    """Why a patch is not trusted: a `Reason`, or a word that another version of this program wrote;
-    "" else, or not stated."""
 
     def validate(self) -> None:
         super().validate()

@@ -38,9 +38,21 @@ class Reason(StrEnum):
     )
     CLIPPED = (
         "clipped",
-        "many measurements share an extreme value",
-        "Many measurements share their largest or their smallest value: a converter clips them, "
-        "or delivers one sign alone.",
+        "many readings or measurements are clipped",
+        "Many readings are beyond the range of the skin, or many measurements share their largest "
+        "or their smallest value: they are clipped, or of one sign alone.",
+    )
+    REST = (
+        "rest",
+        "the skin may not read zero at rest",
+        "Nearly all taxels read a level far from zero at first, which may be their reading at "
+        "rest.",
+    )
+    SIGN = (
+        "sign",
+        "readings fall below rest",
+        "Readings fall below those at rest, and hardly rise: a press may lower them, or the "
+        "baseline is wrong.",
     )
     MISSING = (
         "missing",
@@ -73,6 +85,17 @@ class Reason(StrEnum):
         "a force is beyond the range of the skin",
         "A force is beyond the range of the skin.",
     )
+
+
+OF_MEASUREMENTS = (Reason.CONSTANT, Reason.FROZEN, Reason.CLIPPED)
+"""Reasons that measurements show as they are received: they come before others."""
+
+
+def first_reason(of_frame: str, of_readings: str) -> str:
+    """The reason of a frame: `of_frame` is what its measurements and forces show, `of_readings`
+    what the sensor states of its readings; "" if there is none.
+    """
+    return of_frame if of_frame in OF_MEASUREMENTS else of_readings or of_frame
 
 
 _REASONS = {reason.value: reason for reason in Reason}

@@ -17,11 +17,13 @@ from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.messages import Contacts, Measurements, Message, Reconstruction, Taxels, Truth
 from sparseskin.messages.frames import Frames, values_alone
 from sparseskin.messages.ranges import is_whole
+from sparseskin.messages.reasons import first_reason
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.numerics.arrays import real_floats
@@ -43,15 +45,26 @@ from sparseskin.nodes.sensor.files.bag import is_bag
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.format import HEAD_BYTES
 from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
+from sparseskin.nodes.sensor.zero import Zero
 
 Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 
 def compress(
-    forces: Floats, phi: Phi, mask: Mask | None = None, *, rows: str | None = None
+    forces: Floats,
+    phi: Phi,
+    mask: Mask | None = None,
+    *,
+    rows: str | None = None,
+    tare: int | None = None,
+    invert: bool = False,
 ) -> Floats:
     """Measure frames of taxels: y = Phi x.
+
+    A level that nearly all taxels read at first, and readings that fall below rest, are warned of,
+    once a call, with the argument that answers it. What a solver of the same `phi` reconstructs is
+    then not trusted.
 
     Parameters
     ----------
@@ -65,6 +78,9 @@ def compress(
         "fixed": `phi` measures all frames. "rotating": its row subsets measure them in turn, the
         first one the first frame. By default rotating where they can (phi sbhe or subsample, m in
         n / 64 .. n - 1), as in the nodes. Make the solver with the same `rows`.
+    tare, invert
+        As of `Stream`: `tare` first frames of the k give the reading at rest; 0: readings are
+        forces, whatever the untouched skin reads.
 
     Returns
     -------
@@ -76,7 +92,7 @@ def compress(
     PhiError
         If forces or mask have another shape or type, a force is not finite, the number of existing
         taxels is not `phi.n`, `phi` measured another grid before, `rows` is neither, the rows of
-        `phi` cannot rotate, or `phi` is "adaptive".
+        `phi` cannot rotate, `phi` is "adaptive", or there are fewer frames than those of the tare.
 
     Examples
     --------
@@ -111,6 +127,8 @@ def compress(
     if not np.isfinite(x).all():
         place = np.argwhere(exists & ~np.isfinite(forces))[0].tolist()
         raise PhiError(f"compress: forces{place} is not finite; allowed: finite numbers")
+    frames = _zeroed(forces.reshape(-1, *shape), exists, phi, tare, invert)
+    x = frames.reshape(forces.shape)[..., exists]
     subsets = row_subsets(phi, rows)
     if x.ndim != 2:
         return subsets[0].forward(x)
@@ -118,6 +136,33 @@ def compress(
     for first, subset in enumerate(subsets):
         y[first :: len(subsets)] = subset.forward(x[first :: len(subsets)])
     return y
+
+
+def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bool) -> Floats:
+    """Forces of readings, float32 (k, n_rows, n_cols), by tare and sign; warn of what is found of
+    them, and note on `phi` what is found of the last one.
+    """
+    if len(frames) < (tare or 0):
+        raise PhiError(f"compress: tare = {tare}: there are {len(frames)} frames")
+    largest = float(np.abs(frames[:, exists]).max(initial=0.0))
+    n_rows, n_cols = exists.shape
+    skin = Skin(n_rows, n_cols, largest or 1.0, mask=None if exists.all() else exists)
+    try:
+        zero = Zero(skin, tare, invert)
+    except SettingsError as error:
+        raise PhiError(f"compress: {error}") from error
+    forces = frames.copy() if zero.changes_readings else frames
+    can_fall = zero.changes_readings or bool((frames[:, exists] < 0).any())
+    for k, frame in enumerate(frames):
+        if zero.doubt.is_settled and not can_fall:
+            break
+        forces[k] = zero.forces(frame)
+    phi.sensed = str(zero.reason)
+    line = zero.doubt.line
+    # A frame alone may show a level, but not whether it stays.
+    if line and len(frames) > 1:
+        warnings.warn(f"compress: {line}", RuntimeWarning, stacklevel=3)
+    return forces
 
 
 def _keep_grid(phi: Phi, shape: tuple[int, ...]) -> None:
@@ -161,6 +206,7 @@ def make_solver(
     """
     made = make_rotating_solver(name, row_subsets(phi, rows), basis, mask, fast=fast, **settings)
     _keep_grid(phi, (basis.n_rows, basis.n_cols))
+    made.measured_by = phi
     return made
 
 
@@ -180,8 +226,9 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     -------
     ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
         Forces, newtons, 0 or more; 0 where no taxel exists. `solver.reason` states why the last
-        frame is not to be trusted, "" if it is, as in a graph; `solver.noise_sd` and
-        `solver.noise_model`, a `NoiseModel`, help it to see; set them before the first frame.
+        frame is not to be trusted, "" if it is, as in a graph, by what the last `compress` with
+        the same phi found of its readings, too; `solver.noise_sd` and `solver.noise_model`, a
+        `NoiseModel`, help it to see; set them before the first frame.
 
     Raises
     ------
@@ -216,7 +263,8 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
         if subsets:
             solver.use(subsets[k % len(subsets)])
         verdict = solve_watched(solver, watch_of(solver), solver.phi, measured)
-        solver.reason = str(verdict.reason)
+        sensed = getattr(getattr(solver, "measured_by", None), "sensed", "")
+        solver.reason = str(first_reason(verdict.reason, sensed))
         solver.trusted = not solver.reason
         made.append(verdict.forces)
     if y.ndim == 1:

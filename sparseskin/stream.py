@@ -1,5 +1,6 @@
 """Compression and reconstruction of a stream of frames, one call a frame."""
 
+import warnings
 from functools import cached_property
 from inspect import signature
 from typing import Any
@@ -8,11 +9,12 @@ import numpy as np
 
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.ranges import is_whole
+from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.compressor.node import CHOSEN_ANEW, CompressorSettings
 from sparseskin.nodes.compressor.phi.rotation import RATIO
-from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
+from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import suggestion
 from sparseskin.nodes.numerics.arrays import real_floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -26,11 +28,14 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     newtons,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.zero import Zero
 
 from .arrays import Floats, Mask, warn_of_threads
 
 MOST_RANGES = 10.0
 """Largest reading in parts of f_max, chosen: no noise reaches it, counts of a converter do."""
+MOST_WAITING = 1024
+"""Most frames of which a stream keeps what it found of their readings, chosen."""
 _NAMED = ("solver", "basis", "iterations", "lambda_n", "fast")
 """Settings of the reconstructor that a stream takes; others are options of the solver."""
 
@@ -63,6 +68,12 @@ class Stream:
         skin states them to a graph. They make the estimated error nearer.
     f_max : float
         Upper end of the range of a taxel, newtons.
+    tare : int, optional
+        Number of first frames that `compress` gets, of the untouched skin, whose median is the
+        reading at rest: it is subtracted, and they are measured as 0. 0: readings are forces,
+        whatever the untouched skin reads.
+    invert : bool
+        Readings fall with force: a force is the reading at rest less the reading.
     **settings
         In place of the preset's: solver, basis, iterations, lambda_n, fast; and options of the
         solver by name.
@@ -79,6 +90,12 @@ class Stream:
     reason : str
         Word of the `messages.Reason`, such as "error" where that error is a large part of the
         forces, or "frozen"; "" if there is none.
+    sensed : str
+        Word of the `messages.Reason` for which the readings that were compressed last are not to
+        be trusted: "rest" where nearly all read a level at first, and `tare` is not stated, or
+        while a tare is taken; "sign" where they fall below rest; "clipped" where more than 1 % are
+        outside 0..f_max; "" if there is none. A host in another program hands it to `reconstruct`.
+        The first two are also warned of, once each, with the argument that answers them.
 
     Raises
     ------
@@ -112,6 +129,8 @@ class Stream:
         noise_sd: float = 0.0,
         sigmas: tuple[float, float] | None = None,
         f_max: float = PAPER_F_MAX_N,
+        tare: int | None = None,
+        invert: bool = False,
         **settings: Any,
     ) -> None:
         if np.shape(shape) != (2,):
@@ -120,6 +139,10 @@ class Stream:
         try:
             self._skin = Skin(*shape, f_max, mask=None if mask is None else np.array(mask))
         except MessageError as error:
+            raise SparseskinError(f"stream: {error}") from error
+        try:
+            self._zero = Zero(self._skin, tare, invert)
+        except SettingsError as error:
             raise SparseskinError(f"stream: {error}") from error
         if sigmas is not None and np.shape(sigmas) != (2,):
             allowed = "allowed: standard deviations at mid-range and at the ends"
@@ -146,6 +169,8 @@ class Stream:
         self._host.check()
         self._host.check_phi(phi)
         self._n_compressed = self._n_reconstructed = 0
+        self._doubts: dict[int, str] = {}  # of frames that wait to be reconstructed
+        self.sensed = ""
         self.error: float | None = None
         self.reason = ""
         self.trusted = True
@@ -204,16 +229,33 @@ class Stream:
             row, col = np.argwhere(bad)[0]
             reads = f"reads {forces[row, col]}; allowed: finite numbers"
             raise SparseskinError(f"stream: taxel ({row}, {col}) {reads}")
+        if not self._zero.changes_readings:
+            self._check_range(forces)
+        forces = self._zero.forces(forces)
+        self._note_doubt()
+        phi = self._phis[self._n_compressed % len(self._phis)]
+        self._n_compressed += 1
+        return phi.forward(forces[self._skin.exists])
+
+    def _check_range(self, forces: Floats) -> None:
+        """Raise SparseskinError if readings are far beyond the range."""
         readings = forces[self._skin.exists]
         most = float(readings[np.abs(readings).argmax()])
         if abs(most) > MOST_RANGES * self._skin.f_max:
             what = f"a taxel reads {most:g}, far beyond f_max = {self._skin.f_max:g}"
             raise SparseskinError(f"stream: {what}; state f_max in the unit of the readings")
-        phi = self._phis[self._n_compressed % len(self._phis)]
-        self._n_compressed += 1
-        return phi.forward(readings)
 
-    def reconstruct(self, y: Floats, k: int | None = None) -> Floats:
+    def _note_doubt(self) -> None:
+        """Keep what is found of the readings of the next frame for its reconstruction."""
+        self.sensed = str(self._zero.reason)
+        if self.sensed:
+            self._doubts[self._n_compressed] = self.sensed
+            if len(self._doubts) > MOST_WAITING:
+                del self._doubts[next(iter(self._doubts))]
+        if line := self._zero.doubt.take_line():
+            warnings.warn(f"stream: {line}", RuntimeWarning, stacklevel=3)
+
+    def reconstruct(self, y: Floats, k: int | None = None, sensed: str = "") -> Floats:
         """Reconstruct a frame, from what the frames before it left.
 
         Parameters
@@ -223,6 +265,8 @@ class Stream:
         k : int, optional
             Number of the frame among those compressed, from 0: state it where frames may be lost.
             By default the one after the last frame of this call.
+        sensed : str
+            That of the stream that compressed the frame, where it is another than this one.
 
         Returns
         -------
@@ -248,12 +292,16 @@ class Stream:
         self.error = None
         if verdict.is_solved:
             self.error, _ = estimated_error(self._solver)
-        self.reason = str(verdict.reason)
+        doubt = self._doubts.pop(int(k), sensed)
+        self.reason = str(first_reason(verdict.reason, doubt))
         self.trusted = not self.reason
         return verdict.forces
 
     def reset(self) -> None:
-        """Forget all frames: the next one is number 0."""
+        """Forget all frames, and the reading at rest: the next one is number 0."""
+        self._zero.reset()
+        self._doubts.clear()
+        self.sensed = ""
         self._n_compressed = self._n_reconstructed = 0
         self.error = None
         self.reason = ""

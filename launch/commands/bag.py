@@ -4,7 +4,6 @@ import argparse
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +18,20 @@ from sparseskin.nodes.recorder.bag.format import (
     span_ns,
 )
 from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
+from sparseskin.nodes.sensor.calibration.chain import MAX_TARE_FRAMES
 from sparseskin.nodes.sensor.files.format import suffixes
-from sparseskin.nodes.sensor.files.recording import spelled
 
 from . import look
-from .options import add_commands, add_layout, bag_names, layout_of, rare, show, whole
+from .options import (
+    add_commands,
+    add_layout,
+    as_options,
+    bag_names,
+    layout_of,
+    rare,
+    show,
+    whole,
+)
 
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
@@ -77,6 +85,13 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
     parser.add_argument("--out", metavar="PATH", required=True, help=about)
     add_layout(parser)
+    about = (
+        "first frames, of the untouched skin, whose median is the reading at rest, and which are "
+        "left out; 0: readings are forces, whatever the untouched skin reads"
+    )
+    parser.add_argument("--tare", metavar="N", type=whole(0, MAX_TARE_FRAMES), help=about)
+    about = "readings fall with force: a force is the reading at rest less the reading"
+    rare(parser).add_argument("--invert", choices=("true", "false"), default="false", help=about)
 
 
 def _path(text: str) -> Path:
@@ -117,12 +132,17 @@ def _import(arguments: argparse.Namespace) -> int:
     outs = bag_names(names, arguments.out)
     layout = layout_of(arguments)
     for file, bag in zip(arguments.files, map(Path, outs), strict=True):
+        invert = arguments.invert == "true"
+
+        def log(line: str, file: Path = file) -> None:
+            print(f"{file}: {as_options(line)}", file=sys.stderr)
+
         try:
-            log = partial(print, f"{file}:", file=sys.stderr)
-            n_frames = import_file(file, bag, layout=layout, log=log)
+            n_frames = import_file(
+                file, bag, layout=layout, tare=arguments.tare, invert=invert, log=log
+            )
         except SourceError as error:
-            text = spelled(str(error), lambda key: f"--{key.replace('_', '-')} ")
-            raise SourceError(text) from error
+            raise SourceError(as_options(str(error))) from error
         print(f"{bag}: {_count(n_frames, 'frame')}")
     return 0
 

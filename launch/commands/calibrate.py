@@ -34,10 +34,11 @@ from sparseskin.nodes.sensor.calibration.frames import (
     read_part,
 )
 from sparseskin.nodes.sensor.calibration.skin_file import save_skin
+from sparseskin.nodes.sensor.doubt import line_on_sign
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.layout.layout import Layout
 
-from .options import add_graph, add_layout, layout_of, rare, real, show, whole
+from .options import add_graph, add_layout, as_options, layout_of, rare, real, show, whole
 
 UNTOUCHED = "3s"
 STEP_S = 2.0
@@ -74,6 +75,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     more.add_argument("--unit", help=about)
     about = "distance of neighbouring taxels; default: that of the source"
     more.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
+    about = "without a press: readings fall with force"
+    more.add_argument("--invert", choices=("true", "false"), default="false", help=about)
     about = "let the range begin below 0, so that noise around 0 is not clipped"
     more.add_argument("--keep-noise", action="store_true", help=about)
     add_layout(parser, but=("unit", "f_max", "rate_hz"))
@@ -107,7 +110,11 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         mask=skin.mask,
         curve=arguments.curve,
         keep_noise=arguments.keep_noise,
+        invert=arguments.invert == "true",
     )
+    if not presses and isinstance(reader, Recorded):
+        line = line_on_sign(found.skin, reader.frames, arguments.invert == "true")
+        found.remarks.extend([as_options(line)] if line else [])
     print("\n".join(report(found)))
     for path in save_skin(out, found.skin):
         print(f"{path}: written")

@@ -109,6 +109,13 @@ def layout_of(arguments: argparse.Namespace) -> Layout:
         raise SettingsError(f"--{key.replace('_', '-')}{colon}{rest}") from error
 
 
+def as_options(line: str) -> str:
+    """A line whose missing settings, KEY=VALUE, are spelled as options of a command."""
+    from sparseskin.nodes.sensor.files.recording import spelled
+
+    return spelled(line, lambda key: f"--{key.replace('_', '-')} ")
+
+
 def bag_names(names: Sequence[str], out: str) -> list[str]:
     """Path or address of each bag that a command writes: `out`, or of its name in the folder `out`,
     which is made for several.

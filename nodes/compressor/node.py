@@ -325,6 +325,7 @@ class Compressor(Node[CompressorSettings]):
             y=y if bits is None else quantised(y, bits),
             phi=phi.fingerprint,
             missing=taxels.missing,
+            reason=taxels.reason,
             places=places,
             nodes=nodes,
         )

@@ -241,6 +241,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         unchanged = [False] * n
         try:
             patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
+            for patch, reason in zip(patches, measurements.reason, strict=True):
+                patch.sensed = reason
             follow(phi, measurements.places, measurements.nodes)
             all_y = measurements.y
             if all_y.flags.writeable:  # of a sender in this process, which may write to it again

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sparseskin.messages import PhiState, Reason, SkinState
+from sparseskin.messages.reasons import first_reason
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
@@ -42,10 +43,6 @@ if TYPE_CHECKING:
     from .contact_tracks import ContactTracker, Followed
 
 
-OF_MEASUREMENTS = (Reason.CONSTANT, Reason.FROZEN, Reason.CLIPPED)
-"""Reasons that measurements show as they are received: they come before others."""
-
-
 class Solved(NamedTuple):
     """What a `Reconstruction` states of one patch; forces and sd are float32 (n_rows, n_cols).
     `reason` is why the frame is not to be trusted, "" if it is.
@@ -75,6 +72,8 @@ class Patch:
         self._believed: Floats | None = None
         self._found = ""
         self._f_max = 0.0
+        #: Why the sensor does not trust the readings of the next frame; "" if it does.
+        self.sensed = ""
         self._missing: Mask | None = None
         self._blind = False  # a reading is missing whose neighbours are missing, too
         self._subsets: list[Phi] = []
@@ -251,9 +250,8 @@ class Patch:
 
     def _reason(self, of_frame: str) -> str:
         """Why the frame is not to be trusted; "" if it is. `of_frame` is what was found of it."""
-        if self._blind and of_frame not in OF_MEASUREMENTS:
-            return Reason.MISSING
-        return of_frame
+        of_readings = Reason.MISSING if self._blind and not self.sensed else self.sensed
+        return first_reason(of_frame, of_readings)
 
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""

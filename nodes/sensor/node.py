@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Calibration, Message, SkinState, Taxels, Truth, topic_of
+from sparseskin.messages import Calibration, Message, Reason, SkinState, Taxels, Truth, topic_of
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
@@ -19,14 +19,14 @@ from .calibration.chain import Chain
 from .calibration.description import of_skin
 from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
+from .doubt import Doubt
 from .files.file_source import missing_way
 from .files.recording import spelled
 from .layout.layout import MASK, REFUSE
 from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
-from .rest import Rest
-from .saturation import clipped_text
+from .saturation import Clipped, clipped_text
 from .settings import NO_TRUTH, SensorSettings
 from .source import DEFAULT_RATE_HZ, Skin
 
@@ -35,7 +35,15 @@ WAIT_S = 0.05
 LOG_S = 10
 """Least time between two lines of clipped readings, seconds; chosen: a log stays readable."""
 _Bits = npt.NDArray[np.uint8]
-_Frame = tuple[Floats, Floats | None, _Bits | None]  # taxels; where known, truth; missing taxels
+
+
+class _Frame(NamedTuple):
+    """A frame to publish: taxels; truth, where it is known; missing taxels; `reason` of them."""
+
+    taxels: Floats
+    truth: Floats | None = None
+    missing: _Bits | None = None
+    reason: str = ""
 
 
 class Sensor(SourceNode[SensorSettings]):
@@ -78,8 +86,12 @@ class Sensor(SourceNode[SensorSettings]):
         self._f_min = lower_end
         self._accepts_missing = settings.nan != REFUSE or bool(settings.missing)
         self._readings = MissingReadings(missing_way(settings.layout), skin, learns)
-        has_level = self._source.delivers == "taxels" and not settings.tare
-        self._rest = Rest(skin) if has_level else None
+        self._doubt: Doubt | None = None  # from the first frame on
+        self._stated_rest = settings.tare is not None or settings.invert
+        self._described_changes = bool(self._described and self._described.changes_readings)
+        self._line = ""  # on rest and sign, as it was logged last
+        if self._source.is_live:
+            self._source.clipped.mask = skin.mask
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._clock = self._source.clock if settings.clock == "source" else None
@@ -132,13 +144,17 @@ class Sensor(SourceNode[SensorSettings]):
     def change(self, settings: SensorSettings) -> Iterable[Message]:
         if settings.noise != self.settings.noise and self._source.delivers != "truth":
             raise SettingsError(NO_TRUTH)
+        if settings.invert != self.settings.invert:
+            if self._stage is None or (self._described and self._described.gains is not None):
+                raise SettingsError("invert: is of a sensor with a baseline, and without gains")
+            self._stage.invert()
         new_pace = settings.rate_hz != self.settings.rate_hz
         self.settings = settings
         self._noise = self._chosen_noise()
         if self._next is not None:
-            _, truth, missing = self._next
+            truth = self._next.truth
             if truth is not None:  # it was computed with the noise before
-                self._next = (*self._measured(truth), missing)
+                self._next = self._next._replace(taxels=self._measured(truth))
         if new_pace:
             self._set_pace()
             self.begin(self.context.clock.now_ns())
@@ -199,17 +215,20 @@ class Sensor(SourceNode[SensorSettings]):
             self._prepare()
             stamp_ns = self._stamp_ns
         if self._stage is not None and self._stage.is_news:
+            self._stated_rest = True
+            self._doubt = None
             yield from self._calibration()
             self._readings.is_news |= self._readings.is_known
         if self._next is None:
             return
         if self._readings.is_news:
             yield self._describe()
-        taxels, truth, missing = self._next
+        taxels, truth, missing, reason = self._next
         patch, names = self.settings.patch, self.settings.patches
-        yield Taxels(stamp_ns=stamp_ns, patch=patch, names=names, forces=taxels, missing=missing)
+        head: dict[str, Any] = {"stamp_ns": stamp_ns, "patch": patch, "names": names}
+        yield Taxels(**head, forces=taxels, missing=missing, reason=(reason,) if reason else ())
         if truth is not None:
-            yield Truth(stamp_ns=stamp_ns, patch=patch, names=names, forces=truth)
+            yield Truth(**head, forces=truth)
         self._n_frames += 1
         self._watch_rate(stamp_ns)
         if not source.is_live:
@@ -239,14 +258,17 @@ class Sensor(SourceNode[SensorSettings]):
     def report(self) -> dict[str, Any]:
         clock = self._clock.state() if self._clock is not None else {}
         found = {**self._clipped(), **clock, **self._source.report(), **self._readings.report()}
-        if self._rest is not None and self._rest.line:
-            found["lines"] = [*found.get("lines", ()), self._rest.line]
+        if self._line:
+            found["lines"] = [*found.get("lines", ()), self._line]
         return found
 
     def _clipped(self) -> dict[str, Any]:
         """Counts of the readings that were clipped to the range."""
-        clipped = (self._stage or self._source).clipped
-        return clipped.report(self._f_min, self.skin.f_max, self.skin.unit)
+        return self._clips.report(self._f_min, self.skin.f_max, self.skin.unit)
+
+    @property
+    def _clips(self) -> Clipped:
+        return (self._stage or self._source).clipped
 
     def _watch_range(self) -> None:
         """Log clipped readings at first, then when doubled, `LOG_S` apart: wrong sign or unit."""
@@ -310,10 +332,27 @@ class Sensor(SourceNode[SensorSettings]):
                 return None
             forces, missing = filled
         if source.delivers == "taxels":
-            if self._rest is not None and self._rest.update(forces):
-                self.context.log(self._rest.line)
-            return forces, None, missing
-        return (*self._measured(forces), missing)
+            return _Frame(forces, None, missing, self._reason(forces))
+        return _Frame(self._measured(forces), self._truth(forces), missing)
+
+    def _reason(self, forces: Floats) -> str:
+        """Why the readings of a frame are not to be trusted, "" if they are."""
+        if self._doubt is None:
+            s = self.settings
+            level = not self._stated_rest
+            self._doubt = Doubt(self.skin, has_level=level, is_inverted=s.invert)
+        reason = self._doubt.look(forces, self._clips)
+        if line := self._doubt.take_line():
+            self._say(line)
+        # A level that a calibration leaves is named, but a person has seen the readings.
+        if self._described_changes and reason == Reason.REST:
+            return self._clips.reason(self.skin.n_taxels)
+        return reason
+
+    def _say(self, line: str) -> None:
+        """Log a line that names settings, for the end of the run, too."""
+        self._line = spelled(line, lambda key: f"{self.context.name}.{key}=")
+        self.context.log(self._line)
 
     def _log_lines(self) -> None:
         for line in (*self._source.take_lines(), *self._readings.take_lines()):
@@ -337,8 +376,10 @@ class Sensor(SourceNode[SensorSettings]):
         described = replace(described.on(self._source_skin, where), placement=self._placement)
         if s.f_min is not None:
             described = replace(described, f_min=max(s.f_min, -described.f_max))
-        self._drifts = described.changes_readings or s.tare > 0
-        return Chain(described, self._drift_rate(), s.tare, self.context.log)
+        self._drifts = described.changes_readings or bool(s.tare)
+        if s.invert:
+            described = described.inverted()
+        return Chain(described, self._drift_rate(), s.tare or 0, self.context.log)
 
     def _drift_rate(self) -> float:
         default = DRIFT_RATE if self._drifts else 0.0
@@ -353,12 +394,16 @@ class Sensor(SourceNode[SensorSettings]):
         found = self._placement.skin(skin.f_max, skin.unit)
         return found if skin.mask is None else found.without(~self._placement.on_grid(skin.mask))
 
-    def _measured(self, truth: Floats) -> tuple[Floats, Floats]:
-        """Return the readings of true forces, and these, of each patch."""
+    def _truth(self, truth: Floats) -> Floats:
+        """True forces of each patch."""
         n = self.settings.n_patches
         if n > 1 and truth.ndim == 2:  # a scene of one patch, which all then show
-            truth = np.repeat(truth[np.newaxis], n, axis=0)
-        taxels = self._noise.apply(truth, self._rng)
+            return np.repeat(truth[np.newaxis], n, axis=0)
+        return truth
+
+    def _measured(self, truth: Floats) -> Floats:
+        """Readings of true forces, of each patch."""
+        taxels = self._noise.apply(self._truth(truth), self._rng)
         if self.skin.mask is not None:
             taxels[..., ~self.skin.mask] = 0.0
-        return taxels, truth
+        return taxels

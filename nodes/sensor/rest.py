@@ -2,45 +2,102 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from sparseskin.messages import Reason
+from sparseskin.messages.skin import Skin
 from sparseskin.messages.text import printable
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.touch import MeasuredNoise, touch_level
 
 from .calibration.chain import TARE_FRAMES
-from .source import Skin
+from .files.recording import ADD
 
-SHARE = 0.9
-"""Part of the taxels that a level at rest lifts. Chosen: of an insole that is stood on, the arch
-and the rim read nothing."""
+DEAD = 0.04
+"""Part of the taxels that a level at rest may leave out, rounded up. Chosen: a skin has fewer dead
+taxels, and a load that is there from the first frame on leaves more of them untouched."""
+EVEN = 0.2
+"""Least level of these in that of the median taxel. Chosen: the readings of untouched taxels are of
+one kind; noise of one sign, and loads, have readings near 0."""
+SIGMAS = 1.0
+"""Least level in standard deviations of the noise of one frame: noise that is clipped at 0 has a
+mean of 0.4 of them."""
 
 
 class Rest:
-    """Notices a level at rest: in the mean of the first `TARE_FRAMES` frames nearly all taxels read
-    more than the noise of one frame, and more than the least contact. Clipped noise has a mean of
-    0.4 deviations. `line` states what was found, and its remedy; it is empty where there is none.
+    """Notices a level at rest: in the mean of the first frames nearly all taxels read a level of
+    one kind, above the noise and the least contact.
+
+    The frames have the reason `Reason.REST` from the first one on. `TARE_FRAMES` later the level is
+    named in a line. The reason ends where most taxels read 0 in the mean of so many frames: what
+    they read at first was a load.
     """
 
     def __init__(self, skin: Skin) -> None:
-        self.line, self._skin, self._noise = "", skin, MeasuredNoise()
+        self._skin = skin
+        self._noise = MeasuredNoise()
         self._sum: Doubles = np.zeros(skin.shape)
-        self._n_left = TARE_FRAMES
+        self._n_frames = 0  # of the sum
+        self._levels: Doubles = np.zeros(0)  # of the taxels at first, while they are lifted
+        self._is_first = True  # the first frames pass
+        self.is_settled = False
+
+    @property
+    def reason(self) -> str:
+        """Why the last frame is not to be trusted: `Reason.REST`, or ""."""
+        return Reason.REST if self._levels.size and not self.is_settled else ""
+
+    @property
+    def line(self) -> str:
+        """What was found, and the settings that answer it, behind `ADD`; "" if nothing was."""
+        if not self.reason:
+            return ""
+        lowest, highest = self._levels.min(), self._levels.max()
+        levels = f"{lowest:.2g} to {highest:.2g} {printable(self._skin.unit)}"
+        part = f"{self._levels.size} of {self._skin.n_taxels}"
+        found = f"{part} taxels read {levels} at first, and may do so at rest"
+        answers = f"tare={TARE_FRAMES} if nothing touched them, tare=0 if these are forces"
+        return f"{found}{ADD}{answers}"
 
     def update(self, forces: Floats) -> bool:
-        """Add a frame, float32 (rows, cols); return True once, where a level is found."""
-        if not self._n_left:
+        """Add a frame, float32 (rows, cols); return True once, where a line is to be logged."""
+        if self.is_settled:
             return False
-        self._n_left -= 1
         self._sum += forces
-        noise, skin = self._noise.update(forces), self._skin
-        if self._n_left:
+        self._n_frames += 1
+        is_last = self._n_frames == TARE_FRAMES
+        if self._is_first:
+            self._noise.update(forces)
+            self._look()
+            self.is_settled |= is_last and not self._levels.size
+        elif is_last:
+            means = self._sum[self._skin.exists] / TARE_FRAMES
+            self.is_settled = float(np.median(means)) <= self._least()
+        if not is_last:
             return False
-        means = self._sum[skin.exists] / TARE_FRAMES
-        n_lifted = np.count_nonzero(means > touch_level(noise, skin.f_max, sigmas=1.0))
-        if n_lifted < SHARE * means.size:
-            return False
-        levels = f"{means.min():.2g} to {means.max():.2g} {printable(skin.unit)}"
-        remedy = f"if nothing touched them, sensor.tare={TARE_FRAMES} subtracts it"
-        self.line = f"{n_lifted} of {means.size} taxels read {levels} at first; {remedy}"
-        return True
+        is_new = self._is_first and not self.is_settled
+        self._is_first = False
+        self._sum[:] = 0.0
+        self._n_frames = 0
+        return is_new
+
+    def _look(self) -> None:
+        """Find whether the mean of the frames so far is a level."""
+        means = self._sum[self._skin.exists] / self._n_frames
+        n_below = math.ceil(DEAD * means.size)
+        if n_below >= means.size:
+            return
+        ordered = np.partition(means, (n_below, means.size // 2))
+        lowest = ordered[n_below]
+        median = ordered[means.size // 2]
+        least = self._least()
+        is_lifted = lowest > max(least, EVEN * median)
+        self._levels = means[means > least] if is_lifted else means[:0]
+        # Most taxels read 0: no level, and what comes later is a load.
+        self.is_settled = median <= least
+
+    def _least(self) -> float:
+        """Least level, in the unit of the forces."""
+        return touch_level(self._noise.sigma, self._skin.f_max, SIGMAS)

@@ -4,37 +4,69 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages import Reason
 from sparseskin.messages.text import printable
+from sparseskin.nodes.numerics.arrays import Mask
+
+from .sign import Margin, Sign
+
+MANY = 0.01
+"""Part of the readings of a frame from which on it is not trusted, if they are clipped. Chosen: of
+a small skin one taxel, of a large one less than a finger."""
 
 
 @dataclass
 class Clipped:
     """Counts of readings that were clipped, 1 a taxel and frame."""
 
-    n_below: int = 0  # the range
+    n_below: int = 0  # the range; of noise that is known, by more than that
     n_above: int = 0
     lowest: float = math.inf  # of the frames that had such, before they were clipped
     highest: float = -math.inf
+    n_now: int = field(default=0, compare=False)  # of the last frame, by more than its noise
+    mask: Mask | None = field(default=None, compare=False)  # True where a taxel exists; None: all
+    sign: Sign = field(default_factory=Sign, compare=False)
+    _margin: Margin = field(default_factory=Margin, compare=False)
 
     @property
     def n(self) -> int:
         """All readings that were clipped."""
         return self.n_below + self.n_above
 
-    def add(self, readings: npt.NDArray[Any], low: float, high: float) -> None:
-        """Count those of a frame that are below `low` or above `high`; NaN is neither."""
-        lowest, highest = (float(most.reduce(readings, axis=None)) for most in (np.fmin, np.fmax))
-        if low <= lowest and highest <= high:
+    def add(
+        self, readings: npt.NDArray[Any], low: float, high: float, noise: float | None = None
+    ) -> None:
+        """Count those of a frame, (rows, cols), that are below `low` or above `high`; NaN is
+        neither. `noise` is the standard deviation of an untouched taxel, None if not known.
+        """
+        if self.mask is not None:
+            readings = readings[self.mask]
+        margin = self._margin.of(readings, high, noise)
+        self.sign.update(readings, low, margin)
+        self.n_now = 0
+        lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
+        highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
+        least = low if noise is None else low - margin
+        if least <= lowest and highest <= high:
             return
-        self.n_below += int(np.count_nonzero(readings < low))
+        self.n_below += int(np.count_nonzero(readings < least))
         self.n_above += int(np.count_nonzero(readings > high))
-        self.lowest, self.highest = min(self.lowest, lowest), max(self.highest, highest)
+        self.lowest = min(self.lowest, lowest)
+        self.highest = max(self.highest, highest)
+        beyond = (readings < low - margin) | (readings > high + margin)
+        self.n_now = int(np.count_nonzero(beyond))
+
+    def reason(self, n_taxels: int) -> str:
+        """Why the last frame of a skin of so many taxels is not to be trusted, "" if it is."""
+        if self.sign.falls:
+            return Reason.SIGN
+        return Reason.CLIPPED if self.n_now > MANY * n_taxels else ""
 
     def report(self, f_min: float, f_max: float, unit: str) -> dict[str, Any]:
         """Counts and range for a summary, as `clipped_text` reads them."""

@@ -84,12 +84,18 @@ class SensorSettings(Layout, PatchesSettings):
         ".txt, or example:NAME (torso, grip); a source delivers readings in its order",
         decides=True,
     )
-    tare: int = setting(
-        0,
-        "number of first frames, of the untouched skin, whose median is the baseline; 0: the "
-        "baseline is that of the skin's file",
+    tare: int | None = setting(
+        None,
+        "number of first frames, of the untouched skin, whose median is the baseline; 0: readings "
+        "are forces, whatever the untouched skin reads; not stated: the baseline is that of the "
+        "skin's file, or 0, and a level that nearly all taxels read at first is not trusted",
         low=0,
         high=MAX_TARE_FRAMES,
+    )
+    invert: bool = setting(
+        False,
+        "readings fall with force: a force is the baseline less the reading",
+        live=True,
     )
     drift: float | None = setting(
         None,
@@ -110,7 +116,7 @@ class SensorSettings(Layout, PatchesSettings):
     @property
     def is_calibrated(self) -> bool:
         """True if raw readings are converted to forces."""
-        return bool(self.skin or self.tare or self.f_min)
+        return bool(self.skin or self.tare or self.invert or self.f_min)
 
     def address(self) -> Address:
         """The source, as these settings state it. Raises SourceError if it has no known form."""
@@ -135,7 +141,9 @@ class SensorSettings(Layout, PatchesSettings):
                 if getattr(self, key) is not None:
                     raise SettingsError(f"{key}: the file of the skin has its own")
             with naming("skin"):
-                load_skin(self.skin)
+                described = load_skin(self.skin)
+            if self.invert and described.gains is not None:
+                raise SettingsError("invert: the gains in the file of the skin have a sign")
         if self.points:
             if self.skin and load_skin(self.skin).placement is not None:
                 raise SettingsError("points: the file of the skin has its own")

@@ -89,6 +89,8 @@ class Phi(ABC):
     rule: int = SUMS
     #: Rows and columns of the frames that it measures, where they are known.
     grid: tuple[int, int] | None = None
+    #: Why the readings that `sparseskin.compress` measured last are not trusted, "" if they are.
+    sensed: str = ""
     has_rules: ClassVar[bool] = False
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:

@@ -94,6 +94,8 @@ class Solver(ABC):
     reason: str = ""
     #: What looks at the frames of a solver that is used by itself: a `FaultWatch`, or None.
     watch: Any = None
+    #: Phi that the caller made, of which `subsets` are the row subsets.
+    measured_by: Phi | None = None
     #: Measurements of the next frame that are not to count, bool (m,); None: all count.
     faulty: Mask | None = None
     #: Noise of the readings, as the skin states it; None where it does not.

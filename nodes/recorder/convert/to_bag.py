@@ -5,17 +5,24 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sparseskin.messages import MessageError, SkinState, Taxels
+from sparseskin.messages import Message, MessageError, SkinState, Taxels
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import progress
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter, removing
 from sparseskin.nodes.recorder.node import metadata_of
-from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.calibration.chain import Chain
+from sparseskin.nodes.sensor.calibration.description import of_skin
+from sparseskin.nodes.sensor.calibration.drift import DRIFT_RATE
+from sparseskin.nodes.sensor.doubt import Doubt
+from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
 from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
+from sparseskin.nodes.sensor.saturation import Clipped
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 _RUN_ID_BYTES = 8
@@ -27,21 +34,25 @@ def import_file(
     *,
     patch: str = "skin",
     layout: Layout = EMPTY,
+    tare: int | None = None,
+    invert: bool = False,
     log: Callable[[str], None] = lambda _: None,
 ) -> int:
     """Write a recording, in any format that the sensor reads, as a bag.
 
     The bag holds what a sensor would have published from the file: /PATCH/skin, then
-    /PATCH/taxels, with stamps from 0. The run id is a hash of the frames, so the same file gives
-    the same bag.
+    /PATCH/taxels, with stamps from 0; and /PATCH/calibration where readings are made forces. The
+    run id is a hash of the frames, so the same file gives the same bag.
 
-    `layout` is what the file does not state. `log` is called with lines on how the file was read,
-    on what was assumed, and on readings that were not valid. Returns the number of frames.
+    `layout` is what the file does not state; `tare` and `invert` are settings of the sensor: frames
+    of the tare are left out. Frames that are not to be trusted for rest, sign or range have the
+    reason. `log` is called with lines on how the file was read, on what was assumed, on readings
+    that were not valid, and on rest and sign. Returns the number of frames.
 
     Raises SourceError if the recording is missing or malformed or a setting contradicts it,
     BagError if the bag exists or cannot be written.
     """
-    frames = open_file(source, layout)
+    frames = open_file(source, layout, raw=bool(tare or invert))
     for line in frames.take_lines():
         log(line)
     content = hashlib.blake2b(digest_size=_RUN_ID_BYTES)
@@ -63,14 +74,72 @@ def import_file(
         )
     except MessageError as error:
         raise BagError(f"{str(source)!r}: {error}") from error
+    forces_of = _Forces(frames, tare, invert, log)
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
-        bag.record(state.published(run_id, 0), 0)
+        n_frames = 0
         total = frames.n_frames or 0
-        for stamp_ns, forces, missing in progress(frames.filled(), total, "import"):
-            taxels = Taxels(stamp_ns=stamp_ns, patch=patch, forces=forces, missing=missing)
-            bag.record(taxels.published(run_id, bag.n_messages - 1), stamp_ns)
-    return bag.n_messages - 1
+        for stamp_ns, readings, missing in progress(frames.filled(), total, "import"):
+            frame = forces_of.frame(readings, stamp_ns)
+            if frame is None:
+                continue
+            if n_frames == 0:
+                for message in forces_of.states(state):
+                    bag.record(message.published(run_id, 0), 0)
+            forces, reason = frame
+            head: dict[str, Any] = {"stamp_ns": stamp_ns, "patch": patch}
+            taxels = Taxels(**head, forces=forces, missing=missing, reason=reason)
+            bag.record(taxels.published(run_id, n_frames), stamp_ns)
+            n_frames += 1
+        if n_frames == 0:
+            raise BagError(f"{str(source)!r}: all frames are of the tare")
+    if line := forces_of.line:
+        log(line)
+    return n_frames
+
+
+class _Forces:
+    """Forces of the readings of a file, and why they are not to be trusted, as of a sensor."""
+
+    def __init__(
+        self, source: RecordedSource, tare: int | None, invert: bool, log: Callable[[str], None]
+    ) -> None:
+        described = of_skin(source.name, source.skin)
+        if invert:
+            described = described.inverted()
+        drift_rate = DRIFT_RATE if tare else 0.0
+        self._chain: Chain | None = None
+        if tare or invert:
+            self._chain = Chain(described, drift_rate, tare or 0, log)
+        self._clipped = Clipped() if self._chain is None else self._chain.clipped
+        has_level = tare is None and not invert
+        self._doubt = Doubt(source.skin, has_level=has_level, is_inverted=invert)
+
+    @property
+    def line(self) -> str:
+        """What makes all frames untrusted; "" if nothing does."""
+        return self._doubt.line
+
+    def frame(self, readings: Floats, stamp_ns: int) -> tuple[Floats, tuple[str, ...]] | None:
+        """Forces and reason of a frame, as of `Taxels`; None in a tare."""
+        forces: Floats | None = readings
+        if self._chain is not None:
+            forces = self._chain.process(readings, stamp_ns)
+        if forces is None:
+            return None
+        reason = self._doubt.look(forces, self._clipped)
+        return forces, (reason,) if reason else ()
+
+    def states(self, skin: SkinState) -> Iterator[Message]:
+        """The states before the first frame: the calibration, where there is one, and the skin with
+        the noise that it has shown.
+        """
+        if self._chain is not None:
+            described = self._chain.description
+            yield described.message(0, skin.patch)
+            sigma_mid, sigma_end = described.sigmas or (0.0, 0.0)
+            skin = replace(skin, sigma_mid=sigma_mid, sigma_end=sigma_end)
+        yield skin
 
 
 def recover_bag(bag: BagReader, out: Path) -> int:

@@ -14,7 +14,6 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.sensor.saturation import Clipped
-from sparseskin.nodes.touch import touch_level
 
 from .description import SkinDescription
 from .drift import DRIFT_RATE, Drift
@@ -29,9 +28,6 @@ MAX_TARE_READINGS = 1 << 26
 LEAST_FRAMES, MOST_FRAMES = 10, 100
 """Frames of a tare that its noise is measured on, where none is stated. Chosen: the median over
 the taxels of its deviation."""
-CLIPPED_SIGMAS = 6.0
-"""Standard deviations of noise below the range that are not reported as clipped; chosen: noise
-passes them once in 10^9 readings."""
 
 
 class Chain:
@@ -62,7 +58,9 @@ class Chain:
         d = self.description = description  # with the baseline in use; it contains no drift
         self.skin: Skin = d.skin
         self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
-        self.clipped = Clipped()  # above f_max, and below f_min by more than noise
+        self.clipped = Clipped(
+            mask=self.skin.mask
+        )  # above f_max, and below f_min by more than noise
         self._last: Doubles | None = None
         self._untared: Mask = np.zeros(d.shape, np.bool_)
         self._log = log
@@ -103,8 +101,7 @@ class Chain:
         found -= self.drift.value
         if not hangs:
             self.drift.update(np.nan_to_num(found), stamp_ns)
-        below = touch_level(d.noise or 0.0, d.f_max, CLIPPED_SIGMAS)
-        self.clipped.add(found, d.f_min - below, d.f_max)
+        self.clipped.add(found, d.f_min, d.f_max, d.noise or 0.0)
         return np.clip(found, d.f_min, d.f_max, out=found).astype(np.float32)
 
     def start_tare(self, value: Any) -> str:
@@ -139,6 +136,7 @@ class Chain:
         moved = np.abs(self.description.forces(baseline) - self.drift.value)[self.skin.exists]
         self.description = replace(self.description, baseline=baseline)
         self.drift.reset()
+        self.clipped.sign.reset()
         if self.description.noise is None and len(frames) >= LEAST_FRAMES:
             self._measure_noise(readings[:MOST_FRAMES])
         line = f"forces changed by at most {moved.max():.3g} {self.skin.unit}"
@@ -148,6 +146,13 @@ class Chain:
             line += ": a touch while taring, or a baseline that was old"
         self._tared, self.is_news = line, True
         self._log(f"tared: {line}")
+
+    def invert(self) -> None:
+        """Let readings fall with force that rose with it, or the reverse."""
+        self.description = self.description.inverted()
+        self.drift.reset()
+        self.clipped.sign.reset()
+        self.is_news = True
 
     def _measure_noise(self, readings: npt.NDArray[Any]) -> None:
         works = self.skin.exists & ~self._untared

@@ -237,6 +237,11 @@ class SkinDescription:
             found[..., ~self.mask] = 0.0
         return found
 
+    def inverted(self) -> SkinDescription:
+        """This description for readings that fall where it has them rise with force."""
+        gains = np.ones(self.shape) if self.gains is None else self.gains
+        return replace(self, gains=-gains)
+
     def on(self, skin: Skin, where: str) -> SkinDescription:
         """This description for a source with a skin of its own: cells that it masks are masked.
         Raises SourceError, after `where`, if the source has another shape.

@@ -128,6 +128,7 @@ def fit(
     mask: Mask | None = None,
     curve: Curve = "shared",
     keep_noise: bool = False,
+    invert: bool = False,
 ) -> Fit:
     """Calibrate a skin.
 
@@ -150,9 +151,11 @@ def fit(
         Response curve where even loads of several forces are known.
     keep_noise : bool
         True: the range begins at -4 standard deviations of the noise, so that none is clipped.
+    invert : bool
+        Readings fall with force, where there are no presses, which would show it.
 
-    Raises CalibrationError if there are too few frames, a press is not seen, or readings do not
-    rise with force.
+    Raises CalibrationError if there are too few frames, a press is not seen, readings do not rise
+    with force, or `invert` is stated beside presses.
     """
     untouched = np.asarray(untouched)
     if untouched.ndim != 3 or len(untouched) < 2:
@@ -190,6 +193,10 @@ def fit(
         gains, response = _even_fit(even, works, curve, remarks)
     elif presses:
         gains = np.full(shape, _common_gain(presses, rises, works, TOUCHED * noise, remarks))
+    elif invert:
+        gains = np.full(shape, -1.0)
+    if presses and invert:
+        raise CalibrationError("invert: the presses show whether readings fall with force")
     if not works.any():
         raise CalibrationError("no taxel works: none changes, or all are far noisier than half")
     arrays: Any = (None if works.all() else works, baseline, gains, response)

@@ -52,13 +52,13 @@ class Recorded:
     def __init__(self, skin: Skin, stamps_ns: list[int], frames: Frames) -> None:
         self.skin = skin
         self._stamps_s = np.array(stamps_ns, dtype=np.float64) / 1e9
-        self._frames = frames
+        self.frames = frames
 
     def part(self, start_s: float, stop_s: float) -> Frames:
         """Frames with stamps in [start_s, stop_s), seconds since the first.
         Raises CalibrationError if there is none.
         """
-        found = self._frames[(self._stamps_s >= start_s) & (self._stamps_s < stop_s)]
+        found = self.frames[(self._stamps_s >= start_s) & (self._stamps_s < stop_s)]
         if not len(found):
             fault = f"no frame of the recording, which lasts {self._stamps_s[-1]:g} s"
             raise CalibrationError(f"{start_s:g}-{stop_s:g}s: {fault}")

@@ -17,7 +17,6 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.sensor.missing import RENEWAL_NS, MissingReadings
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.rest import Rest
 
 NAN = float("nan")
 
@@ -189,19 +188,3 @@ def test_noise_is_a_multiple_of_the_papers_in_parts_of_the_range_and_may_be_none
 def test_bad_parameter_is_named_with_its_value_and_the_allowed_range(name, value, allowed):
     with pytest.raises(SettingsError, match=rf"{name} is {value!r}; allowed is {allowed}"):
         NoiseModel(**{name: value})
-
-
-SKIN = Skin(10, 10, f_max=2.5)
-
-
-@pytest.mark.parametrize(
-    ("level", "n_lifted", "found"), [(0.3, 100, True), (0.3, 80, False), (0.0, 100, False)]
-)
-def test_what_nearly_all_taxels_read_at_first_is_named_with_its_remedy(level, n_lifted, found):
-    rng, rest = np.random.default_rng(0), Rest(SKIN)
-    told = []
-    for _ in range(60):
-        frame = rng.normal(0, 0.02, 100)
-        frame[:n_lifted] += level
-        told.append(rest.update(frame.clip(0).astype(np.float32).reshape(SKIN.shape)))
-    assert (sum(told), "sensor.tare=30" in rest.line) == (found, found)

@@ -1,0 +1,92 @@
+"""Doubt: why the readings of a frame are not to be trusted, by rest, sign and range."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.skin import Skin
+from sparseskin.messages.text import printable
+from sparseskin.nodes.numerics.arrays import Floats
+
+from .calibration.chain import TARE_FRAMES
+from .calibration.description import SkinDescription
+from .files.recording import ADD
+from .rest import Rest
+from .saturation import Clipped
+from .sign import Sign
+
+
+class Doubt:
+    """Looks at the forces that became of the readings of one skin, frame by frame.
+
+    `has_level`: nobody has stated what the untouched skin reads; `is_inverted`: it is stated that
+    readings fall with force.
+    """
+
+    def __init__(self, skin: Skin, *, has_level: bool, is_inverted: bool = False) -> None:
+        self._skin = skin
+        self._rest = Rest(skin) if has_level else None
+        self._is_inverted = is_inverted
+        self._is_new = False
+        self._sign_found = False
+        self._line = ""
+
+    @property
+    def is_settled(self) -> bool:
+        """True if no level at rest can be found any more."""
+        return self._rest is None or self._rest.is_settled
+
+    @property
+    def level(self) -> str:
+        """`Reason.REST` where a level at rest is found, else ""."""
+        return self._rest.reason if self._rest is not None else ""
+
+    @property
+    def line(self) -> str:
+        """What makes all frames so far untrusted, with the settings that answer it, behind `ADD`;
+        "" if nothing does.
+        """
+        if self._rest is not None and self._rest.line:
+            return self._rest.line
+        return self._line if self._sign_found else ""
+
+    def take_line(self) -> str:
+        """That line where it is new, and there were enough frames for it; "" at other times."""
+        is_new, self._is_new = self._is_new, False
+        return self.line if is_new else ""
+
+    def look(self, forces: Floats, clipped: Clipped) -> str:
+        """Reason of a frame, float32 (n_rows, n_cols), 0 in masked cells; "" if there is none.
+        `clipped` are the counts to which it was added before it was clipped.
+        """
+        if self._rest is not None and self._rest.update(forces):
+            self._is_new = True
+        sign = clipped.sign
+        if sign.is_found and not self._sign_found:
+            self._is_new = True
+            self._line = self._line_on(sign)
+        self._sign_found = sign.is_found
+        return self.level or clipped.reason(self._skin.n_taxels)
+
+    def _line_on(self, sign: Sign) -> str:
+        depth = f"{-sign.lowest:.3g} {printable(self._skin.unit)}"
+        found = f"{sign.n_falls} taxels fell by up to {depth} below rest, {sign.n_rises} rose"
+        invert = "false" if self._is_inverted else "true"
+        answers = f"invert={invert} if a press does that, tare={TARE_FRAMES} if nothing touches"
+        return f"{found}{ADD}{answers} them"
+
+
+def line_on_sign(described: SkinDescription, frames: npt.NDArray[Any], is_inverted: bool) -> str:
+    """Line on the sign of raw frames, (n, n_rows, n_cols), of a skin that was calibrated without a
+    press, as `Doubt.line`.
+    """
+    doubt = Doubt(described.skin, has_level=False, is_inverted=is_inverted)
+    clipped = Clipped(mask=described.mask)
+    for raw in frames:
+        forces = described.forces(raw)
+        clipped.add(forces, described.f_min, described.f_max, described.noise)
+        doubt.look(forces.astype(np.float32), clipped)
+    return doubt.line

@@ -1,0 +1,133 @@
+"""Sign: whether readings rise with force, or fall below those at rest."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.touch import DIFFERENCE, touch_level
+
+SIGMAS = 6.0
+"""Standard deviations of noise that no reading of an untouched taxel falls below. Chosen: one in
+10^9 does."""
+UNKNOWN = 0.01
+"""Least fall in parts of f_max where the noise is not known. Chosen: a count of a converter of 7
+bits, whose noise may hide between its steps."""
+WHOLE, MOST_WHOLE = 2.5, 0.03
+"""The same of readings that are whole numbers, in these, and the most in parts of f_max. Chosen:
+noise of less than a step of the converter moves a reading by 2."""
+N_SPREADS = 9
+"""Frames whose median shows the noise. Chosen: longer than the onset of a load."""
+N_SHOWN = 256
+"""Least number of taxels of a large skin that show the noise. Chosen: 6 % of error."""
+MAD_TO_SD = 1.4826
+"""Standard deviation of normal noise in its median absolute deviation. Derived."""
+FALLS = 4
+"""Falls of taxels from which on all frames are in doubt. Chosen: a press of a finger, and more than
+the broken taxels of a skin that nothing has touched."""
+FALLS_PER_RISE = 3.0
+"""Falls for each rise from which on readings fall. Chosen: after a press, readings may swing below
+those at rest for a while, but each of them has risen before."""
+
+
+class Sign:
+    """Notices readings that fall below 0, the reading at rest, where hardly any rises above it.
+
+    A fall is the first frame of a taxel below 0 by more than noise, a rise is one above it. Frames
+    are in doubt where a taxel is below, and all once there were `FALLS`, as long as there is not a
+    rise for each `FALLS_PER_RISE` falls: one broken taxel falls once.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames, as where the reading at rest is another."""
+        self.n_falls = 0
+        self.n_rises = 0
+        self.lowest = 0.0
+        self._n_below = 0
+        self._below: Mask = np.zeros(0, np.bool_)
+        self._above: Mask = np.zeros(0, np.bool_)
+
+    @property
+    def falls(self) -> bool:
+        """True if the last frame is in doubt."""
+        if self.n_falls <= FALLS_PER_RISE * self.n_rises:
+            return False
+        return self._n_below > 0 or self.is_found
+
+    @property
+    def is_found(self) -> bool:
+        """True if all frames are in doubt."""
+        return self.n_falls >= max(FALLS, FALLS_PER_RISE * self.n_rises + 1)
+
+    def update(self, readings: npt.NDArray[Any], low: float, margin: float) -> None:
+        """Add a frame, (rows, cols), NaN where a reading is missing; `low` is the lower end of the
+        range, 0 or less, `margin` what noise may exceed.
+        """
+        below = readings < low - margin
+        above = readings > margin
+        if self._below.shape != below.shape:
+            self._below = np.zeros_like(below)
+            self._above = np.zeros_like(below)
+        if above.any():
+            self.n_rises += int(np.count_nonzero(above & ~self._above))
+        self._n_below = int(np.count_nonzero(below))
+        if self._n_below:
+            self.n_falls += int(np.count_nonzero(below & ~self._below))
+            self.lowest = min(self.lowest, float(np.nanmin(readings)))
+        self._below = below
+        self._above = above
+
+
+class Margin:
+    """What the noise of readings may exceed an end of the range by."""
+
+    def __init__(self) -> None:
+        self._last: npt.NDArray[Any] | None = None
+        self._spreads: deque[float] = deque(maxlen=N_SPREADS)
+
+    def of(self, readings: npt.NDArray[Any], f_max: float, noise: float | None) -> float:
+        """Margin of a frame, in its unit; `noise` is its standard deviation, None if not known:
+        then it is the median of what some taxels show in the last frames.
+        """
+        if noise is not None:
+            return touch_level(noise, f_max, SIGMAS)
+        least = UNKNOWN * f_max
+        step = max(readings.size // N_SHOWN, 1) | 1  # odd, as rows often have an even number
+        values = readings.reshape(-1)[::step].astype(np.float64)
+        last = self._last
+        self._last = values
+        is_known = np.isfinite(values)
+        if not is_known.all():
+            values = values[is_known]
+            last = None
+        if not values.size:
+            return least
+        self._spreads.append(_spread(values, last))
+        spreads = sorted(self._spreads)
+        if np.array_equal(values, np.rint(values)):
+            least = max(least, min(WHOLE, MOST_WHOLE * f_max))
+        return max(SIGMAS * spreads[(len(spreads) - 1) // 2], least)
+
+
+def _spread(values: Doubles, last: Doubles | None) -> float:
+    """Standard deviation of noise as a frame shows it: the less of that over its taxels, which a
+    load raises, and of that since the frame before, which a motion raises.
+    """
+    over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values)))
+    if last is None or last.size != values.size:
+        return over_taxels
+    change = _middle(np.abs(values - last)) / DIFFERENCE
+    return over_taxels if math.isnan(change) else min(over_taxels, change)
+
+
+def _middle(values: Doubles) -> float:
+    """Median of values, the upper one of two."""
+    return float(np.partition(values, values.size // 2)[values.size // 2])

@@ -1,0 +1,85 @@
+"""Zero: rest, sign and range of readings that a program hands over as arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sparseskin.messages import Reason
+from sparseskin.messages.ranges import is_whole
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.numerics.arrays import Floats
+
+from .calibration.chain import MAX_TARE_FRAMES
+from .doubt import Doubt
+from .saturation import Clipped
+
+
+class Zero:
+    """Makes forces of the readings of one skin, frame by frame, as the sensor node does, and states
+    why they are not to be trusted.
+
+    Parameters
+    ----------
+    skin : Skin
+        Its range is that of the forces.
+    tare : int, optional
+        Number of first frames, of the untouched skin, whose median is the reading at rest: their
+        forces are 0. 0: readings are forces, whatever the untouched skin reads. Not stated: so they
+        are, but a level that nearly all taxels read at first is not trusted.
+    invert : bool
+        Readings fall with force: a force is the reading at rest less the reading.
+
+    Attributes
+    ----------
+    reason : str
+        Word of the `Reason` for which the last frame is not to be trusted; "" if it is.
+    doubt : Doubt
+        What was found of all frames.
+
+    Raises SettingsError, after the name of the argument, if one is not allowed.
+    """
+
+    def __init__(self, skin: Skin, tare: int | None = None, invert: bool = False) -> None:
+        if tare is not None and not is_whole(tare, 0, MAX_TARE_FRAMES):
+            allowed = f"allowed: a whole number, 0..{MAX_TARE_FRAMES}"
+            raise SettingsError(f"tare = {tare!r} is not allowed; {allowed}")
+        if not isinstance(invert, bool | np.bool_):
+            raise SettingsError(f"invert = {invert!r} is not allowed; allowed: True, False")
+        self._skin = skin
+        self._n_tare = tare or 0
+        self._invert = bool(invert)
+        self._has_level = tare is None and not invert
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames, and the reading at rest."""
+        self.reason = ""
+        self._untouched: list[Floats] = []
+        self._baseline: Floats | None = None
+        self._clipped = Clipped(mask=self._skin.mask)
+        self.doubt = Doubt(self._skin, has_level=self._has_level, is_inverted=self._invert)
+
+    @property
+    def changes_readings(self) -> bool:
+        """True if forces differ from readings."""
+        return self._invert or self._n_tare > 0
+
+    def forces(self, readings: Floats) -> Floats:
+        """Forces of a frame, float32 (n_rows, n_cols), 0 in those of the tare; not clipped."""
+        if len(self._untouched) < self._n_tare:
+            self._untouched.append(readings.copy())
+            if len(self._untouched) == self._n_tare:
+                self._baseline = np.median(self._untouched, axis=0).astype(np.float32)
+            self.reason = Reason.REST
+            return np.zeros_like(readings)
+        forces = readings
+        if self._baseline is not None:
+            forces = forces - self._baseline
+        if self._invert:
+            forces = -forces
+        mask = self._skin.mask
+        existing = forces if mask is None else np.where(mask, forces, np.float32(0))
+        self._clipped.add(existing, 0.0, self._skin.f_max)
+        self.reason = self.doubt.look(existing, self._clipped)
+        return forces
