@@ -22,6 +22,8 @@ HEAD_BYTES = 1 << 16
 BAG_METADATA = "metadata.yaml"
 """File in the folder of a bag of ROS 2."""
 BAG_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+BAG_LOGS = ("-wal", "-shm", "-journal")
+"""Ends of the files that SQLite leaves beside a bag whose recorder was killed."""
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 MAX_PARTS = 1 << 20
 """Most files of a folder that are read; chosen."""
@@ -109,10 +111,12 @@ def folder_files(path: str) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield str(folder / name), ()
             return
     files = sorted(_listed(folder), key=lambda file: _natural(file.name))
-    if (folder / BAG_METADATA).is_file():
-        files = [file for file in files if file.name.endswith(BAG_SUFFIXES)]
+    of_bag = [file for file in files if file.name.endswith(BAG_SUFFIXES)]
+    beside_bag = [file for file in files if file.name.endswith(BAG_LOGS)]
+    if (folder / BAG_METADATA).is_file() or len(of_bag) + len(beside_bag) == len(files):
+        files = of_bag
         if not files:
-            raise SourceError(f"{path}: holds {BAG_METADATA}, but no file of a bag of ROS 2")
+            raise SourceError(f"{path}: holds no file of a recording")
     else:
         kinds = {file.suffix.lower() for file in files}
         if len(kinds) != 1 or not kinds <= {*TABLE_SUFFIXES}:

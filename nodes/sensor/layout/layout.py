@@ -86,7 +86,9 @@ class Layout(GridLayout):
     )
     field: str = setting("", "field of a message that holds the readings, as sensors[0].taxels[].z")
     time: str = setting(
-        "", "column, array or field of the times: its name or number; first; last; none"
+        "",
+        "column, array or field of the times: its name or number; first; last; none; of messages log, "
+        "the time of recording",
     )
     time_unit: str = setting(
         "", "unit of the times; clock: time of day, as 10:15:02.120", choices=TIME_UNITS
