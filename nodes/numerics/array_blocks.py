@@ -71,7 +71,7 @@ class StoredArray:
         # Longer runs cost fewer reads, and more memory.
         wanted = max(size, MIN_RUN_BYTES // max(1, entry_bytes))
         bound = max(size, MAX_GATHER_BYTES // max(1, n_outer * entry_bytes))
-        n_gathered = min(wanted, bound)
+        n_gathered = min(wanted, bound) // size * size
         with tempfile.TemporaryFile() as copy:
             if not self.can_seek:
                 shutil.copyfileobj(stream, copy, _COPY_BYTES)

@@ -120,6 +120,7 @@ class DatasetRecording(Recording):
             expected = "expected frames, rows and columns, or frames and readings"
             raise SourceError(f"{arrays.where(key)}: {fault}; {expected}")
 
+        # Times are found first: their number shows which axis is that of the frames.
         keys = times_keys(arrays, layout)
         n_times = {math.prod(arrays.datasets[name].sides) for name in keys}
         first_is_usual = None if arrays.last_part(key) == FORCES else arrays.has_frames_first
@@ -127,8 +128,12 @@ class DatasetRecording(Recording):
         n_frames = 1 if frames.axis is None else dataset.sides[frames.axis]
         time_key, time_notes = times_key(arrays, layout, key, keys, n_frames)
 
-        place = "one frame" if frames.axis is None else f"frames are axis {frames.axis + 1}"
-        about = f"{f'array {printable(key)}, ' if key else ''}{dataset.text}"
+        place = "one frame"
+        if frames.axis is not None:
+            place = f"frames are axis {frames.axis + 1}"
+        about = dataset.text
+        if key:
+            about = f"array {printable(key)}, {about}"
         notes = [f"{about}: {place} ({frames.reason})", *arrays.notes, *time_notes]
         if dataset.dtype.kind == "b":
             notes.append("True and False are read as 1 and 0")
@@ -150,12 +155,13 @@ class DatasetRecording(Recording):
             return plan
         n = items[0].size
         if stated:
-            column = {"first": 0, "last": n - 1}.get(layout.time)
-            column = int(layout.time) - 1 if column is None else column
+            ends_at = {"first": 0, "last": n - 1}
+            column = ends_at[layout.time] if layout.time in ends_at else int(layout.time) - 1
             if not 0 <= column < n:
                 where = self._arrays.where(plan.key)
                 raise SourceError(f"{where}: time = {layout.time}; allowed: columns 1..{n}")
             return plan._replace(time_column=column)
+        # Without a statement, only what no reading can be is taken as times: dates.
         is_open = not (plan.time_key or layout.time or layout.columns or layout.n_stated == n)
         if not is_open or n < 2:
             return plan
@@ -190,7 +196,9 @@ class DatasetRecording(Recording):
         mask, mask_notes = self._mask(plan)
         rate_hz, rate_notes = self._rate(plan)
         long_name = dataset.attributes.get("long_name")
-        title = (f"long name: {printable(str(long_name))[:60]}",) if long_name else ()
+        title: tuple[str, ...] = ()
+        if long_name:
+            title = (f"long name: {printable(text_of(long_name))[:60]}",)
         return Head(
             items,
             usable,
@@ -239,8 +247,10 @@ class DatasetRecording(Recording):
         for name in RATES[1:]:
             path = self._arrays.nearest(plan.key, (name,))
             is_number = path and math.prod(self._arrays.datasets[path].sides) == 1
-            value = self._arrays.whole(path) if is_number else attributes.get(name)
-            array = np.asarray(np.nan if value is None else value)
+            value = attributes.get(name, np.nan)
+            if is_number:
+                value = self._arrays.whole(path)
+            array = np.asarray(value)
             if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.reshape(()) < np.inf:
                 by_name[name] = float(array.reshape(()))
         listed = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())

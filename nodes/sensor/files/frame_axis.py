@@ -109,10 +109,12 @@ def find_frame_axis(
 def _with_items(names: Sequence[str], frame_axis: FrameAxis) -> FrameAxis:
     """The same with stated names of the axes beside that of the frames."""
     remaining = iter(names)
-    items = tuple(
-        Axis(axis.size, next(remaining, "") if axis.size > 1 else "") for axis in frame_axis.items
-    )
-    return frame_axis._replace(items=items)
+    items = []
+    for axis in frame_axis.items:
+        # Axes of one entry have no name.
+        label = next(remaining, "") if axis.size > 1 else ""
+        items.append(Axis(axis.size, label))
+    return frame_axis._replace(items=tuple(items))
 
 
 def _stated_labels(names: Sequence[str], array: ArrayShape) -> tuple[str, ...]:
@@ -167,8 +169,11 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
         for extra, channel, grid in grids
         for fit in _fits(layout, [array.sides[at] for at in grid])
     ]
-    if is_labelled or not ways:
-        return _Way(axis, _DIRECT if is_labelled else _NO_FIT, None)
+    if is_labelled:
+        # The arrangement follows the labels, and compares the stated shape with them.
+        return _Way(axis, _DIRECT, None)
+    if not ways:
+        return _Way(axis, _NO_FIT, None)
     return min(ways, key=lambda way: way.fit)
 
 
@@ -186,12 +191,14 @@ def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
         n = math.prod(sides)
         n_wanted = layout.n_stated
         has_columns = layout.columns or has_time_column(layout)
-        if n_wanted is None or has_columns:
-            is_whole = n % (rows or cols or 1) == 0
-            fits = n >= n_wanted if n_wanted else is_whole or has_columns
-            yield from (_DIRECT,) * bool(fits)
-        elif n in (n_wanted, n_wanted + 1):
-            yield _DIRECT if n == n_wanted else _WITH_TIME
+        if n_wanted is None:
+            # Rows alone, or columns alone, have to divide the readings.
+            if has_columns or n % (rows or cols or 1) == 0:
+                yield _DIRECT
+        elif n == n_wanted or (has_columns and n > n_wanted):
+            yield _DIRECT
+        elif n == n_wanted + 1:
+            yield _WITH_TIME
     elif len(sides) == 2:
         if sides[0] in (rows or sides[0],) and sides[1] in (cols or sides[1],):
             yield _DIRECT
@@ -211,10 +218,12 @@ def _fitting(
     fits = {at: _best_way(layout, array, at).fit for at in axes}
     fits = {at: fit for at, fit in fits.items() if fit != _NO_FIT}
     if not fits:
+        # A single frame, as from a file of each frame.
         if _best_way(layout, array, None).fit == _DIRECT and len(array.sides) > 1:
             return [None]
         fault = f"no axis of {array.text} leaves a frame of {shape}"
         raise SourceError(f"{array.where}: {fault}")
+    # Times beside the array are a label of the file: a shape that contradicts them is refused.
     timed = [at for at in axes if at is not None and array.sides[at] in n_times]
     candidates: list[int | None] = [at for at in fits if at in timed]
     candidates = candidates or list(fits)
@@ -240,8 +249,9 @@ def _decided(
         axis = axes[0]
         if axis is None:
             return axis, "the array is one frame of the stated shape"
-        has_times = array.sides[axis] in n_times
-        return axis, "as long as the times" if has_times else "it leaves the stated shape"
+        if array.sides[axis] in n_times:
+            return axis, "as long as the times"
+        return axis, "it leaves the stated shape"
     is_plausible = _first_is_plausible(array.sides)
     if 0 in axes and (first_is_usual is None or (first_is_usual and is_plausible)):
         return 0, "the first one, as is usual"
@@ -266,7 +276,9 @@ def _axes_text(array: ArrayShape, way: _Way) -> str:
     """The setting `axes` for a way, whose rows come before its columns."""
     others = [at for at in array.others(way.axis) if array.sides[at] > 1 and at != way.channel]
     names = ["-"] * len(array.sides)
-    usual = ("taxels",) if len(others) == 1 else ("rows", "cols", CHANNEL)
+    usual: tuple[str, ...] = ("rows", "cols", CHANNEL)
+    if len(others) == 1:
+        usual = ("taxels",)
     for at, name in zip(others, usual, strict=False):
         names[at] = name
     if way.channel is not None:
@@ -285,7 +297,9 @@ def _items(array: ArrayShape, way: _Way) -> Iterator[Axis]:
             label = CHANNEL
         elif at in grid and way.fit & _TRANSPOSED:
             label = ("cols", "rows")[grid.index(at)]
-        yield Axis(array.sides[at], "" if label == "-" else label, array.names.get(at, ()))
+        elif label == "-":
+            label = ""
+        yield Axis(array.sides[at], label, array.names.get(at, ()))
 
 
 def _said(way: _Way) -> str:
