@@ -42,7 +42,7 @@ from sparseskin.nodes.recorder.bag.patches import split_bag
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.convert.npz import export_npz
 from sparseskin.nodes.sensor.files.bag import is_bag
-from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
 from sparseskin.nodes.sensor.files.format import HEAD_BYTES
 from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 from sparseskin.nodes.sensor.zero import Zero
@@ -518,13 +518,28 @@ def read_recording(
         if word not in KEYS:
             raise SparseskinError(f"{word}: unknown argument{nearest_of(word, KEYS)}")
     source = open_file(path, Layout(**stated))
-    stamps, blocks = zip(*source.known(), strict=True)
+    forces, stamp_ns = _gathered(source)
     return {
-        "forces": np.concatenate(blocks),
-        "stamp_ns": np.concatenate(stamps),
+        "forces": forces,
+        "stamp_ns": stamp_ns,
         **described(source.skin, source.rate_hz),
         "notes": tuple(source.take_lines()),
     }
+
+
+def _gathered(source: RecordedSource) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """All frames and stamps; without a second copy where their number is known."""
+    if source.n_frames is None:
+        stamp_blocks, blocks = zip(*source.known(), strict=True)
+        return np.concatenate(blocks), np.concatenate(stamp_blocks)
+    forces = np.empty((source.n_frames, *source.skin.shape), dtype=np.float32)
+    stamp_ns = np.empty(source.n_frames, dtype=np.int64)
+    n = 0
+    for stamps, frames in source.known():
+        forces[n : n + len(frames)] = frames
+        stamp_ns[n : n + len(frames)] = stamps
+        n += len(frames)
+    return forces[:n], stamp_ns[:n]
 
 
 def _is_bag(path: str | os.PathLike[str]) -> bool:

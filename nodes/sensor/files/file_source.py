@@ -62,7 +62,7 @@ class RecordedSource(Source):
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
         self._is_told = False
         with opened(path, layout, raw) as frames:
-            self.name = Path(frames.name).stem
+            self.name = Path(path if Path(path).is_dir() else frames.name).stem
             survey = self._surveyed(frames)
             self._treatment = Treatment(layout, survey, raw)
             self.skin = _skin(frames, survey, self._treatment)
@@ -111,6 +111,11 @@ class RecordedSource(Source):
         readings = MissingReadings(way, self.skin, learns=False)
         exists = self.skin.exists
         for stamp_ns, frames in self.blocks():
+            with np.errstate(over="ignore", invalid="ignore"):
+                is_whole = np.isfinite(frames.sum())
+            if is_whole:
+                yield stamp_ns, frames
+                continue
             is_number = np.isfinite(frames).all(axis=(1, 2))
             if way in (ZERO, HOLD) and not is_number.all():
                 for k in range(len(frames)):

@@ -87,8 +87,8 @@ class Layout(GridLayout):
     field: str = setting("", "field of a message that holds the readings, as sensors[0].taxels[].z")
     time: str = setting(
         "",
-        "column, array or field of the times: its name or number; first; last; none; of messages log, "
-        "the time of recording",
+        "column, array or field of the times: its name or number; first; last; none; log, of "
+        "messages, the time of recording",
     )
     time_unit: str = setting(
         "", "unit of the times; clock: time of day, as 10:15:02.120", choices=TIME_UNITS

@@ -50,8 +50,8 @@ class TestProfiles:
     def test_a_file_of_ones_own_is_read(self, tmp_path):
         path = tmp_path / "own.toml"
         path.write_text(
-            'about = "mine"\nstart = "A5"\nn_rows = 2\nn_cols = 3\nrow_order = [1, 0]\nscale = 0.5\n'
-            'unit = "N"\npitch_mm = 4\nbitrate = 500000\n'
+            'about = "mine"\nstart = "A5"\nn_rows = 2\nn_cols = 3\nrow_order = [1, 0]\n'
+            'scale = 0.5\nunit = "N"\npitch_mm = 4\nbitrate = 500000\n'
         )
         board = serial(f"profile={path}")
         assert (board.skin.shape, board.skin.unit, board.skin.f_max) == ((2, 3), "N", 127.5)
