@@ -161,11 +161,10 @@ class Frames:
         """Stamps of the next n frames at an even rate."""
         rate_hz = self.layout.rate_hz or self.head.rate_hz
         period_ns = UNTIMED_PERIOD_NS if rate_hz is None else 1e9 / rate_hz
-        numbers = range(self._n_before, self._n_before + n)
-        stamps = [round(number * period_ns) for number in numbers]
+        stamps = np.rint(np.arange(self._n_before, self._n_before + n) * period_ns)
         if stamps[-1] > INT64_MAX:
             raise SourceError(f"{self.name}: the recording lasts longer than 2**63 ns")
-        return np.array(stamps, dtype=np.int64)
+        return stamps.astype(np.int64)
 
     def _checked(self, readings: npt.NDArray[Any]) -> Floats:
         """Readings as float32, NaN where one is missing. Raises SourceError, with the place, at one
