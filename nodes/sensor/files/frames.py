@@ -164,7 +164,8 @@ class Frames:
         stamps = np.rint(np.arange(self._n_before, self._n_before + n) * period_ns)
         if stamps[-1] > INT64_MAX:
             raise SourceError(f"{self.name}: the recording lasts longer than 2**63 ns")
-        return stamps.astype(np.int64)
+        whole: npt.NDArray[np.int64] = stamps.astype(np.int64)
+        return whole
 
     def _checked(self, readings: npt.NDArray[Any]) -> Floats:
         """Readings as float32, NaN where one is missing. Raises SourceError, with the place, at one
