@@ -27,7 +27,7 @@ def _is_text(value: object) -> bool:
     return isinstance(value, str)
 
 
-def _is_list_of_texts(value: object) -> bool:
+def _is_list_of_texts(value: Any) -> bool:
     # A text alone is answered by the function, which knows what was meant.
     is_list = isinstance(value, str | list | tuple)
     return is_list and all(isinstance(item, str) for item in value)

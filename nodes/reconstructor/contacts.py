@@ -276,8 +276,10 @@ def find_contacts(
             f"find_contacts: forces of shape {forces.shape} and error {error:g}; allowed: forces "
             f"of shape (n_rows, n_cols) within +-{LARGEST:g}, and an error above 0"
         )
+    n_rows, n_cols = forces.shape
+    exists = None if mask is None else np.asarray(mask)
     try:
-        skin = Skin(*forces.shape, f_max=1.0, mask=None if mask is None else np.asarray(mask))
+        skin = Skin(n_rows, n_cols, f_max=1.0, mask=exists)
     except MessageError as cause:
         raise SolverError(f"find_contacts: {cause}") from cause
     if sd is not None:
