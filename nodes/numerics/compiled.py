@@ -10,7 +10,7 @@ import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -88,7 +88,9 @@ def ready(
     def begin() -> None:
         count(0, len(missing))
 
-    with _alone(loops[0]), _progress(log, begin) if log is not None else nullcontext([]) as begun_s:
+    with ExitStack() as stack:
+        stack.enter_context(_alone(loops[0]))
+        begun_s = [] if log is None else stack.enter_context(_progress(log, begin))
         for k, loop in enumerate(missing, 1):
             for signature in _SIGNATURES[loop]:
                 loop.compile(signature)  # type: ignore[attr-defined]

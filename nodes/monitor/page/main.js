@@ -75,7 +75,7 @@ function newMaps() {
   const skin = body ? body.whole() : model.skins[patch];
   maps = skin ? new Maps(byId("maps"), skin) : null;
   if (body) strips ??= new Strips(byId("strips"), chartsOfAll(skin.sum_unit));
-  if (!body && skin) strips ??= new Strips(byId("strips"), chartsOfPatch(skin.sum_unit));
+  if (!body && skin) strips ??= new Strips(byId("strips"), chartsOfPatch(skin));
   if (maps && !body && model.maps[patch]) showMaps();
 }
 
@@ -193,7 +193,7 @@ function tiles(name) {
           : "against the taxels; the truth is not known"],
     ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`
       + (s.latency_uncertainty_ms ? ` ± ${fixed(s.latency_uncertainty_ms, 1)}` : ""),
-      `p99 ${fixed(s.latency_ms?.p99, 1, "ms")}, solve ${fixed(s.solve_ms?.p50, 1, "ms")}`],
+      `p99 ${brief(s.latency_ms?.p99, "ms")}, solve ${brief(s.solve_ms?.p50, "ms")}`],
     ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `requested ${brief(asked(name))} Hz`
       : "as fast as possible"],
     ["frames", "Frames", `${s.frames?.reconstructed ?? "–"}`,
@@ -238,7 +238,7 @@ function listed(id, texts) {
 
 // Nodes that do what is usual are counted, all others named.
 function drawNodes() {
-  const usual = model.over ? "ended" : "running", nodes = model.graph?.nodes ?? [];
+  const usual = model.over ? "ended" : isStarting() ? "starting" : "running", nodes = model.graph?.nodes ?? [];
   const rest = nodes.filter((node) => condition(node) === usual && !node.restarts);
   const shown = nodes.filter((node) => !rest.includes(node)).map((node) => [condition(node),
     `${node.name}: ${condition(node)}${node.restarts ? `, restarts: ${node.restarts}` : ""}`, node.line]);
@@ -257,10 +257,12 @@ function drawNodes() {
 
 function drawNotices() {
   const found = notices(model);
-  const items = listed("notices", found.map(([, text]) => text));
-  found.forEach(([tone], k) => (items[k].className = tone));
+  const shown = found.filter(([tone]) => tone !== "start"); // which has a place of its own
+  const items = listed("notices", shown.map(([, text]) => text));
+  shown.forEach(([tone], k) => (items[k].className = tone));
   const bad = found.some(([tone]) => tone === "bad");
-  drawStart(bad ? null : model.state?.start);
+  const start = found.find(([tone]) => tone === "start");
+  drawStart(bad || !start ? "" : start[1], model.state?.start);
   const pill = byId("liveness");
   pill.className = `pill ${bad ? "bad" : found.length ? "note" : "good"}`;
   const stale = found.some(([, text]) => text.includes("stale"));
@@ -276,11 +278,13 @@ function isStarting() {
   return nothing && !model.over && (model.state === null || Boolean(model.state.start));
 }
 
-// How far the start is, as a bar; null: no start.
-function drawStart(start) {
-  const bar = byId("start");
-  bar.hidden = !start;
-  if (start) [bar.value, bar.max] = start;
+// How far the start is, in words and as a bar; "": no start.
+function drawStart(text, start) {
+  const section = byId("start"), [line, bar] = section.children;
+  section.hidden = !text;
+  if (!text || !start) return;
+  setText(line, text);
+  [bar.value, bar.max] = start;
 }
 
 function drawOverview() {

@@ -82,8 +82,11 @@ class GridView {
   // Where the part that is shown lies on the whole skin, in a corner of the large map.
   inset(canvas, map, top) {
     const { crop, all, skin: { n_rows: nRows, n_cols: nCols, data: { mask } } } = this;
-    canvas.hidden = crop === all || !map;
+    canvas.hidden = crop === all || !map || (crop.rows === nRows && crop.cols === nCols);
     if (canvas.hidden) return;
+    // A contact near an edge is at that edge of the part: the inset is at the other one.
+    canvas.classList.toggle("left", 2 * crop.col + crop.cols > nCols);
+    canvas.classList.toggle("above", 2 * crop.row + crop.rows > nRows);
     if (canvas.width !== nCols * INSET) [canvas.width, canvas.height] = [nCols * INSET, nRows * INSET];
     const image = new ImageData(nCols * INSET, nRows * INSET), scale = 255 / top;
     const pixels = new Uint32Array(image.data.buffer);

@@ -64,10 +64,10 @@ export const chartsOfAll = (unit) => [
   { id: "pressed", title: "Patches pressed", unit: "", lines: [["good", "pressed", (f) => f.last, "now"]] },
 ];
 
-// Charts of one patch, whose sums of forces are in a unit.
-export const chartsOfPatch = (unit) => [
-  { id: "force", title: "Total force", unit, marked: true, lines: [["good", "total", (f) => f.mean, "total"]],
-    counted: ["contacts", "contacts"] },
+// Charts of one patch of a skin.
+export const chartsOfPatch = ({ sum_unit: unit, f_max: fMax }) => [
+  { id: "force", title: "Total force", unit, least: fMax, marked: true, counted: ["contacts", "contacts"],
+    lines: [["good", "total", (f) => f.mean, "total"]] },
   ...CHARTS];
 
 export class Strips {
@@ -197,7 +197,7 @@ export function limits(lines, chart, asked) {
   } else {
     // Latencies are below 0 where stamps are ahead of the clock.
     low = low < 0 ? -nice(-low * 1.08) : 0;
-    high = nice(high * 1.08);
+    high = Math.max(chart.least ?? 0, nice(high * 1.08));
   }
   return [low, high > low ? high : low + 1];
 }
