@@ -101,6 +101,12 @@ class Launcher:
                 "[launch] warning: insecure = true and no keys: whoever reaches this network "
                 "can read all topics and pretend to be any node"
             )
+        elif self._launch.transport == "tcp" and not self._launch.security:
+            self._terminal.log(
+                "[launch] warning: tcp and no keys: any user of this host can read all topics, "
+                "hold up this graph, and pretend to be a node that is started again; keys or ipc "
+                "prevent it"
+            )
         self._fleet.spawn()
         if not self._handshake():
             return
