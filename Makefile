@@ -21,7 +21,7 @@ ALL_TESTS = SPARSESKIN_EXAMPLES=100 $(ONE_THREAD) $(CURDIR)/$(BIN)/python -m pyt
 .DELETE_ON_ERROR:
 
 # The main job: a wrench dragged over 64 x 64 taxels, streamed through four processes, one minute.
-demo: .venv/installed
+demo: .venv/compiled
 	$(BIN)/sparseskin launch drag_wrench_64 --set sensor.rate_hz=100
 
 # Pictures of the live page in several states, in docs/ (needs chromium, chromium-driver).
@@ -104,6 +104,11 @@ check: .venv/installed-dev
 
 .venv/installed: pyproject.toml .venv/python
 	$(call install,-e '.[fast]')
+	touch $@
+
+# Compiled loops are kept beside their module: a demo starts at once.
+.venv/compiled: .venv/installed nodes/numerics/kernels.py
+	$(BIN)/python -m sparseskin.nodes.numerics.warm_up
 	touch $@
 
 .venv/installed-charts: pyproject.toml .venv/python

@@ -39,6 +39,8 @@ class Context:
     """Random text, the same for one run of a graph, that its live pages ask for."""
     page_file: str = ""
     """Where a page that opens a live page may be written, which no other user reads; "": none."""
+    count: Callable[[int, int], None] = field(default=lambda done, of: None)
+    """Receives how many parts of a long start are done, and of how many."""
     live: bool = True
     """False where frames wait until the nodes are done with those before, as in a `Bus`."""
 

@@ -19,6 +19,7 @@ from sparseskin.messages.frames import Frames, values_alone
 from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import Skin
+from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
@@ -26,10 +27,10 @@ from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
-from sparseskin.nodes.numerics.arrays import real_floats
+from sparseskin.nodes.numerics.arrays import LARGEST, real_floats
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.faults.watch import solve_watched, watch_of
-from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver, newtons
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
 from sparseskin.nodes.recorder.bag.frames import (
     array_names,
@@ -45,12 +46,16 @@ from sparseskin.nodes.sensor.files.bag import is_bag
 from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
 from sparseskin.nodes.sensor.files.format import HEAD_BYTES
 from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
+from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.zero import Zero
 
 Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
+WITHIN = f"numbers within +-{LARGEST:g}"
 
+
+@checked(PhiError)
 def compress(
     forces: Floats,
     phi: Phi,
@@ -124,9 +129,11 @@ def compress(
         raise PhiError(f"compress: {n} taxels of {exists.shape} exist; {phi} is for {phi.n}")
     _keep_grid(phi, exists.shape)
     x = forces[..., exists]
-    if not np.isfinite(x).all():
-        place = np.argwhere(exists & ~np.isfinite(forces))[0].tolist()
-        raise PhiError(f"compress: forces{place} is not finite; allowed: finite numbers")
+    is_number = np.abs(x) <= LARGEST
+    if not is_number.all():
+        place = tuple(np.argwhere(exists & ~(np.abs(forces) <= LARGEST))[0].tolist())
+        reads = f"forces{list(place)} is {forces[place]:g}"
+        raise PhiError(f"compress: {reads}; allowed: {WITHIN}")
     frames = _zeroed(forces.reshape(-1, *shape), exists, phi, tare, invert)
     x = frames.reshape(forces.shape)[..., exists]
     subsets = row_subsets(phi, rows)
@@ -173,6 +180,7 @@ def _keep_grid(phi: Phi, shape: tuple[int, ...]) -> None:
     phi.grid = (shape[0], shape[1])
 
 
+@checked(SolverError)
 def make_solver(
     name: str,
     phi: Phi,
@@ -210,6 +218,7 @@ def make_solver(
     return made
 
 
+@checked(SolverError)
 def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     """Reconstruct frames one after the other, each with what the solver kept of the last.
 
@@ -253,6 +262,11 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
         warn_of_threads()
     if not hasattr(solver, "solve"):
         raise SolverError(f"solver: got {type(solver).__name__}; expected what make_solver returns")
+    newtons("solver", "noise_sd", getattr(solver, "noise_sd", 0.0))
+    model = getattr(solver, "noise_model", None)
+    if not (model is None or isinstance(model, NoiseModel)):
+        shown = f"{model!r:.60}"
+        raise SolverError(f"solver: noise_model = {shown} is not allowed; allowed: a NoiseModel")
     y = real_floats(measurements, "measurements", SolverError)
     if y.ndim not in (1, 2):
         raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
@@ -287,6 +301,7 @@ def warn_of_threads() -> None:
         )
 
 
+@checked(SparseskinError)
 def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     """Peak signal-to-noise ratio of each frame, 20 log10(f_max / RMSE), capped at 100 dB (paper,
     section V-C).
@@ -308,8 +323,14 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     SparseskinError
         If the shapes differ or are no frames, or the reference exceeds the range.
     """
-    for given in (forces, truth):
-        real_floats(given, "psnr_db", SparseskinError)
+    for name, frames in (("forces", forces), ("truth", truth)):
+        is_number = np.abs(real_floats(frames, f"psnr_db: {name}", SparseskinError)) <= LARGEST
+        if not is_number.all():
+            place = tuple(np.argwhere(~is_number)[0].tolist())
+            reads = f"{name}{list(place)} is {np.asarray(frames)[place]:g}"
+            raise SparseskinError(f"psnr_db: {reads}; allowed: {WITHIN}")
+    if not f_max > 0:
+        raise SparseskinError(f"psnr_db: f_max = {f_max:g} is not allowed; allowed: above 0")
     forces, truth = np.asarray(forces), np.asarray(truth)
     if forces.shape != truth.shape or forces.ndim not in (2, 3):
         raise SparseskinError(
@@ -325,6 +346,7 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     return np.array([psnr_of_error(frame, f_max) for frame in error])
 
 
+@checked(SparseskinError)
 def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
     """Simulate the first frames of a scene.
 
@@ -393,6 +415,7 @@ class Frame:
     """Taxels whose reading is missing, and filled in, (n_rows, n_cols); None: there are none."""
 
 
+@checked(SparseskinError)
 def run_launch(
     launch: LaunchFile | str, n_frames: int | None = None, settings: Sequence[str] = ()
 ) -> Iterator[Frame]:
@@ -469,6 +492,7 @@ def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator
         yield Frame(patch, stamp_ns, **parts)
 
 
+@checked(SparseskinError)
 def read_recording(
     path: str | os.PathLike[str], patch: str | None = None, **stated: Any
 ) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Mask
@@ -17,6 +18,7 @@ ROUNDING = 1e-5
 N_FRAMES = 6
 
 
+@checked(PhiError)
 def check_phi(phi: Phi) -> dict[str, float]:
     """Check a measurement matrix by random vectors, its dense form and its eigenvalues.
 
@@ -54,6 +56,7 @@ def check_phi(phi: Phi) -> dict[str, float]:
     return {"dot": dot, "largest": largest}
 
 
+@checked(SolverError)
 def check_basis(basis: Basis) -> dict[str, float]:
     """Check that a basis is orthonormal, and its shapes, types and bits as in `check_phi`.
 
@@ -83,6 +86,7 @@ def check_basis(basis: Basis) -> dict[str, float]:
     return {"dot": dot}
 
 
+@checked(SolverError)
 def check_solver(solver: Solver) -> dict[str, float]:
     """Check a solver by frames of a disc that slides over its skin; it is reset before and after.
 
@@ -100,6 +104,8 @@ def check_solver(solver: Solver) -> dict[str, float]:
     SolverError
         At the first property that does not hold.
     """
+    if not isinstance(solver, Solver):
+        raise SolverError(f"solver: got {solver!r}; expected what make_solver returns")
     test, shape = _Test(SolverError, f"solver {solver.name}"), solver.mask.shape
     frames = _disc(shape) * solver.mask
     subsets = solver.subsets or (solver.phi,)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages.errors import MessageError
+from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
@@ -16,7 +17,7 @@ from sparseskin.nodes.compressor.node import CHOSEN_ANEW, CompressorSettings
 from sparseskin.nodes.compressor.phi.rotation import RATIO
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import suggestion
-from sparseskin.nodes.numerics.arrays import real_floats
+from sparseskin.nodes.numerics.arrays import LARGEST, real_floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise, solve_watched
 from sparseskin.nodes.reconstructor.limits import options_for_range
@@ -133,8 +134,8 @@ class Stream:
         invert: bool = False,
         **settings: Any,
     ) -> None:
-        if np.shape(shape) != (2,):
-            allowed = "allowed: (n_rows, n_cols)"
+        if np.shape(shape) != (2,) or not all(is_whole(side, 1, MAX_SIDE) for side in shape):
+            allowed = f"allowed: (n_rows, n_cols), whole numbers 1..{MAX_SIDE}"
             raise SparseskinError(f"stream: shape = {shape!r} is not allowed; {allowed}")
         try:
             self._skin = Skin(*shape, f_max, mask=None if mask is None else np.array(mask))
@@ -244,6 +245,8 @@ class Stream:
         if abs(most) > MOST_RANGES * self._skin.f_max:
             what = f"a taxel reads {most:g}, far beyond f_max = {self._skin.f_max:g}"
             raise SparseskinError(f"stream: {what}; state f_max in the unit of the readings")
+        if abs(most) > LARGEST:
+            raise SparseskinError(f"stream: a taxel reads {most:g}; allowed: within +-{LARGEST:g}")
 
     def _note_doubt(self) -> None:
         """Keep what is found of the readings of the next frame for its reconstruction."""

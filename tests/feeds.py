@@ -97,6 +97,7 @@ def node_state(name: str, **changes: Any) -> dict[str, Any]:
         "refused": 0,
         "refusal": "",
         "said": "",
+        "compiled": None,
         "state": {},
         "commands": {},
     } | changes

@@ -172,8 +172,21 @@ OTHER, CHOOSING = (make_phi(kind, 64, 22, 0) for kind in ("gaussian", "adaptive"
 X, Y = np.ones((2, 8, 8), np.float32), np.ones((2, 22), np.float32)
 
 
+MASKED = np.ma.array(X, mask=X > 0)
+
+
 def solver():
     return make_solver("fista", PHI, BASIS)
+
+
+def psnr(**given):
+    return sparseskin.psnr_db(**{"forces": X, "truth": X, **given})
+
+
+def noisy(**stated):
+    noisy_solver = solver()
+    vars(noisy_solver).update(stated)
+    return reconstruct(Y, noisy_solver)
 
 
 MISTAKES = {
@@ -181,7 +194,7 @@ MISTAKES = {
         X, PHI, np.ones((4, 16), np.bool_)
     ),
     "the mask is int64 of shape": lambda: compress(X, PHI, X[0].astype(int)),
-    "compress: forces[1, 0, 3] is not finite": lambda: compress(
+    "compress: forces[1, 0, 3] is nan; allowed: numbers within": lambda: compress(
         np.where(np.arange(128).reshape(2, 8, 8) == 67, np.nan, X), PHI
     ),
     "compress: forces: type int64; allowed: newtons": lambda: compress(np.ones((8, 8), int), PHI),
@@ -198,7 +211,8 @@ MISTAKES = {
     ),
     "phi: got HaarBasis; expected what": lambda: make_solver("fista", BASIS, PHI),
     "basis: got str; expected what": lambda: make_solver("fista", PHI, "haar"),
-    "basis: '8' x 8 is no grid": lambda: make_basis("haar", "8", 8),
+    "make_basis: n_rows = '8' is not allowed": lambda: make_basis("haar", "8", 8),
+    "basis: 0 x 8 is no grid; allowed: whole numbers 1..4096": lambda: make_basis("haar", 0, 8),
     "y has shape (21,); expected (22,)": lambda: reconstruct(Y[:, :21], solver()),
     "measurements: type complex": lambda: reconstruct(Y * 1j, solver()),
     "solver: got ndarray": lambda: reconstruct(solver(), Y),
@@ -206,8 +220,47 @@ MISTAKES = {
         X[0].reshape(2, 32)
     ),
     "stream: readings: type complex": lambda: sparseskin.Stream((8, 8)).compress(X[0] * 1j),
-    "psnr_db: type complex": lambda: sparseskin.psnr_db(X * 1j, X),
+    "psnr_db: forces: type complex": lambda: sparseskin.psnr_db(X * 1j, X),
     "find_contacts: forces of shape (2, 8, 8)": lambda: sparseskin.find_contacts(X, 0.1),
+    "find_contacts: error = None is not allowed": lambda: sparseskin.find_contacts(X[0], None),
+    "find_contacts: skin: the mask is float32 [8": lambda: sparseskin.find_contacts(
+        X[0], 0.1, mask=X[0]
+    ),
+    "find_contacts: sd of shape (8, 7); allowed: 0": lambda: sparseskin.find_contacts(
+        X[0], 0.1, sd=X[0, :, 1:]
+    ),
+    "psnr_db: f_max = 'a' is not allowed; allowed: a finite n": lambda: psnr(f_max="a"),
+    "psnr_db: f_max = 0 is not allowed; allowed: above 0": lambda: psnr(f_max=0),
+    "psnr_db: truth[0, 0, 0] is nan; allowed: numbers": lambda: psnr(truth=X * np.nan),
+    "psnr_db: forces[0, 0, 0] is 3e+38; allowed: num": lambda: psnr(forces=X * 3e38),
+    "compress: forces[0, 0, 0] is 3e+38; allowed: num": lambda: compress(X * 3e38, PHI),
+    "compress: forces = a masked array is not allowed; allowed: an": lambda: compress(MASKED, PHI),
+    "stream: readings: entries are masked; allowed: an": lambda: sparseskin.Stream((8, 8)).compress(
+        MASKED[0]
+    ),
+    "make_phi: missing a required argument: 'n'; expected: make_phi(kind, n, m, s": lambda: (
+        make_phi("sbhe")
+    ),
+    "make_phi: kind = 3 is not allowed; allowed: a text": lambda: make_phi(3, 64, 22, 0),
+    "phi: n = 1000000000000 is not allowed; allowed: 1..16777216": lambda: make_phi(
+        "sbhe", 10**12, 22, 0
+    ),
+    "make_basis: name = 3 is not allowed; allowed: a text": lambda: make_basis(3, 8, 8),
+    "run_launch: launch = None is not allowed; allowed: a LaunchFile or a text": lambda: (
+        sparseskin.run_launch(None)
+    ),
+    "run_launch: settings = [3] is not allowed; allowed: a list of": lambda: sparseskin.run_launch(
+        "path_40", 1, [3]
+    ),
+    "load: name = None is not allowed; allowed: a text": lambda: sparseskin.load_launch(None),
+    "read_recording: path = 3 is not allowed; allowed: a text or a path": lambda: (
+        sparseskin.read_recording(3)
+    ),
+    "solver: noise_model = 0.1 is not allowed; allowed: a NoiseModel": lambda: noisy(
+        noise_model=0.1
+    ),
+    "solver: noise_sd = nan is not allowed": lambda: noisy(noise_sd=np.nan),
+    "solver: got None; expected what make_solver": lambda: sparseskin.check_solver(None),
 }
 
 

@@ -135,6 +135,7 @@ def test_a_number_of_a_frame_that_is_none_is_refused(k):
     ("arguments", "line"),
     [
         ({"shape": 8}, "stream: shape = 8 is not allowed; allowed: (n_rows, n_cols)"),
+        ({"shape": (16.0, 16)}, "stream: shape = (16.0, 16) is not allowed; allowed: (n_rows"),
         ({"mask": np.ones((8, 7), np.bool_)}, "skin: the mask is bool [8, 7], expected bool"),
         ({"phi": "adaptive"}, 'stream: phi "adaptive" chooses rows by what it reads'),
         ({"ratio": 100}, "ratio: 100 leaves no measurement of 64 taxels"),

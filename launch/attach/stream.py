@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Self
 import msgpack
 
 from sparseskin.launch.run.running import RunningGraph, is_running
+from sparseskin.launch.run.termination import TERMINATION
 from sparseskin.messages import End, SkinState, decode
 from sparseskin.messages.buffers import MARK, head_of
 from sparseskin.messages.topics import split_topic
@@ -144,6 +145,7 @@ class TopicStream:
         return not is_running(self._graph)
 
     def __enter__(self) -> Self:
+        TERMINATION.check()
         self._handlers = {
             number: signal.signal(number, self._on_signal)
             for number in (signal.SIGINT, signal.SIGTERM)

@@ -7,38 +7,42 @@ Ctrl-C; one before that, while Python itself starts, is Python's to report.
 import os
 import sys
 
+EXIT_INTERRUPTED = 130
+"""Exit code after a Ctrl-C: 128 + SIGINT."""
+
 
 def main() -> int:
     """Run the command; return its exit code."""
     try:
-        open_standard_files()
-        # Read as numpy is imported: small products of matrices wait for threads, and the times that
-        # a study reports are those of one core.
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-            os.environ.setdefault(name, "1")
-        # Imported here, so that a Ctrl-C during the import is handled like any other.
-        import signal
-
-        def end(number: int, _: object) -> None:
-            """Exit by an exception, which ends workers and removes unfinished files."""
-            signal.signal(number, signal.SIG_IGN)  # the command timeout sends it twice
-            sys.exit(128 + number)
-
-        signal.signal(signal.SIGTERM, end)
-        from .cli import complete
-        from .cli import main as run
-
-        code = complete() if "_ARGCOMPLETE" in os.environ else run()
-        sys.stdout.flush()
-        return code
-    except KeyboardInterrupt:
-        return 130
+        return _run()
+    except KeyboardInterrupt as error:
+        return getattr(error, "exit_code", EXIT_INTERRUPTED)
     except OSError as error:
         # stdout is closed or full; the rest of its buffer must not be written again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         if not isinstance(error, BrokenPipeError) and sys.stderr is not None:
             print(f"sparseskin: {error.strerror}", file=sys.stderr)
         return 1
+
+
+def _run() -> int:
+    open_standard_files()
+    # Read as numpy is imported: small products of matrices wait for threads, and the times that
+    # a study reports are those of one core.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    # Imported here, so that a Ctrl-C during the import is handled like any other.
+    import signal
+
+    from sparseskin.launch.run.termination import TERMINATION, Terminated
+
+    signal.signal(signal.SIGTERM, TERMINATION.handle)
+    from .cli import complete
+    from .cli import main as run
+
+    code = complete() if "_ARGCOMPLETE" in os.environ else run()
+    sys.stdout.flush()
+    return Terminated.exit_code if TERMINATION.has_come else code
 
 
 def open_standard_files() -> None:

@@ -103,7 +103,7 @@ def _scope(arguments: argparse.Namespace) -> int:
     begin_s = time.monotonic()
     next_s = begin_s if lively else begin_s + TEXT_S
     try:
-        with contextlib.suppress(KeyboardInterrupt, SystemExit), terminal.keyboard(lively):
+        with contextlib.suppress(KeyboardInterrupt), terminal.keyboard(lively):
             if lively:
                 sys.stdout.write("\x1b[?1049h\x1b[?25l")
             for frame in _frames(source):

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean, search_in
 from sparseskin.nodes.registry import node_class
@@ -49,6 +50,7 @@ def find_launch_file(name: str) -> Path:
     return BUNDLED / f"{name}.toml"
 
 
+@checked(SparseskinError)
 def load(name: str, overrides: Sequence[str] = (), record: str | None = None) -> LaunchFile:
     """Read and check a launch file; modules that it names are searched in its folder too.
 

@@ -279,6 +279,8 @@ class Fleet:
                 self._peers[node.name] = Peer(node.name, node.endpoint, key=self._public)
                 if self.supervised:
                     self.connect(node)
+            case "compiled":
+                node.compiled = event["done"], event["of"]
             case "ready":
                 node.ready = True
                 # Not before: what comes from other hosts can be passed on from now on.

@@ -17,6 +17,7 @@ from .process import awake_s
 from .running import GraphError, RunningGraph, is_running, remove_files, remove_note, write_note
 from .state import hosts_state
 from .terminal import Terminal
+from .termination import TERMINATION
 from .waiting import LateLog, late_at_end, waits_for
 
 DRAIN_S = 5.0
@@ -69,6 +70,7 @@ class Launcher:
             self._controls = Controls(self._launch, self._fleet, self._starting.control)
         elif not is_running(self._joined):
             raise GraphError(f"{self._joined.label}: has just ended")
+        TERMINATION.check()
         old = {
             number: signal.signal(number, self._on_signal)
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -98,6 +100,12 @@ class Launcher:
             self._terminal.log(
                 "[launch] warning: insecure = true and no keys: whoever reaches this network "
                 "can read all topics and pretend to be any node"
+            )
+        elif self._launch.transport == "tcp" and not self._launch.security:
+            self._terminal.log(
+                "[launch] warning: tcp and no keys: any user of this host can read all topics, "
+                "hold up this graph, and pretend to be a node that is started again; keys or ipc "
+                "prevent it"
             )
         self._fleet.spawn()
         if not self._handshake():

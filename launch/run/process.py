@@ -91,6 +91,8 @@ class NodeProcess:
         self.endpoint = ""
         self.outputs = list(spec.outputs)
         self.ready = self.ended = self.failed = False
+        self.compiled: tuple[int, int] | None = None
+        """Numbers of loops that a node that starts has compiled, and of all; None: it does not."""
         self.lacks: list[str] = []
         self.heard: dict[str, bool] = {}
         self.clocks: dict[str, tuple[int, int]] = {}

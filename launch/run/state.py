@@ -66,6 +66,7 @@ def _in_short(node: NodeProcess) -> dict[str, Any]:
         "patches": list(getattr(settings, "patches", ())),
         "refused": sum(counts.get("refused", {}).values()),
         "said": node.said if not cls.watches else "",
+        "compiled": node.compiled,
         "lost": sum(counts.get("lost", {}).values()),
         "settings": node.settings,
         "controls": [entry for entry in cls.Settings.described() if entry["live"]],

@@ -20,6 +20,8 @@ MAX_CHANGES = 4
 LATE_MS = 200.0
 """Median latency that stands before everything but the frames, milliseconds; chosen: a graph that
 falls behind shows, and no other does."""
+QUEUED_MS = 500.0
+"""Latency of the newest frame that only a queue causes, milliseconds; chosen."""
 FEW = 4
 """Most patches that are shown with all their figures; of more, each has one row."""
 
@@ -49,8 +51,11 @@ def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     to_taxels = "" if noisy else " to taxels"
     latency, p50_ms = _latency(every)
     is_late = p50_ms >= LATE_MS
+    # No frame is lost in a queue, but it ages there.
+    age_ms = max((m.latency_ns or 0) for m in every) / 1e6
+    queued = f", newest {age_ms / 1e3:.1f} s old" if age_ms >= QUEUED_MS else ""
     parts = [
-        f"{name}: {n} frames, {rate}, lost {lost}",
+        f"{name}: {n} frames, {rate}, lost {lost}{queued}",
         *(latency if is_late else ()),
         *_contacts(every),
         *idle,

@@ -23,10 +23,22 @@ TINY = 1e-30
 that differ from 0, so that no other quotient changes."""
 
 
+LARGEST = 1e30
+"""Largest size of a force: sums of 256 are within float32."""
+
+
+def has_masked(given: object) -> bool:
+    """True for a masked array of NumPy of which some entries are masked."""
+    return isinstance(given, np.ma.MaskedArray) and bool(np.ma.is_masked(given))
+
+
 def real_floats(given: npt.ArrayLike, name: str, error: type[Exception]) -> Floats:
     """Return an array of real numbers as contiguous float32.
-    Raises `error`, with the `name` of what was given, for complex numbers, objects and the like.
+    Raises `error`, with the `name` of what was given, for complex numbers, objects and the like,
+    and for a masked array.
     """
+    if has_masked(given):
+        raise error(f"{name}: entries are masked; allowed: an array without, as of .filled(0)")
     try:
         array = np.asarray(given)
     except ValueError:  # lists of several lengths

@@ -9,14 +9,15 @@ from __future__ import annotations
 import fcntl
 import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.files import check_private
 from sparseskin.nodes.lookup import did_you_mean, one_line
 
 FAST = ("auto", "on", "off")
@@ -30,8 +31,10 @@ SOLVERS = ("skin", "fista")
 REMEDY = "pip install 'sparseskin[fast]'"
 NOT_INSTALLED = f"compiled loops: none without numba, several times slower; {REMEDY}"
 NOT_IMPORTED = "compiled loops: numba cannot be imported; numpy is used"
-COMPILING = "compiled loops: compiling, once on this machine; some 20 s, more where it is busy"
+COMPILING = "compiled loops: compiling, once on this machine; half a minute, more where it is busy"
 
+Count = Callable[[int, int], None]
+"""Receives the number of loops that are compiled, and that of all."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -68,20 +71,32 @@ def use_compiled(fast: str) -> bool:
     return True
 
 
-def ready(*loops: Callable[..., Any], log: Callable[[str], None] | None = None) -> None:
+def ready(
+    *loops: Callable[..., Any],
+    log: Callable[[str], None] | None = None,
+    count: Count = lambda done, of: None,
+) -> None:
     """Compile loops for their types, or read them from disk; they then accept no other types.
 
     Processes that do so at one time do it one after the other, and the first compiles. The loops
-    are made by `compiled` with signatures; `log` is as in `compile_loops`.
+    are made by `compiled` with signatures; `log` and `count` are as in `compile_loops`.
     """
-    if all(loop.signatures for loop in loops):  # type: ignore[attr-defined]
+    missing = [loop for loop in loops if not loop.signatures]  # type: ignore[attr-defined]
+    if not missing:
         return
-    with _alone(loops[0]), _progress(log) if log is not None else nullcontext():
-        for loop in loops:
-            if not loop.signatures:  # type: ignore[attr-defined]
-                for signature in _SIGNATURES[loop]:
-                    loop.compile(signature)  # type: ignore[attr-defined]
-                loop.disable_compile()  # type: ignore[attr-defined]
+
+    def begin() -> None:
+        count(0, len(missing))
+
+    with ExitStack() as stack:
+        stack.enter_context(_alone(loops[0]))
+        begun_s = [] if log is None else stack.enter_context(_progress(log, begin))
+        for k, loop in enumerate(missing, 1):
+            for signature in _SIGNATURES[loop]:
+                loop.compile(signature)  # type: ignore[attr-defined]
+            loop.disable_compile()  # type: ignore[attr-defined]
+            if begun_s:
+                count(k, len(missing))
 
 
 def entry_point(loop: Callable[..., Any]) -> Callable[..., Any]:
@@ -103,8 +118,10 @@ def _alone(loop: Callable[..., Any]) -> Iterator[None]:
 
 
 @contextmanager
-def _progress(log: Callable[[str], None]) -> Iterator[None]:
-    """Log when compiling begins and ends; loops that are read from disk are not compiled."""
+def _progress(log: Callable[[str], None], begin: Callable[[], None]) -> Iterator[list[float]]:
+    """Log when compiling begins and ends; loops that are read from disk are not compiled. Yields
+    a list, which holds the time at which it began, once it has.
+    """
     event = import_module("numba.core.event")
     begins_s: list[float] = []
 
@@ -112,13 +129,14 @@ def _progress(log: Callable[[str], None]) -> Iterator[None]:
         def on_start(self, _: Any) -> None:
             if not begins_s:
                 log(COMPILING)
+                begin()
                 begins_s.append(time.perf_counter())
 
         def on_end(self, _: Any) -> None:
             pass
 
     with event.install_listener("numba:compile", Listener()):
-        yield
+        yield begins_s
     if begins_s:
         log(f"compiled loops: ready after {time.perf_counter() - begins_s[0]:.0f} s")
 
@@ -130,8 +148,8 @@ def compiled(*signatures: Any, sums_in_any_order: bool = False) -> Callable[[Fun
     """Return the decorator of a loop that `ready` compiles for these signatures.
 
     The compiled code is stored beside the module, in the user's cache folder where that folder
-    is read-only, or in NUMBA_CACHE_DIR where it is set. With none of these it is compiled anew in
-    each process.
+    is read-only, or in NUMBA_CACHE_DIR where it is set; with none of these, in a private folder for
+    temporary files; without that it is compiled anew in each process.
 
     Signatures are numba's, void(float32[::1], int64), or tuples of the arguments' types; none: for
     use within compiled functions of the same file. With `sums_in_any_order` a sum over a vector may
@@ -143,15 +161,38 @@ def compiled(*signatures: Any, sums_in_any_order: bool = False) -> Callable[[Fun
     options |= {"fastmath": {"reassoc"}} if sums_in_any_order else {}
 
     def decorate(function: Function) -> Function:
-        made: Function
-        try:
-            made = numba.njit(cache=bool(signatures), **options)(function)
-        except RuntimeError as error:
-            if "cannot cache" not in str(error):
-                raise
-            made = numba.njit(**options)(function)
-        if signatures:
-            _SIGNATURES[made] = signatures
+        if not signatures:
+            inner: Function = numba.njit(**options)(function)
+            return inner
+        made = _stored(function, options)
+        if made is None:
+            _store_temporarily()
+            made = _stored(function, options) or numba.njit(**options)(function)
+        _SIGNATURES[made] = signatures
         return made
 
     return decorate
+
+
+def _stored(function: Function, options: Mapping[str, Any]) -> Function | None:
+    """A function whose compiled code is stored; None where there is no place for it."""
+    try:
+        loop: Function = import_module("numba").njit(cache=True, **options)(function)
+    except RuntimeError as error:
+        if "cannot cache" not in str(error):
+            raise
+        return None
+    return loop
+
+
+def _store_temporarily() -> None:
+    """Store compiled code in a folder for temporary files that no other user may enter, if there is
+    one: what is read from it is executed.
+    """
+    import tempfile
+
+    folder = Path(tempfile.gettempdir()) / f"sparseskin-{os.geteuid()}"
+    with suppress(OSError, SparseskinError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        check_private(folder)
+        import_module("numba").config.CACHE_DIR = str(folder / "compiled")

@@ -66,6 +66,7 @@ class Runner:
             clock_of=lambda topic: self.network.clock_of(topic),
             page_token=config.get("page_token", ""),
             page_file=config.get("page_file", ""),
+            count=lambda done, of: control.emit("compiled", done=done, of=of),
         )
         node = cls(settings, context)
         run_id = secrets.token_hex(8)

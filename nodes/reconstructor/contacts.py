@@ -10,9 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages.errors import MessageError
 from sparseskin.messages.skin import Skin
+from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask, real_floats
+from sparseskin.nodes.numerics.arrays import LARGEST, Doubles, Floats, Indices, Mask, real_floats
 from sparseskin.nodes.numerics.compiled import ready, use_compiled
 
 NEIGHBOURS = np.ones((3, 3), dtype=np.bool_)
@@ -216,6 +218,7 @@ def components(
     return index, labels, sums, overlap, int(np.count_nonzero(grid))
 
 
+@checked(SolverError)
 def find_contacts(
     forces: Floats,
     error: float,
@@ -267,13 +270,25 @@ def find_contacts(
     ([3.0], [[5.0, 8.5]], [6])
     """
     forces = real_floats(forces, "find_contacts: forces", SolverError)
-    if forces.ndim != 2 or not np.isfinite(forces).all() or not error > 0:
+    is_frame = forces.ndim == 2 and bool((np.abs(forces) <= LARGEST).all())
+    if not is_frame or not error > 0:
         raise SolverError(
-            f"find_contacts: forces of shape {forces.shape} and error {error:g}; allowed: finite "
-            "forces of shape (n_rows, n_cols), and an error above 0"
+            f"find_contacts: forces of shape {forces.shape} and error {error:g}; allowed: forces "
+            f"of shape (n_rows, n_cols) within +-{LARGEST:g}, and an error above 0"
         )
     n_rows, n_cols = forces.shape
-    skin = Skin(n_rows, n_cols, f_max=1.0, mask=mask)
+    exists = None if mask is None else np.asarray(mask)
+    try:
+        skin = Skin(n_rows, n_cols, f_max=1.0, mask=exists)
+    except MessageError as cause:
+        raise SolverError(f"find_contacts: {cause}") from cause
+    if sd is not None:
+        sd = real_floats(sd, "find_contacts: sd", SolverError)
+        if sd.shape != forces.shape or not (sd >= 0).all():
+            raise SolverError(
+                f"find_contacts: sd of shape {sd.shape}; allowed: 0 or more, of shape "
+                f"{forces.shape}, as the forces"
+            )
     forces = np.where(skin.exists, forces, np.float32(0))
     limits = Limits(low, high / AT_ONCE, force, area)
     finder = ContactFinder(skin)

@@ -65,7 +65,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         super().__init__(settings, context)
         settings.check()
         solver, fast = settings.chosen()["solver"], settings.fast
-        compile_loops(solver, fast, context.log, settings.contacts)
+        compile_loops(solver, fast, context.log, settings.contacts, context.count)
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None

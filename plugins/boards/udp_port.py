@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import select
 import socket
 import sys
@@ -20,6 +21,7 @@ RECEIVE_BUFFER_BYTES = 1 << 22
 HOLD_S = 2.0
 """Silence of the sender after which frames of another one are used, seconds; chosen: a board that
 is started again may send from another port."""
+PORT = re.compile("[1-9][0-9]{0,4}")
 SO_RXQ_OVFL = 40
 """Linux: with a packet the kernel states how many it has dropped. Source: asm-generic/socket.h."""
 
@@ -42,7 +44,7 @@ class UdpPort(Port):
 
     @classmethod
     def check(cls, address: str, settings: Any) -> None:
-        if not (address.isascii() and address.isdigit() and 0 < int(address[:6]) < 65536):
+        if not (PORT.fullmatch(address) and int(address) <= 65535):
             raise SourceError(f"{address[:40]!r} is no port; a port is a number in 1..65535")
 
     def open(self) -> None:

@@ -11,8 +11,10 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.frames import FINGERPRINT_PATTERN
 from sparseskin.messages.ranges import is_whole
+from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.lookup import find_callable, find_class
 from sparseskin.nodes.numerics.arrays import Floats, Mask, each_frame
@@ -32,6 +34,8 @@ adds as good as nothing."""
 UNREAD = 0.01
 """Largest part of the rows that is in none of the row subsets. Chosen: with one more subset, each
 row waits longer, and errors are larger."""
+MAX_TAXELS = MAX_SIDE**2
+"""Number of taxels of the largest skin."""
 LOCAL, STORED = "local:", "file:"
 """Prefixes of kinds with a parameter: the side of a neighbourhood, and a path."""
 _WITH_PARAMETER = {
@@ -176,9 +180,9 @@ def check_parameters(n: int, m: int, seed: int, block: int) -> None:
     """Raise PhiError, naming the parameter, its value and what is allowed."""
     for name, value in (("n", n), ("m", m), ("seed", seed), ("block", block)):
         if not is_whole(value):
-            raise PhiError(f"phi: {name} = {value!r} is not allowed; allowed: an integer")
+            raise PhiError(f"phi: {name} = {value!r} is not allowed; allowed: a whole number")
     for name, value, is_allowed, allowed in (
-        ("n", n, n >= 1, "at least 1 taxel"),
+        ("n", n, 1 <= n <= MAX_TAXELS, f"1..{MAX_TAXELS} taxels"),
         ("m", m, 1 <= m <= n, f"1..{n} (n = {n} taxels)"),
         ("seed", seed, seed >= 0, "0 or more"),
         ("block", block, block >= 1 and not block & (block - 1), "a power of two (1, 2, 4 ..)"),
@@ -204,6 +208,7 @@ def block_of(kind: str, block: int | None) -> int:
     return getattr(phi_class(kind), "default_block", BLOCK) if block is None else block
 
 
+@checked(PhiError)
 def make_phi(
     kind: str, n: int, m: int, seed: int, block: int | None = None, rule: int = SUMS
 ) -> Phi:

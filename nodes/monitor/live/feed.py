@@ -7,12 +7,13 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from sparseskin.messages import (
     Contacts,
+    Measurements,
     Message,
     Reconstruction,
     Resultant,
@@ -31,8 +32,40 @@ MAX_ANSWERS = 64
 UNTRUSTED_S = 0.5
 """Time in seconds for which a frame that is not to be trusted is marked at least: as long as a
 person needs to see it. Chosen."""
+N_MEASURED = 16
+"""Frames whose measurements are kept until they are reconstructed; of a longer queue, no page shows
+any."""
 STALE_S = 0.2
 """Age in seconds beyond which maps are stale."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """How far a graph is that starts: parts that are done, and all."""
+
+    done: int
+    of: int
+    compiles: bool
+
+    @property
+    def text(self) -> str:
+        """For a person, in a line."""
+        if self.compiles:
+            return f"starting: compiling once on this machine, {self.done} of {self.of}"
+        return f"starting: {self.done} of {self.of} nodes"
+
+    @classmethod
+    def of_nodes(cls, nodes: Sequence[Mapping[str, Any]]) -> Self | None:
+        """The start of nodes as the state of a graph lists them; None once none is starting."""
+        waiting = [node for node in nodes if node["condition"] == "starting"]
+        if not waiting:
+            return None
+        # Nodes are ready together; until then, those that compile are waited for.
+        counts = [node["compiled"] for node in waiting if node["compiled"]]
+        if counts:
+            done, of = (sum(numbers) for numbers in zip(*counts, strict=True))
+            return cls(done, of, compiles=True)
+        return cls(len(nodes) - len(waiting), len(nodes), compiles=False)
 
 
 @dataclass
@@ -43,13 +76,15 @@ class PatchFeed:
     the newest of each kind; NaN where a reading is missing. Their names are those of the schemas.
     `idle` is true while the newest frame was published as unchanged. `newest_trusted` is that of
     the newest reconstruction shown, `stamp_ns` too, `untrusted_s` the time of the last one not to
-    be trusted, `reason` that of the last one. `contacts` are those of the newest frame, where they
-    are published, `events` their events, a row for each frame with some: time, number of each kind.
+    be trusted, `reason` that of the last one. `measurements` are the newest ones, of frames that
+    may still be under way. `contacts` are those of the newest frame, where they are published,
+    `events` their events, a row for each frame with some: time, number of each kind.
     """
 
     skin: SkinState | None = None
     maps: dict[str, Floats] = field(default_factory=dict)
     resultant: Resultant | None = None
+    measurements: deque[Measurements] = field(default_factory=lambda: deque(maxlen=N_MEASURED))
     contacts: Contacts | None = None
     events: History = field(default_factory=lambda: History(("time_s", *EVENTS)))
     stamp_ns: int = 0
@@ -99,6 +134,9 @@ class Feed:
         self.poses = poses or {}
         self.patches = {patch: PatchFeed() for patch in patches}
         self.graph: dict[str, Any] | None = None
+        #: The start of the graph, until all its nodes run for the first time; None after it.
+        self.start: Start | None = None
+        self._has_started = False
         self.graph_came_s = self.pulse_s = time.monotonic()
         self.answers: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MAX_ANSWERS)
         self.n_answers = 0
@@ -120,10 +158,13 @@ class Feed:
             if isinstance(message, SkinState):
                 feed.skin = message
                 feed.maps.clear()
+                feed.measurements.clear()
                 feed.resultant = feed.contacts = None
                 feed.newest_trusted, feed.untrusted_s = True, -math.inf
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
+            if isinstance(message, Measurements):
+                feed.measurements.append(message)
             if isinstance(message, Contacts):
                 feed.contacts = message
                 if message.events is not None:
@@ -186,6 +227,8 @@ class Feed:
             if graph is not None:
                 was_paused, now_s = self.paused, time.monotonic()
                 self.graph, self.graph_came_s = graph, now_s
+                self.start = None if self._has_started else Start.of_nodes(graph["nodes"])
+                self._has_started = self.start is None
                 if was_paused and not self.paused:
                     for feed in self.patches.values():  # no frame could have come until now
                         feed.came_s = dict.fromkeys(feed.came_s, now_s)

@@ -10,7 +10,7 @@ from sparseskin.messages import Reconstruction
 
 from .feed import Feed, PatchFeed
 
-BAD, NOTE = "bad", "note"
+BAD, NOTE, START = "bad", "note", "start"
 HEARD, SILENT, UNREAD = "heard", "silent", "unread"
 RECENT_S = 4.0
 """Time in seconds for which an event is shown."""
@@ -20,10 +20,10 @@ PULSE_S = 1.0
 """Age in seconds beyond which the monitor's own loop is overloaded."""
 LATE_S = 0.5
 """Latency in seconds that only a growing queue causes, no solver."""
-TROUBLED = ("failed", "not answering", "restarting", "starting")
+TROUBLED = ("failed", "not answering", "restarting")
 
 Notice = tuple[str, str]
-"""Tone, "bad" or "note", and text."""
+"""Tone, "bad", "note" or "start", and text."""
 FEW = 4
 """Most patches whose notices of one kind are shown one by one."""
 
@@ -44,21 +44,25 @@ class Notices:
         if feed.graph is not None and now_s - feed.graph_came_s > GRAPH_S:
             age = ago(now_s - feed.graph_came_s)
             found.append((BAD, f"No state of the nodes has arrived for {age}."))
+        if (start := feed.start) is not None:
+            found.append((START, start.text))
         for node in (feed.graph or {}).get("nodes", []):
             found += self._of_node(node, now_s)
+        if start is not None:
+            return found
         by_patch = {name: [*self._of_patch(name, p, now_s)] for name, p in feed.patches.items()}
         return found + _grouped(by_patch)
 
     def _of_node(self, node: dict[str, Any], now_s: float) -> Iterator[Notice]:
         name, condition = node["name"], node["condition"]
         restarted = self._risen(f"restarts {name}", node["restarts"], now_s)
-        if condition in TROUBLED:
+        if condition in TROUBLED or (condition == "starting" and node["restarts"]):
             yield BAD, f"{name}: {condition}."
         elif restarted:
             yield NOTE, f"{name} was restarted."
         if self._risen(f"refused {name}", node["refused"], now_s) and node["refusal"]:
             yield BAD, f"{name} rejects messages: {node['refusal']}"
-        if node["said"]:
+        if node["said"] and condition != "starting":
             yield NOTE, f"{name} reports: {node['said']}"
         if condition == "paused":
             yield NOTE, f"{name} is paused."

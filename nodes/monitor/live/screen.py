@@ -7,7 +7,7 @@ from sparseskin.messages.reasons import phrase_of
 from sparseskin.nodes.monitor.table import summary_table
 
 from .feed import Feed
-from .notices import BAD, Notices, host_lines
+from .notices import BAD, START, Notices, host_lines
 
 WIDTH = 79
 
@@ -20,7 +20,8 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         now_s = time.monotonic()
         found = notices.all(now_s)
         graph = feed.graph or {}
-        live = "FAULT" if any(tone == BAD for tone, _ in found) else "live"
+        tones = {tone for tone, _ in found}
+        live = "FAULT" if BAD in tones else "starting" if START in tones else "live"
         head = f"sparseskin  {graph.get('name', '')}"
         lines = [f"{head[: WIDTH - len(live) - 2]:<{WIDTH - len(live)}}{live}"]
         lines += [f"recording {graph['recording']}"] if graph.get("recording") else []

@@ -16,6 +16,7 @@ import numpy as np
 from sparseskin.messages import Reconstruction
 from sparseskin.messages.contacts import sum_unit
 from sparseskin.messages.reasons import phrase_of, sentence_of
+from sparseskin.nodes.numerics.arrays import TINY
 
 from .feed import Feed, PatchFeed
 from .notices import Notices, host_lines
@@ -137,7 +138,10 @@ class StreamReader:
                 shown = _contacts(patch, now_s)
                 if patch.resultant is not None:
                     shown["resultant"] = {key: getattr(patch.resultant, key) for key in RESULTANT}
-                yield {"kind": "maps", "patch": name, **shown}, dict(maps)
+                arrays: dict[str, np.ndarray[Any, Any]] = dict(maps)
+                if self._patch is not None and Reconstruction.schema in maps:
+                    arrays |= _measured(patch)
+                yield {"kind": "maps", "patch": name, **shown}, arrays
         if self._patch is None:
             return
         patch = feed.patches[self._patch]
@@ -159,6 +163,7 @@ class StreamReader:
             "closed": closed,
             "run": feed.run,
             "paused": feed.paused,
+            "start": None if (start := feed.start) is None else [start.done, start.of],
             "notices": self._notices.all(now_s),
             "patches": {name: self._patch_state(name, now_s) for name in feed.patches},
         }
@@ -190,6 +195,16 @@ class StreamReader:
         is_new = self._sent.get(key) is not value
         self._sent[key] = value
         return is_new
+
+
+def _measured(patch: PatchFeed) -> dict[str, np.ndarray[Any, Any]]:
+    """Measurements of the frame shown in 1/127 of its largest, int8: for the eye; {}: not known."""
+    of_frame = [each for each in patch.measurements if each.stamp_ns == patch.stamp_ns]
+    if not of_frame:
+        return {}
+    (y,) = np.asarray(of_frame[0].y)
+    largest = max(float(np.abs(y).max(initial=0)), TINY)
+    return {"measurements": np.round(y * (127 / largest)).astype(np.int8)}
 
 
 def _reason(word: str) -> dict[str, str] | None:

@@ -3,11 +3,11 @@
 import { Body } from "./body.js";
 import { ContactList, contactsOf } from "./contacts.js";
 import { Controls } from "./controls.js";
-import { brief, byId, bytes, element, fixed, setText } from "./dom.js";
-import { Maps } from "./maps.js";
+import { brief, byId, bytes, element, fixed, highest, setText } from "./dom.js";
+import { CONTACT, Maps } from "./maps.js";
 import { notices } from "./notices.js";
 import { Stream } from "./stream.js";
-import { chartsOfAll, Strips } from "./strips.js";
+import { chartsOfAll, chartsOfPatch, Strips } from "./strips.js";
 
 const STRIPS_MS = 250;
 const TEXT_MS = 100;
@@ -74,7 +74,8 @@ function newMaps() {
   maps?.close();
   const skin = body ? body.whole() : model.skins[patch];
   maps = skin ? new Maps(byId("maps"), skin) : null;
-  strips ??= new Strips(byId("strips"), chartsOfAll(skin.sum_unit));
+  if (body) strips ??= new Strips(byId("strips"), chartsOfAll(skin.sum_unit));
+  if (!body && skin) strips ??= new Strips(byId("strips"), chartsOfPatch(skin));
   if (maps && !body && model.maps[patch]) showMaps();
 }
 
@@ -106,9 +107,34 @@ function drawMaps() {
     model.fresh[name] = false;
     document.body.dataset.drawn = Number(document.body.dataset.drawn ?? 0) + 1;
     body?.maps(model.maps[name]);
+    if (name === patch) noteForces(model.maps[name]);
   }
   if (body && fresh.length && !body.cloud) newMaps();
   if (fresh.length) showMaps();
+}
+
+// Enter total and number of contacts of a frame in their charts, and show its measurements.
+function noteForces({ data: { reconstruction, measurements }, contacts }) {
+  if (reconstruction) {
+    let total = 0;
+    for (const force of reconstruction) total += force || 0;
+    strips?.series.total.add(seconds() + clock, total);
+  }
+  if (contacts) strips?.series.contacts.add(seconds() + clock, contacts.n);
+  if (measurements) showMeasurements(measurements);
+}
+
+// The measurements of a frame, -127 to 127, as a strip of grey cells; what is 0 is in the middle.
+function showMeasurements(values) {
+  const canvas = byId("measured"), m = values.length;
+  if (canvas.width !== m) [canvas.width, canvas.height] = [m, 1];
+  const image = new ImageData(m, 1), pixels = new Uint32Array(image.data.buffer);
+  for (let k = 0; k < m; k++) pixels[k] = 0xff000000 | (0x010101 * (128 + values[k]));
+  canvas.getContext("2d").putImageData(image, 0, 0);
+  const n = model.summaries[patch]?.n;
+  byId("in-and-out").hidden = false;
+  setText(byId("numbers-in"), `${m} numbers in`);
+  setText(byId("forces-out"), n ? `${n} forces out` : "");
 }
 
 // The frames that PSNR is shown of: those in contact, before the first one all.
@@ -129,6 +155,10 @@ function asked(name) {
 // The mark of a patch whose frames are not to be trusted now, with the reason; "" if they are.
 function notTrusted(state) {
   if (state?.trusted !== false) return "";
+  // An error that is large beside the forces says nothing where there are none.
+  const { reconstruction } = model.maps[patch]?.data ?? {};
+  const isEmpty = highest(reconstruction) <= CONTACT * (model.skins[patch]?.f_max ?? 0);
+  if (isEmpty && state.reason?.word === "error") return "";
   return state.reason ? `not trusted: ${state.reason.phrase}` : "not trusted";
 }
 
@@ -163,7 +193,7 @@ function tiles(name) {
           : "against the taxels; the truth is not known"],
     ["latency", "Latency, all frames", `${fixed(s.latency_ms?.p50, 1, "ms")}`
       + (s.latency_uncertainty_ms ? ` ± ${fixed(s.latency_uncertainty_ms, 1)}` : ""),
-      `p99 ${fixed(s.latency_ms?.p99, 1, "ms")}, solve ${fixed(s.solve_ms?.p50, 1, "ms")}`],
+      `p99 ${brief(s.latency_ms?.p99, "ms")}, solve ${brief(s.solve_ms?.p50, "ms")}`],
     ["rate", "Rate", `${rate ?? "–"} Hz`, skin?.rate_hz ? `requested ${brief(asked(name))} Hz`
       : "as fast as possible"],
     ["frames", "Frames", `${s.frames?.reconstructed ?? "–"}`,
@@ -208,7 +238,7 @@ function listed(id, texts) {
 
 // Nodes that do what is usual are counted, all others named.
 function drawNodes() {
-  const usual = model.over ? "ended" : "running", nodes = model.graph?.nodes ?? [];
+  const usual = model.over ? "ended" : isStarting() ? "starting" : "running", nodes = model.graph?.nodes ?? [];
   const rest = nodes.filter((node) => condition(node) === usual && !node.restarts);
   const shown = nodes.filter((node) => !rest.includes(node)).map((node) => [condition(node),
     `${node.name}: ${condition(node)}${node.restarts ? `, restarts: ${node.restarts}` : ""}`, node.line]);
@@ -227,15 +257,34 @@ function drawNodes() {
 
 function drawNotices() {
   const found = notices(model);
-  const items = listed("notices", found.map(([, text]) => text));
-  found.forEach(([tone], k) => (items[k].className = tone));
+  const shown = found.filter(([tone]) => tone !== "start"); // which has a place of its own
+  const items = listed("notices", shown.map(([, text]) => text));
+  shown.forEach(([tone], k) => (items[k].className = tone));
   const bad = found.some(([tone]) => tone === "bad");
+  const start = found.find(([tone]) => tone === "start");
+  drawStart(bad || !start ? "" : start[1], model.state?.start);
   const pill = byId("liveness");
   pill.className = `pill ${bad ? "bad" : found.length ? "note" : "good"}`;
   const stale = found.some(([, text]) => text.includes("stale"));
   const waits = model.connection !== "open" && !model.over;
   setText(pill, model.over ? "ended" : waits ? "no connection" : stale ? "stale"
-    : model.quiet ? "paused" : bad ? "fault" : "live");
+    : model.quiet ? "paused" : bad ? "fault" : isStarting() ? "starting" : "live");
+  document.body.classList.toggle("starting", isStarting());
+}
+
+// True until the first frame is shown of a graph that starts, or of which nothing is known yet.
+function isStarting() {
+  const nothing = !Object.keys(model.skins).length && !Object.keys(model.maps).length;
+  return nothing && !model.over && (model.state === null || Boolean(model.state.start));
+}
+
+// How far the start is, in words and as a bar; "": no start.
+function drawStart(text, start) {
+  const section = byId("start"), [line, bar] = section.children;
+  section.hidden = !text;
+  if (!text || !start) return;
+  setText(line, text);
+  [bar.value, bar.max] = start;
 }
 
 function drawOverview() {
@@ -296,7 +345,8 @@ function open() {
   for (const id of ["strips", "maps", "headline", "patches"]) byId(id).replaceChildren();
   byId("contacts")?.remove();
   body = name === null ? new Body(byId("patches")) : null;
-  strips = name === null ? null : new Strips(byId("strips"));
+  strips = null;
+  byId("in-and-out").hidden = true;
   contactList = name === null ? null : new ContactList(byId("look"));
   [model.skins, model.maps, model.fresh] = [{}, {}, {}];
   stream = new Stream(name, onRecord, onConnection);
@@ -313,6 +363,7 @@ byId("maps").addEventListener("dblclick", () => {
 byId("reset-view").addEventListener("click", () => maps?.view.reset());
 byId("zoom").addEventListener("click", ({ currentTarget: button }) => {
   button.setAttribute("aria-pressed", button.getAttribute("aria-pressed") !== "true");
+  button.dataset.chosen = "";
   maps?.zoom();
 });
 open();

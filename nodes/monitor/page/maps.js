@@ -20,6 +20,7 @@ const NOISE = 8; // standard deviations of an untouched taxel that a colour rang
 const PRESSED = 0.2; // part of the peak beyond which a taxel is zoomed to
 const WIDE = 2; // columns per row beyond which the other maps stand below the large one
 const AROUND = 2, LEAST_CROP = 0.2; // taxels around it; part of the skin that is shown at least
+const INSET = 2; // pixels of the inset for each taxel
 const ELLIPSE = 2.146; // standard deviations that contain 90 % of a normal distribution in a plane
 
 // A map as the grid of its taxels, or the part of it that is pressed.
@@ -76,6 +77,30 @@ class GridView {
     if (!contacts.list.length) return;
     this.pixel = Math.max(this.crop.cols / (canvas.clientWidth || 1),
       this.crop.rows / (canvas.clientHeight || 1));
+  }
+
+  // Where the part that is shown lies on the whole skin, in a corner of the large map.
+  inset(canvas, map, top) {
+    const { crop, all, skin: { n_rows: nRows, n_cols: nCols, data: { mask } } } = this;
+    canvas.hidden = crop === all || !map || (crop.rows === nRows && crop.cols === nCols);
+    if (canvas.hidden) return;
+    // A contact near an edge is at that edge of the part: the inset is at the other one.
+    canvas.classList.toggle("left", 2 * crop.col + crop.cols > nCols);
+    canvas.classList.toggle("above", 2 * crop.row + crop.rows > nRows);
+    if (canvas.width !== nCols * INSET) [canvas.width, canvas.height] = [nCols * INSET, nRows * INSET];
+    const image = new ImageData(nCols * INSET, nRows * INSET), scale = 255 / top;
+    const pixels = new Uint32Array(image.data.buffer);
+    for (let row = 0, at = 0; row < nRows * INSET; row++) {
+      for (let col = 0; col < nCols * INSET; col++) {
+        const k = Math.floor(row / INSET) * nCols + Math.floor(col / INSET);
+        pixels[at++] = mask && !mask[k] ? 0 : pixel(map[k], scale);
+      }
+    }
+    const g = canvas.getContext("2d");
+    g.putImageData(image, 0, 0);
+    g.strokeStyle = "#fff";
+    g.lineWidth = 2;
+    g.strokeRect(INSET * crop.col + 1, INSET * crop.row + 1, INSET * crop.cols - 2, INSET * crop.rows - 2);
   }
 
   paint(panel, map, top) {
@@ -163,7 +188,7 @@ function panel(view, title, name) {
   const figure = element("figure", { "data-panel": name }, heading,
     element("div", { class: "framed" }, map,
       element("div", { class: "scale" }, top, bar, element("span", {}, "0"))), figures);
-  return { canvas, over, top, figures, heading, figure };
+  return { canvas, over, map, top, figures, heading, figure };
 }
 
 export class Maps {
@@ -173,6 +198,8 @@ export class Maps {
     this.root = root;
     this.forces = new Range(least(skin), fMax);
     this.errors = new Range(0.001 * fMax, fMax);
+    this.inset = element("canvas", { class: "inset", role: "img", hidden: true,
+      "aria-label": "the part of the skin that is shown" });
     this.panels = {};
     this.maps = {};
     this.faulty = []; // cells of the taxels that the reconstructor leaves out
@@ -181,6 +208,10 @@ export class Maps {
     this.aborter = new AbortController();
     const hasPlaces = !skin.cloud && Cloud.of(skin);
     this.inSpace = skin.cloud || (hasPlaces && byId("view").value === "space");
+    // A grid follows the contact unless its user chose; a body is seen as a whole.
+    if (byId("zoom").dataset.chosen === undefined) {
+      byId("zoom").setAttribute("aria-pressed", String(!this.inSpace));
+    }
     this.view = this.inSpace ? new SpaceView(skin.cloud ?? new Cloud([{ ...skin, pose: null }]))
       : new GridView(skin);
     root.replaceChildren();
@@ -277,6 +308,9 @@ export class Maps {
         + (resultant
           ? ` · resultant ${within(resultant.total, resultant.total_sd, this.skin.sum_unit)}` : ""));
     }
+    this.panels[this.large].map.append(this.inset);
+    this.view.inset?.(this.inset, this.maps[this.large], this.large === "error"
+      ? this.errors.over(highest(this.maps.error), now) : range);
     this.mark();
     this.read();
   }

@@ -1,6 +1,6 @@
 // Reads the monitor's stream: records of a JSON header and its arrays; connects again when it ends.
 
-const TYPES = { "<i4": Int32Array, "<f4": Float32Array, "<f8": Float64Array, "|u1": Uint8Array };
+const TYPES = { "<i4": Int32Array, "<f4": Float32Array, "<f8": Float64Array, "|u1": Uint8Array, "|i1": Int8Array };
 const RETRY_MS = 1000;
 
 function parsed(bytes, offset, nHead) {

@@ -52,12 +52,10 @@ const CHARTS = [
     ["good", "latency_ms", (f) => f.p50, "p50"], ["noisy", "latency_ms", (f) => f.p99, "p99"]] },
   { id: "solve", title: "Solve time", unit: "ms", lines: [
     ["good", "solve_ms", (f) => f.p50, "p50"], ["noisy", "solve_ms", (f) => f.p99, "p99"]] },
-  { id: "rate", title: "Frame rate", unit: "Hz", lines: [
-    ["good", "rate", (f) => f.n, "frames reconstructed a second"]], asked: true },
-  { id: "lost", title: "Frames lost", unit: "", lines: [
-    ["bad", "lost", (f) => f.last, "lost since the start"]] },
+  { id: "rate", title: "Frames per second", unit: "", lines: [
+    ["good", "rate", (f) => f.n, "reconstructed"], ["bad", "lost", (f) => f.last, "lost"]], asked: true },
 ];
-const WIDTHS = { total: 0.25, pressed: 0.25, psnr_noisy_db: 0.25, psnr_db: 0.25, latency_ms: 1, solve_ms: 1, lost: 0.25, rate: 1,
+const WIDTHS = { total: 0.25, contacts: 0.25, pressed: 0.25, psnr_noisy_db: 0.25, psnr_db: 0.25, latency_ms: 1, solve_ms: 1, lost: 0.25, rate: 1,
   ...Object.fromEntries(Object.keys(EVENTS).map((name) => [name, 0.5])) };
 
 // Charts of all patches together, of forces in a unit.
@@ -66,8 +64,14 @@ export const chartsOfAll = (unit) => [
   { id: "pressed", title: "Patches pressed", unit: "", lines: [["good", "pressed", (f) => f.last, "now"]] },
 ];
 
+// Charts of one patch of a skin.
+export const chartsOfPatch = ({ sum_unit: unit, f_max: fMax }) => [
+  { id: "force", title: "Total force", unit, least: fMax, marked: true, counted: ["contacts", "contacts"],
+    lines: [["good", "total", (f) => f.mean, "total"]] },
+  ...CHARTS];
+
 export class Strips {
-  constructor(root, charts = CHARTS) {
+  constructor(root, charts) {
     this.charts = charts;
     this.series = Object.fromEntries(
       Object.entries(WIDTHS).map(([name, width]) => [name, new Buckets(width)]));
@@ -99,12 +103,27 @@ export class Strips {
 
   lineOf(name, figure, now) {
     const points = this.series[name].points();
+    if (name === "lost") return this.losses(points, now);
     if (name !== "rate") return points.map(([t, f]) => [t, f && figure(f), f]);
     // A second without a frame is a rate of 0, and the second under way is not over yet.
     const found = new Map(points.map(([t, f]) => [Math.floor(t), f?.n ?? 0]));
     const first = points.length ? Math.floor(points[0][0]) : Infinity;
     const line = [];
     for (let k = first; k < Math.floor(now); k++) line.push([k + 0.5, found.get(k) ?? 0, null]);
+    return line;
+  }
+
+  // Frames lost in each whole second, from the counts since the start.
+  losses(points, now) {
+    const counts = new Map();
+    for (const [t, f] of points) if (f) counts.set(Math.floor(t), f.last);
+    let before = counts.values().next().value;
+    const line = [];
+    for (let k = counts.keys().next().value; k < Math.floor(now); k++) {
+      const count = counts.get(k) ?? before;
+      line.push([k + 0.5, Math.max(0, count - before), null]);
+      before = count;
+    }
     return line;
   }
 
@@ -137,7 +156,7 @@ export class Strips {
       g.textAlign = s === 60 ? "left" : s === 0 ? "right" : "center";
       g.fillText(s ? `−${s} s` : "now", x(now - s), height - 3);
     }
-    this.marks(g, now, x, y(low), colour);
+    if (chart.marked) this.marks(g, now, x, y(low), colour);
     if (chart.asked && asked) {
       g.setLineDash([4, 3]); g.strokeStyle = colour("text"); g.lineWidth = 1;
       g.beginPath(); g.moveTo(LEFT, y(asked)); g.lineTo(width - RIGHT, y(asked)); g.stroke();
@@ -147,7 +166,9 @@ export class Strips {
       if (chart.band) band(g, points, x, y, colour(tone));
       curve(g, points, x, y, colour(tone), tone === "noisy");
     }
-    legend(g, chart, lines, asked, colour, width);
+    const [name, label] = chart.counted ?? [];
+    const count = name && this.series[name].points().at(-1)?.[1]?.last;
+    legend(g, chart, lines, asked, colour, width, count === undefined ? "" : `${label} ${count}`);
   }
 
   // Events of contacts: begin and end on the lowest line, the others above it.
@@ -176,7 +197,7 @@ export function limits(lines, chart, asked) {
   } else {
     // Latencies are below 0 where stamps are ahead of the clock.
     low = low < 0 ? -nice(-low * 1.08) : 0;
-    high = nice(high * 1.08);
+    high = Math.max(chart.least ?? 0, nice(high * 1.08));
   }
   return [low, high > low ? high : low + 1];
 }
@@ -214,7 +235,7 @@ function band(g, points, x, y, colour) {
   g.globalAlpha = 1;
 }
 
-function legend(g, chart, lines, asked, colour, width) {
+function legend(g, chart, lines, asked, colour, width, count = "") {
   g.textAlign = "left";
   g.fillStyle = colour("text");
   const title = chart.unit ? `${chart.title} (${chart.unit})` : chart.title;
@@ -227,6 +248,7 @@ function legend(g, chart, lines, asked, colour, width) {
     return [line.tone, lines.length > 1 ? `${line.label} ${brief(last[1])}` : brief(last[1])];
   });
   if (chart.asked && asked) entries.push(["text", `requested ${brief(asked)}`]);
+  if (count) entries.push(["text", count]);
   for (const [tone, text] of entries) {
     if (at + g.measureText(text).width > width) break;
     g.fillStyle = colour(tone);

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_whole
+from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.numerics.arrays import Floats, each_frame
@@ -45,8 +47,9 @@ class Basis(ABC):
     label: str = ""
 
     def __init__(self, n_rows: int, n_cols: int) -> None:
-        if not (is_whole(n_rows, 1) and is_whole(n_cols, 1)):
-            raise SolverError(f"basis: {n_rows!r} x {n_cols!r} is no grid; allowed: 1 x 1 or more")
+        if not (is_whole(n_rows, 1, MAX_SIDE) and is_whole(n_cols, 1, MAX_SIDE)):
+            allowed = f"whole numbers 1..{MAX_SIDE}"
+            raise SolverError(f"basis: {n_rows!r} x {n_cols!r} is no grid; allowed: {allowed}")
         self.n_rows = int(n_rows)
         self.n_cols = int(n_cols)
 
@@ -113,6 +116,7 @@ def find_basis(name: str) -> Callable[..., Any]:
     return find_class("basis", name, BASES, SolverError)
 
 
+@checked(SolverError)
 def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
     """Make a basis by name.
 

@@ -113,10 +113,11 @@ def test_over_any_transport_the_forces_are_the_same_bits(start, tmp_path, transp
     (tmp_path / "tapped.toml").write_text(text + '\n[nodes.tap]\ntype = "tap:Tap"\n')
     # Live, the host's speed would choose their number.
     iterations = ["reconstructor.iterations=8"]
-    start(
+    _, stderr = start(
         *("launch", "tapped.toml", "--frames", "150", "--set", *iterations, *EVERY_FRAME),
         environment={"SPARSESKIN_FAST": "auto"},
     ).ended()
+    assert ("warning: tcp and no keys" in stderr) == (transport == "tcp")
     between_processes = np.load(tmp_path / "tap.npy")
 
     bus = launched("lift_wrench_40", *iterations)

@@ -271,6 +271,9 @@ def test_the_status_line_counts_what_is_missing_so_far():
     messages[-1] = dataclasses.replace(messages[-1], seq=3, done_ns=250 * MS)
     late = status_line({"skin": metrics_of(skin(), *messages)}, 200.0)
     assert "lost 0 | latency p50 250" in late
+    messages[-1] = dataclasses.replace(messages[-1], seq=3, done_ns=3700 * MS)
+    queued = status_line({"skin": metrics_of(skin(), *messages)}, 200.0)
+    assert queued.startswith("skin: 4 frames, 200 Hz, lost 0, newest 3.7 s old | ")
     untouched = metrics_of(skin(), *estimated(0, 0.0, trusted=True))
     assert status_line({"skin": untouched}, 9.0).startswith(
         "skin: 1 frames, 9 Hz, lost 0 | no contact | latency"

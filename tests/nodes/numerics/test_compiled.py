@@ -1,6 +1,7 @@
 """Compiled loops: used where numba is installed, else refused in one line; compiled once."""
 
 import importlib.util
+import tempfile
 
 import pytest
 
@@ -92,6 +93,44 @@ def test_all_loops_are_compiled_for_their_types_at_once_and_take_no_others():
     wrong = np.zeros(4)  # float64
     with pytest.raises(TypeError, match="No matching definition"):
         fast_kernels.orthonormal(wrong, np.zeros((1, 3), np.int64), wrong)
+
+
+@needs_numba
+def test_code_that_can_be_stored_nowhere_else_is_stored_in_a_private_temporary_folder(
+    tmp_path, monkeypatch
+):
+    import numba
+    from numba.core import caching
+
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(temporary))
+    locators = vars(caching).items()
+    stated_alone = [cls for name, cls in locators if name.endswith("UserProvidedCacheLocator")]
+    monkeypatch.setattr(caching.CompileResultCacheImpl, "_locator_classes", stated_alone)
+    lines = []
+    ready(_module_of(tmp_path).double, log=lines.append)
+    assert len(lines) == 2
+    ready(_module_of(tmp_path).double, log=pytest.fail)
+
+    (folder,) = temporary.iterdir()
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o755)  # another user could put code there
+    numba.config.CACHE_DIR = ""
+    ready(_module_of(tmp_path).double, log=lines.append)
+    assert len(lines) == 4
+
+
+@needs_numba
+def test_loops_that_are_compiled_are_counted(tmp_path):
+    counts = []
+    loop = _module_of(tmp_path).double
+    ready(loop, log=id, count=lambda *numbers: counts.append(numbers))
+    assert counts == [(0, 1), (1, 1)]
+    again = _module_of(tmp_path).double
+    ready(again, log=id, count=lambda *numbers: counts.append(numbers))
+    assert len(counts) == 2
 
 
 LOOP = """

@@ -129,6 +129,7 @@ def test_packets_are_whole_frames_or_counted(described):
         ({"source": "seral:/dev/x"}, "(did you mean 'serial'?)"),
         ({"source": "serial:/dev/x?boud=9600"}, "boud: unknown key (did you mean 'baud'?)"),
         ({"source": "udp:70000"}, "is no port"),
+        ({"source": "udp:0050051111"}, "is no port"),
         ({"description": "none.toml"}, "description: none.toml: cannot be read"),
         ({"f_max": 0.0}, "f_max: 0.0 is outside"),
     ],

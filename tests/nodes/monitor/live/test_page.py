@@ -232,7 +232,7 @@ def test_contacts_are_rings_with_their_force_rows_that_stay_and_marks(page):
         assert row(1).endswith("ended")
         assert len(page.find_elements("css selector", "ellipse.contact.doubtful")) == 1
         begins = (
-            "const canvas = document.querySelector('[data-strip=lost]');"
+            "const canvas = document.querySelector('[data-strip=force]');"
             "const {data} = canvas.getContext('2d')"
             "  .getImageData(0, 0, canvas.width, canvas.height);"
             "return data.some((_, k) => k % 4 === 0 && data[k] === 0x0b && data[k + 1] === 0x6e);"

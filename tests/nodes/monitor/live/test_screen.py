@@ -13,6 +13,7 @@ from sparseskin.nodes.monitor.live.notices import (
     GRAPH_S,
     NOTE,
     RECENT_S,
+    START,
     Notices,
     ago,
     host_lines,
@@ -285,6 +286,28 @@ def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_som
     assert news(1, "restarting") == [(BAD, "sensor: restarting.")]
     assert news(1, "running", 1.0) == [(NOTE, "sensor was restarted.")]
     assert news(1, "running", RECENT_S) == []
+
+
+def test_the_start_of_a_graph_is_no_fault_and_is_counted_until_all_nodes_run(desk):
+    def news(*conditions, compiled=None, restarts=0):
+        desk.news(
+            *(
+                node_state(f"node_{k}", condition=word, compiled=compiled, restarts=restarts)
+                for k, word in enumerate(conditions)
+            )
+        )
+        return Notices(desk.feed).all(desk.clock.advance(0.0))
+
+    assert news("running", "starting") == [(START, "starting: 1 of 2 nodes")]
+    line = "starting: compiling once on this machine, 3 of 10"
+    assert news("starting", "running", compiled=(3, 10)) == [(START, line)]
+    assert screen(desk.feed, Notices(desk.feed), "").split("\n")[0].endswith(" starting")
+    assert (START, line) not in news("running", "running")
+    assert desk.feed.start is None
+
+    # Later on, one that joins is no news, and one that is started again is trouble.
+    assert not [text for _, text in news("running", "starting") if "starting" in text]
+    assert (BAD, "node_1: starting.") in news("running", "starting", restarts=1)
 
 
 def test_old_news_and_a_busy_monitor_are_reported(desk):

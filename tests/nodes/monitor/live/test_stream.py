@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from sparseskin.messages import Reason, Reconstruction, Taxels, Truth
+from sparseskin.messages import Measurements, Reason, Reconstruction, Taxels, Truth
 from sparseskin.nodes.monitor.live.feed import UNTRUSTED_S
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import MOST, StreamReader, record
@@ -118,7 +118,11 @@ def test_maps_that_go_together_are_of_one_frame(clock):
         graph.frame(upto=begun)  # the next one is under way
         _, maps = only(page.pull(), "maps")
         by_name = {"taxels": Taxels, "truth": Truth, "reconstruction": Reconstruction}
-        assert set(maps) == set(by_name)
+        assert set(maps) == {*by_name, "measurements"}
+        (y,) = next(m.y for m in whole if isinstance(m, Measurements))
+        # For the eye: within half a step of 1/127 of the largest.
+        largest = np.abs(y).max()
+        np.testing.assert_allclose(maps["measurements"] / 127, y / largest, atol=0.501 / 127)
         for name, kind in by_name.items():
             (message,) = [m for m in whole if isinstance(m, kind)]
             np.testing.assert_array_equal(maps[name], message.forces[0])

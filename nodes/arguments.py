@@ -1,0 +1,107 @@
+"""Checks of what a Python program passes to a public function."""
+
+import functools
+import inspect
+import os
+import types
+import typing
+from collections.abc import Callable, Sequence
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from sparseskin.messages.ranges import is_real, is_whole
+
+from .errors import SparseskinError
+from .numerics.arrays import has_masked
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _is_bool(value: object) -> bool:
+    return isinstance(value, bool | np.bool_)
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_list_of_texts(value: Any) -> bool:
+    # A text alone is answered by the function, which knows what was meant.
+    is_list = isinstance(value, str | list | tuple)
+    return is_list and all(isinstance(item, str) for item in value)
+
+
+def _is_path(value: object) -> bool:
+    return isinstance(value, os.PathLike)
+
+
+_CHECKS: dict[Any, tuple[Callable[[Any], bool], str]] = {
+    str: (_is_text, "a text"),
+    bool: (_is_bool, "True or False"),
+    int: (is_whole, "a whole number"),
+    float: (is_real, "a finite number"),
+    Sequence[str]: (_is_list_of_texts, "a list of texts"),
+    os.PathLike[str]: (_is_path, "a path"),
+    type(None): (lambda value: value is None, "None"),
+}
+"""Of each annotation that is checked: the test of a value, and the words for what is allowed."""
+
+
+def checked(error: type[SparseskinError]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorator of a public function: `error`, in one line, is raised for arguments that it does
+    not take, and for values that are not of the types in its annotations.
+
+    Texts, numbers, lists of texts and paths are checked, classes of this package where several
+    types are allowed, and that no entry of an array is masked. Other arrays and objects are the
+    function's to check.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        name = function.__name__
+        signature = inspect.signature(function)
+
+        @functools.cache
+        def hints() -> dict[str, Any]:
+            return typing.get_type_hints(function)
+
+        @functools.wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                bound = signature.bind(*args, **kwargs)
+            except TypeError as cause:
+                expected = ", ".join(signature.parameters)
+                raise error(f"{name}: {cause}; expected: {name}({expected})") from cause
+            for key, value in bound.arguments.items():
+                if allowed := _what_is_allowed(value, hints()[key]):
+                    shown = "a masked array" if has_masked(value) else f"{value!r:.60}"
+                    raise error(f"{name}: {key} = {shown} is not allowed; allowed: {allowed}")
+            return function(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def _what_is_allowed(value: object, hint: Any) -> str:
+    """What an argument may be, in words, where this value is not allowed; "" where it is."""
+    if has_masked(value):
+        return "an array without masked entries, as of its method filled"
+    is_union = isinstance(hint, types.UnionType)
+    words = []
+    for option in typing.get_args(hint) if is_union else (hint,):
+        if option in _CHECKS:
+            is_allowed, what = _CHECKS[option]
+        elif is_union and isinstance(option, type):
+            is_allowed, what = functools.partial(_is_instance, option), f"a {option.__name__}"
+        else:
+            return ""
+        if is_allowed(value):
+            return ""
+        words.append(what)
+    return " or ".join(words)
+
+
+def _is_instance(cls: type, value: object) -> bool:
+    return isinstance(value, cls)
