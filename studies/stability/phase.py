@@ -23,6 +23,7 @@ SIDE, N_STATIC, N_JUDGED = 40, 24, 8
 RHOS, QUICK_RHOS = (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75), (0.1, 0.3, 0.6)
 RATIOS, QUICK_RATIOS = (32, 16, 12, 8, 6, 4, 3, 2, 1.5), (16, 8, 4, 2)
 """K/M and N/M of the pads."""
+TITLES = {"skin": "skin, the default", "fista": "fista, the paper's solver"}
 LEAST_K = 13
 """Fewest coefficients that a pad of whole taxels has at a place of its own."""
 
@@ -112,7 +113,7 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
             axes.grid(False)
             cells = axes.pcolormesh(x_edges, y_edges, np.ma.masked_invalid(gains), **style)
             limits = {"xlim": (x_edges[0], x_edges[-1]), "ylim": (y_edges[0], y_edges[-1])}
-            axes.set(title=solver, xscale="log", **limits)
+            axes.set(title=TITLES.get(solver, solver), xscale="log", **limits)
             ticks = (32, 16, 8, 4, 2)
             axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])
             axes.minorticks_off()
