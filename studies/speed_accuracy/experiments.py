@@ -67,19 +67,19 @@ def raced() -> dict[str, Candidate]:
         f"{ROTATED}: {pace}": Candidate({**PRESETS["skin"], "iterations": pace}, changes=rotating)
         for pace in SkinSolver.paces
     }
-    others = {"skin, fixed rows": Candidate(PRESETS["skin"])}
+    methods = {"skin, fixed rows": Candidate(PRESETS["skin"])}
     if find_spec("numba"):
-        others["skin, numpy"] = Candidate({**PRESETS["skin"], "fast": "off"}, changes=rotating)
-    others[PAPER_LABEL] = Candidate(PRESETS["paper"], changes=paper)
-    others["tv"] = Candidate({"solver": "tv", "basis": "haar"})
-    others[INTERPOLATED] = Candidate({"solver": "interpolation"}, changes={"phi": "subsample"})
+        methods["skin, numpy"] = Candidate({**PRESETS["skin"], "fast": "off"}, changes=rotating)
+    methods[PAPER_LABEL] = Candidate(PRESETS["paper"], changes=paper)
+    methods["tv"] = Candidate({"solver": "tv", "basis": "haar"})
+    methods[INTERPOLATED] = Candidate({"solver": "interpolation"}, changes={"phi": "subsample"})
     settings = {key: PRESETS["paper"][key] for key in ("iterations", "lambda_n")}
     for name, peer in PEERS.items():
         if find_spec(peer.module):
-            others[name] = Candidate({**settings, "name": name}, of="library", changes=paper)
+            methods[name] = Candidate({**settings, "name": name}, of="library", changes=paper)
 
     # A pace follows another method, not a pace that has left its memory in the caches.
-    turns = zip_longest(paces.items(), others.items())
+    turns = zip_longest(paces.items(), methods.items())
     return dict(candidate for turn in turns for candidate in turn if candidate)
 
 
@@ -90,16 +90,18 @@ def variants() -> dict[str, Candidate]:
     solver that has no preset with its own defaults.
     """
     paper = {"rows": PAPER_ROWS}
-    known = {
+    solvers_by_label = {
         PAPER_LABEL: Candidate(PRESETS["paper"], changes=paper),
         PRESET_SKIN: Candidate(PRESETS["skin"]),
         ROTATED: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
         "fista, tuned": Candidate({**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N}, changes=paper),
         "skin, formula": Candidate({**PRESETS["skin"], "gates": "formula"}),
     }
-    covered = {candidate.settings["solver"] for candidate in known.values()}
-    others = [name for name in SUM_SOLVERS if name not in covered]
-    return known | {name: Candidate({"solver": name, "basis": "haar"}) for name in others}
+    covered = {candidate.settings["solver"] for candidate in solvers_by_label.values()}
+    for name in SUM_SOLVERS:
+        if name not in covered:
+            solvers_by_label[name] = Candidate({"solver": name, "basis": "haar"})
+    return solvers_by_label
 
 
 def frames_of(scenes: Sequence[str], short: bool) -> list[SceneFrames]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import Bbox
@@ -46,10 +47,13 @@ def draw_times(out: Path, rows: pd.DataFrame, noisy: Mapping[str, float]) -> str
     with Chart(
         out, "time_of_a_frame", CAPTION, n, n, size_in=(4.6 * n, 4.4), legend_columns=0, sharey=True
     ) as chart:
-        for axes, (panel, noisy_db) in zip(chart.panels, noisy.items(), strict=True):
+        for axes, panel in zip(chart.panels, noisy, strict=True):
             points = rows[rows["panel"] == panel]
             axes.set_title(f"{panel} taxels".replace("N = ", ""))
-            _prepare(axes, points, noisy_db)
+            _prepare(axes, points)
+        # All panels share the axis, with room for labels.
+        levels = [*rows["mean_db"], *noisy.values()]
+        axes.set_ylim(min(levels) - 2, max(levels) + 2.5)
         chart.label("time of a frame in ms, median, one core", "mean PSNR in dB")
         _show_error(chart.panels[-1])
         # Labels are placed where the layout leaves their points.
@@ -61,12 +65,10 @@ def draw_times(out: Path, rows: pd.DataFrame, noisy: Mapping[str, float]) -> str
     return chart.markdown
 
 
-def _prepare(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
-    """Scales and limits, with room for labels."""
+def _prepare(axes: Axes, points: pd.DataFrame) -> None:
+    """Scale and limits of the times, with room for labels."""
     axes.set_xscale("log")
     axes.set_xlim(points["median_ms"].min() / 2.2, points["median_ms"].max() * 3.5)
-    levels = [*points["mean_db"], noisy_db]
-    axes.set_ylim(min(min(levels) - 2, axes.get_ylim()[0] or np.inf), max(levels) + 2.5)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0,)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
@@ -96,22 +98,22 @@ def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
 
     paces = points[points["label"] == ROTATED].sort_values("pace")
     default = paces.iloc[-1]
-    axes.plot(
-        paces["median_ms"], paces["mean_db"], color=ORANGE, marker="o", markersize=4, zorder=3
-    )
+    line = {"color": ORANGE, "marker": "o", "markersize": 4}
+    axes.plot(paces["median_ms"], paces["mean_db"], **line)
     axes.plot(default["median_ms"], default["mean_db"], color=ORANGE, marker="*", markersize=15)
-    others = points[points["label"] != ROTATED]
-    for point in others.to_dict("records"):
-        is_library = point["label"] in PEERS
-        style = {"color": GREEN if is_library else BLUE, "marker": "D" if is_library else "s"}
-        axes.plot(point["median_ms"], point["mean_db"], markersize=5, zorder=2, **style)
+    peers = points[points["label"].isin(list(PEERS))]
+    solvers = points[~points["label"].isin([ROTATED, *PEERS])]
+    for methods, color, marker in ((solvers, BLUE, "s"), (peers, GREEN, "D")):
+        style = {"color": color, "marker": marker, "markersize": 5, "linestyle": ""}
+        axes.plot(methods["median_ms"], methods["mean_db"], **style)
 
     label = _Labels(axes, points)
     label.add(default, f"default: skin, {default['pace']:.0f} iterations", ORANGE, weight="bold")
     for _, point in paces.iloc[:-1].iterrows():
         label.add_below(point, f"{point['pace']:.0f}", ORANGE)
-    for _, point in others.sort_values("median_ms").iterrows():
-        label.add(point, point["label"], GREEN if point["label"] in PEERS else BLUE)
+    for methods, color in ((solvers, BLUE), (peers, GREEN)):
+        for _, point in methods.sort_values("median_ms").iterrows():
+            label.add(point, point["label"], color)
 
 
 class _Labels:
@@ -119,6 +121,8 @@ class _Labels:
 
     def __init__(self, axes: Axes, points: pd.DataFrame) -> None:
         self._axes = axes
+        # Of Agg: `Chart` has no other.
+        self._renderer: Any = FigureCanvasAgg(axes.figure.figure).get_renderer()
         places = axes.transData.transform(points[["median_ms", "mean_db"]].to_numpy(float))
         radius = axes.figure.dpi * 4 / 72
         self._taken = [Bbox.from_extents(*(place - radius), *(place + radius)) for place in places]
@@ -142,7 +146,7 @@ class _Labels:
     ) -> bool:
         """Put a label, and take it away again if it covers something."""
         label = self._put(point, text, offset, color, font)
-        label.update_positions(None)
+        label.update_positions(self._renderer)
         # Without the line that leads to it.
         box = Text.get_window_extent(label)
         inside = self._axes.bbox
