@@ -124,7 +124,8 @@ class Candidate:
 
 def _first_phi(at: Measurement, take: Take, seed: int) -> Phi:
     """Measurement matrix of the first frame of a take."""
-    skin = Skin(*take.mask.shape, take.f_max, mask=take.mask)
+    n_rows, n_cols = take.mask.shape
+    skin = Skin(n_rows, n_cols, take.f_max, mask=take.mask)
     how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
     return CompressorSettings(ratio=at.ratio, seed=seed, **how).phis(skin)[0]
 

@@ -93,18 +93,18 @@ def _show_error(axes: Axes) -> None:
 def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
     """The default as a line of its paces, all others as points, and a label for each."""
     axes.axhline(noisy_db, color=BLACK, linestyle="--", linewidth=1.0, zorder=1)
-    place = {"transform": axes.get_yaxis_transform(), "ha": "left", "va": "top"}
+    place: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "ha": "left", "va": "top"}
     axes.text(0.01, noisy_db, "all taxels read, no solver", fontsize=8, **place)
 
     paces = points[points["label"] == ROTATED].sort_values("pace")
     default = paces.iloc[-1]
-    line = {"color": ORANGE, "marker": "o", "markersize": 4}
+    line: dict[str, Any] = {"color": ORANGE, "marker": "o", "markersize": 4}
     axes.plot(paces["median_ms"], paces["mean_db"], **line)
     axes.plot(default["median_ms"], default["mean_db"], color=ORANGE, marker="*", markersize=15)
     peers = points[points["label"].isin(list(PEERS))]
     solvers = points[~points["label"].isin([ROTATED, *PEERS])]
     for methods, color, marker in ((solvers, BLUE, "s"), (peers, GREEN, "D")):
-        style = {"color": color, "marker": marker, "markersize": 5, "linestyle": ""}
+        style: dict[str, Any] = {"color": color, "marker": marker, "markersize": 5, "linestyle": ""}
         axes.plot(methods["median_ms"], methods["mean_db"], **style)
 
     label = _Labels(axes, points)
@@ -161,7 +161,12 @@ class _Labels:
         self, point: pd.Series, text: str, offset: tuple[float, float], color: str, font: Any
     ) -> Annotation:
         sides = {-1: "right", 0: "center", 1: "left"}
-        style = {"ha": sides[int(np.sign(offset[0]))], "va": "center", "fontsize": 8, **font}
+        style: dict[str, Any] = {
+            "ha": sides[int(np.sign(offset[0]))],
+            "va": "center",
+            "fontsize": 8,
+            **font,
+        }
         # A thin line leads from a label that is not next to its point.
         line = {"arrowstyle": "-", "color": color, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3}
         style |= {"arrowprops": line} if abs(offset[1]) > _NEAR else {}

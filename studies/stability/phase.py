@@ -103,7 +103,7 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     threshold = [weak_threshold(delta) for delta in deltas]
     # Columns are as wide as the logarithm of M/N has them.
     shares = [1 / ratio for ratio in (QUICK_RATIOS if quick else RATIOS)]
-    x_edges = np.exp(_edges(np.log(shares)))
+    x_edges = np.exp(_edges(np.log(shares).tolist()))
     y_edges = _edges(QUICK_RHOS if quick else RHOS)
     style: dict[str, Any] = {"cmap": "RdBu", "vmin": -15.0, "vmax": 15.0}
     with Chart(out, "phase_skin", caption, n, n_columns, size_in=size_in) as chart:
