@@ -26,6 +26,7 @@ from sparseskin.studies.report import (
 
 from .experiments import (
     CENTRE_RATIO,
+    FORMULA,
     PAPER_LABEL,
     PRESET_SKIN,
     ROTATED,
@@ -43,13 +44,13 @@ from .time_chart import draw_times
 #: A process that has its core to itself has it for more of its time than this.
 QUIET_SHARE = 0.95
 MEASURES = {"mean_db": "mean PSNR in dB", "min_db": "worst PSNR in dB"}
-FOCUS = {ROTATED: 2, PRESET_SKIN: 1, "tv": 4, PAPER_LABEL: 0}
+FOCUS = {ROTATED: 2, PRESET_SKIN: 1, FORMULA: 3, "tv": 4, PAPER_LABEL: 0}
 """Series in colour in the chart of bytes, and the place of each in the palette."""
 CAPTION = (
     "Bytes of a frame's message against PSNR, frames 1 ms apart: along each line M grows, from "
     "N/16 (quick: N/8) to N/2 (N/3), each solver with its iterations; the default is *skin, "
-    "rotating rows*, the paper's method *fista, preset paper*, and *tv* the best of the others "
-    "by the mean of 40 x 40 taxels; thin and grey: all others"
+    "rotating rows*, the same without learned gates *skin, formula* (fixed rows), the paper's "
+    "method *fista, preset paper*; thin and grey: all others"
 )
 _BLACK = PALETTE[-1]
 #: Column, heading and format of the tables of rows.

@@ -39,7 +39,7 @@ PARTS_RATIOS, CENTRE_RATIO = (3, 4, 8), 3
 SUM_KINDS = tuple(kind for kind in KINDS if kind not in ("acts", "adaptive", "row_local"))
 PAPER_LABEL = "fista, preset paper"
 PRESET_SKIN, ROTATED = "skin, preset skin", "skin, rotating rows"
-INTERPOLATED = "random taxels, interpolated"
+FORMULA, INTERPOLATED = "skin, formula", "random taxels, interpolated"
 #: Best lambda of the paper's solver: a second reference.
 TUNED_LAMBDA_N = 0.0125
 #: Dead zones of the full reading, newtons.
@@ -95,7 +95,7 @@ def variants() -> dict[str, Candidate]:
         PRESET_SKIN: Candidate(PRESETS["skin"]),
         ROTATED: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
         "fista, tuned": Candidate({**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N}, changes=paper),
-        "skin, formula": Candidate({**PRESETS["skin"], "gates": "formula"}),
+        FORMULA: Candidate({**PRESETS["skin"], "gates": "formula"}),
     }
     covered = {candidate.settings["solver"] for candidate in solvers_by_label.values()}
     for name in SUM_SOLVERS:
