@@ -45,7 +45,6 @@ STUDIES = {
     "speed-accuracy": Study(
         "solve time and bytes against PSNR: solvers, bases, Phi, and other libraries",
         "sparseskin.studies.speed_accuracy.charts:run",
-        numpy_only=True,
     ),
     "stability": Study(
         "where solvers fail: too few measurements, extreme settings, drawn loads and faults",

@@ -14,11 +14,14 @@ import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.node import CompressorSettings
+from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.sensor.noise import NoiseModel
 
+from .baselines.libraries import Bpdn, Library, TotalVariation
 from .baselines.sampling import CODECS, Acts, Codec, Filtered, Hold, Lattice, adaptive_values
 from .evaluate import (
     CLOSE,
@@ -62,10 +65,10 @@ class Candidate:
 
     `settings`: solver, basis and settings as in `PRESETS`; `lambda_n` is stated for the paper's
     range, and scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own;
-    of "reading": dead_zone_n; of "tv": weight, for the paper's range, and iterations. `of`:
-    "solver", "reading", "filtered", "lattice", "hold", "acts", "tv", or one of `CODECS`. `changes`:
-    fields of the measurement that differ. `alone`: True to forget all earlier frames before each
-    one.
+    of "reading": dead_zone_n; of "tv": weight, for the paper's range, and iterations; of "library":
+    name in `PEERS`, lambda_n and iterations. `of`: "solver", "reading", "filtered", "lattice",
+    "hold", "acts", "tv", "library", or one of `CODECS`. `changes`: fields of the measurement that
+    differ. `alone`: True to forget all earlier frames before each one.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -87,6 +90,7 @@ class Candidate:
                 "hold": lambda: Hold(mask, ratio),
                 "acts": lambda: Acts(mask, ratio, take.f_max),
                 "tv": lambda: self._variation(at, take, seed),
+                "library": lambda: self._library(at, take, seed),
                 **{kind: lambda: Codec(mask, take.f_max, self.of) for kind in CODECS},
             }
             return makers[self.of]()
@@ -107,14 +111,23 @@ class Candidate:
         return Alone(method) if self.alone else method
 
     def _variation(self, at: Measurement, take: Take, seed: int) -> Estimator:
-        from .baselines.libraries import TotalVariation  # needs sigpy
-
-        n_rows, n_cols = take.mask.shape
-        skin = Skin(n_rows, n_cols, take.f_max, mask=take.mask)
-        how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
-        (phi, *_) = CompressorSettings(ratio=at.ratio, seed=seed, **how).phis(skin)
         weight = self.settings["weight"] * take.f_max / PAPER_F_MAX_N
+        phi = _first_phi(at, take, seed)
         return TotalVariation(phi, take.mask, weight, self.settings["iterations"])
+
+    def _library(self, at: Measurement, take: Take, seed: int) -> Estimator:
+        lambda_n = self.settings["lambda_n"] * take.f_max / PAPER_F_MAX_N
+        basis = make_basis("haar", *take.mask.shape)
+        problem = Bpdn(_first_phi(at, take, seed), basis, lambda_n, take.sigma_end)
+        return Library(self.settings["name"], problem, self.settings["iterations"])
+
+
+def _first_phi(at: Measurement, take: Take, seed: int) -> Phi:
+    """Measurement matrix of the first frame of a take."""
+    n_rows, n_cols = take.mask.shape
+    skin = Skin(n_rows, n_cols, take.f_max, mask=take.mask)
+    how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
+    return CompressorSettings(ratio=at.ratio, seed=seed, **how).phis(skin)[0]
 
 
 @dataclass(frozen=True)
@@ -169,7 +182,7 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
             scores[name].refused = str(error)
     for part in take.parts():
         for estimator in estimators.values():
-            if isinstance(estimator, Method):
+            if isinstance(estimator, Method | Library):
                 estimator.reset()
         evaluate(estimators, part, scores, take.unscored)
     found = {}

@@ -68,23 +68,31 @@ def first_breaks(rows: Sequence[Row], design: Design) -> list[tuple[str, list[st
 
 
 def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
-    """What to do: read all taxels, where that reaches the rate; else the strategies that do."""
-    met, full = [row for row in rows if row.is_met], rows[0]
+    """The verdict: whether to read all taxels, and the costs of others beside that."""
+    full = rows[0]
+    met = [row for row in rows if row.is_met]
     asked = f"{hertz(design.rate_hz)} Hz"
+    costs = f"{full.lines} wires, {full.conversions} conversions and {full.n_bytes} bytes per frame"
+    if full.is_met:
+        lines = [
+            f"Read all taxels: {costs} reach {asked}, and nothing has to be reconstructed. "
+            "Compress only to send fewer bytes, or to filter noise on the host."
+        ]
+    else:
+        lines = [
+            f"All taxels need {costs}, and reach {hertz(full.possible_hz)} Hz: "
+            f"{full.limit} limits them. {len(met)} of {len(rows)} ways to read reach {asked}."
+        ]
     if not met:
         fast = max(rows, key=lambda row: row.possible_hz)
-        return [f"No way to read reaches {asked}; the fastest is {_named(fast)}."]
-    lines = [
-        f"Read all taxels: they reach {asked}, and nothing has to be reconstructed."
-        if full.is_met
-        else f"All taxels reach {hertz(full.possible_hz)} Hz alone; "
-        f"{len(met)} of {len(rows)} ways to read reach {asked}."
-    ]
-    if known := [row for row in met if not math.isnan(row.accuracy.psnr_db)]:
-        best = max(known, key=lambda row: row.accuracy.psnr_db)
-        lines.append(f"The most accurate of those that reach it is {_named(best)}.")
+        line = f"The fastest, {hertz(fast.possible_hz)} Hz: {_named(fast)}, {_beside(fast, full)}."
+        return [*lines, line]
+    rated = [row for row in met if not math.isnan(row.accuracy.psnr_db)]
+    if rated:
+        best = max(rated, key=lambda row: row.accuracy.psnr_db)
+        lines.append(f"The most accurate that reaches it: {_named(best)}, {_beside(best, full)}.")
     small = min(met, key=lambda row: row.n_bytes)
-    lines.append(f"The fewest bytes a frame are {small.n_bytes}, of {_named(small)}.")
+    lines.append(f"The fewest bytes that reach it: {_named(small)}, {_beside(small, full)}.")
     return lines
 
 
@@ -92,6 +100,25 @@ def _named(row: Row) -> str:
     """Name of a strategy, and its PSNR where it is known."""
     db = row.accuracy.psnr_db
     return row.strategy.name if math.isnan(db) else f"{row.strategy.name} ({db:.1f} dB)"
+
+
+def _beside(row: Row, full: Row) -> str:
+    """Wires, conversions and bytes of a frame, each beside those of reading all taxels."""
+    counts = (
+        ("wires", row.lines, full.lines),
+        ("conversions", row.conversions, full.conversions),
+        ("bytes", row.n_bytes, full.n_bytes),
+    )
+    parts = []
+    for name, count, of_all in counts:
+        if count == of_all:
+            change = "as many"
+        elif count < of_all:
+            change = f"{1 - count / of_all:.0%} fewer"
+        else:
+            change = f"{count / of_all:.3g} times as many"
+        parts.append(f"{count} {name} ({change})")
+    return ", ".join(parts)
 
 
 def _table(rows: Sequence[Row]) -> str:
@@ -122,7 +149,7 @@ def terminal(rows: Sequence[Row], design: Design) -> str:
         "\n".join(
             f"{_filled(', '.join(names))}\n  {text}" for text, names in first_breaks(rows, design)
         ),
-        "\n".join(conclusions(rows, design)),
+        "\n".join(map(_filled, conclusions(rows, design))),
     ]
     return "\n\n".join(parts)
 

@@ -1,4 +1,5 @@
-"""Other libraries: on the problem that FISTA solves here PyLops, SigPy, SPGL1; total variation.
+"""Other libraries: SigPy, pyproximal, PyLops, SPGL1 on the problem that FISTA solves here; total
+variation.
 
 Each gets the project's operator as its own kind of linear operator.
 """
@@ -7,36 +8,34 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
+import math
 import time
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import RANDOM, Phi, make_phi
-from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
+from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.reconstructor.bases.base import Basis, make_basis
-from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS
-from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
-from sparseskin.studies.evaluate import Solved
+from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.studies.evaluate import VALUE_BYTES, Solved
 
 
 class Bpdn:
     """min over theta of 1/2 ||A theta - y||^2 + lambda ||theta||_1, A = Phi Psi, ||A|| = 1.
 
-    A, m x n, is the project's own operators, for Haar and SBHE, on a grid of which every cell is a
-    taxel, at N / M = `ratio`; `lambda_n` is in newtons, for orthonormal rows.
+    A, m x n, is the project's own operators, on a grid of which every cell is a taxel. `lambda_n`:
+    lambda in newtons, for orthonormal rows; `sigma_n`: standard deviation of the noise of a
+    measurement, newtons, for a library that bounds the residual in place of weighing it.
     """
 
-    def __init__(self, shape: tuple[int, int], ratio: int, seed: int, lambda_n: float) -> None:
-        self.grid = shape
-        self.n = shape[0] * shape[1]
-        self.m = self.n // ratio
+    def __init__(self, phi: Phi, basis: Basis, lambda_n: float, sigma_n: float = 0.0) -> None:
+        self.phi = phi
+        self.basis = basis
         self.lambda_n = lambda_n
-        self.phi: Phi = make_phi("sbhe", self.n, self.m, seed, PAPER_BLOCK, RANDOM)
-        self.basis: Basis = make_basis("haar", *shape)
+        self.sigma_n = sigma_n
+        self.grid = (basis.n_rows, basis.n_cols)
 
     def forward(self, theta: Any) -> Floats:
         """A theta: shape (n,) to (m,)."""
@@ -56,48 +55,21 @@ class Bpdn:
         """Forces that belong to theta, negative ones set to 0: shape (n_rows, n_cols)."""
         return np.maximum(self.basis.synthesis(theta.reshape(self.grid)), 0)
 
-    def fista(self, iterations: int) -> FistaSolver:
-        """The project's FISTA for this problem."""
-        return FistaSolver(self.phi, self.basis, iterations=iterations, lambda_n=self.lambda_n)
 
-    def solution(self, y: Floats) -> Floats:
-        """Theta after 1000 iterations, shape (n,): as good as the minimum."""
-        solver = self.fista(MAX_ITERATIONS)
-        solver.solve(y)
-        return solver.theta.reshape(-1)
-
-
-#: Solution from 0 for measurements with so many iterations, the call that is timed: an array of n
-#: coefficients.
-Solve: TypeAlias = Callable[[Floats, int], Any]
+#: Coefficients for measurements (m,), from coefficients to begin at (n,), with so many iterations.
+Solve: TypeAlias = Callable[[Floats, Floats, int], Any]
 
 
 class Peer(NamedTuple):
-    """A solver of the problem: module that has to be installed; what makes it of a problem and its
-    solution.
-    """
+    """A solver of the problem: module that has to be installed, and what makes it of a problem."""
 
     module: str
-    make: Callable[[Bpdn, Floats], Solve]
+    make: Callable[[Bpdn], Solve]
 
 
-def _ours(problem: Bpdn, best: Floats) -> Solve:
-    """The project's own FISTA; it is given no warm start here either."""
-    solver_of = cache(problem.fista)
-
-    def solve(y: Floats, iterations: int) -> Any:
-        solver = solver_of(iterations)
-        solver.reset()
-        solver.solve(y)
-        return solver.theta.reshape(-1)
-
-    return solve
-
-
-def _pylops(problem: Bpdn, best: Floats) -> Solve:
-    """FISTA of PyLops, whose l1 norm weighs half its eps."""
+def _pylops_operator(problem: Bpdn) -> Any:
+    """A as a linear operator of PyLops."""
     from pylops import LinearOperator
-    from pylops.optimization.sparsity import fista
 
     class Operator(LinearOperator):  # type: ignore[misc, unused-ignore]
         def _matvec(self, x: Any) -> Any:
@@ -106,40 +78,103 @@ def _pylops(problem: Bpdn, best: Floats) -> Solve:
         def _rmatvec(self, x: Any) -> Any:
             return problem.adjoint(x)
 
-    operator = Operator(dtype=np.dtype(np.float32), shape=(problem.m, problem.n))
+    return Operator(dtype=np.dtype(np.float32), shape=(problem.phi.m, problem.phi.n))
+
+
+def _pylops(problem: Bpdn) -> Solve:
+    """FISTA of PyLops, whose l1 norm weighs half its eps."""
+    from pylops.optimization.sparsity import fista
+
+    operator = _pylops_operator(problem)
     settings = {"eps": 2 * problem.lambda_n, "alpha": 1.0, "tol": 0, "preallocate": True}
-    return lambda y, iterations: fista(operator, y, niter=iterations, **settings)[0]
+
+    def solve(y: Floats, start: Floats, iterations: int) -> Any:
+        return fista(operator, y, x0=start, niter=iterations, **settings)[0]
+
+    return solve
 
 
-def _sigpy(problem: Bpdn, best: Floats) -> Solve:
+def _pyproximal(problem: Bpdn) -> Solve:
+    """Proximal gradient of pyproximal, accelerated as FISTA is."""
+    from pyproximal import L1, L2
+    from pyproximal.optimization.primal import ProximalGradient
+
+    operator = _pylops_operator(problem)
+    l1 = L1(sigma=problem.lambda_n)
+    settings = {"tau": 1.0, "acceleration": "fista"}
+
+    def solve(y: Floats, start: Floats, iterations: int) -> Any:
+        distance = L2(Op=operator, b=y)
+        return ProximalGradient(distance, l1, x0=start, niter=iterations, **settings)
+
+    return solve
+
+
+def _sigpy(problem: Bpdn) -> Solve:
     """Accelerated proximal gradient of SigPy."""
     import sigpy
 
-    operator = _sigpy_operator(problem.forward, problem.adjoint, (problem.n,), (problem.m,))
-    proximal = sigpy.prox.L1Reg([problem.n], problem.lambda_n)
+    n, m = problem.phi.n, problem.phi.m
+    operator = _sigpy_operator(problem.forward, problem.adjoint, (n,), (m,))
+    proximal = sigpy.prox.L1Reg([n], problem.lambda_n)
     settings = {"proxg": proximal, "alpha": 1.0, "show_pbar": False}
 
-    def solve(y: Floats, iterations: int) -> Any:
-        return sigpy.app.LinearLeastSquares(operator, y, max_iter=iterations, **settings).run()
+    def solve(y: Floats, start: Floats, iterations: int) -> Any:
+        solver = sigpy.app.LinearLeastSquares
+        with np.errstate(invalid="ignore"):  # its soft threshold divides 0 by 0
+            return solver(operator, y, x=start.copy(), max_iter=iterations, **settings).run()
 
     return solve
 
 
-def _spgl1(problem: Bpdn, best: Floats) -> Solve:
-    """SPGL1 on the same problem with a bound on the l1 norm, with the bound of its solution."""
+def _spgl1(problem: Bpdn) -> Solve:
+    """SPGL1 on the equal problem with a bound on the norm of the residual: that of the noise."""
     from scipy.sparse.linalg import LinearOperator
-    from spgl1 import spg_lasso
+    from spgl1 import spgl1
 
-    shape, both = (problem.m, problem.n), {"matvec": problem.forward, "rmatvec": problem.adjoint}
-    operator = LinearOperator(shape, dtype=np.float32, **both)
-    bound_n = float(np.abs(best, dtype=np.float64).sum())
+    m = problem.phi.m
+    both = {"matvec": problem.forward, "rmatvec": problem.adjoint}
+    operator = LinearOperator((m, problem.phi.n), dtype=np.float32, **both)
+    bound_n = problem.sigma_n * math.sqrt(m)
+    # It warns of each frame that noise alone explains, whose solution is 0.
+    logging.getLogger("spgl1").setLevel(logging.ERROR)
 
-    def solve(y: Floats, iterations: int) -> Any:
+    def solve(y: Floats, start: Floats, iterations: int) -> Any:
+        settings = {"x0": start, "iter_lim": iterations, "verbosity": 0}
         # It prints that a search was cut short, as all are here, whatever its verbosity.
         with contextlib.redirect_stdout(io.StringIO()):
-            return spg_lasso(operator, y, bound_n, iter_lim=iterations, verbosity=0)[0]
+            return spgl1(operator, y, sigma=bound_n, **settings)[0]
 
     return solve
+
+
+class Library:
+    """Estimator: a library of `PEERS` on a stream, as its user would run it. A constant number of
+    iterations per frame; each frame begins at the coefficients of the last one.
+    """
+
+    def __init__(self, name: str, problem: Bpdn, iterations: int) -> None:
+        self._problem = problem
+        self._iterations = iterations
+        self._solve = PEERS[name].make(problem)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last frame."""
+        self._theta = np.zeros(self._problem.phi.n, dtype=np.float32)
+
+    def reconstruct(self, taxels: Floats) -> Solved:
+        """See `Estimator`; timed is the call of the library and the image of its coefficients."""
+        y = self._problem.phi.forward(taxels.reshape(-1))
+
+        begin_s = time.perf_counter()
+        begin_cpu_s = time.thread_time()
+        theta = self._solve(y, self._theta, self._iterations)
+        self._theta = np.asarray(theta, dtype=np.float32)
+        forces = self._problem.image(self._theta)
+        cpu_s = time.thread_time() - begin_cpu_s
+        wall_s = time.perf_counter() - begin_s
+        return Solved(forces, wall_s, cpu_s, self._iterations, VALUE_BYTES * y.size)
 
 
 class TotalVariation:
@@ -199,10 +234,9 @@ def _sigpy_operator(forward: Any, adjoint: Any, shape: Sequence[int], out: Seque
     return Operator(forward, adjoint, shape, out)
 
 
-OURS = "sparseskin FISTA"
 PEERS = {
-    OURS: Peer("sparseskin", _ours),
-    "PyLops FISTA": Peer("pylops", _pylops),
-    "SigPy FISTA": Peer("sigpy", _sigpy),
+    "SigPy": Peer("sigpy", _sigpy),
+    "pyproximal": Peer("pyproximal", _pyproximal),
+    "PyLops": Peer("pylops", _pylops),
     "SPGL1": Peer("spgl1", _spgl1),
 }

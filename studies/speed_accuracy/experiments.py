@@ -1,21 +1,20 @@
 """Experiments of study `speed-accuracy`: not all combinations, but each part swept by itself.
 
-- Every solver, with its own settings and with those of each preset: iterations swept at M = N/3,
-  and M swept at its own iterations; Haar, SBHE. Every solver on Phi "full": all taxels denoised.
+- Time of a frame: every pace of the default, every other solver, every other library, at M = N/3.
+- Bytes: every solver, with its own settings and with those of each preset, and M swept; every
+  solver on Phi "full": all taxels denoised.
 - Every basis and every Phi, with the paper's solver and M swept: on fewer frames, as a dense Phi
   is slow.
-- Other libraries on the problem that FISTA solves.
 """
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, partial
 from importlib.util import find_spec
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,25 +23,23 @@ from sparseskin.messages import Measurements, Taxels
 from sparseskin.messages.wire import size_bytes
 from sparseskin.nodes.compressor.phi.base import KINDS
 from sparseskin.nodes.compressor.phi.rotation import ROTATING, m_of
-from sparseskin.nodes.monitor.metrics import psnr_db
-from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.bases.base import BASES
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
-from sparseskin.nodes.touch import in_contact
-from sparseskin.studies.baselines.libraries import PEERS, Bpdn, Solve
-from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
+from sparseskin.studies.baselines.libraries import PEERS
+from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.frames import SceneFrames, scene_of
 from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
 
 QUICK_SCENES = ("drag_wrench_40", "lift_box_64")
-ITERATIONS, QUICK_ITERATIONS = (3, 5, 10, 20, 30), (5, 20)
 RATIOS, QUICK_RATIOS = (2, 3, 4, 8, 16), (3, 8)
 PARTS_RATIOS, CENTRE_RATIO = (3, 4, 8), 3
 #: Every Phi but those that no solver of sums inverts.
 SUM_KINDS = tuple(kind for kind in KINDS if kind not in ("acts", "adaptive", "row_local"))
 PAPER_LABEL = "fista, preset paper"
 PRESET_SKIN, ROTATED = "skin, preset skin", "skin, rotating rows"
+FORMULA, INTERPOLATED = "skin, formula", "random taxels, interpolated"
 #: Best lambda of the paper's solver: a second reference.
 TUNED_LAMBDA_N = 0.0125
 #: Dead zones of the full reading, newtons.
@@ -54,33 +51,57 @@ FIGURES = {
     **{"iterations": "mean", "mean_db": "mean", "min_db": "min", "touched_mn": "mean"},
     **{"median_ms": "mean", "p99_ms": "mean", "cpu_share": "min"},
 }
-#: Ratio to the minimum at which an objective counts as reached, and iterations that are tried.
-WITHIN = 1.01
-STEPS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33, 40, 50, 60, 75, 90, 120, 160, 220, 300)
-
-
 _timed: Callable[..., Experiment] = partial(Experiment, timed=True)
 
 
-def variants() -> dict[str, Candidate]:
-    """Solvers by the label they are shown with.
+def raced() -> dict[str, Candidate]:
+    """What is shown by the time of a frame, by label; paces of the default are "LABEL: k".
 
-    Each preset, `skin` with rotating rows, (with numba) in compiled loops and without learned
-    weights, the tuned FISTA, and each solver that has no preset with its own defaults.
+    Every solver as it is installed: in compiled loops where it has them and numba is installed,
+    and then the default in numpy, too. Every library of `PEERS` that is installed, on the problem
+    of preset paper and with as many iterations per frame.
     """
     paper = {"rows": PAPER_ROWS}
-    found = {
+    rotating = {"rows": ROTATING}
+    paces = {
+        f"{ROTATED}: {pace}": Candidate({**PRESETS["skin"], "iterations": pace}, changes=rotating)
+        for pace in SkinSolver.paces
+    }
+    methods = {"skin, fixed rows": Candidate(PRESETS["skin"])}
+    if find_spec("numba"):
+        methods["skin, numpy"] = Candidate({**PRESETS["skin"], "fast": "off"}, changes=rotating)
+    methods[PAPER_LABEL] = Candidate(PRESETS["paper"], changes=paper)
+    methods["tv"] = Candidate({"solver": "tv", "basis": "haar"})
+    methods[INTERPOLATED] = Candidate({"solver": "interpolation"}, changes={"phi": "subsample"})
+    settings = {key: PRESETS["paper"][key] for key in ("iterations", "lambda_n")}
+    for name, peer in PEERS.items():
+        if find_spec(peer.module):
+            methods[name] = Candidate({**settings, "name": name}, of="library", changes=paper)
+
+    # A pace follows another method, not a pace that has left its memory in the caches.
+    turns = zip_longest(paces.items(), methods.items())
+    return dict(candidate for turn in turns for candidate in turn if candidate)
+
+
+def variants() -> dict[str, Candidate]:
+    """Solvers that M is swept of, by the label they are shown with.
+
+    Each preset, `skin` with rotating rows and without learned weights, the tuned FISTA, and each
+    solver that has no preset with its own defaults.
+    """
+    paper = {"rows": PAPER_ROWS}
+    solvers_by_label = {
         PAPER_LABEL: Candidate(PRESETS["paper"], changes=paper),
         PRESET_SKIN: Candidate(PRESETS["skin"]),
         ROTATED: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
         "fista, tuned": Candidate({**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N}, changes=paper),
+        FORMULA: Candidate({**PRESETS["skin"], "gates": "formula"}),
     }
-    if find_spec("numba"):
-        found["skin, compiled"] = Candidate({**PRESETS["skin"], "fast": "on"})
-    found["skin, formula"] = Candidate({**PRESETS["skin"], "gates": "formula"})
-    covered = {one.settings["solver"] for one in found.values()}
-    others = [name for name in SUM_SOLVERS if name not in covered]
-    return found | {name: Candidate({"solver": name, "basis": "haar"}) for name in others}
+    covered = {candidate.settings["solver"] for candidate in solvers_by_label.values()}
+    for name in SUM_SOLVERS:
+        if name not in covered:
+            solvers_by_label[name] = Candidate({"solver": name, "basis": "haar"})
+    return solvers_by_label
 
 
 def frames_of(scenes: Sequence[str], short: bool) -> list[SceneFrames]:
@@ -93,22 +114,22 @@ def frames_of(scenes: Sequence[str], short: bool) -> list[SceneFrames]:
     return found
 
 
+def times(quick: bool, seed: int) -> Experiment:
+    """Time of a frame: all of `raced` in turn on each frame, so that other work on the host slows
+    all of them alike.
+    """
+    frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
+    measurements = [Measurement(CENTRE_RATIO)]
+    return Experiment("time of a frame", frames, measurements, raced(), tuple(FIGURES), (seed,))
+
+
 def solvers(quick: bool, seed: int) -> Iterator[Experiment]:
-    """Every solver, iterations and M swept; names of candidates are "LABEL" or "LABEL: k"."""
-    known, ratios = variants(), QUICK_RATIOS if quick else RATIOS
-    swept = {
-        f"{label}: {k}": Candidate({**of.settings, "iterations": k}, changes=of.changes)
-        for label, of in known.items()
-        if "iterations" in settings_of(of.settings["solver"])
-        for k in (QUICK_ITERATIONS if quick else ITERATIONS)
-    }
+    """Every solver by M, and on all taxels."""
+    known = variants()
     fixed = {label: of for label, of in known.items() if of.changes.get("rows") != ROTATING}
     frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
-    for candidates, measurements in (
-        (swept, [Measurement(CENTRE_RATIO)]),
-        (known, [*map(Measurement, ratios)]),
-        (fixed, [Measurement(1, phi="full")]),
-    ):
+    swept = [*map(Measurement, QUICK_RATIOS if quick else RATIOS)]
+    for candidates, measurements in ((known, swept), (fixed, [Measurement(1, phi="full")])):
         yield _timed("solvers", frames, measurements, candidates, tuple(FIGURES), (seed,))
 
 
@@ -163,66 +184,11 @@ def pooled(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     return found.sort_values("panel", kind="stable")
 
 
-def race(point: dict[str, Any]) -> dict[str, Any]:
-    """Time one library to within 1 % of the minimum, each frame by itself from 0.
-
-    The number of iterations is searched for first; the time is that of further calls with just as
-    many, which have nothing to check: the shortest of three. `point`: peer, scene, seed, short,
-    lambda_n, n_frames. Returns medians of processor time and iterations; mean_db, min_db; the
-    largest ratio of the objective to the minimum; n_frames.
-    """
-    (frames,) = frames_of([point["scene"]], point["short"])
-    take = frames.open(point["seed"])
-    problem = Bpdn(take.mask.shape, CENTRE_RATIO, point["seed"], point["lambda_n"])
-    peer = PEERS[point["peer"]]
-    pairs = [pair for part in take.parts() for pair in part if in_contact(pair[0], take.f_max)]
-    chosen = np.linspace(0, len(pairs) - 1, min(point["n_frames"], len(pairs))).round()
-    spans_ms, counts, ratios, psnr = [], [], [], []
-    for truth, taxels in (pairs[int(k)] for k in chosen):
-        y = problem.phi.forward(taxels.reshape(-1))
-        best = problem.solution(y)
-        lowest = problem.objective(best, y)
-        solve = peer.make(problem, best)
-        iterations = _needed(problem, solve, y, WITHIN * lowest)
-        theta, span_ms = _shortest(solve, y, iterations)
-        spans_ms.append(span_ms)
-        counts.append(iterations)
-        ratios.append(problem.objective(theta, y) / lowest)
-        psnr.append(psnr_db(problem.image(theta) - truth, take.f_max))
-    return {
-        "median_ms": round(float(np.median(spans_ms)), 4),
-        "iterations": float(np.median(counts)),
-        "mean_db": round(float(np.mean(psnr)), 3),
-        "min_db": round(float(np.min(psnr)), 3),
-        "objective": round(max(ratios), 4),
-        "n_frames": len(psnr),
-    }
-
-
-def _shortest(solve: Solve, y: Floats, iterations: int) -> tuple[Floats, float]:
-    """Coefficients that a peer finds, and the shortest of three processor times in ms."""
-    spans_ns = []
-    for _ in range(3):
-        begin_ns = time.thread_time_ns()
-        solved = solve(y, iterations)
-        spans_ns.append(time.thread_time_ns() - begin_ns)
-    return np.asarray(solved, dtype=np.float32), min(spans_ns) / 1e6
-
-
-def _needed(problem: Bpdn, solve: Solve, y: Floats, enough: float) -> int:
-    """The fewest of `STEPS` that come low enough; the most, where none does."""
-    for iterations in STEPS:
-        theta = np.asarray(solve(y, iterations), dtype=np.float32)
-        if problem.objective(theta, y) <= enough:
-            return iterations
-    return STEPS[-1]
-
-
-def gathered(experiments: Iterator[Experiment], out: Path, executor: str) -> pd.DataFrame:
-    """Rows of some experiments, with n_bytes, label, and stated iterations (NaN: their own)."""
+def gathered(experiments: Iterable[Experiment], out: Path, executor: str) -> pd.DataFrame:
+    """Rows of some experiments, with n_bytes, label, and pace: stated iterations, NaN if none."""
     rows = pd.concat(one.run(out, executor) for one in experiments).reset_index(drop=True)
     split = rows["method"].str.split(": ", expand=True).reindex(columns=[0, 1])
     shapes = [math.prod(scene_of(scene).shape) for scene in rows["scene"]]
     rotates = [ROTATING if label == ROTATED else "" for label in split[0]]
     sizes = map(n_bytes, shapes, rows["ratio"], rotates, rows["phi"])
-    return rows.assign(label=split[0], stated=pd.to_numeric(split[1]), n_bytes=list(sizes))
+    return rows.assign(label=split[0], pace=pd.to_numeric(split[1]), n_bytes=list(sizes))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import pandas as pd
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.frames import PadFrames
 from sparseskin.studies.harness import Candidate, Experiment, Measurement
@@ -19,6 +20,10 @@ from sparseskin.studies.report import Chart, Page
 from .sweeps import READINGS, own
 
 SIDE, N_STATIC, N_JUDGED = 40, 24, 8
+RHOS, QUICK_RHOS = (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75), (0.1, 0.3, 0.6)
+RATIOS, QUICK_RATIOS = (32, 16, 12, 8, 6, 4, 3, 2, 1.5), (16, 8, 4, 2)
+"""K/M and N/M of the pads."""
+TITLES = {"skin": "skin, the default", "fista": "fista, the paper's solver"}
 LEAST_K = 13
 """Fewest coefficients that a pad of whole taxels has at a place of its own."""
 
@@ -38,13 +43,17 @@ def weak_threshold(delta: float) -> float:
     return -float(found.fun)
 
 
+def coefficients(ratio: float, quick: bool) -> dict[float, int]:
+    """Numbers of coefficients of the pads at a ratio, by K/M."""
+    return {rho: round(rho * SIDE**2 / ratio) for rho in (QUICK_RHOS if quick else RHOS)}
+
+
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
     """Every solver and the readings, on pads at random places, by the ratio."""
-    rhos = (0.1, 0.3, 0.6) if quick else (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75)
     candidates = {name: Candidate(own(name)) for name in SUM_SOLVERS} | READINGS
     seeds = range(seed, seed + (1 if quick else 3))
-    for ratio in (16, 8, 4, 2) if quick else (32, 16, 12, 8, 6, 4, 3, 2, 1.5):
-        counts = [k for rho in rhos if (k := round(rho * SIDE**2 / ratio)) >= LEAST_K]
+    for ratio in QUICK_RATIOS if quick else RATIOS:
+        counts = [count for count in coefficients(ratio, quick).values() if count >= LEAST_K]
         frames = [PadFrames(SIDE, k, N_STATIC, N_STATIC - N_JUDGED) for k in counts]
         yield Experiment("phase", frames, [Measurement(ratio)], candidates, ("mean_db",), seeds)
 
@@ -59,29 +68,58 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     rows = gains.stack().rename("gain_db").reset_index()
     rows["k_over_m"] = rows["n_coefficients"] * rows["ratio"] / SIDE**2
     page.csv("phase_skin", rows)
-    page.section("Solvers: measurements that a frame needs", _draw(page.out, rows))
+    page.section("Solvers: measurements that a frame needs", _draw(page.out, rows, quick))
 
 
-def _draw(out: Path, rows: pd.DataFrame) -> str:
+def _edges(centres: Sequence[float]) -> list[float]:
+    """Edges of the cells about ascending centres: half way between them."""
+    values = np.asarray(centres)
+    inner = (values[1:] + values[:-1]) / 2
+    return [
+        float(1.5 * values[0] - values[1] / 2),
+        *inner,
+        float(1.5 * values[-1] - values[-2] / 2),
+    ]
+
+
+def _gains(rows: pd.DataFrame, quick: bool) -> Floats:
+    """Gain by K/M and M/N, both ascending, dB: NaN where there is no pad."""
+    known = rows.set_index(["n_coefficients", "ratio"])["gain_db"]
+    rhos = QUICK_RHOS if quick else RHOS
+    ratios = QUICK_RATIOS if quick else RATIOS
+    keys = [[(coefficients(ratio, quick)[rho], ratio) for ratio in ratios] for rho in rhos]
+    return np.array([[known.get(key, np.nan) for key in line] for line in keys], dtype=np.float32)
+
+
+def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     """Maps of the gain over M/N and K/M, a panel a solver, with the threshold of theory."""
-    caption = "PSNR above that of the readings: each solver, settled, pads at random places."
+    caption = (
+        "Where compressing beats reading all taxels, frames that stand still, pads at random "
+        "places. Blue: the reconstruction has a higher PSNR than the readings; grey: not computed"
+    )
     n, n_columns = len(SUM_SOLVERS), 3
     size_in = (3.1 * n_columns, 2.6 * -(-n // n_columns) + 0.6)
-    deltas = np.linspace(0.03, 0.99, 60)
+    deltas = np.linspace(0.02, 0.85, 80)
     threshold = [weak_threshold(delta) for delta in deltas]
-    style: dict[str, Any] = {"cmap": "RdBu", "vmin": -15.0, "vmax": 15.0, "marker": "s", "s": 45}
-    style |= {"edgecolors": "#999999", "lw": 0.3}
+    # Columns are as wide as the logarithm of M/N has them.
+    shares = [1 / ratio for ratio in (QUICK_RATIOS if quick else RATIOS)]
+    x_edges = np.exp(_edges(np.log(shares).tolist()))
+    y_edges = _edges(QUICK_RHOS if quick else RHOS)
+    style: dict[str, Any] = {"cmap": "RdBu", "vmin": -15.0, "vmax": 15.0}
     with Chart(out, "phase_skin", caption, n, n_columns, size_in=size_in) as chart:
         for axes, solver in zip(chart.panels, SUM_SOLVERS, strict=True):
-            some = rows[rows["method"] == solver]
-            spots = axes.scatter(1 / some["ratio"], some["k_over_m"], c=some["gain_db"], **style)
-            axes.set(title=solver, xlim=(0.025, 1.0), ylim=(0.0, 0.8), xscale="log")
+            gains = _gains(rows[rows["method"] == solver], quick)
+            axes.set_facecolor("0.85")
+            axes.grid(False)
+            cells = axes.pcolormesh(x_edges, y_edges, np.ma.masked_invalid(gains), **style)
+            limits = {"xlim": (x_edges[0], x_edges[-1]), "ylim": (y_edges[0], y_edges[-1])}
+            axes.set(title=TITLES.get(solver, solver), xscale="log", **limits)
             ticks = (32, 16, 8, 4, 2)
             axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])
             axes.minorticks_off()
             label = "l1 finds nearly all below (Donoho, Tanner)"
             axes.plot(deltas, threshold, color="black", lw=1.6, label=label)
-        chart.label("M/N", "K/M")
-        label = "dB above the readings of all taxels"
-        chart.figure.colorbar(spots, ax=chart.panels, label=label, extend="both")
+        chart.label("M/N: measurements per taxel", "K/M: coefficients per measurement")
+        label = "dB above reading all taxels"
+        chart.figure.colorbar(cells, ax=chart.panels, label=label, extend="both")
     return chart.markdown

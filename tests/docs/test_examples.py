@@ -1,5 +1,6 @@
 """Every file in examples/ runs as it stands, and the site builds and needs no other host."""
 
+import json
 import os
 import re
 import runpy
@@ -52,6 +53,23 @@ def test_an_example_runs_and_prints_its_result(name, tmp_path, monkeypatch, caps
     assert len(last) == 1
     if name in WITH_PICTURE:
         assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_the_notebook_runs_from_a_csv_to_the_error_over_m(tmp_path, monkeypatch):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((EXAMPLES / "choose_m_from_csv.ipynb").read_text(encoding="utf-8"))["cells"]
+    codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    # Outputs are not stored.
+    assert not any(cell.get("outputs") for cell in cells)
+    names: dict[str, object] = {}
+    for code in codes:
+        exec(code, names)
+    errors = [error for error, _ in names["results"].values()]
+    assert errors[0] < errors[-1] < 1
+    assert (tmp_path / "error_over_m.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_each_example_begins_with_a_line_on_what_it_shows():

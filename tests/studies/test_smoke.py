@@ -31,7 +31,7 @@ SIZES = (
     (accuracy, {"SCENES": SHORT_SCENES, "RATED_SCENES": SHORT_SCENES, "SIDES": (12,)}),
     (constants, {"VALUES": {"damping": 0.5}}),
     (contacts, {"CONTACT_RATIOS": (2,)}),
-    (experiments, {"QUICK_ITERATIONS": (5,), "QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
+    (experiments, {"QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
     (experiments, {"SUM_SOLVERS": SOLVERS, "QUICK_SCENES": SHORT_SCENES}),
     (experiments, {"find_spec": lambda name: None}),  # no compiled loops
     (frames, {"_kept": lru_cache(frames._kept.__wrapped__)}),  # simulated once
@@ -43,7 +43,7 @@ SIZES = (
     (stability, {"QUICK_KINDS": {"load": ("box",), "fault": ("zeros", "stuck blob")}}),
     (rules, {"QUICK_WORLDS": 1, "RULES": {name: rules.RULES[name] for name in ("bias", "offset")}}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
-    (speed_accuracy, {"TIMED_ON": "serial", "QUICK_SCENES": SHORT_SCENES}),
+    (speed_accuracy, {"TIMED_ON": "serial"}),
     (sweeps, {"SUM_SOLVERS": ("fista",), "EXCERPTS": sweeps.EXCERPTS[:1]}),
 )
 """Sizes that are smaller than those of a quick run, by module."""

@@ -176,13 +176,32 @@ def test_a_design_that_all_taxels_hold_advises_to_read_them():
     design = make_design(keys)
     rows = with_db(budget(design), **{"N/4 sums": 50.0})
     small = min(rows, key=lambda row: row.n_bytes)
-    assert text.conclusions(rows, design) == [
-        "Read all taxels: they reach 20 Hz, and nothing has to be reconstructed.",
-        "The most accurate of those that reach it is N/4 sums (50.0 dB).",
-        f"The fewest bytes a frame are {small.n_bytes}, of {small.strategy.name} (40.0 dB).",
+    best = next(row for row in rows if row.strategy.name == "N/4 sums")
+    fewer = f"{best.n_bytes} bytes ({1 - best.n_bytes / rows[0].n_bytes:.0%} fewer)"
+    first, *others = text.conclusions(rows, design)
+    costs = f"16 wires, 64 conversions and {rows[0].n_bytes} bytes per frame"
+    assert first.startswith(f"Read all taxels: {costs} reach 20 Hz, and nothing has to be")
+    # Sums that are made by the edge spare bytes, no wires and no conversions.
+    same = "16 wires (as many), 64 conversions (as many)"
+    assert others == [
+        f"The most accurate that reaches it: N/4 sums (50.0 dB), {same}, {fewer}.",
+        f"The fewest bytes that reach it: {small.strategy.name} (40.0 dB), {same}, "
+        f"{small.n_bytes} bytes ({1 - small.n_bytes / rows[0].n_bytes:.0%} fewer).",
     ]
-    slow = make_design({**keys, "bus": "serial:115200", "rate": "150"})
-    assert text.conclusions(budget(slow), slow)[0].startswith("All taxels reach 121 Hz alone; ")
+
+
+def test_a_design_that_all_taxels_miss_states_their_costs_and_those_of_others():
+    keys = {"rows": 8, "cols": 8, "bus": "serial:115200", "adc": "10bit@1MS/s"}
+    slow = make_design({**keys, "rate": "150"})
+    first = text.conclusions(budget(slow), slow)[0]
+    assert first.startswith("All taxels need 16 wires, 64 conversions and ")
+    assert "and reach 121 Hz: bus limits them" in first
+    none = make_design({**keys, "rate": "10kHz", "sums": "analog"})
+    first, last = text.conclusions(budget(none), none)
+    assert "0 of " in first
+    # Analog sums spare conversions, and need a wire from each taxel.
+    assert last.startswith("The fastest, ")
+    assert "64 wires (4 times as many)" in last
 
 
 RIGS = Path(__file__).parent / "rigs.toml"
