@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -153,7 +153,7 @@ class DriverSource(LiveSource):
         if skin is not None and array.shape != skin.shape:
             raise SourceError(f"{where_shape}, but the skin has {skin.shape}")
         with np.errstate(all="ignore"):
-            values = array.astype(np.float64)
+            values = array.astype(_exact(array.dtype))
         if skin is not None and skin.mask is not None:
             values[~skin.mask] = 0
         missing = ~np.isfinite(values)
@@ -165,9 +165,9 @@ class DriverSource(LiveSource):
                 raise SourceError(f"{where}, {fault}; {hint}")
             values[missing] = np.nan
         if self._raw:
-            return values.astype(np.float32)
+            return values.astype(np.float32, copy=False)
         self.clipped.add(values, 0.0, self._f_max)
-        return np.clip(values, 0, self._f_max).astype(np.float32)
+        return np.clip(values, 0, self._f_max).astype(np.float32, copy=False)
 
     def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:
         target = self._target
@@ -202,6 +202,11 @@ def open_callable(address: Address) -> DriverSource:
         expected = "expected a generator or an iterable of (stamp_ns, forces)"
         raise SourceError(f"{target}: returned {type(driver).__name__}; {expected}")
     return DriverSource(address, driver)
+
+
+def _exact(dtype: np.dtype[Any]) -> type[np.floating[Any]]:
+    """Float type that holds all numbers of a dtype: float32 where that is enough."""
+    return np.float32 if np.can_cast(dtype, np.float32) else np.float64
 
 
 @contextmanager
