@@ -154,8 +154,8 @@ class HadamardRows(Rows):
             places = self._place_of_row[layout.rows]
             order = np.argsort(places)
             blocks = None if layout.blocks is None else shared(layout.blocks[order])
-            arrays = map(shared, (places[order], order, places))
-            self._subsets[phi.fingerprint] = ReadRows(*arrays, blocks)
+            read = shared(places[order])
+            self._subsets[phi.fingerprint] = ReadRows(read, shared(order), shared(places), blocks)
         return self._subsets[phi.fingerprint]
 
     def values(self, y: Floats) -> Floats:
