@@ -48,6 +48,9 @@ MAX_RATIO = 16.0
 """Largest ratio N / M: beyond it no solver reconstructs a frame with more than one small pad."""
 MIN_BLOCK = 8
 """Least block size: smaller ones lose more than 3 dB on the touched taxels against blocks of 32."""
+COMPILED_HZ = 300.0
+"""Rate from which on frames are measured by compiled loops: to load these takes half a second of
+processor time, which they save in a minute. Chosen."""
 MIN_BITS = 5
 """Least bits of a measurement: with fewer, the quantiser's step exceeds the small measurements."""
 CHOSEN_ANEW = ("acts", "adaptive")
@@ -265,7 +268,7 @@ class Compressor(Node[CompressorSettings]):
         """Make Phi for a skin; return its description, valid from `stamp_ns` on."""
         s = self.settings
         subsets = s.phis(state.skin, state.sigma_end, state.clips_noise)
-        if use_compiled("auto"):
+        if state.rate_hz >= COMPILED_HZ and use_compiled("auto"):
             for subset in subsets:
                 if isinstance(subset, Phi):  # a user's own need not be one
                     subset.compile_loops()
