@@ -29,7 +29,7 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """All rates, sizes, and with and without a monitor; quick: few of them, in short slices."""
     rates_hz = QUICK_RATES_HZ if quick else RATES_HZ
     sizes = (QUICK_SIZE,) if quick else tuple(latency.SCENES)
-    common = {"preset": "skin", "iterations": STEPS, "seed": seed}
+    common = {"preset": "skin", "depth": 0, "iterations": STEPS, "seed": seed}
     common |= {"slices": SLICES, "seconds": SECONDS}
     return [
         {**common, "scene": latency.SCENES[size], "rate_hz": rate_hz, "monitor": monitor}
@@ -40,7 +40,7 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Run the shipped nodes and the lean ones in turn, on the same frames.
 
-    `point`: scene, rate_hz, preset, iterations, monitor, slices, seconds of each. Returns medians
+    `point`: scene, rate_hz, preset, depth, iterations, monitor, slices, seconds of each. Returns medians
     over the slices: of ours and lean, "KIND NODE_us", the processor time of a frame in each of
     `NODES` and, of ours, in the monitor; "KIND p50_ms" and "KIND p99_ms" of the age of a frame when
     it is reconstructed; "KIND lost"; "cpu ratio" and "p50 ratio", of the two in the same slice.

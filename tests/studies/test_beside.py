@@ -49,7 +49,7 @@ def test_both_kinds_of_nodes_reconstruct_every_frame_and_note_it():
         assert (of_node[:, 1] > 0).all()
         assert (np.diff(of_node[:, 2]) >= 0).all()
 
-    reports = run_graph({**POINT, "preset": "skin", "monitor": True})
+    reports = run_graph({**POINT, "preset": "skin", "depth": 0, "monitor": True})
     assert {len(report[PROCESSOR]) for report in reports.values()} == {40}
     assert len(reports["reconstructor"][WATCH]) == 40
     figures = beside.of_graph(reports, 40)
