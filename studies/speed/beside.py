@@ -40,8 +40,8 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Run the shipped nodes and the lean ones in turn, on the same frames.
 
-    `point`: scene, rate_hz, preset, depth, iterations, monitor, slices, seconds of each. Returns medians
-    over the slices: of ours and lean, "KIND NODE_us", the processor time of a frame in each of
+    `point`: scene, rate_hz, preset, depth, iterations, monitor, slices, seconds of each. Returns
+    medians over the slices: of ours and lean, "KIND NODE_us", the processor time of a frame in each of
     `NODES` and, of ours, in the monitor; "KIND p50_ms" and "KIND p99_ms" of the age of a frame when
     it is reconstructed; "KIND lost"; "cpu ratio" and "p50 ratio", of the two in the same slice.
     Raises StudyError if a node fails.
