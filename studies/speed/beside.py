@@ -41,9 +41,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Run the shipped nodes and the lean ones in turn, on the same frames.
 
     `point`: scene, rate_hz, preset, depth, iterations, monitor, slices, seconds of each. Returns
-    medians over the slices: of ours and lean, "KIND NODE_us", the processor time of a frame in each of
-    `NODES` and, of ours, in the monitor; "KIND p50_ms" and "KIND p99_ms" of the age of a frame when
-    it is reconstructed; "KIND lost"; "cpu ratio" and "p50 ratio", of the two in the same slice.
+    medians over the slices: of ours and lean, "KIND NODE_us", the processor time of a frame in each
+    of `NODES` and, of ours, in the monitor; "KIND p50_ms" and "KIND p99_ms" of the age of a frame
+    when it is reconstructed; "KIND lost"; "cpu ratio" and "p50 ratio", of the two in one slice.
     Raises StudyError if a node fails.
     """
     n_frames = round(point["seconds"] * point["rate_hz"])
