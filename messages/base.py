@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 
-from .fields import FieldKind, Integer, Text, wire
+from .fields import Array, FieldKind, Integer, Text, wire
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
 
 Made = TypeVar("Made")
@@ -66,6 +66,16 @@ class Message:
         """Copy `by_ns` nanoseconds later: its stamp and all other times on the graph's clock."""
         return self._copy(**{name: getattr(self, name) + by_ns for name in self.times})
 
+    def following(self, **changes: Any) -> Self:
+        """Message of the same node with the fields of its next frame. Of these, arrays are checked
+        as ever: those of a user's Phi or solver may be anything. The others are numbers that the
+        node itself has made, which its readers check again.
+        """
+        for name, kind in array_fields(type(self)).items():
+            if changes.get(name) is not None:
+                changes[name] = kind.check(name, changes[name])
+        return self._copy(**changes)
+
     def _copy(self, **changes: Any) -> Self:
         """Copy with valid changes: nothing is checked again."""
         copy = object.__new__(type(self))
@@ -97,6 +107,12 @@ def once_a_class(make: Callable[[type[Message]], Made]) -> Callable[[type[Messag
 def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
     """Name and kind of each field of a message class, in order of declaration."""
     return {f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)}
+
+
+@once_a_class
+def array_fields(cls: type[Message]) -> dict[str, Array]:
+    """Name and kind of the fields of a message class that are arrays."""
+    return {name: kind for name, kind in wire_fields(cls).items() if isinstance(kind, Array)}
 
 
 @once_a_class

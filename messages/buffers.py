@@ -106,8 +106,8 @@ def frame_pieces(message: Message) -> list[Any]:
     """Bytes and arrays, not copied, that follow each other in the buffer of a message.
     Raises MessageError if its description is too large to travel.
     """
-    form, values = _form(type(message)), message.__dict__
-    key: list[Any] = [form.cls, *(values[name] for name, _ in form.texts)]
+    stream = _described(message)
+    form, values = stream.form, message.__dict__
     numbers = [values[name] for name, _ in form.numbers]
     for name, _ in form.each:
         numbers += values[name]
@@ -115,19 +115,12 @@ def frame_pieces(message: Message) -> list[Any]:
     for name, kind in form.arrays:
         value = values[name]
         if value is None:
-            key.append(None)
             continue
-        key.append(value.shape)
         if type(kind) is Array:
             data.append(value)
             continue
-        key.append(kind.dtype_of(value))
         numbers += kind.extra_of(value)
         data.append(kind.data_of(value))
-    stream = _DESCRIBED.get(tuple(key))
-    if stream is None:
-        stream = _describe(message)
-        _remember(_DESCRIBED, tuple(key), stream)
     if None in numbers:
         numbers = [math.nan if number is None else number for number in numbers]
     pieces: list[Any] = [stream.begin, stream.numbers.pack(*numbers)]
@@ -138,6 +131,28 @@ def frame_pieces(message: Message) -> list[Any]:
         pieces.append(one)
         end = last
     return pieces
+
+
+def frame_bytes(message: Message) -> int:
+    """Size of the buffer of a message, bytes; raises as `frame_pieces`."""
+    stream = _described(message)
+    return len(stream.topic) + 1 + stream.n_bytes
+
+
+def _described(message: Message) -> _Stream:
+    """The stream of a message, which is described where it is new."""
+    form, values = _form(type(message)), message.__dict__
+    key: list[Any] = [form.cls, *(values[name] for name, _ in form.texts)]
+    for name, kind in form.arrays:
+        value = values[name]
+        key.append(None if value is None else value.shape)
+        if value is not None and type(kind) is not Array:
+            key.append(kind.dtype_of(value))
+    stream = _DESCRIBED.get(tuple(key))
+    if stream is None:
+        stream = _describe(message)
+        _remember(_DESCRIBED, tuple(key), stream)
+    return stream
 
 
 def decode_frame(topic: bytes, payload: Payload) -> Message:

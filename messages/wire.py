@@ -9,7 +9,15 @@ import msgpack
 import numpy as np
 
 from .base import Message, omitted_fields, wire_fields
-from .buffers import MARK, Payload, decode_frame, frame_pieces, is_frame, unpacked
+from .buffers import (
+    MARK,
+    Payload,
+    decode_frame,
+    frame_bytes,
+    frame_pieces,
+    is_frame,
+    unpacked,
+)  # fmt: skip
 from .errors import FieldError, MalformedError, OversizedError, TruncatedError
 from .fields import MAX_ELEMENTS
 from .schemas import SCHEMAS, class_of
@@ -99,4 +107,4 @@ def size_bytes(message: Message) -> int:
     """Size on the wire in bytes, topic included."""
     if not is_frame(type(message)):
         return len(wire_bytes(message))
-    return sum(getattr(one, "nbytes", None) or len(one) for one in frame_pieces(message))
+    return frame_bytes(message)

@@ -43,7 +43,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _reprocess(arguments: argparse.Namespace) -> int:
-    """Reprocess all recordings; those that fail are named, and do not stop the others."""
+    """Reprocess all recordings. Those that fail are named, and do not stop the others; those that
+    an earlier run has finished are not computed again.
+    """
     from sparseskin.nodes.monitor.table import summary_table
 
     check_summary(arguments.summary)
@@ -54,13 +56,15 @@ def _reprocess(arguments: argparse.Namespace) -> int:
             places = (shown(job.source), shown(job.out))
             named = outcome.error.startswith("--") or any(p in outcome.error for p in places)
             print(outcome.error if named else f"{places[0]}: {outcome.error}", file=sys.stderr)
+        elif outcome.was_finished:
+            print(f"{shown(job.out)}: computed before, by the same command")
         else:
             print(f"{shown(job.out)}:")
             print(summary_table(outcome.patches))
             per_minute = size_text(60 * outcome.n_bytes / outcome.seconds)
             size = size_text(outcome.n_bytes)
             print(f"{size} in {outcome.seconds:.1f} s: {per_minute} per minute")
-    found = {shown(o.job.out): {"patches": o.patches} for o in outcomes if not o.error}
+    found = {shown(o.job.out): {"patches": o.patches} for o in outcomes if o.patches}
     write_summary(arguments.summary, "reprocess-summary", {"recordings": found})
     return 2 if any(outcome.error for outcome in outcomes) else 0
 

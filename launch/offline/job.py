@@ -26,10 +26,12 @@ from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.files import whole_file
+from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import last_messages
 from sparseskin.nodes.recorder.bag.patches import names_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import removing
+from sparseskin.nodes.recorder.node import metadata_of
 from sparseskin.nodes.remote import check_free, file_name, is_remote, local_path, store
 
 
@@ -53,7 +55,8 @@ class Job:
 @dataclass(frozen=True)
 class Outcome:
     """Result of a job: the monitor's summary by patch, bytes of the recording read and seconds
-    taken; or a line with the reason of its failure.
+    taken; or a line with the reason of its failure; or `was_finished`: an earlier run has computed
+    the same.
     """
 
     job: Job
@@ -61,6 +64,7 @@ class Outcome:
     error: str = ""
     n_bytes: int = 0
     seconds: float = 0.0
+    was_finished: bool = False
 
 
 def run_job(job: Job, progress: bool = False) -> Outcome:
@@ -71,12 +75,44 @@ def run_job(job: Job, progress: bool = False) -> Outcome:
     begin_s = time.monotonic()
     try:
         source = local_path(job.source)
+        if is_finished(job, source):
+            return Outcome(job, {}, was_finished=True)
         with _written(job.out) as draft:
             patches = _run(job, source, draft, progress)
         n_bytes = source.stat().st_size
     except SparseskinError as error:
         return Outcome(job, {}, str(error))
     return Outcome(job, patches, "", n_bytes, time.monotonic() - begin_s)
+
+
+def is_finished(job: Job, source: Path) -> bool:
+    """True if the result of a job exists, complete, and later than its source: made of a recording
+    of the same name and origin, with the same settings, by the same versions of all programs.
+    False for addresses, which would have to be read for it.
+    """
+    out = Path(job.out)
+    if is_remote(job.out) or not out.is_file():
+        return False
+    if out.stat().st_mtime_ns < source.stat().st_mtime_ns:
+        return False
+    with BagReader(source, whole=False) as bag:
+        expected = metadata_of(origin_of(job, bag), "")
+    try:
+        with BagReader(out, whole=False) as bag:
+            names = ("launch", "versions")
+            is_same = all(bag.metadata.get(name) == expected[name] for name in names)
+            return is_same and not bag.recovered
+    except BagError:
+        return False
+
+
+def origin_of(job: Job, bag: BagReader) -> str:
+    """Origin of the result of a job, as it is kept in it: the command and the launch file of its
+    recording.
+    """
+    changes = " ".join(f"--set {text}" for text in job.overrides)
+    command = f"# sparseskin reprocess {file_name(job.source)} {changes}".rstrip()
+    return f"{command} --from {job.start_from}\n{bag.metadata.get('launch', '')}"
 
 
 @contextmanager
@@ -147,8 +183,5 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
         # Its number of iterations followed from the speed of the host that recorded it.
         tables["reconstructor"]["iterations"] = recorded.iterations
     tables["monitor"] = {"type": "monitor", "patches": [patch]}
-    changes = " ".join(f"--set {text}" for text in job.overrides)
-    command = f"# sparseskin reprocess {file_name(job.source)} {changes}".rstrip()
-    made_by = f"{command} --from {job.start_from}\n{bag.metadata.get('launch', '')}"
-    tables["recorder"] = {"type": "recorder", "out": str(out), "launch": made_by}
+    tables["recorder"] = {"type": "recorder", "out": str(out), "launch": origin_of(job, bag)}
     return load_tables(f"reprocess {file_name(job.source)}", tables, job.overrides)

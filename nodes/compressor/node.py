@@ -37,6 +37,7 @@ from sparseskin.nodes.compressor.phi.rotation import (
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 from sparseskin.nodes.touch import touch_level
 
@@ -47,6 +48,9 @@ MAX_RATIO = 16.0
 """Largest ratio N / M: beyond it no solver reconstructs a frame with more than one small pad."""
 MIN_BLOCK = 8
 """Least block size: smaller ones lose more than 3 dB on the touched taxels against blocks of 32."""
+COMPILED_HZ = 300.0
+"""Rate from which on frames are measured by compiled loops: to load these takes half a second of
+processor time, which they save in a minute. Chosen."""
 MIN_BITS = 5
 """Least bits of a measurement: with fewer, the quantiser's step exceeds the small measurements."""
 CHOSEN_ANEW = ("acts", "adaptive")
@@ -197,6 +201,8 @@ class Compressor(Node[CompressorSettings]):
         self._state: SkinState | None = None
         self._subset, self._subsets = 0, list[Phi]()  # one matrix a row subset
         self._rows = settings.rows  # in use: resolved once the skin is known
+        #: The first message by a matrix: those of later frames are like it.
+        self._first: Measurements | None = None
         self._search: ActsSearch | None = None
         self._choice: AdaptiveChoice | None = None
         self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
@@ -262,10 +268,15 @@ class Compressor(Node[CompressorSettings]):
         """Make Phi for a skin; return its description, valid from `stamp_ns` on."""
         s = self.settings
         subsets = s.phis(state.skin, state.sigma_end, state.clips_noise)
+        if state.rate_hz >= COMPILED_HZ and use_compiled("auto"):
+            for subset in subsets:
+                if isinstance(subset, Phi):  # a user's own need not be one
+                    subset.compile_loops()
         rows = ROTATING if len(subsets) > 1 else FIXED
         phi = subsets[0]
         self._warn(phi)
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
+        self._first = None
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
         if isinstance(phi, ActsPhi):
             threshold = touch_level(state.sigma_end, state.f_max, SIGMAS)
@@ -318,14 +329,16 @@ class Compressor(Node[CompressorSettings]):
         else:
             y = phi.forward(x if len(x) > 1 else x[0])
         bits = self.settings.bits
-        return Measurements(
-            stamp_ns=taxels.stamp_ns,
-            patch=self.settings.patch,
-            names=self.settings.patches,
-            y=y if bits is None else quantised(y, bits),
-            phi=phi.fingerprint,
-            missing=taxels.missing,
-            reason=taxels.reason,
-            places=places,
-            nodes=nodes,
-        )
+        changes: dict[str, Any] = {
+            "stamp_ns": taxels.stamp_ns,
+            "y": y if bits is None else quantised(y, bits),
+            "phi": phi.fingerprint,
+            "missing": taxels.missing,
+            "reason": taxels.reason,
+            "places": places,
+            "nodes": nodes,
+        }
+        if self._first is None:
+            of_node: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
+            self._first = Measurements(**of_node, **changes)
+        return self._first.following(**changes)

@@ -49,10 +49,16 @@ def psnr_db(error: Floats, f_max: float) -> float:
     from the reference, float32 of any shape, in the unit of `f_max`, the upper end of the range.
     Source: paper, section V-C.
     """
-    rmse = math.sqrt(float(np.mean(np.square(error, dtype=np.float64))))
+    rmse = math.sqrt(_energy(error) / error.size)
     if rmse * 10 ** (PSNR_CAP_DB / 20) <= f_max:
         return PSNR_CAP_DB
     return 20 * math.log10(f_max / rmse)
+
+
+def _energy(values: Floats) -> float:
+    """Sum of squares, computed in float64, of an array of any shape."""
+    wide = values.reshape(-1).astype(np.float64)
+    return float(np.dot(wide, wide))
 
 
 @dataclass
@@ -301,8 +307,7 @@ class PatchMetrics:
         frame.psnr_db = psnr_db(error, skin.f_max)
         self.reconstruction.add(frame.psnr_db, is_contact)
         if is_contact:
-            norm = float(np.linalg.norm(reference))
-            self.relative_error.add(float(np.linalg.norm(error)) / norm)
+            self.relative_error.add(math.sqrt(_energy(error) / _energy(reference)))
         return frame
 
     def summary(self) -> dict[str, Any]:

@@ -26,8 +26,6 @@ from .compiled import compiled
 A: TypeAlias = Any
 """An array; mypy and numba read its type differently."""
 
-MOST_ROWS = 32
-"""Rows up to which loops are faster than BLAS. Measured: at 20 rows 1.25 times, at 40 0.9 times."""
 _ROOT_2 = np.float32(np.sqrt(2.0))
 _0 = np.float32(0)
 _1 = np.float32(1)
@@ -158,7 +156,7 @@ class TileMaps(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Weights of the learned gates, as of `Gates`."""
+    """Weights of the learned gates, as of `Gates`, their matrices transposed: BLAS copies none."""
 
     filters: A
     hidden: A
@@ -493,7 +491,8 @@ def standing_out(image: A, begin: int, width: int, limits: A, sums: A, peaks: A)
     whole = _0
     left_half = _0
     right_half = _0
-    peaks[:] = _0
+    for j in range(12):
+        peaks[j] = _0
     for band in range(4):
         at = begin + 3 * band * width
         upper = image[at:][:12]
@@ -529,47 +528,6 @@ def standing_out(image: A, begin: int, width: int, limits: A, sums: A, peaks: A)
 
 
 @compiled(sums_in_any_order=True)
-def product(w: A, matrix: A, out: A) -> None:
-    """Matrix product out = w matrix^T: of few rows by loops, since BLAS copies the matrix first."""
-    n = w.shape[0]
-    n_columns = matrix.shape[0]
-    if n > MOST_ROWS or n_columns < 4:
-        np.dot(w, matrix.T, out)
-        return
-
-    # Two rows by four columns at a time; the last ones may be computed twice.
-    for t in range(0, n, 2):
-        u = min(t + 1, n - 1)
-        x = w[t]
-        y = w[u]
-        for begin in range(0, n_columns, 4):
-            j = min(begin, n_columns - 4)
-            p = matrix[j]
-            q = matrix[j + 1]
-            r = matrix[j + 2]
-            s = matrix[j + 3]
-            xp = xq = xr = xs = _0
-            yp = yq = yr = ys = _0
-            for k in range(p.size):
-                xp += x[k] * p[k]
-                xq += x[k] * q[k]
-                xr += x[k] * r[k]
-                xs += x[k] * s[k]
-                yp += y[k] * p[k]
-                yq += y[k] * q[k]
-                yr += y[k] * r[k]
-                ys += y[k] * s[k]
-            out[t, j] = xp
-            out[t, j + 1] = xq
-            out[t, j + 2] = xr
-            out[t, j + 3] = xs
-            out[u, j] = yp
-            out[u, j + 1] = yq
-            out[u, j + 2] = yr
-            out[u, j + 3] = ys
-
-
-@compiled(sums_in_any_order=True)
 def haar_shrink(w: A, limits: A, s: A, d: A) -> None:
     """Shrink the tiles of windows (t, 144), as in `formula`.
 
@@ -584,7 +542,8 @@ def haar_shrink(w: A, limits: A, s: A, d: A) -> None:
         for t in range(n_tiles):
             s[p, t] = w[t, 12 * (p // 8 + 2) + p % 8 + 2]
     error = d[64][:n_tiles]
-    error[:] = _0
+    for t in range(n_tiles):
+        error[t] = _0
 
     # Details of each level, shrunk, and the sums that the next level is made of.
     begin = 0
@@ -799,10 +758,11 @@ def skin_begin(
         slope = slopes.of_taxels[k]
         following = neighbours[k]
         previous = neighbours[2 + k]
+        of_rows = slopes.of_rows[k]
         for p in range(n):
             slope[p] = x[following[p]] - x[previous[p]]
-        slopes.of_rows[k] = slope
-        orthonormal(slopes.of_rows[k], transform.groups, transform.scale)
+            of_rows[p] = slope[p]
+        orthonormal(of_rows, transform.groups, transform.scale)
 
     largest = _0
     energy = 0.0
@@ -927,7 +887,8 @@ def skin_predict(
         predicted[p] = min(max(moved, _0), bound)
 
     predicted_rows = prediction.rows
-    predicted_rows[:] = predicted
+    for p in range(n):
+        predicted_rows[p] = predicted[p]
     orthonormal(predicted_rows, transform.groups, transform.scale)
     move_means(measured, estimate, prediction, filters, growth, constants)
 
@@ -1006,7 +967,8 @@ def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
     for k in range(127, -1, -1):
         of_binade[k] = power
         power /= per_binade
-    of_binade[128:] = of_binade[127]
+    for k in range(128, 256):
+        of_binade[k] = of_binade[127]
 
     # Split each number into that of its table and its mantissa.
     factors = np.empty(numbers.size, np.float32)
@@ -1137,7 +1099,7 @@ def matrix_of(scratch: A, begin: int, n_rows: int, n_columns: int) -> Any:
 def step_scratch(denoiser: A, tiles: A, n: int) -> Any:
     """Cut the scratch of a step out of one array: of many, each call would have to check each."""
     flat = denoiser.scratch
-    k = denoiser.weights.filters.shape[0]
+    k = denoiser.weights.filters.shape[1]
     h = denoiser.weights.hidden_0.size
     n_cells = tiles.canvas.size
     n_windows = tiles.begins.shape[1]
@@ -1180,7 +1142,8 @@ def target_residual(
     target = targets.value
     scale = transform.scale
     n = z.size
-    v[:n] = z
+    for p in range(n):
+        v[p] = z[p]
     hadamard(v[:n], transform.groups)
     for p in range(n):
         off[p] = target[p] - v[p] * scale[p]
@@ -1248,8 +1211,10 @@ def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, floa
         begin = begins[tile]
         part = standing_out(image, begin, width, limits, sums, peaks)
         if part > 0:
+            window = w[n_busy]
             for i in range(12):
-                w[n_busy, 12 * i : 12 * i + 12] = image[begin + i * width :][:12]
+                for j in range(12):
+                    window[12 * i + j] = image[begin + i * width + j]
             busy[n_busy] = tile
             parts[n_busy] = part
             n_busy += 1
@@ -1291,7 +1256,7 @@ def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
     levels = scratch.levels[:n_busy]
     h = scratch.h[:n_busy]
     k = a.shape[1]
-    product(scratch.w[:n_busy], weights.filters, a)
+    np.dot(scratch.w[:n_busy], weights.filters, a)
     for b in range(n_busy):
         of_window = a[b]
         sizes = levels[b, k:]
@@ -1301,7 +1266,7 @@ def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
             levels[b, j] = sizes[j] if of_window[j] >= 0 else -sizes[j]
 
     hidden_0 = weights.hidden_0
-    product(levels, weights.hidden, h)
+    np.dot(levels, weights.hidden, h)
     for b in range(n_busy):
         for j in range(h.shape[1]):
             h[b, j] = max(h[b, j] + hidden_0[j], _0)
@@ -1324,7 +1289,7 @@ def gate_tiles(tiles: A, shift: int, weights: A, limits: A, scratch: A, n_busy: 
     begins = tiles.begins[shift]
     shares = tiles.shares[shift]
     k = a.shape[1]
-    product(h, weights.gates, g)
+    np.dot(h, weights.gates, g)
     expected = 0.0
     for b in range(n_busy):
         log_error = weights.error_0
@@ -1341,7 +1306,7 @@ def gate_tiles(tiles: A, shift: int, weights: A, limits: A, scratch: A, n_busy: 
     denoised = scratch.denoised
     filtered = scratch.tiles[:n_busy]
     width = tiles.width
-    product(a, weights.synthesis, filtered)
+    np.dot(a, weights.synthesis, filtered)
     for b in range(n_busy):
         begin = begins[busy[b]] + 2 * width + 2
         for i in range(8):
@@ -1407,7 +1372,9 @@ def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMe
     tau = np.float32(max(off2 - plan.target_variance, least_tau) + plan.floor)
     s = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, u, v)
 
-    scratch.denoised[:] = _0
+    denoised = scratch.denoised
+    for q in range(denoised.size):
+        denoised[q] = _0
     n_busy, expected = busy_windows(tiles, shift, limits, scratch)
     if n_busy and (k < plan.n_formula or not inputs.denoiser.has_gates):
         expected += shrink_tiles(tiles, shift, limits, scratch, n_busy, s)
@@ -1416,7 +1383,6 @@ def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMe
         expected += gate_tiles(tiles, shift, weights, limits, scratch, n_busy, s)
 
     cells = tiles.cells
-    denoised = scratch.denoised
     for p in range(z.size):
         v[p] = denoised[cells[p]]
 
@@ -1442,8 +1408,12 @@ def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float]:
     """
     iterates = inputs.iterates
     scratch = step_scratch(inputs.denoiser, inputs.tiles, iterates.z.size)
-    iterates.z[:] = inputs.prediction.x
-    iterates.mean[:] = _0
+    z = iterates.z
+    mean = iterates.mean
+    predicted = inputs.prediction.x
+    for p in range(z.size):
+        z[p] = predicted[p]
+        mean[p] = _0
     means = StepMeans(0.0, 0.0, 0.0)
     for k in range(plan.n_formula + plan.n):
         means = skin_step(inputs, measured, plan, scratch, k, means)
@@ -1509,7 +1479,8 @@ def skin_settle(
     x_rows = estimate.rows
     predicted_rows = prediction.rows
     correction = estimate.correction
-    x_rows[:] = x
+    for p in range(n):
+        x_rows[p] = x[p]
     orthonormal(x_rows, transform.groups, transform.scale)
     for p in range(n):
         correction[p] = x_rows[p] - predicted_rows[p]

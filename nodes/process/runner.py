@@ -31,8 +31,8 @@ from .tally import Tally
 POLL_MS = 100
 """Longest wait, so that signals are noticed."""
 HEARTBEAT_NS = 500_000_000
-SPIN_NS = 1_500_000
-"""Shorter waits are sleeps, because the poller counts whole milliseconds."""
+SLEEP_NS = 1_500_000
+"""Last part of a wait for a tick, which is a sleep: the poller counts whole milliseconds."""
 BATCH = 64
 """Largest number of messages or ticks between two checks for commands."""
 BATCH_NS = 50_000_000
@@ -40,6 +40,13 @@ BATCH_NS = 50_000_000
 
 EXIT_CRASH = 1
 EXIT_USAGE = 2
+
+
+def waiting_ms(left_ns: int) -> int:
+    """Time for which the poller may wait, ms, if a tick is due in `left_ns`; 0: the rest is one
+    sleep, since a poller that does not wait would be called again and again until then.
+    """
+    return max(0, (left_ns - SLEEP_NS) // 1_000_000)
 
 
 class Runner:
@@ -201,9 +208,9 @@ class Runner:
         timeout_ms = POLL_MS if self.caught_up else 0
         left_ns = self._left_ns()
         if left_ns is not None:
-            if 0 < left_ns < SPIN_NS:
+            timeout_ms = min(timeout_ms, waiting_ms(left_ns))
+            if timeout_ms == 0 and self.caught_up and left_ns > 0:
                 time.sleep(left_ns / 1e9)
-            timeout_ms = max(0, min(timeout_ms, (left_ns - SPIN_NS) // 1_000_000))
         ready: dict[Any, int] = dict(self.network.poller.poll(timeout_ms))
         patience_s = self.host.node.patience_s
         # Not while messages wait, and not if a source waits for answers.

@@ -1,5 +1,6 @@
 """Numbers of messages that a node has published, in memory that outlives it when it is killed."""
 
+import mmap
 import os
 import struct
 from collections.abc import Sequence
@@ -15,16 +16,21 @@ class Tally:
     def __init__(self, topics: Sequence[str], fd: int | None = None) -> None:
         self._topics = {topic: k for k, topic in enumerate(topics)}
         self.fd = os.memfd_create("tally") if fd is None else fd
-        os.ftruncate(self.fd, _COUNT.size * len(topics))
+        size = _COUNT.size * len(topics)
+        os.ftruncate(self.fd, size)
+        self._numbers = mmap.mmap(self.fd, size) if size else None
 
     def set(self, topic: str, n: int) -> None:
         """Set the number of messages published on a topic; of others than stated, none is kept."""
-        if topic in self._topics:
-            os.pwrite(self.fd, _COUNT.pack(n), _COUNT.size * self._topics[topic])
+        place = self._topics.get(topic)
+        if place is not None and self._numbers is not None:
+            _COUNT.pack_into(self._numbers, _COUNT.size * place, n)
 
     def close(self) -> dict[str, int]:
         """Close the file; return what it held, as `counts` does."""
         found = self.counts()
+        if self._numbers is not None:
+            self._numbers.close()
         os.close(self.fd)
         return found
 

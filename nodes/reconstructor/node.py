@@ -71,6 +71,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._announced: PhiState | None = None
         self._subsets: dict[str, Phi] = {}
         self._skipped = 0
+        #: The first message of a solver: those of later frames are like it.
+        self._first: Reconstruction | None = None
         self._names = settings.patches or (settings.patch,)
         self._log = PatchLog(self._names, context.log)
         self._patches = [Patch(settings, self._log.of(name)) for name in self._names]
@@ -198,6 +200,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         finally:
             self._log.setting_up = False
         self._subsets = {one.fingerprint: one for one in subsets}
+        self._first = None
         self._state_noise()
         self._idle = None
         chooses = isinstance(subsets[0], ActsPhi | AdaptivePhi)
@@ -281,24 +284,26 @@ class Reconstructor(Node[ReconstructorSettings]):
         found = [patch.solved for patch in self._patches if patch.solved is not None]
         all_forces, sds, iterations, residuals, solve_ns, errors, reasons = zip(*found, strict=True)
         forces = [one for one, same in zip(all_forces, unchanged, strict=True) if not same]
-        return Reconstruction(
-            stamp_ns=measurements.stamp_ns,
-            patch=self.settings.patch,
-            names=self.settings.patches,
-            forces=_stacked(forces) if forces else all_forces[0][np.newaxis][:0],
-            phi=measurements.phi,
-            missing=measurements.missing,
-            iterations=iterations,
-            residual=residuals,
-            solve_ns=solve_ns,
-            done_ns=done_ns,
-            sd=None if sds[0] is None else _stacked(sds),
-            skipped=self._skipped,
-            error=errors,
-            trusted=tuple([not reason for reason in reasons]),
-            reason=reasons,
-            unchanged=tuple(unchanged),
-        )
+        changes: dict[str, Any] = {
+            "stamp_ns": measurements.stamp_ns,
+            "forces": _stacked(forces) if forces else all_forces[0][np.newaxis][:0],
+            "phi": measurements.phi,
+            "missing": measurements.missing,
+            "iterations": iterations,
+            "residual": residuals,
+            "solve_ns": solve_ns,
+            "done_ns": done_ns,
+            "sd": None if sds[0] is None else _stacked(sds),
+            "skipped": self._skipped,
+            "error": errors,
+            "trusted": tuple([not reason for reason in reasons]),
+            "reason": reasons,
+            "unchanged": tuple(unchanged),
+        }
+        if self._first is None:
+            of_node: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
+            self._first = Reconstruction(**of_node, **changes)
+        return self._first.following(**changes)
 
     def _contacts(self, measurements: Measurements) -> Contacts:
         """Contacts of the frame that was reconstructed, of all patches."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -103,7 +104,9 @@ class Recorder(Node[RecorderSettings]):
     def _write(self, message: Message) -> None:
         if self._writer is None:
             metadata = metadata_of(self.settings.launch, self.settings.source)
-            self._writer = BagWriter(Path(self.settings.out), metadata, flush_every_s=FLUSH_EVERY_S)
+            # Offline, where a recording is complete or not at all, chunks are as large as they may.
+            every_s = FLUSH_EVERY_S if self.context.live else math.inf
+            self._writer = BagWriter(Path(self.settings.out), metadata, flush_every_s=every_s)
         self._writer.record(message, self.context.clock.now_ns())
 
     def _guard(self, action: Callable[[], None]) -> None:

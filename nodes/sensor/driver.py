@@ -162,7 +162,7 @@ class DriverSource(LiveSource):
             fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
             raise SourceError(f"{where}: {fault}")
         with np.errstate(all="ignore"):
-            values = array.astype(np.float64)
+            values = array.astype(_exact(array.dtype))
         for number in self._layout.missing_numbers:
             values[values == number] = np.nan
         if skin is not None and skin.mask is not None:
@@ -176,9 +176,9 @@ class DriverSource(LiveSource):
                 raise SourceError(f"{where}, {fault}; {hint}")
             values[missing] = np.nan
         if self._raw:
-            return values.astype(np.float32)
+            return values.astype(np.float32, copy=False)
         self.clipped.add(values, 0.0, self._f_max)
-        return np.clip(values, 0, self._f_max).astype(np.float32)
+        return np.clip(values, 0, self._f_max).astype(np.float32, copy=False)
 
     def _arranged(self, array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
         """The readings of a frame (rows, cols), by the layout; all frames have one shape."""
@@ -221,6 +221,11 @@ def open_callable(address: Address) -> DriverSource:
         expected = "expected a generator or an iterable of (stamp_ns, forces)"
         raise SourceError(f"{target}: returned {type(driver).__name__}; {expected}")
     return DriverSource(address, driver)
+
+
+def _exact(dtype: np.dtype[Any]) -> type[np.floating[Any]]:
+    """Float type that holds all numbers of a dtype: float32 where that is enough."""
+    return np.float32 if np.can_cast(dtype, np.float32) else np.float64
 
 
 @contextmanager

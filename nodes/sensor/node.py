@@ -98,6 +98,9 @@ class Sensor(SourceNode[SensorSettings]):
         self._stamp_ns = -1
         self._set_pace()
         self._next: _Frame | None = None
+        # The first messages: those of later frames are like them.
+        self._taxels: Taxels | None = None
+        self._truth: Truth | None = None
         self._n_frames = self._n_logged = self._logged_ns = 0
         if not self._source.is_live:
             self._prepare()
@@ -224,15 +227,30 @@ class Sensor(SourceNode[SensorSettings]):
         if self._readings.is_news:
             yield self._describe()
         taxels, truth, missing, reason = self._next
-        patch, names = self.settings.patch, self.settings.patches
-        head: dict[str, Any] = {"stamp_ns": stamp_ns, "patch": patch, "names": names}
-        yield Taxels(**head, forces=taxels, missing=missing, reason=(reason,) if reason else ())
+        yield self._taxels_of(stamp_ns, taxels, missing, reason)
         if truth is not None:
-            yield Truth(**head, forces=truth)
+            yield self._truth_of(stamp_ns, truth)
         self._n_frames += 1
         self._watch_rate(stamp_ns)
         if not source.is_live:
             self._prepare()
+
+    def _taxels_of(
+        self, stamp_ns: int, forces: Floats, missing: _Bits | None, reason: str
+    ) -> Taxels:
+        if self._taxels is None or forces.shape[-2:] != self._taxels.forces.shape[-2:]:
+            head: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
+            self._taxels = Taxels(**head, stamp_ns=stamp_ns, forces=forces, missing=missing)
+        reasons = (reason,) if reason else ()
+        return self._taxels.following(
+            stamp_ns=stamp_ns, forces=forces, missing=missing, reason=reasons
+        )
+
+    def _truth_of(self, stamp_ns: int, forces: Floats) -> Truth:
+        if self._truth is None or forces.shape[-2:] != self._truth.forces.shape[-2:]:
+            head: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
+            self._truth = Truth(**head, stamp_ns=stamp_ns, forces=forces)
+        return self._truth.following(stamp_ns=stamp_ns, forces=forces)
 
     def state(self) -> dict[str, Any]:
         # Without a stated rate, the pace of a driver is its own and not known.

@@ -58,27 +58,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     of the frames around it; frames, skipped, lost, and others: cores that other work of the host
     used. Raises StudyError if the graph fails, or reconstructs too few frames.
     """
-    source = f"sparseskin.studies.looped:{point['scene']}"
-    solver = {key: point[key] for key in ("preset", "depth", "contacts")}
-    nodes: dict[str, dict[str, Any]] = {
-        "sensor": {"type": f"{_NODES}Sensor", "source": source, "rate_hz": point["rate_hz"]},
-        "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},
-        "reconstructor": {"type": f"{_NODES}Reconstructor", **solver},
-        **({"monitor": {"type": "monitor", "page": False}} if point["monitor"] else {}),
-    }
-    text = "".join(
-        f"[nodes.{name}]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in settings.items())
-        for name, settings in nodes.items()
-    )
     began_s, busy_s, own_s = time.monotonic(), host_busy_s(), _children_s()
-    with tempfile.TemporaryDirectory(prefix="sparseskin-speed-") as folder:
-        Path(folder, "graph.toml").write_text(text)
-        command = [sys.executable, "-m", "sparseskin", "launch", "graph.toml"]
-        command += ["--frames", str(point["n_frames"]), "--summary", "summary.json"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise StudyError(f"the graph ended with {done.returncode}: {done.stderr[-500:]}")
-        nodes = json.loads(Path(folder, "summary.json").read_text())["nodes"]
+    nodes = run_graph(point)
     others_s = host_busy_s() - busy_s - (_children_s() - own_s)
     timed = (nodes[name][WATCH] for name in ("sensor", "compressor", "reconstructor"))
     sensor, edge, host = (np.array(times, dtype=np.int64) for times in timed)
@@ -91,6 +72,38 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         **{"frames": len(stages), "skipped": skipped, "lost": len(sensor) - len(host) - skipped},
         "others": round(others_s / (time.monotonic() - began_s), 2),
     }
+
+
+def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Run a graph of nodes with stopwatches on the frames of a point; return the report of each.
+
+    `point` as of `measure`; and iterations, where their number is stated. Raises StudyError if the
+    graph fails.
+    """
+    source = f"sparseskin.studies.looped:{point['scene']}"
+    names: tuple[str, ...] = ("preset", "depth", "contacts", "iterations")
+    solver = {name: point[name] for name in names if name in point}
+    nodes: dict[str, dict[str, Any]] = {
+        "sensor": {"type": f"{_NODES}Sensor", "source": source, "rate_hz": point["rate_hz"]},
+        "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},
+        "reconstructor": {"type": f"{_NODES}Reconstructor", **solver},
+    }
+    if point["monitor"]:
+        nodes["monitor"] = {"type": f"{_NODES}Monitor", "page": False}
+    text = "".join(
+        f"[nodes.{name}]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in settings.items())
+        for name, settings in nodes.items()
+    )
+    with tempfile.TemporaryDirectory(prefix="sparseskin-speed-") as folder:
+        Path(folder, "graph.toml").write_text(text)
+        command = [sys.executable, "-m", "sparseskin", "launch", "graph.toml"]
+        command += ["--frames", str(point["n_frames"]), "--summary", "summary.json"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise StudyError(f"the graph ended with {done.returncode}: {done.stderr[-500:]}")
+        reports: dict[str, dict[str, Any]]
+        reports = json.loads(Path(folder, "summary.json").read_text())["nodes"]
+    return reports
 
 
 def _children_s() -> float:

@@ -1,28 +1,34 @@
 """The shipped nodes with a stopwatch: node types of the study `speed` alone.
 
-Each notes when a frame's message came and when the message made from it had been sent. That costs
-two readings of the clock and one list element a frame; the shipped nodes are not changed.
+Each notes when a frame's message came and when the message made from it had been sent, and the
+processor time of its process then. That costs three readings of clocks and two list elements a
+frame; the shipped nodes are not changed.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
 from sparseskin.messages import Measurements, Message, Reconstruction, Taxels
 from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.monitor.node import Monitor
 from sparseskin.nodes.node import Context, Node, Tick
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
 
 WATCH = "stopwatch"
 """Key under which a node reports, for each frame, [stamp_ns, ns from there until ...]."""
+PROCESSOR = "processor_ns"
+"""Key under which a node reports the processor time of its process after each frame, ns."""
 
 
 class _Timed(Node[Any]):
     def __init__(self, settings: Any, context: Context) -> None:
         super().__init__(settings, context)
         self._notes: list[list[int]] = []
+        self._processor_ns: list[int] = []
 
     def _timed(
         self, step: Callable[[Any], Iterable[Message]], what: Any, timed: type[Message]
@@ -35,12 +41,13 @@ class _Timed(Node[Any]):
                 times_ns = (*self._inside(message, came_ns), self.context.clock.now_ns())
                 stamp_ns = message.stamp_ns
                 self._notes.append([stamp_ns, *(time_ns - stamp_ns for time_ns in times_ns)])
+                self._processor_ns.append(time.process_time_ns())
 
     def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:
         return (came_ns,)
 
     def report(self) -> dict[str, Any]:
-        return {**super().report(), WATCH: self._notes}
+        return {**super().report(), WATCH: self._notes, PROCESSOR: self._processor_ns}
 
 
 class TimedSensor(_Timed, Sensor):
@@ -68,3 +75,19 @@ class TimedReconstructor(_Timed, Reconstructor):
 
     def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:
         return (came_ns, message.done_ns - message.solve_ns[0], message.done_ns)
+
+
+class TimedMonitor(Monitor):
+    """A monitor that notes the processor time of its process after each reconstruction."""
+
+    def __init__(self, settings: Any, context: Context) -> None:
+        super().__init__(settings, context)
+        self._processor_ns: list[int] = []
+
+    def step(self, message: Message) -> Iterable[Message]:
+        yield from super().step(message)
+        if isinstance(message, Reconstruction):
+            self._processor_ns.append(time.process_time_ns())
+
+    def report(self) -> dict[str, Any]:
+        return {**super().report(), PROCESSOR: self._processor_ns}

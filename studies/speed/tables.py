@@ -1,4 +1,4 @@
-"""Study `speed`: time of solvers, of bodies, and of a frame by stage."""
+"""Study `speed`: time of solvers, of bodies, of a frame by stage, and beside lean nodes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sparseskin.studies.harness import (
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import Page, cells, markdown
 
-from . import latency
+from . import beside, latency
 from .bodies import time_body
 
 SIDES, QUICK_SIDES = (20, 40, 64, 128), (20, 40)
@@ -44,6 +44,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     page = Page(out, "speed", Path(__file__).with_name("notes.md"), quick)
     page.section("", cores=len(os.sched_getaffinity(0)))
     lines = [*solvers(page, quick, seed), bodies(page, quick, seed), *stages(page, quick, seed)]
+    lines += beside_lean(page, quick, seed)
     page.write(lines)
     return lines
 
@@ -143,3 +144,41 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
     alone = alone.assign(with_=np.where(alone["contacts"] == "yes", ", with contacts", ""))
     text = "All frames of {skin} taxels at 1 kHz{with_}: half of them are reconstructed "
     return cells(alone, text + "{p50_ms:.2f} ms after acquisition, 99 % within {p99_ms:.2f} ms.")
+
+
+def beside_lean(page: Page, quick: bool, seed: int) -> list[str]:
+    """Processor time and age of a frame in the shipped nodes and in lean ones, in turn."""
+    points = beside.points(quick, seed)
+    rows = pd.DataFrame(compute_rows(beside.measure, points, page.out, "serial", "beside"))
+    sizes = {scene: size for size, scene in latency.SCENES.items()}
+    rows["skin"] = rows["scene"].map(sizes)
+    rows["monitor"] = np.where(rows["monitor"], "yes", "no")
+    page.csv("beside", rows)
+
+    nodes = ["sensor", "compressor", "reconstructor"]
+    if "ours monitor_us" in rows:
+        nodes.append("monitor")
+    table = rows[["skin", "rate_hz", "monitor"]].rename(columns={"rate_hz": "Hz"})
+    for kind in ("ours", "lean"):
+        for node in nodes:
+            if f"{kind} {node}_us" in rows:
+                table[f"{kind}: {node}, us"] = rows[f"{kind} {node}_us"]
+        table[f"{kind}: p50, p99, ms"] = cells(
+            rows, f"{{{kind} p50_ms:.2f}}, {{{kind} p99_ms:.2f}}"
+        )
+        table[f"{kind}: lost"] = rows[f"{kind} lost"]
+    table["processor time, ours / lean"] = rows["cpu ratio"]
+    table["p50, ours / lean"] = rows["p50 ratio"]
+    formats = {name: ".0f" for name in table if name.endswith((", us", ": lost"))}
+    formats |= {name: ".2f" for name in table if name.endswith("ours / lean")}
+    page.section(
+        "Beside lean nodes",
+        markdown(table, formats),
+        seconds=beside.SECONDS,
+        slices=beside.SLICES,
+        steps=beside.STEPS,
+        warm_up=f"{beside.WARM_UP:.0%}",
+    )
+    alone = rows[rows["monitor"] == "no"]
+    text = "{skin} taxels at {rate_hz} Hz: {cpu ratio:.2f} times the processor time of lean nodes, "
+    return cells(alone, text + "{p50 ratio:.2f} times their median age.")

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 
 import msgpack
 import numpy as np
@@ -103,6 +104,24 @@ def test_messages_are_immutable_and_compare_by_value():
     assert message == taxels()
     assert message != taxels(forces=np.ones((2, 3), np.float32))
     assert message != Truth(stamp_ns=7, patch="skin", forces=message.forces)
+
+
+@given(st.integers(0, 2**62), st.sampled_from([math.nan, math.inf, -math.inf]), st.data())
+def test_a_following_message_is_the_one_that_is_made_anew_and_its_arrays_are_checked(
+    stamp_ns, bad, data
+):
+    forces = np.random.default_rng(stamp_ns).uniform(0, 2, (3, 4)).astype(np.float32)
+    first = Taxels(stamp_ns=0, patch="skin", forces=np.zeros((3, 4), np.float32))
+    expected = Taxels(stamp_ns=stamp_ns, patch="skin", forces=forces)
+    assert first.following(stamp_ns=stamp_ns, forces=forces) == expected
+    by_columns = np.asfortranarray(forces)
+    assert encode(first.following(stamp_ns=stamp_ns, forces=by_columns)) == encode(expected)
+
+    forces[data.draw(st.integers(0, 2)), data.draw(st.integers(0, 3))] = bad
+    with pytest.raises(NotFiniteError):
+        first.following(stamp_ns=stamp_ns, forces=forces)
+    with pytest.raises(ShapeError):
+        first.following(stamp_ns=stamp_ns, forces=forces.astype(np.float64))
 
 
 def test_forces_that_are_not_finite_are_refused_and_the_cell_is_named():

@@ -15,7 +15,7 @@ from sparseskin.studies.accuracy import constants, contacts, rules
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
 from sparseskin.studies.presses import N_BEFORE
-from sparseskin.studies.speed import latency
+from sparseskin.studies.speed import beside, latency
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
@@ -29,6 +29,7 @@ SIZES = (
     (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),)}),
     (accuracy, {"BODIES": ("peg",), "QUICK_BODIES": ("peg",)}),
     (accuracy, {"SCENES": SHORT_SCENES, "RATED_SCENES": SHORT_SCENES, "SIDES": (12,)}),
+    (beside, {"QUICK_RATES_HZ": (100,), "SECONDS": 0.5, "SLICES": 1}),
     (constants, {"VALUES": {"damping": 0.5}}),
     (contacts, {"CONTACT_RATIOS": (2,)}),
     (experiments, {"QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),
@@ -36,7 +37,7 @@ SIZES = (
     (experiments, {"find_spec": lambda name: None}),  # no compiled loops
     (frames, {"_kept": lru_cache(frames._kept.__wrapped__)}),  # simulated once
     (harness, {"TIMED_ON": "serial"}),
-    (latency, {"WARM_UP": 50, "SCENES": {"40 x 40": "path_40"}}),
+    (latency, {"WARM_UP": 50, "SCENES": {"64 x 64": "drag_wrench_64"}}),
     (needs, {"QUICK_SCENES": ("lift_box_40",), "QUICK_STEPS": 350}),
     (paper, {"BEFORE_MAPS": 0}),
     (phase, {"SUM_SOLVERS": SOLVERS, "N_STATIC": 6, "N_JUDGED": 2}),
@@ -53,7 +54,7 @@ TEXTS = {
     "stability": "| lambda_n | fista |",
     "scene-needs": "| without damping of the skin |",
     "accuracy": "| press | 114 | kPa |",
-    "speed": "## From acquisition to reconstruction",
+    "speed": "## Beside lean nodes",
     "train": "Noise of a known deviation",
 }
 """A text on each page."""

@@ -134,6 +134,11 @@ class Phi(ABC):
         shapes = (self.m,), (self.n,)
         return each_frame(self._adjoint, y, shapes, f"{self.kind}: y", PhiError)
 
+    def compile_loops(self) -> None:  # noqa: B027
+        """Measure by compiled loops from now on, of the same bits, where the kind has some; needs
+        numba.
+        """
+
     def lay_out(self, exists: Mask) -> None:
         """State the grid of the taxels, bool (n_rows, n_cols), True where one exists, by which some
         kinds arrange their rows. Raises PhiError if they are not n, or the kind does not allow it.

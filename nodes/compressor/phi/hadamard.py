@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.compiled import ready
 
 MOST_AT_ONCE = 64
 """Size of the largest Hadamard matrix that is one product: two smaller ones are faster than a
@@ -111,6 +112,45 @@ class BlockHadamard:
             if n_stages % 2:
                 calls.append((np.copyto, (target, source)))
         return calls
+
+
+class CompiledHadamard:
+    """The transform of `BlockHadamard`, with the same bits, by a compiled loop; needs numba.
+
+    The loop adds along the bits of a place, the lowest first, where `BlockHadamard` adds along bit
+    0 of an index, then along the highest one, and down from there: a place has the bits of its
+    index in that order. Place p, before and after, belongs to column and row order[p] of W, intp
+    (n,).
+    """
+
+    def __init__(self, sizes: list[int]) -> None:
+        from sparseskin.nodes.numerics.kernels import orthonormal
+
+        ready(orthonormal)
+        self._loop = orthonormal
+        columns, self._groups = side_by_side(sizes)
+        parts = []
+        for start, size, count in self._groups.tolist():
+            of_size = columns[start : start + size * count].reshape(size, count)
+            parts.append(of_size[_bit_order(size)].ravel())
+        self.order: Indices = np.concatenate(parts)
+
+    def program(self, v: Floats) -> list[Call]:
+        """The calls that transform v, float32 (n,), in place."""
+        unscaled = np.empty(0, dtype=np.float32)
+        return [(self._loop, (v, self._groups, unscaled))]
+
+
+def _bit_order(size: int) -> Indices:
+    """Index of each place of a block, intp (size,): bit k of the place, from 1 on, is bit -k of the
+    index, counted from its highest one; bit 0 stays.
+    """
+    n_bits = size.bit_length() - 1
+    places = np.arange(size, dtype=np.intp)
+    index = places & 1
+    for k in range(1, n_bits):
+        index |= (places >> k & 1) << (n_bits - k)
+    return index
 
 
 class HadamardProducts:

@@ -15,7 +15,7 @@ from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
 from .base import BLOCK, MAX_SUBSETS, RANDOM, SPREAD, SUMS, UNREAD, Phi
-from .hadamard import BlockHadamard, block_sizes, hadamard_matrix, run
+from .hadamard import BlockHadamard, CompiledHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
 MAX_SIDE = 4096
@@ -55,6 +55,7 @@ class SbhePhi(RotatingPhi):
     kind = "sbhe"
     has_rules = True
     by_blocks = True  # of this class itself; a subclass has to state it anew
+    _compiled: CompiledHadamard | None = None
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK, rule: int = SUMS) -> None:
         super().__init__(n, m, seed, block)
@@ -74,6 +75,11 @@ class SbhePhi(RotatingPhi):
         self._transposed = self._hadamard.program(self._v, scratch, back=True)
         self._keep(np.sort(self._order[:m]))
 
+    def compile_loops(self) -> None:
+        self._compiled = CompiledHadamard(self.sizes)
+        self._transform = self._compiled.program(self._v)
+        self._lay_forward()
+
     def _arrange(self, permutation: Indices) -> None:
         """Set P_N, intp, shape (n,)."""
         permutation.setflags(write=False)
@@ -85,8 +91,18 @@ class SbhePhi(RotatingPhi):
         super()._keep(rows, self.block, self.permutation)
         # Place in its transform of each measurement.
         self._places: Indices = np.argsort(self._hadamard.order_out)[rows]
+        self._lay_forward()
         size = np.repeat(self.sizes, self.sizes)[rows].astype(np.float32)
         self.scale: Floats = np.reciprocal(np.sqrt(size))
+
+    def _lay_forward(self) -> None:
+        """Set where `_forward` reads taxels and finds measurements."""
+        self._deal_forward = self._deal
+        self._places_forward = self._places
+        if self._compiled is not None:
+            order = self._compiled.order
+            self._deal_forward = self.permutation[order]
+            self._places_forward = np.argsort(order)[self.rows]
 
     @property
     def block_of_row(self) -> Indices:
@@ -114,9 +130,9 @@ class SbhePhi(RotatingPhi):
         return matrix
 
     def _forward(self, x: Floats, out: Floats) -> None:
-        x.take(self._deal, None, self._v, "clip")
+        x.take(self._deal_forward, None, self._v, "clip")
         run(self._transform)
-        self._v.take(self._places, None, out, "clip")
+        self._v.take(self._places_forward, None, out, "clip")
         np.multiply(out, self.scale, out)
 
     def _adjoint(self, y: Floats, out: Floats) -> None:

@@ -61,7 +61,7 @@ class CompiledVectors(Vectors):
             n=n,
             n_cells=tiles.canvas.size,
             n_windows=tiles.most,
-            n_filters=len(self._weights.filters),
+            n_filters=self._weights.filters.shape[1],
             n_hidden=len(self._weights.hidden_0),
         )
         self._has_gates = int(gates is not None)
@@ -306,8 +306,8 @@ def _neighbours(tiles: Tiles) -> kernels.A:
 
 def _weights(gates: Gates) -> kernels.Weights:
     arrays = (
-        *(gates.filters, gates.hidden, gates.hidden_0, gates.gates, gates.gates_0),
-        *(gates.synthesis, gates.error[0]),
+        *(gates.filters.T, gates.hidden.T, gates.hidden_0, gates.gates.T, gates.gates_0),
+        *(gates.synthesis.T, gates.error[0]),
     )
     contiguous = [np.ascontiguousarray(array) for array in arrays]
     return kernels.Weights._make([*contiguous, float(gates.error_0[0])])

@@ -9,6 +9,7 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts, side_by_side
+from sparseskin.nodes.compressor.phi.identity import FullPhi, SubsamplePhi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, shared
 from sparseskin.nodes.numerics.compiled import ready
@@ -75,11 +76,37 @@ class ReadRows(NamedTuple):
     read: Indices  # ascending
     order: Indices  # of the measurements, so that their rows ascend
     places: Indices  # the row of each measurement
-    blocks: Indices  # block of the rows, in their order
+    blocks: Indices | None  # block of the rows, in their order
+
+
+def is_block_transform(phi: Phi) -> bool:
+    """True if the rows of a matrix are some of those of a block Hadamard transform: of "sbhe", and
+    single taxels, whose blocks have one taxel each. Not of a subclass, which may do otherwise.
+    """
+    return is_sbhe(phi) or type(phi) in (FullPhi, SubsamplePhi)
+
+
+class BlockLayout(NamedTuple):
+    """Where a block transform has the taxels and the measurements of a matrix."""
+
+    sizes: list[int]  # of the blocks
+    permutation: Indices  # taxel of each column
+    rows: Indices  # row of each measurement
+    blocks: Indices | None  # block of each measurement; None where blocks are single taxels
+
+
+def layout_of(phi: Phi) -> BlockLayout:
+    """Return the layout of a matrix for which `is_block_transform` is true."""
+    if isinstance(phi, SbhePhi):
+        return BlockLayout(phi.sizes, phi.permutation, phi.rows, phi.block_of_row)
+    taxels = np.arange(phi.n)
+    rows = phi.rows if isinstance(phi, SubsamplePhi) else taxels
+    return BlockLayout([1] * phi.n, taxels, rows, None)
 
 
 class HadamardRows(Rows):
-    """All rows of a scrambled block Hadamard ensemble, also those that no frame reads.
+    """All rows of a block Hadamard transform, also those that no frame reads: of a scrambled block
+    Hadamard ensemble, or single taxels.
 
     Attributes
     ----------
@@ -89,19 +116,23 @@ class HadamardRows(Rows):
 
     order: Indices
 
-    def __init__(self, phi: SbhePhi) -> None:
+    def __init__(self, phi: Phi) -> None:
         self.n = phi.n
         self.n_rows = phi.n
-        taxels, rows = self._transform_of(phi)
-        self.taxel = shared(phi.permutation[taxels])
-        self.block_of_taxel = shared(np.searchsorted(np.cumsum(phi.sizes), taxels, side="right"))
+        layout = layout_of(phi)
+        taxels, rows = self._transform_of(layout.sizes)
+        self.taxel = shared(layout.permutation[taxels])
+        self.block_of_taxel = np.zeros(phi.n, dtype=np.intp)
+        if layout.blocks is not None:
+            ends = np.cumsum(layout.sizes)
+            self.block_of_taxel = shared(np.searchsorted(ends, taxels, side="right"))
         self._place_of_row = shared(np.argsort(rows))
         self._subsets: dict[str, ReadRows] = {}
         self.use(phi)
 
-    def _transform_of(self, phi: SbhePhi) -> tuple[Indices, Indices]:
-        """Make the transform; return its orders of taxels and of rows."""
-        self._hadamard = HadamardProducts(phi.sizes)
+    def _transform_of(self, sizes: list[int]) -> tuple[Indices, Indices]:
+        """Make the transform of blocks; return its orders of taxels and of rows."""
+        self._hadamard = HadamardProducts(sizes)
         return self._hadamard.order_in, self._hadamard.order_out
 
     def use(self, phi: Phi) -> bool:
@@ -119,12 +150,12 @@ class HadamardRows(Rows):
 
     def _of(self, phi: Phi) -> ReadRows:
         if phi.fingerprint not in self._subsets:
-            assert isinstance(phi, SbhePhi)
-            places = self._place_of_row[phi.rows]
+            layout = layout_of(phi)
+            places = self._place_of_row[layout.rows]
             order = np.argsort(places)
-            blocks = phi.block_of_row[order]
-            subset = ReadRows(*map(shared, (places[order], order, places, blocks)))
-            self._subsets[phi.fingerprint] = subset
+            blocks = None if layout.blocks is None else shared(layout.blocks[order])
+            read = shared(places[order])
+            self._subsets[phi.fingerprint] = ReadRows(read, shared(order), shared(places), blocks)
         return self._subsets[phi.fingerprint]
 
     def values(self, y: Floats) -> Floats:
@@ -152,14 +183,14 @@ class CompiledRows(HadamardRows):
         1 / sqrt(size of the block) of each row.
     """
 
-    def _transform_of(self, phi: SbhePhi) -> tuple[Indices, Indices]:
+    def _transform_of(self, sizes: list[int]) -> tuple[Indices, Indices]:
         from sparseskin.nodes.numerics.kernels import orthonormal
 
         ready(orthonormal)
         self._loop = orthonormal
-        columns, self.groups = side_by_side(phi.sizes)
-        sizes = np.repeat(phi.sizes, phi.sizes)[columns]
-        self.scale: Floats = shared(np.reciprocal(np.sqrt(sizes)).astype(np.float32))
+        columns, self.groups = side_by_side(sizes)
+        of_rows = np.repeat(sizes, sizes)[columns]
+        self.scale: Floats = shared(np.reciprocal(np.sqrt(of_rows)).astype(np.float32))
         return columns, columns
 
     def forward(self, x: Floats) -> Floats:
@@ -225,7 +256,9 @@ def _whitening(phi: Phi) -> Floats | None:
 
 
 def rows_of(phi: Phi, compiled: bool = False) -> Rows:
-    """Return the rows of any Phi; `compiled`: by compiled loops, for "sbhe"."""
-    if not is_sbhe(phi):
+    """Return the rows of any Phi; `compiled`: by compiled loops, where they are those of a block
+    transform.
+    """
+    if not is_block_transform(phi):
         return WhitenedRows(phi)
     return CompiledRows(phi) if compiled else HadamardRows(phi)

@@ -8,7 +8,6 @@ import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
-from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
@@ -18,7 +17,7 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
 from .frame_vectors import FrameVectors
 from .gates import Gates, gates_of
-from .rows import CompiledRows, HadamardRows, rows_of
+from .rows import CompiledRows, HadamardRows, is_block_transform, rows_of
 from .tiles import tiles_of
 from .tuning import SkinTuning
 from .vectors import Vectors
@@ -49,7 +48,8 @@ class SkinSolver(Solver):
         Steps of a frame, 1..1000. Fewer than 8 follow `N_FORMULA` steps by a formula, each a few
         times as fast; fewer than 5 have not converged where a contact begins.
     fast : str
-        Use of compiled loops, for "sbhe": "auto" (where numba is installed), "on" or "off".
+        Use of compiled loops, for "sbhe" and single taxels: "auto" (where numba is installed), "on"
+        or "off".
     gates : Gates or str, optional
         Weights of the denoiser, or the path of their .npz file; "formula": none, all steps are
         those of `shrink`. None: the weights of the package.
@@ -89,7 +89,7 @@ class SkinSolver(Solver):
             allowed = "allowed: SkinTuning, from Python only"
             raise SolverError(f"{self.name}: tuning = {tuning!r} is not allowed; {allowed}")
 
-        compiled = use_compiled(fast) and is_sbhe(phi)
+        compiled = use_compiled(fast) and is_block_transform(phi)
         self._rows = rows_of(phi, compiled)
         self._cells = shared(self.taxels[self._rows.taxel])
         place = np.zeros(self.mask.shape, dtype=np.intp)
@@ -148,12 +148,18 @@ class SkinSolver(Solver):
         return level.least if level.is_known else 0.0
 
     @property
+    def _compares(self) -> bool:
+        """True if measurements are sums of blocks."""
+        return self._rows.blocks is not None
+
+    @property
     def doubt(self) -> Floats | None:
         """Part of each measurement that no force explains, float32 (m,), 0 to 1; after `setup`.
-        None where measurements are no rows of W.
+        None where measurements are no sums of blocks, within which they could be compared.
         """
-        if not isinstance(self._rows, HadamardRows):
+        if not self._compares:
             return None
+        assert isinstance(self._rows, HadamardRows)
         return self._rows.in_order(self._estimator.vectors.doubt, self.phi)
 
     def expected(self, phi: Phi) -> Floats:
@@ -220,7 +226,7 @@ class SkinSolver(Solver):
         estimator.noise_sd = self.noise_sd
         estimator.noise_model = self.noise_model
         faulty = None
-        if self.faulty is not None and isinstance(self._rows, HadamardRows):
+        if self.faulty is not None and self._compares:
             faulty = self._rows.values(self.faulty.astype(np.float32))
         estimator.begin(self.phi.fingerprint, y, faulty)
         self._steps_left = self.n_steps

@@ -148,10 +148,25 @@ class SceneSource(Source):
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """As of `Source`, computed on demand: true forces in N, smoothed over 10 steps."""
+        return self._frames_of(first=0, every=1)
+
+    def read_part(self, first: int, every: int) -> None:
+        super().read_part(first, every)
+        self._frames = self._frames_of(first, every)
+
+    def _frames_of(self, first: int, every: int) -> Iterator[tuple[int, Floats]]:
+        """Frames first, first + every, ...: of the steps between, only those are computed in whose
+        average they are.
+        """
         scene = self.scene
         average = MovingAverage(SMOOTHING_STEPS, scene.shape)
         for step, state in enumerate(self.states()):
-            state.write_forces(average.newest)
+            n_steps_left = first - step if step < first else (first - step) % every
+            if n_steps_left < SMOOTHING_STEPS:
+                state.write_forces(average.newest)
+            if n_steps_left > 0:
+                average.skip()
+                continue
             forces = average.step()
             np.minimum(forces, np.float32(scene.f_max_n), out=forces)
             yield step * scene.dt_ns, forces
@@ -222,12 +237,16 @@ class MovingAverage:
         slot: Floats = self._ring[self._oldest]
         return slot
 
+    def skip(self) -> None:
+        """Go on to the next frame without the mean."""
+        self._oldest = (self._oldest + 1) % len(self._ring)
+
     def step(self) -> Floats:
         """The mean with the frame written to `newest`, a fresh float32 array. It is summed anew
         each time: a taxel that was not touched during `width` frames is exactly 0.
         """
         width = len(self._ring)
-        self._oldest = (self._oldest + 1) % width
+        self.skip()
         mean: Floats = self._ring.sum(axis=0)
         mean *= np.float32(1.0 / width)
         return mean

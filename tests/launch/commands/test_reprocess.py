@@ -1,6 +1,7 @@
 """Reprocessing: the same settings give the same bits, whatever the way and the executor."""
 
 import json
+import os
 
 import pytest
 from bags import record_scene
@@ -9,6 +10,7 @@ from documented import check
 from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Reconstruction, Taxels, decode
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.recorder import node as recorder_node
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.tasks import make_executor
 
@@ -82,6 +84,50 @@ def test_of_several_recordings_the_sound_ones_are_finished(recording, tmp_path, 
     assert str(bad) in captured.err
     assert "box.mcap:" in captured.out
     assert [path.name for path in out.iterdir()] == ["box.mcap"]
+
+
+def test_a_batch_that_is_repeated_computes_what_is_missing_and_nothing_else(
+    recording, tmp_path, capsys
+):
+    twin, out = tmp_path / "twin.mcap", tmp_path / "out"
+    twin.write_bytes(recording.read_bytes())
+    command = ["reprocess", str(recording), str(twin), "--out", str(out)]
+    assert main(command) == 0
+    finished = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert finished.keys() == {"box.mcap", "twin.mcap"}
+
+    (out / "twin.mcap").unlink()
+    capsys.readouterr()
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    assert f"{out / 'box.mcap'}: computed before" in printed
+    assert f"{out / 'twin.mcap'}: computed before" not in printed
+    assert (out / "box.mcap").read_bytes() == finished["box.mcap"]
+    assert maps(out / "twin.mcap", Reconstruction) == maps(recording, Reconstruction)
+
+
+@pytest.mark.parametrize("change", ["settings", "source", "version", "result"])
+def test_a_result_of_anything_else_is_not_written_over(
+    recording, tmp_path, capsys, monkeypatch, change
+):
+    source, out = tmp_path / "box.mcap", tmp_path / "out.mcap"
+    source.write_bytes(recording.read_bytes())
+    command = ["reprocess", str(source), "--out", str(out)]
+    assert main(command) == 0
+    if change == "settings":
+        command += ["--set", "reconstructor.iterations=5"]
+    elif change == "source":
+        newer_ns = out.stat().st_mtime_ns + 10**9
+        os.utime(source, ns=(newer_ns, newer_ns))
+    elif change == "version":
+        monkeypatch.setattr(recorder_node, "version", lambda package: "9.9.9")
+    else:
+        out.write_bytes(out.read_bytes()[:-100])
+    before = out.read_bytes()
+    capsys.readouterr()
+    assert main(command) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert out.read_bytes() == before
 
 
 def test_recordings_at_addresses_are_read_and_written(recording, tmp_path, capsys):

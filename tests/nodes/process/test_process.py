@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from conftest import wait_until
 from damaged import refusal
+from hypothesis import given
+from hypothesis import strategies as st
 from processes import wait_for_reader
 
 from sparseskin.messages import End, PhiState, Taxels
@@ -145,6 +147,17 @@ def test_slow_frames_keep_a_command_waiting_for_one_frame_at_most(frame_ns, n, m
         n_frames += 1
         now_ns += frame_ns
     assert n_frames == n
+
+
+@given(st.integers(-(10**9), 10**11))
+def test_a_wait_for_a_tick_is_a_poll_that_waits_and_one_sleep_at_most(left_ns):
+    n_polls = 0
+    while (waiting_ms := runner.waiting_ms(left_ns)) > 0:
+        left_ns -= waiting_ms * 1_000_000
+        n_polls += 1
+        assert left_ns > 0
+    assert n_polls <= 1
+    assert left_ns < runner.SLEEP_NS + 1_000_000
 
 
 def test_what_a_killed_process_has_counted_is_there_to_the_last_message():

@@ -28,6 +28,22 @@ def sbhe(n, m, seed=0, block=256, rule=SUMS):
     return make_phi("sbhe", n, m, seed, block, rule)
 
 
+@given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS, kind=st.sampled_from(["sbhe", "local:5"]))
+def test_compiled_loops_measure_the_same_bits(n, data, block, seed, kind):
+    pytest.importorskip("numba")
+    m = data.draw(st.integers(1, n))
+    plain, compiled = (make_phi(kind, n, m, seed, block) for _ in range(2))
+    compiled.compile_loops()
+    for phi in (plain, compiled):
+        phi.lay_out(np.ones((1, n), np.bool_))
+    x = np.random.default_rng(seed).standard_normal(n, dtype=np.float32)
+    y = np.random.default_rng(seed).standard_normal(m, dtype=np.float32)
+    for one, other in zip(row_subsets(plain, None), row_subsets(compiled, None), strict=True):
+        assert other.forward(x).tobytes() == one.forward(x).tobytes()
+        assert other.adjoint(y).tobytes() == one.adjoint(y).tobytes()
+        assert other.fingerprint == one.fingerprint
+
+
 def starts(phi):
     """The sum of each block is its first row."""
     return np.cumsum(phi.sizes) - phi.sizes

@@ -4,11 +4,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from matrices import Stretched
 from pressed import noisy, psnr_db, sliding_disc
 
 from sparseskin import Stream
 from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.identity import FullPhi, SubsamplePhi
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, row_subsets
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
@@ -335,6 +338,58 @@ def test_all_rows_of_a_hadamard_ensemble_are_known_and_read_in_turn():
         rows.use(phi)
         read += rows.read.tolist()
     assert sorted(set(read)) == list(range(144))
+
+
+class WhitenedFull(FullPhi):
+    """As its parent, which is not known of a subclass."""
+
+
+class WhitenedSubsample(SubsamplePhi):
+    """As its parent, which is not known of a subclass."""
+
+
+@pytest.mark.parametrize("fast", ["on", "off"])
+def test_all_taxels_give_the_forces_of_their_whitened_rows(fast):
+    if fast == "on":
+        pytest.importorskip("numba")
+    phi, same = make_phi("full", N, N, seed=0), WhitenedFull(N, N, seed=0)
+    assert isinstance(rows_of(phi), HadamardRows)
+    assert isinstance(rows_of(same), WhitenedRows)
+    solver, other = solver_of([phi], fast=fast), solver_of([same], fast="off")
+    for frame in noisy(sliding_disc(SHAPE, 15)):
+        y = phi.forward(frame.reshape(-1))
+        np.testing.assert_allclose(solver.solve(y), other.solve(y), atol=1e-4)
+        assert solver.error == pytest.approx(other.error, rel=1e-3)
+        assert solver.trusted == other.trusted
+
+
+@pytest.mark.parametrize("rows", [FIXED, ROTATING])
+def test_some_taxels_give_forces_no_worse_than_those_of_their_whitened_rows(rows):
+    truth, psnrs = sliding_disc(SHAPE, 40), []
+    for phi in (make_phi("subsample", N, N // 3, 2), WhitenedSubsample(N, N // 3, 2)):
+        phis = row_subsets(phi, rows)
+        found, _ = reconstructed(solver_of(phis), phis, noisy(truth))
+        psnrs.append(psnr_db(found[20:], truth[20:]))
+    assert psnrs[0] > psnrs[1] - 0.1
+
+
+@given(n=st.integers(1, 400), seed=st.integers(0, 2**32 - 1), data=st.data())
+def test_no_matrix_is_made_of_single_taxels(n, seed, data):
+    m = data.draw(st.integers(1, n))
+    for kind in ("full", "subsample"):
+        phi = make_phi(kind, n, n if kind == "full" else m, seed)
+        phi.dense = None  # not called
+        read = list[int]()
+        rows = rows_of(phi)
+        for subset in [phi] if kind == "full" else row_subsets(phi, None):
+            assert rows.use(subset)
+            x = np.random.default_rng(seed).standard_normal(n, dtype=np.float32)
+            y = subset.forward(x)
+            np.testing.assert_array_equal(rows.values(y), x[rows.taxel][rows.read])
+            np.testing.assert_array_equal(rows.measured(x[rows.taxel], subset)[0], y)
+            read += rows.taxel[rows.read].tolist()
+        if kind == "full":
+            assert sorted(read) == list(range(n))
 
 
 def test_directions_that_are_hardly_measured_are_left_out():

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
@@ -65,6 +67,23 @@ def test_a_seed_gives_the_same_frames_at_each_playing_another_one_drops_the_peg_
     other = next(itertools.islice(open_scene("path_40", 1), 990, None))[1]
     assert first[-1].any() and other.any()  # noqa: PT018
     assert not np.array_equal(first[-1] > 0, other > 0)
+
+
+@given(first=st.integers(0, 480), every=st.integers(1, 30))
+def test_a_part_of_a_scene_has_the_bits_of_all_its_frames(first, every):
+    source = open_scene("lift_box_40", 0)
+    source.read_part(first, every)
+    expected = all_frames()[first::every][:4]
+    for stamp_ns, forces in expected:
+        part_ns, part = source.next_frame(0.0)
+        assert part_ns == stamp_ns
+        np.testing.assert_array_equal(part, forces)
+
+
+@cache
+def all_frames():
+    """Frames of a scene, some of them in contact."""
+    return list(itertools.islice(open_scene("lift_box_40", 0), 600))
 
 
 @pytest.mark.parametrize(
