@@ -100,7 +100,7 @@ class Sensor(SourceNode[SensorSettings]):
         self._next: _Frame | None = None
         # The first messages: those of later frames are like them.
         self._taxels: Taxels | None = None
-        self._truth: Truth | None = None
+        self._truth_message: Truth | None = None
         self._n_frames = self._n_logged = self._logged_ns = 0
         if not self._source.is_live:
             self._prepare()
@@ -247,10 +247,10 @@ class Sensor(SourceNode[SensorSettings]):
         )
 
     def _truth_of(self, stamp_ns: int, forces: Floats) -> Truth:
-        if self._truth is None or forces.shape[-2:] != self._truth.forces.shape[-2:]:
+        if self._truth_message is None or forces.shape != self._truth_message.forces.shape:
             head: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
-            self._truth = Truth(**head, stamp_ns=stamp_ns, forces=forces)
-        return self._truth.following(stamp_ns=stamp_ns, forces=forces)
+            self._truth_message = Truth(**head, stamp_ns=stamp_ns, forces=forces)
+        return self._truth_message.following(stamp_ns=stamp_ns, forces=forces)
 
     def state(self) -> dict[str, Any]:
         # Without a stated rate, the pace of a driver is its own and not known.

@@ -16,7 +16,8 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
-from sparseskin.nodes.reconstructor.faults.stuck import Mixture
+from sparseskin.nodes.numerics.arrays import Doubles
+from sparseskin.nodes.reconstructor.faults.stuck import Range
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.studies.harness import Candidate
@@ -64,6 +65,12 @@ def _constant(does: str, **tuning: float) -> Rule:
 def _patched(does: str, *patches: tuple[str, str, Any]) -> Rule:
     """A rule that other values of attributes switch off."""
     return Rule(does, patches={(module, name): value for module, name, value in patches})
+
+
+def _most_likely_taxel(odds: Doubles) -> Range:
+    """The taxel that is stuck most likely, by itself."""
+    taxel = int(odds.argmax())
+    return Range(float(odds[taxel]) - math.log(len(odds)), taxel, taxel + 1)
 
 
 RULES: dict[str, Rule] = {
@@ -167,13 +174,21 @@ RULES: dict[str, Rule] = {
     "stuck taxels": _patched(
         "pressed taxels without noise are found", (f"{FAULTS}.watch", "PRESSED", math.inf)
     ),
-    "groups of stuck taxels": _patched(
-        "stuck taxels beside each other add their evidence",
-        (f"{FAULTS}.stuck", "StuckTaxels._group_odds", lambda self, taxels: np.zeros(len(taxels))),
+    "ranges of stuck taxels": _patched(
+        "stuck taxels in a range of forces add their evidence",
+        (f"{FAULTS}.stuck", "most_likely_range", _most_likely_taxel),
     ),
-    "mixture of stuck taxels": _patched(
-        "all pressed taxels add their evidence",
-        (f"{FAULTS}.stuck", "mixture_of", lambda odds: Mixture(-math.inf, np.zeros(len(odds)))),
+    "members of the range": _patched(
+        "taxels that work, of forces in that range, are not left out",
+        (f"{FAULTS}.stuck", "probability_of", np.ones_like),
+    ),
+    "new changes": _patched(
+        "changes that repeat show no noise",
+        (f"{FAULTS}.stuck", "NewChanges.look", lambda self, subset, change: change),
+    ),
+    "noise of pressed taxels": _patched(
+        "it is measured where the skin does not state it",
+        (f"{FAULTS}.noise", "PressedNoise.look", lambda self, pressed, excess: None),
     ),
     "noise before stuck taxels": _patched(
         "stuck taxels are searched while measurements have the stated noise",
@@ -206,8 +221,9 @@ OWN_FAULTS = {
     "quiet frames": "scaled down",
     "offset": "offset",
     "stuck taxels": "stuck taxels",
-    "groups of stuck taxels": "stuck blob",
-    "mixture of stuck taxels": "stuck rows or columns",
+    "ranges of stuck taxels": "stuck blob",
+    "members of the range": "stuck rows or columns",
+    "noise of pressed taxels": "stuck rows or columns",
     "noise before stuck taxels": "scaled down",
     "blind taxels": "stuck blob",
     "range": "scaled up",

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats
+
 QUIET = 0.25
 """Part of the stated noise variance below which measurements lack noise. Chosen."""
 SHOWN = 0.5
@@ -12,6 +16,11 @@ RATE = 0.1
 """Rate per frame of the mean of the innovations, in the variance that the skin states."""
 LARGEST = 4.0
 """Largest squared innovation of a frame, in the same, that counts: more is a motion."""
+
+LONG = 50
+"""Frames of pressed taxels by which their noise is averaged: that of a skin does not change."""
+AT_LEAST = 0.7
+"""Part of the measured noise of pressed taxels that each of them has at least. Chosen."""
 
 
 class NoiseWatch:
@@ -46,3 +55,32 @@ class NoiseWatch:
         self.is_shown = self._n_shown >= LEARNING
         self.is_present = self.is_shown and self._ratio > SHOWN
         self.is_quiet = self.is_shown and self._ratio < QUIET
+
+
+class PressedNoise:
+    """Measures the noise of pressed taxels on a skin that does not state it.
+
+    What the noise of measurements exceeds that of an untouched skin by is that of pressed taxels.
+    It is taken to rise as the square of the force, and not beyond that of their mean square.
+    """
+
+    def __init__(self) -> None:
+        self._n_frames = 0
+        self._sums = np.zeros(3)  # number of pressed taxels, their excess noise, squared forces
+
+    def look(self, pressed: Floats, excess: float) -> None:
+        """Process the forces of the pressed taxels of a frame, and what the noise variance of all
+        taxels together exceeds that of an untouched skin by.
+        """
+        self._n_frames = min(self._n_frames + 1, LONG)
+        forces2 = float(np.square(pressed, dtype=np.float64).sum())
+        self._sums += ([len(pressed), excess, forces2] - self._sums) / self._n_frames
+
+    def variance(self, forces: Floats, untouched: float) -> Doubles:
+        """Return the noise variance of taxels by their forces, float64 (n,); `untouched` is that of
+        an untouched one.
+        """
+        n_pressed, excess, forces2 = self._sums
+        part = np.minimum(np.square(forces, dtype=np.float64) * n_pressed / (forces2 + TINY), 1)
+        variance: Doubles = AT_LEAST * (untouched + part * excess / (n_pressed + TINY))
+        return variance

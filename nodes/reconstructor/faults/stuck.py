@@ -3,39 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask, of_nine
 
-WORKS = 0.7
-"""Noise variance of a working taxel, in that of pressed ones by the stated noise: one of a third
-and more shows that it works by and by, one of less that it is stuck. Chosen: skins state it to a
-factor of two."""
-FIRST_SCALE, SCALE_RATE = 0.3, 0.05
-"""Noise variance of pressed taxels, in the stated one, before any was measured, and the rate per
-frame at which it is followed. Chosen."""
 LEAST_BACKGROUND = 0.05
 """Least variance of a stuck taxel's change, in that of a working one: all of it is known where all
 taxels are read. Chosen."""
 ENOUGH = 10.0
-"""Logarithm of the odds at which taxels are stuck. Derived: no chance of a year at 100 Hz."""
+"""Logarithm of the odds at which taxels are stuck, and at which stuck ones work again. Chosen: by
+chance it is exceeded in one of e^10 frames at most."""
 MEMBER = 0.95
 """Least probability of a taxel to be one of those that are stuck, by the part of these. Chosen."""
 FORGOTTEN = 2.0
 """Largest evidence that a taxel works, which a taxel that gets stuck has to outweigh."""
-CLEARED = 10.0
-"""Evidence after which a stuck taxel is used again."""
-SUDDEN = 3.0
-"""Largest evidence of one frame that a taxel works: a motion is no noise."""
 FOLLOWED = np.float32(0.2)
 """Rate per frame of the mean force of a taxel."""
 SETTLED = 40
 """Frames of doubt after which the taxels that are stuck by then are left out, and frames without
-evidence after which the doubt ends. Chosen: of stuck ones that show a third of what the background
-does, one in ten is not found by then."""
+evidence after which the doubt ends. Chosen."""
 HELD = 0.2
 """Part by which the force of a stuck taxel may change in the estimate."""
 N_ROUNDS = 4
@@ -47,21 +35,55 @@ PRESSED = 5.0
 class Evidence(NamedTuple):
     """What a frame shows of each taxel; vectors (n,), of the taxels in row-major order."""
 
-    forces: Floats
-    projected: Floats  # change since the last estimate, projected back to the taxels
+    projected: Floats  # what is new in the measurements, projected back to the taxels
     background: Doubles  # its variance by the noise of the other taxels
-    #: Its further variance by the noise of some taxels, if that is as stated; by their numbers.
-    noise: Callable[[Indices], Doubles]
+    noise: Doubles  # its further variance by the noise of the taxel
+
+
+class NewChanges:
+    """What is new in the changes that measurements show since the last estimate.
+
+    What forces do not explain repeats whenever the same rows are read; noise does not. So what is
+    expected of a change is its mean so far, or the last one where that is nearer: the load moved.
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[str, Floats] = {}
+        self._means: dict[str, Floats] = {}
+
+    def forget(self) -> None:
+        """Begin anew: taxels are pressed for the first time, or others are subtracted."""
+        self._last.clear()
+        self._means.clear()
+
+    def look(self, subset: str, change: Floats) -> Floats | None:
+        """Process the change of a row subset, float32 (m,); return what is new in it, of the
+        variance of the noise, or None in the first frame. `subset` is the fingerprint of its Phi.
+        """
+        last = self._last.get(subset)
+        self._last[subset] = change.copy()
+        if last is None:
+            self._means[subset] = self._last[subset]
+            return None
+
+        # Means of the last changes by 1/2, 1/4 ... have a third of the variance of one.
+        since_last: Floats = np.float32(math.sqrt(1 / 2)) * (change - last)
+        mean = self._means[subset]
+        new: Floats = np.float32(math.sqrt(3 / 4)) * (change - mean)
+        if since_last @ since_last < new @ new:
+            mean = last
+            new = since_last
+        self._means[subset] = np.float32(1 / 2) * (mean + change)
+        return new
 
 
 class StuckTaxels:
     """Finds stuck taxels of any number and shape.
 
-    The change of a frame, projected back to a taxel, has two parts: its own error, of which the
-    noise of a working one is never absent, and the background of the others. The logarithm of the
-    likelihood ratio of both hypotheses adds up over frames (Wald, "Sequential analysis", 1947), and
-    over taxels: those beside each other that are pressed alike, and all of them, of which any part
-    may be stuck (`mixture_of`).
+    What is new in a frame, projected back to a taxel, has two parts: its own noise, which a working
+    one never lacks, and the background of the others. The logarithm of the likelihood ratio of both
+    hypotheses adds up over frames (Page, "Continuous inspection schemes", Biometrika 41, 1954), and
+    over taxels: those whose forces are in any range, as a fault gives all of them one reading.
 
     Parameters
     ----------
@@ -73,55 +95,56 @@ class StuckTaxels:
     is_doubted : bool
         True while some of the pressed taxels are stuck, it is not clear which.
     is_stuck : ndarray of bool, shape (n,)
+    seems_to_work : ndarray of bool, shape (n,)
+        True where nothing shows that a taxel is stuck.
     value : ndarray of float32, shape (n,)
         Readings of stuck taxels; 0 elsewhere.
     """
 
     def __init__(self, exists: Mask) -> None:
         n = int(np.count_nonzero(exists))
-        self._beside = beside(exists)
         self._odds = np.zeros(n)
         self._reference = np.zeros(n, dtype=np.float32)
-        self._scale = FIRST_SCALE
         self._n_doubted = 0  # frames of doubt in a row
         self._n_clear = SETTLED  # frames without evidence in a row
         self.is_doubted = False
         self.is_stuck: Mask = np.zeros(n, dtype=np.bool_)
         self.value = np.zeros(n, dtype=np.float32)
 
-    def look(self, evidence: Evidence, least_force: float) -> Indices:
-        """Process a frame; return the taxels that are stuck from now on, by number, and use those
-        again that show noise. `least_force` is that of a pressed taxel.
-        """
-        forces = evidence.forces
-        watched = np.flatnonzero((forces > least_force) | self.is_stuck)
-        is_idle = np.ones(len(forces), dtype=np.bool_)
-        is_idle[watched] = False
-        self._odds[is_idle] = 0.0
-        self._update(watched, evidence)
+    @property
+    def seems_to_work(self) -> Mask:
+        return (self._odds <= 0) & ~self.is_stuck
 
-        works_again = watched[self.is_stuck[watched] & (self._odds[watched] < -CLEARED)]
+    def watched(self, forces: Floats, least_force: float) -> Indices:
+        """Begin a frame; return the taxels to look at, by number: those that are stuck, and the
+        pressed ones. `least_force` is that of a pressed taxel.
+        """
+        is_watched = (forces > least_force) | self.is_stuck
+        self._odds[~is_watched] = 0.0
+        self._n_clear += 1
+        self.is_doubted = self._n_clear < SETTLED
+        return np.flatnonzero(is_watched)
+
+    def look(self, watched: Indices, forces: Floats, evidence: Evidence) -> Indices:
+        """Process what a frame shows of the watched taxels; return those that are stuck from now
+        on, by number, and use those again that show noise.
+        """
+        self._update(watched, forces[watched], evidence)
+        works_again = watched[self.is_stuck[watched] & (self._odds[watched] < -ENOUGH)]
         self.is_stuck[works_again] = False
         self.value[works_again] = 0.0
         return self._new(watched[~self.is_stuck[watched]])
 
-    def _update(self, watched: Indices, evidence: Evidence) -> None:
+    def _update(self, watched: Indices, forces: Floats, evidence: Evidence) -> None:
         """Add what a frame shows to the odds of the watched taxels."""
-        background = evidence.background[watched]
         shown2 = np.square(evidence.projected[watched], dtype=np.float64)
-        stated_noise = evidence.noise(watched)
-        if not self.is_doubted:
-            works = ~self.is_stuck[watched] & (self._odds[watched] <= 0)
-            self._follow_scale((shown2 - background)[works], stated_noise[works])
-
-        noise = WORKS * self._scale * stated_noise
-        stuck2 = np.maximum(background, LEAST_BACKGROUND * noise) + TINY
+        noise = evidence.noise[watched]
+        stuck2 = np.maximum(evidence.background[watched], LEAST_BACKGROUND * noise) + TINY
         works2 = stuck2 + noise
         change = 0.5 * (np.log(works2 / stuck2) - shown2 * (1 / stuck2 - 1 / works2))
-        odds = self._odds[watched] + np.maximum(change, -SUDDEN)
+        odds = self._odds[watched] + change
 
         # A force that changes is no stuck one, until now.
-        forces = evidence.forces[watched]
         reference = self._reference[watched]
         has_moved = np.abs(forces - reference) > HELD * reference
         has_moved &= ~self.is_stuck[watched]
@@ -129,67 +152,39 @@ class StuckTaxels:
         self._reference[watched] = reference
         odds[has_moved] = 0.0
 
-        # A stuck taxel is used again when the evidence that it works is large.
+        # A stuck taxel is used again when the evidence that it works is large. What one of many
+        # thousand taxels shows is enough by itself.
         lower_bound = np.where(self.is_stuck[watched], -np.inf, -FORGOTTEN)
-        self._odds[watched] = np.clip(odds, lower_bound, 2 * ENOUGH)
-
-    def _follow_scale(self, own2: Doubles, stated: Doubles) -> None:
-        """Follow the noise of pressed taxels that seem to work, in what is stated: skins may state
-        too much.
-        """
-        total = float(stated.sum())
-        if total > 0:
-            scale = min(max(float(own2.sum()) / total, 0.0), 1.0)
-            self._scale += SCALE_RATE * (scale - self._scale)
+        self._odds[watched] = np.clip(odds, lower_bound, 3 * ENOUGH)
 
     def _new(self, watched: Indices) -> Indices:
         """Return the watched taxels that are stuck, by the odds of all."""
-        self._n_clear += 1
-        mixture = None
         odds = self._odds[watched]
         # No choice of taxels has larger odds than those that are above 0.
-        if odds[odds > 0].sum() > ENOUGH:
-            mixture = mixture_of(odds)
-            if max(mixture.odds, self._odds_of_group(watched)) > ENOUGH:
-                self._n_clear = 0
-        self.is_doubted = self._n_clear < SETTLED
-        self._n_doubted = self._n_doubted + 1 if self.is_doubted else 0
-        if mixture is None or self._n_clear > 0 or self._n_doubted < SETTLED:
+        if odds[odds > 0].sum() < ENOUGH:
+            return self._none()
+        order = np.argsort(self._reference[watched])
+        group = most_likely_range(odds[order])
+        if group.odds < ENOUGH:
+            return self._none()
+
+        self._n_clear = 0
+        self.is_doubted = True
+        self._n_doubted += 1
+        if self._n_doubted < SETTLED:
             return watched[:0]
-        members = self._members(watched, mixture)
+        inside = order[group.start : group.stop]
+        members = watched[inside[probability_of(odds[inside]) > MEMBER]]
         self.is_stuck[members] = True
         self.value[members] = self._reference[members]
         self._odds[members] = 0.0
         self._n_doubted = 0
         return members
 
-    def _odds_of_group(self, watched: Indices) -> float:
-        """Largest odds of a taxel and those beside it that are pressed alike, less that of its
-        choice.
-        """
-        suspects = watched[self._odds[watched] > 0]
-        if len(suspects) == 0:
-            return 0.0
-        odds = self._group_odds(suspects)
-        return float(odds.max()) - math.log(len(self._odds))
-
-    def _group_odds(self, suspects: Indices) -> Doubles:
-        """Odds of each suspect and the watched taxels beside it that are pressed alike."""
-        places = self._beside[suspects]
-        reference = np.append(self._reference, np.float32(0))
-        difference = np.abs(reference[places] - self._reference[suspects, None])
-        is_alike = difference < HELD * self._reference[suspects, None]
-        odds: Doubles = (np.append(self._odds, 0.0)[places] * is_alike).sum(axis=1)
-        return odds
-
-    def _members(self, watched: Indices, mixture: Mixture) -> Indices:
-        """The watched taxels that are stuck: by themselves, or with those beside them."""
-        is_member = mixture.posterior > MEMBER
-        is_member &= mixture.odds > ENOUGH
-        suspects = np.flatnonzero(self._odds[watched] > 0)
-        group = self._group_odds(watched[suspects]) - math.log(len(self._odds))
-        is_member[suspects] |= group > ENOUGH
-        return watched[is_member]
+    def _none(self) -> Indices:
+        """No taxels, in a frame without evidence."""
+        self._n_doubted = self._n_doubted + 1 if self.is_doubted else 0
+        return np.empty(0, dtype=np.intp)
 
     def filled(self, image: Floats, exists: Mask) -> Floats:
         """Return forces, float32 (n_rows, n_cols), with stuck taxels as the mean of the working
@@ -215,33 +210,33 @@ class StuckTaxels:
         return works
 
 
-def beside(exists: Mask) -> Indices:
-    """Numbers of the taxels within two rows and columns of each, itself included, intp (n, 25); n
-    where there is none.
+class Range(NamedTuple):
+    """Taxels, numbered in the order of their forces, that seem to be stuck."""
+
+    odds: float  # logarithm of their likelihood, beside that of working ones
+    start: int
+    stop: int
+
+
+def most_likely_range(odds: Doubles) -> Range:
+    """Return the range of forces whose taxels are stuck most likely; `odds` are the logarithms of
+    their likelihood ratios, float64 (n,), in the order of their forces. The choice of the range
+    lowers its odds.
     """
-    n = int(np.count_nonzero(exists))
-    number = np.full((exists.shape[0] + 4, exists.shape[1] + 4), n)
-    number[2:-2, 2:-2][exists] = np.arange(n)
-    windows = np.lib.stride_tricks.sliding_window_view(number, (5, 5))
-    return windows[exists].reshape(n, 25)
+    sums = np.concatenate([[0.0], np.cumsum(odds)])
+    excess = sums - np.minimum.accumulate(sums)
+    stop = int(excess.argmax())
+    start = int(sums[: stop + 1].argmin())
+    return Range(float(excess[stop]) - 2 * math.log(len(odds)), start, stop)
 
 
-class Mixture(NamedTuple):
-    """A mixture of stuck and working taxels."""
-
-    odds: float  # logarithm of its likelihood, beside that of working ones alone
-    posterior: Doubles  # probability of each taxel to be stuck
-
-
-def mixture_of(odds: Doubles) -> Mixture:
-    """Return the most likely mixture of taxels, of which `odds` are the logarithms of the
-    likelihood ratio. The choice of the part of stuck ones lowers its odds.
+def probability_of(odds: Doubles) -> Doubles:
+    """Return the probability of each taxel of a group to be stuck, float64 (n,), by the most likely
+    part of stuck ones; `odds` as in `most_likely_range`.
     """
-    ratios = np.exp(np.minimum(odds, 2 * ENOUGH))
+    ratios = np.exp(odds)
     part = 0.5
     for _ in range(N_ROUNDS):
-        likelihood = 1 - part + part * ratios
-        posterior = part * ratios / likelihood
-        best = float(np.log(likelihood).sum())
-        part = float(posterior.mean())  # expectation maximisation
-    return Mixture(best - math.log(len(odds) + 1), posterior)
+        probability = part * ratios / (1 - part + part * ratios)
+        part = float(probability.mean())  # expectation maximisation
+    return probability

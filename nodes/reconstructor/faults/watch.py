@@ -12,15 +12,16 @@ from sparseskin.messages import Reason
 from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
+from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
+from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.solvers.base import Solver, checked_measurements
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.touch import in_contact
 
-from .noise import NoiseWatch
+from .noise import NoiseWatch, PressedNoise
 from .offset import OffsetWatch
 from .repeats import RepeatWatch
-from .stuck import PRESSED, Evidence, StuckTaxels
+from .stuck import PRESSED, Evidence, NewChanges, StuckTaxels
 
 LEAST_MIXED = 8.0
 """Least number of taxels that most measurements sum, where measurements are compared."""
@@ -102,6 +103,8 @@ class FaultWatch:
         self._offset: OffsetWatch | None = None
         if noise.least_sd > 0:
             self._offset = OffsetWatch(noise.least_sd)
+        self._pressed_noise = PressedNoise()
+        self._new_changes = NewChanges()
         self._stuck = StuckTaxels(self._exists)
         self._subtracted: dict[str, Floats] = {}
         self._doubts: dict[str, Floats] = {}
@@ -203,7 +206,7 @@ class FaultWatch:
             # out and works again makes them so.
             is_evidence = solver.trusted or bool(self._stuck.is_stuck.any())
             if self._watch_taxels and self._received is None and is_evidence:
-                self._look_for_stuck(solver, forces)
+                self._look_for_stuck(solver, forces[self._exists])
         if self._stuck.is_stuck.any():
             forces = self._stuck.filled(forces, self._exists)
         forces, is_beyond = self._within_range(forces)
@@ -258,46 +261,58 @@ class FaultWatch:
         }
         return tuple(sorted(rows))
 
-    def _look_for_stuck(self, solver: Solver, forces: Floats) -> None:
-        evidence = self._evidence(solver, forces[self._exists])
+    def _look_for_stuck(self, solver: Any, forces: Floats) -> None:
+        untouched = self._untouched_noise(solver)
+        if not untouched:
+            return
+        stuck = self._stuck
+        watched = stuck.watched(forces, PRESSED * (self._noise.least_sd or math.sqrt(untouched)))
+        if not len(watched):
+            self._new_changes.forget()
+            return
+        evidence = self._evidence(solver, watched, forces, untouched)
         if evidence is None:
             return
-        least_force = PRESSED * (self._noise.least_sd or math.sqrt(self._least_noise(solver)))
-        last_value = self._stuck.value.copy()
-        new = self._stuck.look(evidence, least_force)
-        change = self._stuck.value - last_value
+        last_value = stuck.value.copy()
+        new = stuck.look(watched, forces, evidence)
+        change = stuck.value - last_value
         if not change.any():
             return
         self._subtracted.clear()
+        self._new_changes.forget()
         if len(new):
-            values = self._stuck.value[new]
+            values = stuck.value[new]
             self._note("stuck", f"taxels {self._names(new)} are stuck at {values.mean():.3g}")
         image = np.zeros(self._exists.shape, dtype=np.float32)
         image[self._exists] = change
         solver.subtract(image)
 
-    def _evidence(self, solver: Solver, forces: Floats) -> Evidence | None:
-        """What a frame shows of each taxel; None where nothing is known of its noise."""
-        model = self._noise.model
-        untouched_noise = 0.0
-        if model is None:
-            untouched_noise = self._least_noise(solver)
-            if not untouched_noise:
-                return None
-        elif not self._measured_noise.is_present:
-            return None  # without the noise of the skin, all taxels seem to be stuck
-        project: Any = getattr(solver, "projection", None)
-        projection = None if project is None else project()
-        if projection is None:
+    def _evidence(
+        self, solver: Any, watched: Indices, forces: Floats, untouched: float
+    ) -> Evidence | None:
+        """What a frame shows of the watched taxels; None if nothing."""
+        new = self._new_changes.look(solver.phi.fingerprint, solver.change)
+        if new is None:
             return None
+        model = self._noise.model
+        if model is not None:
+            noise = model.variance(forces).astype(np.float64)
+        else:
+            if not self._stuck.is_doubted:
+                pressed = forces[watched][self._stuck.seems_to_work[watched]]
+                self._pressed_noise.look(pressed, len(forces) * solver.excess_noise2)
+            noise = self._pressed_noise.variance(forces, untouched)
+        projection = solver.projection(new)
+        return Evidence(projection.projected, projection.background, projection.own * noise)
 
-        def noise(taxels: Indices) -> Doubles:
-            share: Doubles = projection.own[taxels]
-            if model is None:
-                return share * untouched_noise
-            return share * model.variance(forces[taxels]).astype(np.float64)
-
-        return Evidence(forces, projection.projected, projection.background, noise)
+    def _untouched_noise(self, solver: Any) -> float:
+        """Noise variance of an untouched taxel; 0: measurements lack it, or nothing is known."""
+        if not hasattr(solver, "projection") or isinstance(solver.phi, SubsamplePhi):
+            return 0.0
+        if self._noise.model is None:
+            return self._least_noise(solver)
+        # Without the noise of the skin, all taxels seem to be stuck.
+        return self._noise.least_sd**2 if self._measured_noise.is_present else 0.0
 
     def _least_noise(self, solver: Solver) -> float:
         """Noise variance of an untouched taxel, as far as measurements show it; 0: not known."""

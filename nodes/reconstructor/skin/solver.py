@@ -101,6 +101,7 @@ class SkinSolver(Solver):
         self._ones: dict[str, Floats] = {}  # Phi 1, by row subset
         self._holes = None if phi.n == self.mask.size else ~self.mask
 
+        self._tuning = tuning
         vectors = self._make_vectors(gates_of(gates), tuning)
         self._estimator = SkinEstimator(self._rows, vectors, tuning)
         self.reset()
@@ -153,6 +154,15 @@ class SkinSolver(Solver):
         return self._rows.blocks is not None
 
     @property
+    def excess_noise2(self) -> float:
+        """What the noise variance of a measurement exceeds that of an untouched skin by, where that
+        is significant.
+        """
+        level = self._estimator.noise_level
+        variance = level.variance * level.trust
+        return self._tuning.surplus(variance, level.least, len(self._rows.read))
+
+    @property
     def doubt(self) -> Floats | None:
         """Part of each measurement that no force explains, float32 (m,), 0 to 1; after `setup`.
         None where measurements are no sums of blocks, within which they could be compared.
@@ -178,16 +188,11 @@ class SkinSolver(Solver):
         """
         self._estimator.vectors.subtract(forces.reshape(-1)[self._cells])
 
-    def projection(self) -> Projection | None:
-        """Return what the change of measurements since the last estimate shows of each taxel; None
-        for single taxels, of which most frames show nothing.
-
-        It is not the innovation: the motion that is fitted to a few taxels takes up their noise.
+    def projection(self, change: Floats) -> Projection:
+        """Return what a change of the values of the rows read, float32 (n_read,), shows of each
+        taxel.
         """
-        if isinstance(self.phi, SubsamplePhi):
-            return None
         rows = self._rows
-        change = self._estimator.vectors.change
         of_rows = np.zeros(rows.n_rows, dtype=np.float32)
         of_rows[rows.read] = change
 
@@ -204,6 +209,14 @@ class SkinSolver(Solver):
         projected = rows.adjoint(of_rows).take(self._place_of_taxel)
         block = self._block_of_taxel
         return Projection(projected, background.take(block), (seen * seen).take(block))
+
+    @property
+    def change(self) -> Floats:
+        """Values of the rows read less those of the last estimate, float32 (n_read,); after
+        `setup`. It is not the innovation: the motion that is fitted to a few taxels takes up their
+        noise.
+        """
+        return self._estimator.vectors.change
 
     @property
     def innovation(self) -> Floats:

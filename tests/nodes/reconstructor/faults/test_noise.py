@@ -2,8 +2,15 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from sparseskin.nodes.reconstructor.faults.noise import LEARNING, NoiseWatch
+from sparseskin.nodes.reconstructor.faults.noise import (
+    AT_LEAST,
+    LEARNING,
+    NoiseWatch,
+    PressedNoise,
+)
 
 STATED = 0.02**2
 M = 100
@@ -56,3 +63,24 @@ def test_motion_does_not_hide_that_the_noise_is_missing_for_long():
     quiet = np.zeros(40)
     assert not watched(before, moving).is_quiet
     assert watched(before, moving, quiet).is_quiet
+
+
+@given(
+    n_pressed=st.integers(1, 500),
+    force=st.floats(0.05, 5),
+    noise2=st.floats(1e-6, 1e-2),
+    untouched=st.floats(1e-6, 1e-4),
+)
+def test_pressed_taxels_have_a_part_of_the_measured_noise(n_pressed, force, noise2, untouched):
+    noise = PressedNoise()
+    pressed = np.full(n_pressed, force, dtype=np.float32)
+    for _ in range(5):
+        noise.look(pressed, n_pressed * noise2)
+    variance = noise.variance(np.array([0, force, 3 * force], dtype=np.float32), untouched)
+    expected = AT_LEAST * np.array([untouched, untouched + noise2, untouched + noise2])
+    np.testing.assert_allclose(variance, expected, rtol=1e-5)
+
+
+def test_noise_of_pressed_taxels_is_that_of_untouched_ones_before_any_was_pressed():
+    variance = PressedNoise().variance(np.array([0.0, 1.0], dtype=np.float32), 1e-4)
+    np.testing.assert_allclose(variance, AT_LEAST * 1e-4)

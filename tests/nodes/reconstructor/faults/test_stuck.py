@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from sparseskin import Stream
 from sparseskin.messages import Reason
 from sparseskin.nodes.reconstructor.faults.stuck import (
-    ENOUGH,
     SETTLED,
+    NewChanges,
     StuckTaxels,
-    mixture_of,
+    most_likely_range,
+    probability_of,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -149,18 +150,78 @@ def test_stuck_taxels_without_a_working_one_beside_them_are_blind():
 
 
 @given(n=st.integers(1, 2000), seed=st.integers(0, 99))
-def test_odds_of_working_taxels_are_no_mixture(n, seed):
+def test_odds_of_working_taxels_are_no_range(n, seed):
     odds = np.random.default_rng(seed).uniform(-2, 0, n)
-    assert mixture_of(odds).odds < ENOUGH
+    assert most_likely_range(odds).odds <= 0
 
 
-@given(n=st.integers(30, 2000), part=st.floats(0.1, 0.5))
-def test_many_taxels_that_show_little_each_are_a_mixture(n, part):
+@given(odds=st.lists(st.floats(-2, 30), min_size=1, max_size=40))
+def test_the_most_likely_range_has_the_largest_sum(odds):
+    group = most_likely_range(np.array(odds))
+    sums = [
+        sum(odds[start:stop])
+        for start in range(len(odds) + 1)
+        for stop in range(start, len(odds) + 1)
+    ]
+    assert sum(odds[group.start : group.stop]) == pytest.approx(max(sums), abs=1e-9)
+    assert group.odds == pytest.approx(max(sums) - 2 * np.log(len(odds)), abs=1e-9)
+
+
+@given(n=st.integers(100, 2000), part=st.floats(0.1, 0.5), each=st.floats(2, 8))
+def test_taxels_of_one_force_that_show_little_each_are_a_range(n, part, each):
     """Of one of them it would not be known."""
     odds = np.full(n, -2.0)
     n_stuck = int(np.ceil(part * n))
-    odds[:n_stuck] = ENOUGH - 2
-    mixture = mixture_of(odds)
-    assert mixture.odds > ENOUGH
-    assert mixture.posterior[:n_stuck].min() > 0.9
-    assert mixture.posterior[n_stuck:].max() < 0.2
+    odds[n // 4 : n // 4 + n_stuck] = each
+    group = most_likely_range(odds)
+    assert (group.start, group.stop) == (n // 4, n // 4 + n_stuck)
+    assert group.odds > 2 * n_stuck - 2 * np.log(n) - 1e-9
+
+
+@given(n=st.integers(30, 2000), part=st.floats(0.1, 0.5))
+def test_stuck_taxels_of_a_group_are_told_from_working_ones(n, part):
+    odds = np.full(n, -2.0)
+    n_stuck = int(np.ceil(part * n))
+    odds[:n_stuck] = 8.0
+    probability = probability_of(odds)
+    assert probability[:n_stuck].min() > 0.9
+    assert probability[n_stuck:].max() < 0.2
+
+
+@given(
+    n_subsets=st.integers(1, 4),
+    misfit=st.floats(0, 1e3),
+    seed=st.integers(0, 99),
+)
+def test_what_repeats_is_not_new_and_noise_keeps_its_variance(n_subsets, misfit, seed):
+    rng = np.random.default_rng(seed)
+    repeats = misfit * rng.standard_normal((n_subsets, 400)).astype(np.float32)
+    changes = NewChanges()
+    powers = []
+    for k in range(30 * n_subsets):
+        subset = k % n_subsets
+        noise = rng.standard_normal(400).astype(np.float32)
+        new = changes.look(str(subset), repeats[subset] + noise)
+        assert (new is None) == (k < n_subsets)
+        if new is not None:
+            powers.append(float(new @ new) / len(new))
+    assert np.mean(powers) == pytest.approx(1, rel=0.05)
+
+
+def test_after_a_step_the_next_change_alone_is_not_new():
+    rng = np.random.default_rng(0)
+    changes = NewChanges()
+    for k in range(20):
+        step = 100.0 if k == 10 else 0.0
+        new = changes.look("", rng.standard_normal(400).astype(np.float32) + np.float32(step))
+        if k >= 12:
+            assert float(new @ new) / 400 < 1.3
+
+
+def test_a_subset_is_new_again_after_changes_are_forgotten():
+    changes = NewChanges()
+    change = np.ones(4, dtype=np.float32)
+    assert changes.look("", change) is None
+    np.testing.assert_array_equal(changes.look("", change), 0)
+    changes.forget()
+    assert changes.look("", change) is None
