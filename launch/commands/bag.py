@@ -90,6 +90,8 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
         "left out; 0: readings are forces, whatever the untouched skin reads"
     )
     parser.add_argument("--tare", metavar="N", type=whole(0, MAX_TARE_FRAMES), help=about)
+    about = "further channels, as x,y: each becomes a patch of its own, skin_x"
+    rare(parser).add_argument("--keep", metavar="CHANNELS", default="", help=about)
     about = "readings fall with force: a force is the reading at rest less the reading"
     rare(parser).add_argument("--invert", choices=("true", "false"), default="false", help=about)
 
@@ -139,7 +141,13 @@ def _import(arguments: argparse.Namespace) -> int:
 
         try:
             n_frames = import_file(
-                file, bag, layout=layout, tare=arguments.tare, invert=invert, log=log
+                file,
+                bag,
+                layout=layout,
+                keep=[channel for channel in arguments.keep.split(",") if channel],
+                tare=arguments.tare,
+                invert=invert,
+                log=log,
             )
         except SourceError as error:
             raise SourceError(as_options(str(error))) from error

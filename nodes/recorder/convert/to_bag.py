@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+import heapq
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from sparseskin.messages import Message, MessageError, SkinState, Taxels
 from sparseskin.nodes.numerics.arrays import Floats
@@ -21,7 +23,7 @@ from sparseskin.nodes.sensor.calibration.description import of_skin
 from sparseskin.nodes.sensor.calibration.drift import DRIFT_RATE
 from sparseskin.nodes.sensor.doubt import Doubt
 from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
-from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
+from sparseskin.nodes.sensor.layout.layout import EMPTY, KEEP, Layout
 from sparseskin.nodes.sensor.saturation import Clipped
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
@@ -34,6 +36,7 @@ def import_file(
     *,
     patch: str = "skin",
     layout: Layout = EMPTY,
+    keep: Sequence[str] = (),
     tare: int | None = None,
     invert: bool = False,
     log: Callable[[str], None] = lambda _: None,
@@ -44,58 +47,106 @@ def import_file(
     /PATCH/taxels, with stamps from 0; and /PATCH/calibration where readings are made forces. The
     run id is a hash of the frames, so the same file gives the same bag.
 
-    `layout` is what the file does not state; `tare` and `invert` are settings of the sensor: frames
-    of the tare are left out. Frames that are not to be trusted for rest, sign or range have the
-    reason. `log` is called with lines on how the file was read, on what was assumed, on readings
-    that were not valid, and on rest and sign. Returns the number of frames.
+    `layout` is what the file does not state; `keep` are further channels, as x and y, each of
+    which becomes a patch of its own, PATCH_x, with its sign; `tare` and `invert` are settings of
+    the sensor: frames of the tare are left out. Frames that are not to be trusted for rest, sign
+    or range have the reason. `log` is called with lines on how the file was read, on what was
+    assumed, on readings that were not valid, and on rest and sign. Returns the number of frames.
 
     Raises SourceError if the recording is missing or malformed or a setting contradicts it,
     BagError if the bag exists or cannot be written.
     """
-    frames = open_file(source, layout, raw=bool(tare or invert))
-    for line in frames.take_lines():
-        log(line)
-    content = hashlib.blake2b(digest_size=_RUN_ID_BYTES)
-    for _, part in frames.blocks():
-        content.update(part.tobytes())
-    run_id = content.hexdigest()
-    try:
-        state = SkinState(
-            stamp_ns=0,
-            patch=patch,
-            **vars(frames.skin),
-            source=frames.name,
-            seed=0,
-            rate_hz=frames.rate_hz if frames.rate_hz is not None else DEFAULT_RATE_HZ,
-            has_truth=False,
-            sigma_mid=0.0,
-            sigma_end=0.0,
-            f_min=frames.f_min,
-        )
-    except MessageError as error:
-        raise BagError(f"{str(source)!r}: {error}") from error
-    forces_of = _Forces(frames, tare, invert, log)
+    main = _Imported(source, patch, layout, _Zeroing(tare, invert), log)
+    patches = [main]
+    for channel in keep:
+        of_channel = layout.stating({"channel": channel, "negative": KEEP})
+        patches.append(_Imported(source, f"{patch}_{channel}", of_channel, _Zeroing(0), log))
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
-        n_frames = 0
-        total = frames.n_frames or 0
-        for stamp_ns, readings, missing in progress(frames.filled(), total, "import"):
-            frame = forces_of.frame(readings, stamp_ns)
+        streams = [one.messages() for one in patches]
+        total = (main.frames.n_frames or 0) * len(patches)
+        merged = heapq.merge(*streams, key=lambda timed: timed[0])
+        for stamp_ns, message, number in progress(merged, total, "import"):
+            bag.record(message.published(main.run_id, number), stamp_ns)
+        if main.n_frames == 0:
+            raise BagError(f"{str(source)!r}: all frames are of the tare")
+    return main.n_frames
+
+
+class _Zeroing(NamedTuple):
+    """What is stated of the reading at rest: settings of the sensor."""
+
+    tare: int | None
+    invert: bool = False
+
+
+class _Imported:
+    """One patch of a file that is imported."""
+
+    def __init__(
+        self,
+        source: Path,
+        patch: str,
+        layout: Layout,
+        zeroing: _Zeroing,
+        log: Callable[[str], None],
+    ) -> None:
+        self.frames = open_file(source, layout, raw=bool(zeroing.tare or zeroing.invert))
+        self.n_frames = 0
+        self._source = source
+        self._patch = patch
+        self._log = log
+        self._forces_of = _Forces(self.frames, zeroing.tare, zeroing.invert, log)
+        for line in self.frames.take_lines():
+            log(line)
+
+    @cached_property
+    def run_id(self) -> str:
+        """A hash of the frames."""
+        content = hashlib.blake2b(digest_size=_RUN_ID_BYTES)
+        for _, part in self.frames.blocks():
+            content.update(part.tobytes())
+        return content.hexdigest()
+
+    def messages(self) -> Iterator[tuple[int, Message, int]]:
+        """Stamps, messages, and their numbers on their topics."""
+        for stamp_ns, readings, missing in self.frames.filled():
+            frame = self._forces_of.frame(readings, stamp_ns)
             if frame is None:
                 continue
-            if n_frames == 0:
-                for message in forces_of.states(state):
-                    bag.record(message.published(run_id, 0), 0)
+            if self.n_frames == 0:
+                for state in self._forces_of.states(self._skin_state()):
+                    yield 0, state, 0
             forces, reason = frame
-            head: dict[str, Any] = {"stamp_ns": stamp_ns, "patch": patch}
-            taxels = Taxels(**head, forces=forces, missing=missing, reason=reason)
-            bag.record(taxels.published(run_id, n_frames), stamp_ns)
-            n_frames += 1
-        if n_frames == 0:
-            raise BagError(f"{str(source)!r}: all frames are of the tare")
-    if line := forces_of.line:
-        log(line)
-    return n_frames
+            taxels = Taxels(
+                stamp_ns=stamp_ns,
+                patch=self._patch,
+                forces=forces,
+                missing=missing,
+                reason=reason,
+            )
+            yield stamp_ns, taxels, self.n_frames
+            self.n_frames += 1
+        if line := self._forces_of.line:
+            self._log(line)
+
+    def _skin_state(self) -> SkinState:
+        frames = self.frames
+        try:
+            return SkinState(
+                stamp_ns=0,
+                patch=self._patch,
+                **vars(frames.skin),
+                source=frames.name,
+                seed=0,
+                rate_hz=frames.rate_hz if frames.rate_hz is not None else DEFAULT_RATE_HZ,
+                has_truth=False,
+                sigma_mid=0.0,
+                sigma_end=0.0,
+                f_min=frames.f_min,
+            )
+        except MessageError as error:
+            raise BagError(f"{str(self._source)!r}: {error}") from error
 
 
 class _Forces:

@@ -27,6 +27,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.layout.layout import (
     EMPTY,
     HOLD,
+    KEEP,
     MASK,
     REFUSE,
     ZERO,
@@ -329,6 +330,8 @@ def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
     if unit_or_range is not None and frames.layout.f_max is None:
         unit_or_range -= treatment.offset
     peak = survey.highest - treatment.offset
+    if frames.layout.negative == KEEP:
+        peak = max(peak, -survey.lowest)
     if frames.raw:
         return max(peak, unit_or_range or 1.0)
     if unit_or_range is None:
