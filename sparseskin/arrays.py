@@ -168,7 +168,7 @@ def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bo
     line = zero.doubt.line
     # A frame alone may show a level, but not whether it stays.
     if line and len(frames) > 1:
-        warnings.warn(f"compress: {line}", RuntimeWarning, stacklevel=3)
+        warnings.warn(f"compress: {line}", RuntimeWarning, stacklevel=4)
     return forces
 
 

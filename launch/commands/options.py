@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.text import formatted, typed_value
 from sparseskin.messages.text import printable
@@ -23,7 +23,9 @@ from sparseskin.nodes.files import (
 )
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.remote import check_address, is_remote, shown
-from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
+
+if TYPE_CHECKING:
+    from sparseskin.nodes.sensor.layout.layout import Layout
 
 Run = Callable[[argparse.Namespace], int]
 
@@ -78,6 +80,8 @@ USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
 
 def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None:
     """Add an option for each key of `Layout`, spelled as the settings of the sensor, `but` some."""
+    from sparseskin.nodes.sensor.layout.layout import Layout  # with NumPy, which takes time
+
     more = rare(parser)
     for entry in Layout.described():
         key = entry["key"]
@@ -99,8 +103,10 @@ def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None
             group.add_argument(name, metavar=metavar, type=kind, default=None, help=about)
 
 
-def layout_of(arguments: argparse.Namespace) -> Layout:
+def layout_of(arguments: argparse.Namespace) -> "Layout":
     """The layout that options state. Raises SettingsError, with the option, if a value is wrong."""
+    from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
+
     stated = {key: getattr(arguments, key, None) for key in KEYS}
     try:
         return Layout(**{key: value for key, value in stated.items() if value is not None})

@@ -241,7 +241,7 @@ class Sensor(SourceNode[SensorSettings]):
         if self._taxels is None or forces.shape[-2:] != self._taxels.forces.shape[-2:]:
             head: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
             self._taxels = Taxels(**head, stamp_ns=stamp_ns, forces=forces, missing=missing)
-        reasons = (reason,) if reason else ()
+        reasons = (reason,) * self.settings.n_patches
         return self._taxels.following(
             stamp_ns=stamp_ns, forces=forces, missing=missing, reason=reasons
         )

@@ -65,7 +65,7 @@ def overrides(launch, begun):
         ("path_40", "sensor.source=scene:p", ["sensor.source=scene:path_40"]),
         ("no_such_file", "", []),
         ("own.toml", "", ["graph.", "camera.", "mine."]),
-        ("own.toml", "camera.n", ["camera.noise=", *CELLS, "camera.nan=", "camera.negative="]),
+        ("own.toml", "camera.n", [*CELLS, "camera.nan=", "camera.negative=", "camera.noise="]),
         (None, "", ["compressor.", "reconstructor."]),
     ],
 )

@@ -241,7 +241,7 @@ def test_topics_are_reported_with_fields_publishers_and_what_subscribers_receive
     assert [one["node"] for one in phi["subscribers"]] == ["reconstructor", "monitor", "recorder"]
     topic = run_json("topic", "info", "skin/taxels")
     assert list(topic["fields"]) == [
-        *("stamp_ns", "patch", "run_id", "seq", "names", "missing", "forces")
+        *("stamp_ns", "patch", "run_id", "seq", "names", "missing", "reason", "forces")
     ]
     lost = {one["node"]: one["lost"] for one in topic["subscribers"]}
     assert lost == {"compressor": 0, "monitor": 0, "recorder": 0}
@@ -314,7 +314,7 @@ def test_an_interrupt_ends_with_a_summary_and_a_pipe_that_closes_is_no_matter(fo
 def test_a_shell_completes_names_of_the_running_graph(folder):
     assert words("node info ") == NODES
     assert words("topic hz --duration 50 /skin/ta") == ["/skin/taxels"]
-    assert words("param set sensor ") == ["rate_hz", "noise", "drift"]
+    assert words("param set sensor ") == ["rate_hz", "noise", "invert", "drift"]
     assert words("param set reconstructor preset pa") == ["paper"]
     assert words("topic hz --graph=pa") == ["path_40"]
 

@@ -12,6 +12,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.scenes.bodies import Body, build_sole, slab
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
 from sparseskin.nodes.sensor.scenes.simulation import Drag, Scene, SceneSource
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.sources import find_address, open_source
 
 mujoco = pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
@@ -235,7 +236,7 @@ def test_a_time_step_that_never_ends_or_skips_all_is_refused(tmp_path, step_s):
         ("pad.xml", {}, "expected mujoco:MODEL.xml#SITE"),
         (PAD.replace("#pad", "#pat"), {}, "has no site 'pat' (did you mean 'pad'?)"),
         (f"{__file__}#pad", {}, "expected a MuJoCo model, .xml or .mjb"),
-        (PAD, {"n_rows": 16}, "n_rows = 16 is stated, but the frames have 32"),
+        (PAD, {"layout": Layout(n_rows=16)}, "n_rows = 16 is stated, but the frames have 32"),
     ],
 )
 def test_a_bad_address_is_refused_in_one_line(source, stated, text):
