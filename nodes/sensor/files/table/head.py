@@ -14,7 +14,12 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File, is_missing, shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
-from sparseskin.nodes.sensor.layout.names import COL_WORDS, ROW_WORDS, matching
+from sparseskin.nodes.sensor.layout.names import (
+    COL_WORDS,
+    ROW_WORDS,
+    matching,
+    stated_columns,
+)
 from sparseskin.nodes.sensor.layout.times import (
     CLOCK_UNIT,
     ISO,
@@ -32,6 +37,8 @@ MAX_SAMPLE = 1000
 COUNTED = 8
 """Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
 MAX_SHOWN = 8
+RISING_LINES = 8
+"""Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts")
 FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
@@ -350,7 +357,10 @@ def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: s
             if note:
                 head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
             return candidates[0]
-    return _time_at_an_end(head, layout, data, name)
+    column = _time_at_an_end(head, layout, data, name)
+    if column is None and layout.rate_hz is None:
+        _ask_for_times(head, layout, data, name)
+    return column
 
 
 def _stated_time(head: TableHead, text: str, name: str) -> int:
@@ -380,6 +390,32 @@ def _time_at_an_end(
             head.notes += (f"column {head.label(k)} rises in all lines: the times",)
             return k
     return None
+
+
+def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> None:
+    """Raise UnstatedError if a column that nothing names rises in all lines: likely the times.
+
+    A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
+    """
+    if len(data) < RISING_LINES:
+        return
+    taxels: list[int] = []
+    if layout.columns.strip():
+        taxels = stated_columns(layout.columns, head.names, head.width, name)
+    rising = []
+    for k in head.numeric:
+        is_named = _is_indexed(head, k) or head.names[k].lower() in FRAME_WORDS
+        steps = np.diff(_column(data, k))
+        if k not in taxels and not is_named and (steps > 0).all() and (steps != 1).any():
+            rising.append(k)
+    if not rising or len(rising) == len(head.numeric):
+        return
+    labels = " or ".join(f"time={head.label(k)}" for k in rising)
+    columns = "column rises" if len(rising) == 1 else "columns rise"
+    fault = f"{len(rising)} {columns} in all lines: state {labels}; time=none if not a time"
+    raise UnstatedError(
+        f"{name}: {fault}", *({"time": head.names[k] or str(k + 1)} for k in rising)
+    )
 
 
 def _counters(head: TableHead, data: Sequence[_Line]) -> list[int]:
