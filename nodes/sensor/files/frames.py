@@ -113,7 +113,7 @@ class Frames:
         if self.is_timed:
             time_name = f" {self.head.time_name}" if self.head.time_name else ""
             if not (self.layout.time_unit or self.head.time_unit):
-                lines.append(f"times{time_name} are taken as {self.time_unit}")
+                lines.append(f"times:{time_name or ' of each item'}, taken as {self.time_unit}")
             elif time_name:
                 lines.append(f"times:{time_name} in {self.time_unit}")
         if self.n_repeated:

@@ -18,6 +18,8 @@ from .names import COL_WORDS, NORMAL, ROW_WORDS, select
 
 ROWS = (*ROW_WORDS, "height", "row_count")
 COLS = (*COL_WORDS, "width", "col_count")
+UNNAMED = "numbers"
+"""Label of columns without names, of which some may be no taxels."""
 CHANNELS = ("channel", "channels", "axis", "axes", "xyz", "component", "components", "dim")
 XYZ = ("x", "y", "z")
 MAX_WAYS = 8
@@ -82,7 +84,8 @@ def arrange(
             places = places.reshape(selection.shape)
             labelled = [Axis(selection.shape[0], "rows"), Axis(selection.shape[1], "cols")]
         else:
-            labelled = [Axis(places.size, "taxels")]
+            is_certain = any(names) or bool(layout.columns)
+            labelled = [Axis(places.size, "taxels" if is_certain else UNNAMED)]
     else:
         places, labelled, notes = _one_channel(layout, places, labelled, where)
     places = _as_grid(layout, places, labelled, where)
@@ -189,10 +192,11 @@ def _as_grid(
         places = grid
     n = places.size
     if not (n_rows or n_cols):
-        raise UnstatedError(
-            f"{where}: a frame holds {n} readings, in which shape is not stated: state n_rows and "
-            f"n_cols, {shapes_of(n)}"
-        )
+        fault = f"a frame holds {n} readings, in which shape is not stated"
+        ways = f"state n_rows and n_cols, {shapes_of(n)}"
+        if axes[0].label == UNNAMED:
+            ways += ", or columns if not all are readings"
+        raise UnstatedError(f"{where}: {fault}: {ways}")
     n_rows = n_rows or max(1, n // (n_cols or 1))
     n_cols = n_cols or max(1, n // n_rows)
     if n_rows * n_cols != n:
