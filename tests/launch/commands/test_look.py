@@ -22,9 +22,9 @@ def log(tmp_path, monkeypatch):
 def test_what_is_not_stated_is_named_and_nothing_is_chosen(log, capsys):
     assert main(["recording", "look", log]) == 2
     shown = capsys.readouterr()
-    assert "5 columns per frame: s0, s1, s2, s3" in shown.out
+    assert "4 columns (and 1 of times, counts or texts): s0, s1, s2, s3" in shown.out
     assert "column 'time_s' in s" in shown.out
-    assert "state n_rows and n_cols, 2 x 2, 1 x 4 or 4 x 1" in shown.err
+    assert "state --n-rows and --n-cols, 2 x 2, 1 x 4 or 4 x 1" in shown.err
 
 
 def test_the_command_that_is_printed_imports_the_file_as_it_was_shown(log, capsys):
