@@ -138,7 +138,8 @@ def _frame_lines(name: str, layout: Layout) -> list[str]:
     width = min(MAP_WIDTH, shutil.get_terminal_size().columns - 1)
     coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
     picture = heat_map(np.nan_to_num(first), top, width, MAP_LINES, coloured)
-    return [*facts(known), "", "first frame:", *picture, "", f"import it: {_command(name, layout)}"]
+    title = "first frame:" if np.nanmax(first) > 0 else "first frame: no reading is above 0"
+    return [*facts(known), "", title, *picture, "", f"import it: {_command(name, layout)}"]
 
 
 def _command(name: str, layout: Layout) -> str:

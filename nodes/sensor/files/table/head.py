@@ -167,9 +167,17 @@ def _is_body(text: str) -> bool:
 
 
 def _sized(dialect: Dialect, lines: Sequence[_Line]) -> TableHead:
-    """A head with the number of cells of most lines."""
+    """A head with the number of cells of the lines that hold most numbers: a preamble of settings
+    may have more lines than a short table.
+    """
     later = lines[len(lines) // 3 :]
-    (width, _), *_ = Counter(len(line.cells) for line in later).most_common(1)
+    n_lines = Counter(len(line.cells) for line in later)
+    last_lines = {len(line.cells): line for line in later}
+    n_numbers = {
+        width: n * max(1, sum(map(is_number, last_lines[width].cells)))
+        for width, n in n_lines.items()
+    }
+    width = max(n_numbers, key=n_numbers.__getitem__)
     of_width = [line for line in later if len(line.cells) == width]
     has_trailing = width > 1 and all(line.cells[-1] == "" for line in of_width)
     has_trailing = has_trailing and dialect.separator != " "
@@ -410,12 +418,12 @@ def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[_Line], name:
             rising.append(k)
     if not rising or len(rising) == len(head.numeric):
         return
-    labels = " or ".join(f"time={head.label(k)}" for k in rising)
+    labels = [f"time={head.label(k)}" for k in rising[:MAX_SHOWN]]
+    further = ", ..." if len(rising) > MAX_SHOWN else ""
     columns = "column rises" if len(rising) == 1 else "columns rise"
-    fault = f"{len(rising)} {columns} in all lines: state {labels}; time=none if not a time"
-    raise UnstatedError(
-        f"{name}: {fault}", *({"time": head.names[k] or str(k + 1)} for k in rising)
-    )
+    ways = f"state {', '.join(labels)}{further} or, if no column is a time, time=none"
+    options = [{"time": head.names[k] or str(k + 1)} for k in rising]
+    raise UnstatedError(f"{name}: {len(rising)} {columns} in all lines: {ways}", *options)
 
 
 def _counters(head: TableHead, data: Sequence[_Line]) -> list[int]:
