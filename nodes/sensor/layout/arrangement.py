@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Indices
 
@@ -79,7 +80,7 @@ def arrange(
         remaining = range(labelled[0].size) if usable is None else usable
         selection = select(layout, names, remaining, where)
         places = places[list(selection.columns)]
-        notes = selection.notes
+        notes = (*selection.notes, *_left_out(names, remaining, selection.columns))
         if selection.shape is not None:
             places = places.reshape(selection.shape)
             labelled = [Axis(selection.shape[0], "rows"), Axis(selection.shape[1], "cols")]
@@ -124,6 +125,20 @@ def shapes_of(n: int) -> str:
     sides.sort(key=lambda k: (abs(math.log(k * k / n)), k))
     shapes = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
     return f"{', '.join(shapes[:-1])} or {shapes[-1]}" if len(shapes) > 1 else "".join(shapes)
+
+
+def _left_out(
+    names: Sequence[str], usable: Sequence[int], columns: Sequence[int]
+) -> tuple[str, ...]:
+    """A note on the columns of numbers that are not read, if there are any."""
+    of_taxels = set(columns)
+    unread = [names[k] or str(k + 1) for k in usable if k not in of_taxels]
+    if not unread:
+        return ()
+    further = ", ..." if len(unread) > MAX_WAYS else ""
+    plural = "s" if len(unread) > 1 else ""
+    listed = ", ".join(map(printable, unread[:MAX_WAYS]))
+    return (f"left out: {len(unread)} column{plural}, {listed}{further}",)
 
 
 def _one_channel(

@@ -10,7 +10,6 @@ from itertools import islice
 
 import numpy as np
 
-from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File, is_missing, shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
@@ -468,12 +467,3 @@ def _text_unit(data: Sequence[_Line], k: int) -> str:
 def _unit_of_column(head: TableHead, data: Sequence[_Line]) -> str:
     assert head.time is not None
     return _text_unit(data, head.time) or named_unit(head.names[head.time])
-
-
-def left_out(head: TableHead, read: Sequence[int]) -> str:
-    """A note on the columns that are not read, "" if all are."""
-    unread = [head.label(k) for k in range(head.width) if k not in (*read, head.time)]
-    if not unread:
-        return ""
-    further = ", ..." if len(unread) > MAX_SHOWN else ""
-    return f"left out: column {', '.join(map(printable, unread[:MAX_SHOWN]))}{further}"

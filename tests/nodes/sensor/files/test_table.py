@@ -165,6 +165,13 @@ def test_a_column_that_rises_without_a_name_is_never_dropped_without_a_word(tmp_
     assert read(tmp_path, text, **stated, rate_hz=25).rate_hz == 25
 
 
+def test_what_is_not_read_is_said(tmp_path):
+    source = read(tmp_path, "time_s,x,s0,s1\n0.0,5,1,2\n0.1,6,3,4\n", n_rows=1, rate_hz=20)
+    assert "left out: 1 column, x" in source.notes
+    assert "times: column 'time_s', not read, since a rate is stated" in source.notes
+    assert source.frames.tolist() == [[[1, 2]], [[3, 4]]]
+
+
 def test_lines_in_are_frames_out_and_drops_by_name(tmp_path):
     text = "made by hand\n\ntime_s,s0,s1\n[s],[N],[N]\n0.0,1,2\n# pause\n0.1,3,4\n0.2,5"
     source = read(tmp_path, text, n_rows=1, n_cols=2)
