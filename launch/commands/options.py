@@ -75,7 +75,7 @@ def add_page(
 
 TO_STATE = re.compile(r"\b(?:state|set) [^;]*")
 """The part of an error that says what has to be stated."""
-STATED_KEY = re.compile(rf"(?<![\w,'-])({'|'.join(KEYS)})\b(=?)")
+STATED_KEY = re.compile(rf"(?<!a )(?<!the )(?<!no )(?<![\w,'-])({'|'.join(KEYS)})\b(=?)")
 USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
 """Keys of a layout whose options `--help` shows without `--all`."""
 

@@ -420,7 +420,7 @@ def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[_Line], name:
     labels = [f"time={head.label(k)}" for k in rising[:MAX_SHOWN]]
     further = ", ..." if len(rising) > MAX_SHOWN else ""
     columns = "column rises" if len(rising) == 1 else "columns rise"
-    ways = f"state {', '.join(labels)}{further} or, if no column is a time, time=none"
+    ways = f"state {', '.join(labels)}{further} or, if these are no times, time=none"
     options = [{"time": head.names[k] or str(k + 1)} for k in rising]
     raise UnstatedError(f"{name}: {len(rising)} {columns} in all lines: {ways}", *options)
 

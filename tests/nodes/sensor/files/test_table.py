@@ -156,7 +156,7 @@ def test_a_column_that_rises_without_a_name_is_never_dropped_without_a_word(tmp_
     label = f"'{header[2 * place]}'" if text.startswith("a") else str(place + 1)
 
     shown = refusal(lambda: read(tmp_path, text, **stated), SourceError)
-    ask = f"1 column rises in all lines: state time={label} or, if no column is a time, time=none"
+    ask = f"1 column rises in all lines: state time={label} or, if these are no times, time=none"
     assert f"{ask}; add time=" in shown
     source = read(tmp_path, text, **stated, time=label.strip("'"))
     np.testing.assert_array_equal(source.frames[:, 0], readings)
