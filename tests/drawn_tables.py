@@ -88,6 +88,9 @@ def tables(draw):
         lines.insert(draw(st.integers(0, len(lines))), "# a comment")
     if is_named and draw(st.booleans()):
         lines.insert(0, "Pressure logger 3000")
+        # Some programs write a setting a line, more of them than a short recording has frames.
+        settings = [f"setting_{k}{separator}{k}" for k in range(draw(st.integers(0, 12)))]
+        lines = settings * (len(header) > 2) + lines
     if is_named and draw(st.booleans()):
         lines.insert(draw(st.integers(0, len(lines))), "")
     if separator == "," and draw(st.booleans()):

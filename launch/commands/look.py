@@ -16,10 +16,10 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 from sparseskin.nodes.sensor.files.file_source import located, open_file
 from sparseskin.nodes.sensor.files.format import recording_of
-from sparseskin.nodes.sensor.files.recording import Block, File, Head, reading, spelled
-from sparseskin.nodes.sensor.layout.layout import EMPTY, KEYS, Layout
+from sparseskin.nodes.sensor.files.recording import Block, File, Head, reading
+from sparseskin.nodes.sensor.layout.layout import EMPTY, KEYS, Layout, UnstatedError
 
-from .options import add_layout, layout_of
+from .options import add_layout, as_options, layout_of
 
 MAP_LINES, MAP_WIDTH = 16, 72
 MAX_NAMES = 3
@@ -37,11 +37,11 @@ def look(arguments: argparse.Namespace) -> int:
     """
     name = str(arguments.file).removeprefix("file:")
     layout = layout_of(arguments)
-    print("\n".join(_head_lines(name, layout)))
     try:
+        print("\n".join(_head_lines(name, layout)))
         lines = _frame_lines(name, layout)
     except SourceError as error:
-        text = spelled(str(error), lambda key: f"--{key.replace('_', '-')} ")
+        text = as_options(str(error))
         print(f"\nnot read yet: {printable(text)}", file=sys.stderr)
         return 2
     print("\n".join(lines))
@@ -51,22 +51,35 @@ def look(arguments: argparse.Namespace) -> int:
 def _head_lines(name: str, layout: Layout) -> list[str]:
     """What the begin of the file shows."""
     with located(name) as (first, parts), reading(first) as file:
-        recording = recording_of(File(file, first, parts, layout, raw=True))
+        try:
+            recording = recording_of(File(file, first, parts, layout, raw=True))
+        except UnstatedError:
+            # If only the times are not clear, the rest can be shown.
+            untimed = layout.stating({"time": "none"})
+            recording = recording_of(File(file, first, parts, untimed, raw=True))
         head = recording.head()
         block = next(iter(recording.blocks()), None)
-    labels = [f"{axis.size} {axis.label}".strip() for axis in head.axes]
     known = {
         "file": name + (f" and {len(parts)} more" if parts else ""),
-        "numbers": f"{' x '.join(labels)} per frame{_names(head)}",
-        "first ones": _first_numbers(block, head),
-        "times": _times(head),
-        "unit": head.unit or "not stated in the file",
+        "numbers": f"{_sides(head)}{_names(head)}",
+        "first item": _first_numbers(block, head),
+        "times": _times(head, layout),
+        "unit": head.unit or (f"{layout.unit}, as stated" if layout.unit else "not stated"),
     }
     if head.rate_hz is not None:
         known["rate"] = f"{head.rate_hz:g} Hz"
     if head.mask is not None:
         known["mask"] = f"{int(head.mask.sum())} of {head.mask.size} cells are taxels"
     return facts(known)
+
+
+def _sides(head: Head) -> str:
+    """How many numbers an item has that may be readings."""
+    if head.usable is not None:
+        n_left_out = head.axes[0].size - len(head.usable)
+        left_out = f" (and {n_left_out} of times, counts or texts)" * bool(n_left_out)
+        return f"{len(head.usable)} columns{left_out}"
+    return " x ".join(f"{axis.size} {axis.label}".strip() for axis in head.axes) + " per frame"
 
 
 def _first_numbers(block: Block | None, head: Head) -> str:
@@ -93,9 +106,11 @@ def _names(head: Head) -> str:
     return f": {begin}, ... {printable(names[-1])}"
 
 
-def _times(head: Head) -> str:
+def _times(head: Head, layout: Layout) -> str:
     if not head.is_timed:
-        return "none"
+        return "none recognised"
+    if layout.rate_hz is not None:
+        return f"{head.time_name or 'of each item'}, not read: rate_hz is stated"
     unit = f" in {head.time_unit}" if head.time_unit else ", of no stated unit"
     return f"{head.time_name or 'of each item'}{unit}"
 
@@ -110,20 +125,21 @@ def _frame_lines(name: str, layout: Layout) -> list[str]:
     known = {
         "taxels": f"{source.skin.n_rows} x {source.skin.n_cols}"
         + ("" if source.skin.mask is None else f", {source.skin.n_taxels} exist"),
-        "readings": f"0..{source.skin.f_max:g} {source.skin.unit}",
+        "readings": f"up to {source.skin.f_max:g} {source.skin.unit}",
     }
     if len(stamp_s) > 1:
         steps_ms = 1000 * np.diff(stamp_s)
-        known["steps"] = (
+        known["time step"] = (
             f"{np.median(steps_ms):.4g} ms (median), {steps_ms.min():.4g} to {steps_ms.max():.4g}"
         )
     for k, note in enumerate(source.notes):
-        known[f"note {k + 1}"] = note
+        known[f"note {k + 1}"] = as_options(note)
     top = max(float(np.nanmax(first)), 1e-9)
     width = min(MAP_WIDTH, shutil.get_terminal_size().columns - 1)
     coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
     picture = heat_map(np.nan_to_num(first), top, width, MAP_LINES, coloured)
-    return [*facts(known), "", "first frame:", *picture, "", f"import it: {_command(name, layout)}"]
+    title = "first frame:" if np.nanmax(first) > 0 else "first frame: no reading is above 0"
+    return [*facts(known), "", title, *picture, "", f"import it: {_command(name, layout)}"]
 
 
 def _command(name: str, layout: Layout) -> str:

@@ -6,6 +6,7 @@ import inspect
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -74,6 +75,9 @@ def add_page(
     rare(parser).add_argument("--no-token", action="store_true", help=about)
 
 
+TO_STATE = re.compile(r"\b(?:state|set) [^;]*")
+"""The part of an error that says what has to be stated."""
+STATED_KEY = re.compile(rf"(?<!a )(?<!the )(?<!no )(?<![\w,'-])({'|'.join(KEYS)})\b(=?)")
 USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
 """Keys of a layout whose options `--help` shows without `--all`."""
 
@@ -115,11 +119,19 @@ def layout_of(arguments: argparse.Namespace) -> "Layout":
         raise SettingsError(f"--{key.replace('_', '-')}{colon}{rest}") from error
 
 
-def as_options(line: str) -> str:
-    """A line whose missing settings, KEY=VALUE, are spelled as options of a command."""
+def as_options(text: str) -> str:
+    """A line on a file in which the keys of a layout that are to be stated are options."""
     from sparseskin.nodes.sensor.files.recording import spelled
 
-    return spelled(line, lambda key: f"--{key.replace('_', '-')} ")
+    def option(key: str) -> str:
+        return f"--{key.replace('_', '-')} "
+
+    def clause(match: re.Match[str]) -> str:
+        return STATED_KEY.sub(
+            lambda key: option(key[1]) if key[2] else option(key[1])[:-1], match[0]
+        )
+
+    return TO_STATE.sub(clause, spelled(text, option))
 
 
 def bag_names(names: Sequence[str], out: str) -> list[str]:

@@ -62,7 +62,7 @@ class DatasetRecording(Recording):
     """
 
     def __init__(self, file: File, arrays: ArrayFile) -> None:
-        self.tally = Tally("frames of the array")
+        self.tally = Tally("items of the array")
         self._layout = file.layout
         self._arrays = arrays
 
@@ -130,7 +130,7 @@ class DatasetRecording(Recording):
 
         place = "one frame"
         if frames.axis is not None:
-            place = f"frames are axis {frames.axis + 1}"
+            place = f"axis {frames.axis + 1} counts frames"
         about = dataset.text
         if key:
             about = f"array {printable(key)}, {about}"

@@ -175,7 +175,8 @@ class RecordedSource(Source):
         if not (self._layout.unit or frames.head.unit or self._raw):
             lines += _assumed_unit(self.skin.unit)
         if not (frames.is_timed or self._layout.rate_hz or frames.head.rate_hz):
-            lines.append(f"states no rate: {DEFAULT_RATE_HZ:g} Hz; set rate_hz where it is another")
+            hint = "set rate_hz where it is another"
+            lines.append(f"states no rate: taken as {DEFAULT_RATE_HZ:g} Hz; {hint}")
         lines += self._treatment.lines(self.skin.unit)
         self._lines.extend(lines)
         return tuple(lines)

@@ -251,7 +251,7 @@ def _decided(
             return axis, "the array is one frame of the stated shape"
         if array.sides[axis] in n_times:
             return axis, "as long as the times"
-        return axis, "it leaves the stated shape"
+        return axis, "the others have the stated shape"
     is_plausible = _first_is_plausible(array.sides)
     if 0 in axes and (first_is_usual is None or (first_is_usual and is_plausible)):
         return 0, "the first one, as is usual"

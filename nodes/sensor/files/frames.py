@@ -113,9 +113,12 @@ class Frames:
         if self.is_timed:
             time_name = f" {self.head.time_name}" if self.head.time_name else ""
             if not (self.layout.time_unit or self.head.time_unit):
-                lines.append(f"times{time_name} are taken as {self.time_unit}")
+                lines.append(f"times:{time_name or ' of each item'}, taken as {self.time_unit}")
             elif time_name:
                 lines.append(f"times:{time_name} in {self.time_unit}")
+        elif self.head.is_timed:
+            time_name = self.head.time_name or "those of each item"
+            lines.append(f"times: {time_name}, not read, since a rate is stated")
         if self.n_repeated:
             lines.append(f"{self.n_repeated} times repeat the one before: 1 ns later each")
         lines.append(self.recording.tally.text)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Indices
 
@@ -18,6 +19,8 @@ from .names import COL_WORDS, NORMAL, ROW_WORDS, select
 
 ROWS = (*ROW_WORDS, "height", "row_count")
 COLS = (*COL_WORDS, "width", "col_count")
+UNNAMED = "numbers"
+"""Label of columns without names, of which some may be no taxels."""
 CHANNELS = ("channel", "channels", "axis", "axes", "xyz", "component", "components", "dim")
 XYZ = ("x", "y", "z")
 MAX_WAYS = 8
@@ -77,12 +80,13 @@ def arrange(
         remaining = range(labelled[0].size) if usable is None else usable
         selection = select(layout, names, remaining, where)
         places = places[list(selection.columns)]
-        notes = selection.notes
+        notes = (*selection.notes, *_left_out(names, remaining, selection.columns))
         if selection.shape is not None:
             places = places.reshape(selection.shape)
             labelled = [Axis(selection.shape[0], "rows"), Axis(selection.shape[1], "cols")]
         else:
-            labelled = [Axis(places.size, "taxels")]
+            is_certain = any(names) or bool(layout.columns)
+            labelled = [Axis(places.size, "taxels" if is_certain else UNNAMED)]
     else:
         places, labelled, notes = _one_channel(layout, places, labelled, where)
     places = _as_grid(layout, places, labelled, where)
@@ -121,6 +125,20 @@ def shapes_of(n: int) -> str:
     sides.sort(key=lambda k: (abs(math.log(k * k / n)), k))
     shapes = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
     return f"{', '.join(shapes[:-1])} or {shapes[-1]}" if len(shapes) > 1 else "".join(shapes)
+
+
+def _left_out(
+    names: Sequence[str], usable: Sequence[int], columns: Sequence[int]
+) -> tuple[str, ...]:
+    """A note on the columns of numbers that are not read, if there are any."""
+    of_taxels = set(columns)
+    unread = [names[k] or str(k + 1) for k in usable if k not in of_taxels]
+    if not unread:
+        return ()
+    further = ", ..." if len(unread) > MAX_WAYS else ""
+    plural = "s" if len(unread) > 1 else ""
+    listed = ", ".join(map(printable, unread[:MAX_WAYS]))
+    return (f"left out: {len(unread)} column{plural}, {listed}{further}",)
 
 
 def _one_channel(
@@ -189,10 +207,11 @@ def _as_grid(
         places = grid
     n = places.size
     if not (n_rows or n_cols):
-        raise UnstatedError(
-            f"{where}: a frame holds {n} readings, in which shape is not stated: state n_rows and "
-            f"n_cols, {shapes_of(n)}"
-        )
+        fault = f"a frame holds {n} readings, in which shape is not stated"
+        ways = f"state n_rows and n_cols, {shapes_of(n)}"
+        if axes[0].label == UNNAMED:
+            ways += ", or columns if not all are readings"
+        raise UnstatedError(f"{where}: {fault}: {ways}")
     n_rows = n_rows or max(1, n // (n_cols or 1))
     n_cols = n_cols or max(1, n // n_rows)
     if n_rows * n_cols != n:

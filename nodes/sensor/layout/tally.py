@@ -12,7 +12,7 @@ from sparseskin.nodes.errors import SourceError
 class Tally:
     """Counts of what a reader took in, and of what became of it.
 
-    `what` names the items of the source in the plural: lines, messages, frames of the array.
+    `what` names the items of the source in the plural: lines, messages, items of an array.
     """
 
     def __init__(self, what: str) -> None:

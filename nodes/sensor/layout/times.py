@@ -20,7 +20,7 @@ NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, ISO: 1, CLOCK_UNIT: 1}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
 TIME_NAME = re.compile(
     r"[%_\s]*(?:field\.|header[._])*(t|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
-    r"|seconds|millis|micros|epoch|clock)(?![a-z0-9])"
+    r"|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])"
 )
 """Begin of the name of a column or array of times, in small letters."""
 UNIT_NAME = re.compile(
@@ -147,7 +147,8 @@ class Stamps:
             fall_ns -= DAY_NS
         if fall_ns > 0:
             fault = f"the time of frame {self.n} is before that of the one before it"
-            raise SourceError(f"{where}: {fault}")
+            ways = "sort or split the file, or state rate_hz to read it without times"
+            raise SourceError(f"{where}: {fault}, by {fall_ns / 1e9:.4g} s; {ways}")
         self._last_time_ns = time_ns
 
         if time_ns <= self.last_ns:

@@ -22,9 +22,19 @@ def log(tmp_path, monkeypatch):
 def test_what_is_not_stated_is_named_and_nothing_is_chosen(log, capsys):
     assert main(["recording", "look", log]) == 2
     shown = capsys.readouterr()
-    assert "5 columns per frame: s0, s1, s2, s3" in shown.out
+    assert "4 columns (and 1 of times, counts or texts): s0, s1, s2, s3" in shown.out
     assert "column 'time_s' in s" in shown.out
-    assert "state n_rows and n_cols, 2 x 2, 1 x 4 or 4 x 1" in shown.err
+    assert "state --n-rows and --n-cols, 2 x 2, 1 x 4 or 4 x 1" in shown.err
+
+
+def test_columns_are_shown_where_the_times_are_not_clear(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    lines = [f"{20 * k},{k * k},{k % 3},{(k + 1) % 4}\n" for k in range(9)]
+    (tmp_path / "log.csv").write_text("".join(lines))
+    assert main(["recording", "look", "log.csv"]) == 2
+    shown = capsys.readouterr()
+    assert "4 columns" in shown.out
+    assert "state --time 1, --time 2 or, if these are no times, --time none" in shown.err
 
 
 def test_the_command_that_is_printed_imports_the_file_as_it_was_shown(log, capsys):

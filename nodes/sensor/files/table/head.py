@@ -10,11 +10,15 @@ from itertools import islice
 
 import numpy as np
 
-from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File, is_missing, shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
-from sparseskin.nodes.sensor.layout.names import COL_WORDS, ROW_WORDS, matching
+from sparseskin.nodes.sensor.layout.names import (
+    COL_WORDS,
+    ROW_WORDS,
+    matching,
+    stated_columns,
+)
 from sparseskin.nodes.sensor.layout.times import (
     CLOCK_UNIT,
     ISO,
@@ -32,6 +36,8 @@ MAX_SAMPLE = 1000
 COUNTED = 8
 """Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
 MAX_SHOWN = 8
+RISING_LINES = 8
+"""Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts")
 FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
@@ -160,9 +166,17 @@ def _is_body(text: str) -> bool:
 
 
 def _sized(dialect: Dialect, lines: Sequence[_Line]) -> TableHead:
-    """A head with the number of cells of most lines."""
+    """A head with the number of cells of the lines that hold most numbers: a preamble of settings
+    may have more lines than a short table.
+    """
     later = lines[len(lines) // 3 :]
-    (width, _), *_ = Counter(len(line.cells) for line in later).most_common(1)
+    n_lines = Counter(len(line.cells) for line in later)
+    last_lines = {len(line.cells): line for line in later}
+    n_numbers = {
+        width: n * max(1, sum(map(is_number, last_lines[width].cells)))
+        for width, n in n_lines.items()
+    }
+    width = max(n_numbers, key=n_numbers.__getitem__)
     of_width = [line for line in later if len(line.cells) == width]
     has_trailing = width > 1 and all(line.cells[-1] == "" for line in of_width)
     has_trailing = has_trailing and dialect.separator != " "
@@ -350,7 +364,10 @@ def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: s
             if note:
                 head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
             return candidates[0]
-    return _time_at_an_end(head, layout, data, name)
+    column = _time_at_an_end(head, layout, data, name)
+    if column is None and layout.rate_hz is None:
+        _ask_for_times(head, layout, data, name)
+    return column
 
 
 def _stated_time(head: TableHead, text: str, name: str) -> int:
@@ -380,6 +397,32 @@ def _time_at_an_end(
             head.notes += (f"column {head.label(k)} rises in all lines: the times",)
             return k
     return None
+
+
+def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> None:
+    """Raise UnstatedError if a column that nothing names rises in all lines: likely the times.
+
+    A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
+    """
+    if len(data) < RISING_LINES:
+        return
+    taxels: list[int] = []
+    if layout.columns.strip():
+        taxels = stated_columns(layout.columns, head.names, head.width, name)
+    rising = []
+    for k in head.numeric:
+        is_named = _is_indexed(head, k) or head.names[k].lower() in FRAME_WORDS
+        steps = np.diff(_column(data, k))
+        if k not in taxels and not is_named and (steps > 0).all() and (steps != 1).any():
+            rising.append(k)
+    if not rising or len(rising) == len(head.numeric):
+        return
+    labels = [f"time={head.label(k)}" for k in rising[:MAX_SHOWN]]
+    further = ", ..." if len(rising) > MAX_SHOWN else ""
+    columns = "column rises" if len(rising) == 1 else "columns rise"
+    ways = f"state {', '.join(labels)}{further} or, if these are no times, time=none"
+    options = [{"time": head.names[k] or str(k + 1)} for k in rising]
+    raise UnstatedError(f"{name}: {len(rising)} {columns} in all lines: {ways}", *options)
 
 
 def _counters(head: TableHead, data: Sequence[_Line]) -> list[int]:
@@ -424,12 +467,3 @@ def _text_unit(data: Sequence[_Line], k: int) -> str:
 def _unit_of_column(head: TableHead, data: Sequence[_Line]) -> str:
     assert head.time is not None
     return _text_unit(data, head.time) or named_unit(head.names[head.time])
-
-
-def left_out(head: TableHead, read: Sequence[int]) -> str:
-    """A note on the columns that are not read, "" if all are."""
-    unread = [head.label(k) for k in range(head.width) if k not in (*read, head.time)]
-    if not unread:
-        return ""
-    further = ", ..." if len(unread) > MAX_SHOWN else ""
-    return f"left out: column {', '.join(map(printable, unread[:MAX_SHOWN]))}{further}"

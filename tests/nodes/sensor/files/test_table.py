@@ -124,11 +124,52 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         ("0.5,1,0.1\n0.7,1,0.2\n", ROW, "state time=first or time=last, or columns$"),
         ("1,\0", ROW, "not a text table in UTF-8"),
         ("t,time,s0,s1\n0,5,1,1\n1,6,1,1\n", ROW, "2 columns may be the times: state time='t' or"),
+        (
+            "timestep,s0,s1\n0.5,1,1\n0.1,1,1\n",
+            ROW,
+            "time of frame 2 is before .* by 0.4 s; sort or",
+        ),
+        ("1,2\n3,4\n", {}, "state n_rows and n_cols, 1 x 2 or 2 x 1, or columns if not all are"),
     ],
 )
 def test_what_is_no_table_of_frames_is_refused_in_one_line(tmp_path, text, stated, message):
     shown = refusal(lambda: read(tmp_path, text, **stated), SourceError)
     assert re.search(f"{tmp_path / 'log.csv'}.*{message}", shown)
+
+
+@FORGIVING
+@given(data=st.data())
+def test_a_column_that_rises_without_a_name_is_never_dropped_without_a_word(tmp_path, data):
+    n_lines = data.draw(st.integers(8, 20))
+    n_taxels = data.draw(st.integers(2, 5))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    readings = rng.integers(1, 1000, (n_lines, n_taxels))
+    readings[-1] = readings[0] - 1
+    seconds = np.cumsum(rng.integers(8, 40, n_lines)) / 1000
+    place = data.draw(st.integers(0, n_taxels))
+    cells = np.insert(readings.astype(float), place, seconds, axis=1)
+    taxels = ",".join(str(k + 1) for k in range(n_taxels + 1) if k != place)
+    stated = {"n_rows": 1, "n_cols": n_taxels, "columns": taxels}
+    text = "".join(",".join(f"{cell:g}" for cell in line) + "\n" for line in cells)
+    header = ",".join(chr(ord("a") + k) for k in range(n_taxels + 1)) + "\n"
+    text = header * data.draw(st.booleans()) + text
+    label = f"'{header[2 * place]}'" if text.startswith("a") else str(place + 1)
+
+    shown = refusal(lambda: read(tmp_path, text, **stated), SourceError)
+    ask = f"1 column rises in all lines: state time={label} or, if these are no times, time=none"
+    assert f"{ask}; add time=" in shown
+    source = read(tmp_path, text, **stated, time=label.strip("'"))
+    np.testing.assert_array_equal(source.frames[:, 0], readings)
+    np.testing.assert_allclose(source.stamp_ns / 1e9, seconds - seconds[0], atol=1e-6)
+    assert read(tmp_path, text, **stated, time="none").rate_hz is None
+    assert read(tmp_path, text, **stated, rate_hz=25).rate_hz == 25
+
+
+def test_what_is_not_read_is_said(tmp_path):
+    source = read(tmp_path, "time_s,x,s0,s1\n0.0,5,1,2\n0.1,6,3,4\n", n_rows=1, rate_hz=20)
+    assert "left out: 1 column, x" in source.notes
+    assert "times: column 'time_s', not read, since a rate is stated" in source.notes
+    assert source.frames.tolist() == [[[1, 2]], [[3, 4]]]
 
 
 def test_lines_in_are_frames_out_and_drops_by_name(tmp_path):
