@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import functools
 import inspect
 import json
 import math
@@ -77,9 +78,16 @@ def add_page(
 
 TO_STATE = re.compile(r"\b(?:state|set) [^;]*")
 """The part of an error that says what has to be stated."""
-STATED_KEY = re.compile(rf"(?<!a )(?<!the )(?<!no )(?<![\w,'-])({'|'.join(KEYS)})\b(=?)")
 USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
 """Keys of a layout whose options `--help` shows without `--all`."""
+
+
+@functools.cache
+def _stated_key() -> re.Pattern[str]:
+    """A key of a layout in the part of an error that says what has to be stated."""
+    from sparseskin.nodes.sensor.layout.layout import KEYS
+
+    return re.compile(rf"(?<!a )(?<!the )(?<!no )(?<![\w,'-])({'|'.join(KEYS)})\b(=?)")
 
 
 def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None:
@@ -127,7 +135,7 @@ def as_options(text: str) -> str:
         return f"--{key.replace('_', '-')} "
 
     def clause(match: re.Match[str]) -> str:
-        return STATED_KEY.sub(
+        return _stated_key().sub(
             lambda key: option(key[1]) if key[2] else option(key[1])[:-1], match[0]
         )
 

@@ -10,7 +10,7 @@ from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.source import Address, Listing, Source
 
 from .file_source import EXAMPLES, n_taxels, open_file
-from .format import TABLE_SUFFIXES, suffixes
+from .format import TABLE_SUFFIXES, TEXT_SUFFIXES, suffixes
 
 MAX_LISTED = 20
 """Most recordings of the current folder that are listed; chosen."""
@@ -43,7 +43,8 @@ class FileAddress(Address):
     @classmethod
     def listings(cls) -> Sequence[Listing]:
         """Recordings in the current folder, and bags of ROS 2, the newest first."""
-        about = suffixes()
+        # A .txt or .log is a recording now and then; those that are listed are mostly recordings.
+        about = {s: words for s, words in suffixes().items() if s not in TEXT_SUFFIXES}
         found = {p: about.get(p.suffix.lower(), "") for p in Path().iterdir() if p.is_file()}
         found |= {p.parent: "bag of ROS 2" for p in Path().glob("*/metadata.yaml")}
         newest = sorted(filter(found.get, found), key=lambda p: -p.stat().st_mtime_ns)[:MAX_LISTED]

@@ -24,7 +24,8 @@ BAG_METADATA = "metadata.yaml"
 BAG_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 BAG_LOGS = ("-wal", "-shm", "-journal")
 """Ends of the files that SQLite leaves beside a bag whose recorder was killed."""
-TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
+TEXT_SUFFIXES = (".txt", ".dat", ".log", ".asc")
+TABLE_SUFFIXES = (".csv", ".tsv", *TEXT_SUFFIXES)
 MAX_PARTS = 1 << 20
 """Most files of a folder that are read; chosen."""
 

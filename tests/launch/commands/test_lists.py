@@ -106,9 +106,9 @@ def test_sources_lists_what_there_is(tmp_path, monkeypatch, capsys, offering):
 
 def test_scope_prints_figures_where_the_output_is_no_terminal(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    np.save("step.npy", np.arange(24, dtype=np.float32).reshape(2, 3, 4))
+    np.save("step.npy", np.arange(60, dtype=np.float32).reshape(5, 3, 4))
     assert main(["scope", "file:step.npy", "--set", "unit=kPa"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "step: 2 frames; min 0, max 23 kPa"
+    assert capsys.readouterr().out.splitlines()[-1] == "step: 5 frames; min 0, max 59 kPa"
 
 
 GRAPH = """\

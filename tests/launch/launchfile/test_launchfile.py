@@ -277,9 +277,9 @@ def test_nodes_that_may_not_be_scheduled_are_refused(tmp_path, monkeypatch, caps
 
 @pytest.mark.parametrize("source", ['file:whole.npy"\n#"', 'file:a.csv"\nn_rows = 6\nunit = "N'])
 def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(check, source):
-    frames = np.full((2, 6, 8), 0.5, np.float32)
+    frames = np.full((9, 6, 8), 0.5, np.float32)
     np.save("whole.npy", frames)
-    np.savetxt("a.csv", frames.reshape(2, -1), delimiter=",", fmt="%.2f")
+    np.savetxt("a.csv", frames.reshape(9, -1), delimiter=",", fmt="%.2f")
     (line,) = check(GOOD.replace("scene:path_40", source), "compressor.m=49")
     end = "phi: m = 49 is not allowed; allowed: 1..48 (n = 48 taxels)"
     assert line == f"--set compressor.m=49: {end}"

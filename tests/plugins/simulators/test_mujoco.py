@@ -9,10 +9,10 @@ from damaged import refusal
 
 import sparseskin
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.scenes.bodies import Body, build_sole, slab
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
 from sparseskin.nodes.sensor.scenes.simulation import Drag, Scene, SceneSource
-from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.sources import find_address, open_source
 
 mujoco = pytest.importorskip("mujoco", reason="the extra mujoco is not installed")

@@ -198,7 +198,7 @@ def test_what_repeats_is_not_new_and_noise_keeps_its_variance(n_subsets, misfit,
     repeats = misfit * rng.standard_normal((n_subsets, 400)).astype(np.float32)
     changes = NewChanges()
     powers = []
-    for k in range(30 * n_subsets):
+    for k in range(200 * n_subsets):
         subset = k % n_subsets
         noise = rng.standard_normal(400).astype(np.float32)
         new = changes.look(str(subset), repeats[subset] + noise)

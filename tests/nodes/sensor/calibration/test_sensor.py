@@ -143,7 +143,7 @@ def test_a_recording_that_ends_before_its_tare_says_so():
         ({"skin": "palm.toml", "f_max": 1.0}, "f_max: the file of the skin has its own"),
         ({"skin": "palm.toml", "source": "scene:path_40"}, "skin: a scene has its own"),
         ({"unit": "N\n"}, "expected 1 to 32 printable"),
-        ({"skin": "palm.toml", "n_rows": 4}, "leaves a frame of 4 x any taxels"),
+        ({"skin": "palm.toml", "n_rows": 5}, "leaves a frame of 5 x any taxels"),
         ({"f_min": 0.1}, "f_min: 0.1 is outside"),
         ({"noise": 0.5}, "noise: is added to true forces alone; state that of readings in"),
     ],
