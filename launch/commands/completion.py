@@ -94,7 +94,7 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
             return _overrides(prefix, {GRAPH: f"[{GRAPH}]"} | types if types else types)
         case "SOURCE":
             return sources(prefix)
-        case "NAME|FILE.toml":
+        case "NAME|FILE":
             return _bare(bundled_names()) | _paths(prefix, folders_only=False)
     if metavar in FILES or metavar in FOLDERS:
         return _paths(prefix, folders_only=metavar in FOLDERS)

