@@ -228,7 +228,7 @@ class Stream:
         bad = self._skin.exists & ~np.isfinite(forces)
         if bad.any():
             row, col = np.argwhere(bad)[0]
-            reads = f"reads {forces[row, col]}; allowed: finite numbers"
+            reads = f"reads {forces[row, col]}; allowed: finite numbers; fill in what is missing"
             raise SparseskinError(f"stream: taxel ({row}, {col}) {reads}")
         if not self._zero.changes_readings:
             self._check_range(forces)

@@ -117,11 +117,9 @@ def _times(head: Head, layout: Layout) -> str:
 
 def _frame_lines(name: str, layout: Layout) -> list[str]:
     """What all of the file shows."""
-    source = open_file(name, layout, raw=True)
+    source = open_file(name, layout)
     stamp_s = np.asarray(source.stamp_ns[:1000]) / 1e9
     first = next(iter(source))[1]
-    # Again as it would be imported, for the error that this would end with.
-    open_file(name, layout)
     known = {
         "taxels": f"{source.skin.n_rows} x {source.skin.n_cols}"
         + ("" if source.skin.mask is None else f", {source.skin.n_taxels} exist"),
@@ -149,5 +147,6 @@ def _command(name: str, layout: Layout) -> str:
     for key in KEYS:
         value = getattr(layout, key)
         if value != getattr(EMPTY, key):
-            words += [f"--{key.replace('_', '-')}", str(value)]
+            # A value that begins with a dash would pass for an option.
+            words.append(f"--{key.replace('_', '-')}={value}")
     return shlex.join(words)

@@ -110,7 +110,8 @@ class Treatment:
         lines = []
         if n := self._survey.n_missing:
             way = MASK if self._layout.nan == REFUSE else self._layout.nan
-            lines.append(f"{n} readings of the file are missing: {FILLED[way]}")
+            in_arrays = ", NaN in arrays" if way == MASK else ""
+            lines.append(f"{n} readings of the file are missing: {FILLED[way]}{in_arrays}")
         is_told = self._survey.n_negative and self._layout.negative != REFUSE
         if is_told:
             way = done.get(self._negative, subtracted)

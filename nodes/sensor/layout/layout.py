@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sparseskin.messages.fields import MAX_SIDE
+from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.settings import Settings, setting
 
@@ -23,6 +24,8 @@ TIME_UNITS = ("", "ns", "us", "ms", "s", "clock")
 """Units of times; clock: hours, minutes and seconds of a day, which begins again at midnight."""
 AXES = ("frames", "rows", "cols", "taxels", "channel", "-")
 """Names of the axes of an array; -: an axis of one entry."""
+NUMBERS_AS_TEXTS = ("columns", "channel", "time", "missing")
+"""Keys of texts that may be stated as a number, too: time=1, missing=-1."""
 CHANNEL = re.compile(r"\d{1,4}|[A-Za-z_]\w{0,31}")
 
 
@@ -121,6 +124,10 @@ class Layout(GridLayout):
     )
 
     def __post_init__(self) -> None:
+        for key in NUMBERS_AS_TEXTS:
+            value = getattr(self, key)
+            if is_real(value):
+                object.__setattr__(self, key, f"{value:g}")
         super().__post_init__()
         unknown = [name for name in self.axis_names if name not in AXES]
         if unknown:

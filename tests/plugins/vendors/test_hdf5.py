@@ -107,7 +107,7 @@ def test_times_are_those_of_the_nearest_group(tmp_path):
     for topic in ("left/pad", "right/pad"):
         source = read(tmp_path, raw, topic=topic)
         np.testing.assert_allclose(source.stamp_ns / 1e9, TIMES, atol=1e-6)
-        assert any(f"times {topic[:-4]}/time " in note for note in source.notes)
+        assert any(f"times: {topic[:-4]}/time" in note for note in source.notes)
 
 
 def test_attributes_state_unit_rate_range_and_pitch(tmp_path):

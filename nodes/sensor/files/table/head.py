@@ -199,8 +199,9 @@ def _headed(
         head.header = first.text
         head.dropped["header"] += 1
         lines = later
-        is_units = len(lines) > 1 and _is_header(lines[0].cells[: head.width], lines[1:])
-        if is_units:
+        units = lines[0].cells[: head.width]
+        is_units = len(lines) > 1 and _is_header(units, lines[1:])
+        if is_units and not any(map(is_number, units)):
             head.dropped["line of units"] += 1
             lines = lines[1:]
     elif len(lines) == 1 and not any(map(is_number, first.cells)):

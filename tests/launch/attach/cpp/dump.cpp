@@ -17,7 +17,22 @@ void put(std::int64_t value) { std::cout << value; }
 void put(std::int32_t value) { std::cout << value; }
 void put(std::size_t value) { std::cout << value; }
 void put(bool value) { std::cout << (value ? "true" : "false"); }
-void put(const std::string& value) { std::cout << '"' << value << '"'; }
+
+// A JSON string: control characters, quotes and bytes that may be no UTF-8 as escapes.
+void put(const std::string& value) {
+    std::cout << '"';
+    for (const unsigned char byte : value) {
+        const bool is_plain = byte >= 0x20 && byte < 0x7f && byte != '"' && byte != '\\';
+        if (is_plain) {
+            std::cout << byte;
+        } else {
+            char escaped[7];
+            std::snprintf(escaped, sizeof escaped, "\\u%04x", byte);
+            std::cout << escaped;
+        }
+    }
+    std::cout << '"';
+}
 
 void put(double value) {
     char text[40];

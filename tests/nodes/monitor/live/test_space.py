@@ -289,8 +289,7 @@ def test_any_map_is_shown_large_and_the_grid_of_the_same_skin(page, graph, point
     wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 0, "the frame on the grid")
     size = "const c = document.querySelector('[data-map=truth]'); return [c.width, c.height]"
     assert run(page, size) == [N_COLS, N_ROWS]
-    press(graph, points, BACK)  # in the middle of the grid
-    run(page, ZOOM)
+    press(graph, points, BACK)  # in the middle of the grid, which the map zooms to
     wait_until(lambda: run(page, size)[0] < N_COLS, "the part that is pressed")
     run(page, CHOOSE, "view", "space")
     settled(page)
