@@ -81,8 +81,7 @@ def ready(
     Processes that do so at one time do it one after the other, and the first compiles. The loops
     are made by `compiled` with signatures; `log` and `count` are as in `compile_loops`.
     """
-    missing = [loop for loop in loops if not loop.signatures]  # type: ignore[attr-defined]
-    if not missing:
+    if all(loop.signatures for loop in loops):  # type: ignore[attr-defined]
         return
 
     def begin() -> None:
@@ -90,6 +89,8 @@ def ready(
 
     with ExitStack() as stack:
         stack.enter_context(_alone(loops[0]))
+        # Another thread may have compiled them while this one waited.
+        missing = [loop for loop in loops if not loop.signatures]  # type: ignore[attr-defined]
         begun_s = [] if log is None else stack.enter_context(_progress(log, begin))
         for k, loop in enumerate(missing, 1):
             for signature in _SIGNATURES[loop]:
