@@ -96,5 +96,9 @@ def tables(draw):
     if separator == "," and draw(st.booleans()):
         lines.insert(0, "sep=,")
     stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": "counts"}
+    units = {"time_ms": "ms", "t [us]": "us"}
+    if not is_named and time_name in units:
+        # A step of 8 ms could be one of 8 s: without a name the unit is asked for.
+        stated["time_unit"] = units[time_name]
     frames = values.reshape(n, n_rows, n_cols).astype(np.float32)
     return DrawnTable(end.join(lines) + end, frames, seconds, stated)
