@@ -193,6 +193,9 @@ def _headed(
 ) -> list[_Line]:
     """The lines of data; the head learns the names before them."""
     head.names = ("",) * head.width
+    # A title of as many words as the table has columns stands before the names of these.
+    while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
+        lines = lines[1:]
     first, later = lines[0], lines[1:] or lines[:1]
     if len(lines) > 1 and _is_header(first.cells[: head.width], later):
         head.names = tuple(name.strip() for name in first.cells[: head.width])
@@ -211,6 +214,14 @@ def _headed(
     if lines and not any(_is_value(cell) for cell in lines[0].cells):
         return []
     return lines
+
+
+def _are_names(cells: Sequence[str]) -> bool:
+    """True if cells are no numbers, and most are names with numbers, or one is that of times."""
+    if any(map(_is_value, cells)):
+        return False
+    n_indexed = sum(bool(re.search(r"\d", cell)) for cell in cells)
+    return 2 * n_indexed > len(cells) or any(map(is_time_name, cells))
 
 
 def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
