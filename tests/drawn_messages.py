@@ -51,11 +51,15 @@ def store_of(ros: int) -> Any:
 
 
 def stream_store(ros: int) -> Any:
-    store = store_of(ros)
-    head, *rest = STREAM_TEXT.split(SEPARATOR + "\n")
-    types = get_types_from_msg(head, STREAM)
-    for text in rest:
-        name, _, body = text.partition("\n")
+    return registered(store_of(ros), STREAM, STREAM_TEXT)
+
+
+def registered(store: Any, kind: str, text: str) -> Any:
+    """The store with a type and those of its members, as a bag writes their definitions."""
+    head, *rest = text.split(SEPARATOR + "\n")
+    types = get_types_from_msg(head, kind)
+    for part in rest:
+        name, _, body = part.partition("\n")
         types |= get_types_from_msg(body, name.removeprefix("MSG: ").replace("/", "/msg/"))
     store.register(types)
     return store

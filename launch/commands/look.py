@@ -5,6 +5,7 @@ import os
 import shlex
 import shutil
 import sys
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,8 @@ from .options import add_layout, as_options, layout_of
 MAP_LINES, MAP_WIDTH = 16, 72
 MAX_NAMES = 3
 MAX_NUMBERS = 8
+MAX_STEPS = 1000
+"""Frames whose times are looked at; chosen."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -118,8 +121,10 @@ def _times(head: Head, layout: Layout) -> str:
 def _frame_lines(name: str, layout: Layout) -> list[str]:
     """What all of the file shows."""
     source = open_file(name, layout)
-    stamp_s = np.asarray(source.stamp_ns[:1000]) / 1e9
-    first = next(iter(source))[1]
+    sample = islice(source, MAX_STEPS)
+    first_ns, first = next(sample)
+    # The frames are not kept: of a large file each pass decodes it.
+    stamp_s = np.array([first_ns, *(stamp_ns for stamp_ns, _ in sample)]) / 1e9
     known = {
         "taxels": f"{source.skin.n_rows} x {source.skin.n_cols}"
         + ("" if source.skin.mask is None else f", {source.skin.n_taxels} exist"),

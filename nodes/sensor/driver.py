@@ -20,7 +20,6 @@ from sparseskin.nodes.sensor.files.recording import check_number, shown
 
 from .device_clock import DeviceClock
 from .layout.arrangement import Arrangement, Axis, arrange, check_grid, check_stated_shape
-from .layout.layout import REFUSE
 from .source import Address, LiveSource
 
 RESTART_NS = 1_000_000_000
@@ -48,7 +47,6 @@ class DriverSource(LiveSource):
         self._raw = raw
         self._arrangement: Arrangement | None = None
         self._shape: tuple[int, ...] = ()  # of the frames as they come
-        self._accepts_missing = layout.nan != REFUSE or bool(layout.missing)
         self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
         self._is_in_newtons = unit is None and f_max is None and not raw
         self._skin: Skin | None = None
@@ -169,7 +167,7 @@ class DriverSource(LiveSource):
             values[~skin.mask] = 0
         missing = ~np.isfinite(values)
         if missing.any():
-            if not self._accepts_missing:
+            if not self._layout.accepts_missing:
                 row, col = np.argwhere(missing)[0]
                 fault = f"row {row}, column {col}: {values[row, col]} is no force"
                 hint = f"a fault of the sensor or its driver; {recording.NAN_HINT}"

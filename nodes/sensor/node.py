@@ -20,9 +20,8 @@ from .calibration.description import of_skin
 from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
 from .doubt import Doubt
-from .files.file_source import missing_way
 from .files.recording import spelled
-from .layout.layout import MASK, REFUSE
+from .layout.layout import MASK
 from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
@@ -84,8 +83,7 @@ class Sensor(SourceNode[SensorSettings]):
         learns = settings.nan == MASK and self._source.is_live
         lower_end = self._stage.description.f_min if self._stage else self._source.f_min
         self._f_min = lower_end
-        self._accepts_missing = settings.nan != REFUSE or bool(settings.missing)
-        self._readings = MissingReadings(missing_way(settings.layout), skin, learns)
+        self._readings = MissingReadings(settings.missing_way, skin, learns)
         self._doubt: Doubt | None = None  # from the first frame on
         self._stated_rest = settings.tare is not None or settings.invert
         self._described_changes = bool(self._described and self._described.changes_readings)
@@ -259,7 +257,7 @@ class Sensor(SourceNode[SensorSettings]):
         if self._source.is_live:
             state |= {"clock": "arrival"} if self._clock is None else self._clock.state()
         state |= self._stage.state() if self._stage is not None else {}
-        return state | (self._readings.state() if self._accepts_missing else {})
+        return state | (self._readings.state() if self.settings.accepts_missing else {})
 
     def status(self) -> str:
         source = self._source
@@ -345,7 +343,7 @@ class Sensor(SourceNode[SensorSettings]):
                 return None
             forces = converted
         missing = None
-        if self._accepts_missing and forces.ndim == 2:
+        if self.settings.accepts_missing and forces.ndim == 2:
             if (filled := self._readings.fill(forces, stamp_ns)) is None:
                 return None
             forces, missing = filled

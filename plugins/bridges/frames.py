@@ -23,7 +23,6 @@ class OtherFrameError(SourceError):
 LOG, NONE = "log", "none"
 """Values of `Layout.time`: the times at which messages were recorded; no times."""
 STAMP = "header.stamp"
-XYZ_SIZE = 3
 
 
 class Received(NamedTuple):

@@ -29,7 +29,6 @@ from sparseskin.nodes.sensor.layout.layout import (
     HOLD,
     KEEP,
     MASK,
-    REFUSE,
     ZERO,
     Layout,
     UnstatedError,
@@ -98,7 +97,7 @@ class RecordedSource(Source):
         """Yield stamps, frames whose missing readings are filled in, and the bits of these, as
         `MissingReadings.fill`; frames without any reading are left out.
         """
-        readings = MissingReadings(missing_way(self._layout), self.skin, learns=False)
+        readings = MissingReadings(self._layout.missing_way, self.skin, learns=False)
         for stamp_ns, forces in self:
             filled = readings.fill(forces, stamp_ns)
             if filled is not None:
@@ -108,7 +107,7 @@ class RecordedSource(Source):
         """Yield blocks of stamps and frames in which readings that are missing are treated as
         stated: filled in by "zero" and "hold", else NaN. Frames without any reading are left out.
         """
-        way = missing_way(self._layout)
+        way = self._layout.missing_way
         readings = MissingReadings(way, self.skin, learns=False)
         exists = self.skin.exists
         for stamp_ns, frames in self.blocks():
@@ -240,11 +239,6 @@ def n_taxels(path: str, layout: Layout = EMPTY, raw: bool = False) -> int | None
         n = _HEADS[key]
     masks = MASK in (layout.nan, layout.negative)
     return None if masks else n
-
-
-def missing_way(layout: Layout) -> str:
-    """The way to fill readings that are missing."""
-    return MASK if layout.missing and layout.nan == REFUSE else layout.nan
 
 
 @contextmanager

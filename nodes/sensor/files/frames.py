@@ -86,8 +86,12 @@ class Frames:
 
     @property
     def time_unit(self) -> str:
-        """Unit of the times."""
-        return self._sample().time_unit
+        """Unit of the times; the first block is read for it where nothing states it."""
+        return self._unit_stated or self._sample().time_unit
+
+    @property
+    def _unit_stated(self) -> str:
+        return self.head.time_unit or self.layout.time_unit
 
     def blocks(self) -> Iterator[Stamped]:
         """Read all frames. Raises SourceError at the first reading, time or item that is none."""
@@ -112,7 +116,7 @@ class Frames:
         lines = [*self.head.notes, *self.arrangement.notes]
         if self.is_timed:
             time_name = f" {self.head.time_name}" if self.head.time_name else ""
-            if not (self.layout.time_unit or self.head.time_unit):
+            if not self._unit_stated:
                 lines.append(f"times:{time_name or ' of each item'}, taken as {self.time_unit}")
             elif time_name:
                 lines.append(f"times:{time_name} in {self.time_unit}")
@@ -150,9 +154,8 @@ class Frames:
         return self.head.asks_unit and bool((readings == np.rint(readings)).all())
 
     def _unit_of(self, block: Block) -> str:
-        unit_stated = self.head.time_unit or self.layout.time_unit
-        if unit_stated or not self.is_timed:
-            return unit_stated or "ns"
+        if self._unit_stated or not self.is_timed:
+            return self._unit_stated or "ns"
         return unit_of([float(time) for time in block.times or ()], self.name)
 
     def _ask_for_unit(self) -> None:
@@ -190,7 +193,7 @@ class Frames:
             return frames
 
         is_number = np.isfinite(frames)
-        if layout.nan == REFUSE and not layout.missing:
+        if not layout.accepts_missing:
             self._refuse(readings, ~is_number, f"is not finite; {NAN_HINT}")
         frames[~is_number] = np.nan
         with np.errstate(invalid="ignore"):

@@ -109,7 +109,7 @@ class Treatment:
         subtracted = f"{self.offset:g} {unit} subtracted from all readings"
         lines = []
         if n := self._survey.n_missing:
-            way = MASK if self._layout.nan == REFUSE else self._layout.nan
+            way = self._layout.missing_way
             in_arrays = ", NaN in arrays" if way == MASK else ""
             lines.append(f"{n} readings of the file are missing: {FILLED[way]}{in_arrays}")
         is_told = self._survey.n_negative and self._layout.negative != REFUSE

@@ -50,13 +50,6 @@ class Arrangement(NamedTuple):
             return flat.reshape(-1, *self.shape)
         return flat[:, self.places]
 
-    @property
-    def columns(self) -> npt.NDArray[np.intp]:
-        """Numbers of an item that are read, each once, in the order of the taxels."""
-        if self.places is None:
-            return np.arange(math.prod(self.shape))
-        return self.places.ravel()
-
 
 def arrange(
     layout: Layout, axes: Sequence[Axis], where: str, usable: Sequence[int] | None = None

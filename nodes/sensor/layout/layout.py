@@ -142,6 +142,16 @@ class Layout(GridLayout):
         return tuple(name.strip() for name in self.axes.split(",")) if self.axes.strip() else ()
 
     @property
+    def accepts_missing(self) -> bool:
+        """True if a reading may be missing."""
+        return self.nan != REFUSE or bool(self.missing)
+
+    @property
+    def missing_way(self) -> str:
+        """The way to fill readings that are missing, of `NAN_WAYS`."""
+        return MASK if self.missing and self.nan == REFUSE else self.nan
+
+    @property
     def missing_texts(self) -> frozenset[str]:
         """Texts that stand for no reading, in small letters."""
         return frozenset(text.strip().lower() for text in self.missing.split(",") if text.strip())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -32,14 +32,13 @@ class Family(NamedTuple):
 
 @dataclass(frozen=True)
 class Selection:
-    """Columns of the taxels, in order, and what is to be said about the choice. `shape` and
-    `places`, one (row, column) of each, are known where names state them.
+    """Columns of the taxels, in order, and what is to be said about the choice. Where names state
+    rows and columns, `shape` is known, and the order is row after row.
     """
 
     columns: tuple[int, ...]
     shape: tuple[int, int] | None = None
     notes: tuple[str, ...] = ()
-    places: tuple[tuple[int, int], ...] = field(default=())
 
 
 def select(layout: Layout, names: Sequence[str], usable: Sequence[int], where: str) -> Selection:
@@ -51,8 +50,9 @@ def select(layout: Layout, names: Sequence[str], usable: Sequence[int], where: s
     """
     if layout.columns.strip():
         columns = stated_columns(layout.columns, names, len(names), where)
-        columns = [k for k in columns if k in set(usable)] if layout.channel else columns
         if layout.channel:
+            numeric = set(usable)
+            columns = [k for k in columns if k in numeric]
             columns = _of_channel(layout.channel, names, columns, where)
         return _placed(layout, names, columns, ())
     families = _families(names, usable)
@@ -197,7 +197,7 @@ def _placed(
     if len(varying) == 2:
         grid = _grid(layout, names[columns[0]], {k: numbers[k] for k in columns}, varying)
         if grid is not None:
-            return Selection(grid.columns, grid.shape, (*notes, *grid.notes), grid.places)
+            return Selection(grid.columns, grid.shape, (*notes, *grid.notes))
     if by_number != columns and len(set(numbers.values())) == len(columns):
         notes = (*notes, "columns are ordered by the numbers in their names")
         columns = by_number

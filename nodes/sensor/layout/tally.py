@@ -42,11 +42,6 @@ class Tally:
             self.n_items += n_items
             self.dropped[name] += n_items
 
-    def lose(self, n_frames: int, name: str) -> None:
-        """Frames that were counted, and are dropped after all."""
-        self.n_frames -= n_frames
-        self.dropped[name] += n_frames
-
     def check(self, where: str, n_expected: int | None = None) -> None:
         """Raise SourceError unless items in are frames out and drops; `n_expected` is the number
         of items that the source states, None where it states none.

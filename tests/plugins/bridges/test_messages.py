@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="rosbags is not installed")
-from drawn_messages import SEPARATOR, definitions, same, value_of
+from drawn_messages import SEPARATOR, definitions, registered, same, value_of
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
@@ -22,17 +22,6 @@ KIND = "any_msgs/msg/Any"
 GIANT = 2**31 - 1
 
 
-def registered(kind, text):
-    store = get_typestore(Stores.EMPTY)
-    head, *rest = text.split(SEPARATOR + "\n")
-    types = get_types_from_msg(head, kind)
-    for part in rest:
-        name, _, body = part.partition("\n")
-        types |= get_types_from_msg(body, name.removeprefix("MSG: ").replace("/", "/msg/"))
-    store.register(types)
-    return store
-
-
 def decoder(kind, text, ros=2):
     known = Definitions(ros)
     known.add(kind, text)
@@ -43,7 +32,7 @@ def decoder(kind, text, ros=2):
 @given(data=st.data(), defined=definitions(), is_little=st.booleans())
 def test_messages_of_any_definition_are_decoded_as_they_were_written(ros, data, defined, is_little):
     kind, text = defined
-    store = registered(kind, text)
+    store = registered(get_typestore(Stores.EMPTY), kind, text)
     value = value_of(data.draw, store, (Nodetype.NAME, kind))
     if ros == 1:
         raw = bytes(store.serialize_ros1(value, kind))

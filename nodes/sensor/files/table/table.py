@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import IO
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,7 @@ from sparseskin.nodes.sensor.files.recording import (
     shown,
 )
 from sparseskin.nodes.sensor.layout.arrangement import Axis
-from sparseskin.nodes.sensor.layout.layout import REFUSE, UnstatedError
+from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
 
@@ -46,7 +47,7 @@ class TableRecording(Recording):
     def __init__(self, file: File) -> None:
         self._file = file
         self._layout = file.layout
-        self._accepts_missing = file.layout.nan != REFUSE or bool(file.layout.missing)
+        self._accepts_missing = file.layout.accepts_missing
         self._head = read_head(file)
         self.tally = Tally("lines")
 
@@ -103,14 +104,14 @@ class TableRecording(Recording):
                 yield from self._lines_of(file, name, 0)
 
     def _lines_of(
-        self, file: object, name: str, n_before: int
+        self, file: IO[bytes], name: str, n_before: int
     ) -> Iterator[tuple[list[str], list[int], list[bool]]]:
         head = self._head
         if n_before:
             for label, n in head.dropped.items():
                 self.tally.drop(label, n)
         begins = True
-        for piece in pieces(file, name):  # type: ignore[arg-type]
+        for piece in pieces(file, name):
             texts: list[str] = []
             numbers: list[int] = []
             begun: list[bool] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, NamedTuple
 
 from sparseskin.nodes.errors import SourceError
@@ -137,9 +137,8 @@ def _have_decimal_commas(lines: Sequence[str], separator: str) -> bool:
     return any(re.fullmatch(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", cell) for cell in cells)
 
 
-def _are_most(lines: Sequence[str], holds: object) -> bool:
-    assert callable(holds)
-    return 2 * sum(map(bool, map(holds, lines))) > len(lines)
+def _are_most(lines: Sequence[str], holds: Callable[[str], bool]) -> bool:
+    return 2 * sum(map(holds, lines)) > len(lines)
 
 
 def _decoded(data: bytes) -> str:
