@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
@@ -53,9 +53,7 @@ class Classifier:
         self.n_features_in_ = 0
         self._model: Any = None
 
-    def fit(
-        self, inputs: Floats, labels: Sequence[Any], figures: Doubles | None = None
-    ) -> Classifier:
+    def fit(self, inputs: Floats, labels: ArrayLike, figures: Doubles | None = None) -> Classifier:
         """Train on inputs (n, d), their n labels, and further figures (n, f); returns itself.
 
         Raises SparseskinError if there are fewer than `FOLDS` inputs or 2 labels.

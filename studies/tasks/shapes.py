@@ -130,4 +130,5 @@ def _forces(shape: Shape, angle: float, place: Doubles, rng: np.random.Generator
     cover = np.clip(0.5 - radius * shape.distance(along, across), 0, 1)
     level = 1 + slope[0] * along + slope[1] * across
     soft = ndimage.gaussian_filter(cover * np.maximum(level, 0), BLUR)
-    return (peak * soft / soft.max()).astype(np.float32)
+    forces: Floats = (peak * soft / soft.max()).astype(np.float32)
+    return forces
