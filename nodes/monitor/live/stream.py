@@ -34,6 +34,7 @@ CONTACT_FIELDS = (
     *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
 )
 RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
+LABEL = ("label", "share", "age_s", "trusted")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
@@ -186,6 +187,9 @@ class StreamReader:
             "reason": None if trusted else _reason(patch.reason),
             "idle": patch.idle,
         }
+        if patch.label is not None:
+            state["label"] = {key: getattr(patch.label, key) for key in LABEL}
+            state["label"]["silent_s"] = now_s - patch.label_came_s
         if self._is_new(f"summary {name}", patch.summary):
             state["summary"] = patch.summary
         return state
