@@ -1,4 +1,4 @@
-"""From recordings to a live label: three bodies are recognised from N/8 measurements.
+"""From recordings to a live label: three bodies are recognised from N/4 measurements.
 
 A recording of each body trains the model of a node `recogniser`; then a graph labels bodies that
 press at other places, with other forces. Needs scikit-learn: pip install 'sparseskin[tasks]'.
@@ -24,7 +24,7 @@ type = "sensor"
 source = "file:{recording}"
 [nodes.compressor]
 type = "compressor"
-ratio = 8
+ratio = 4
 [nodes.reconstructor]
 type = "reconstructor"
 [nodes.recogniser]
