@@ -72,7 +72,7 @@ def small(monkeypatch):
     # Charts are drawn, but not laid out, which takes longer than all else.
     engine = "matplotlib.layout_engine.ConstrainedLayoutEngine.execute"
     monkeypatch.setattr(engine, lambda self, figure: None)
-    windows, of_latency = frames.SceneFrames.windows, latency.points
+    windows = frames.SceneFrames.windows
 
     def few(self, seed):
         begin = frames.first_contact(self.scene, seed) - 3 * self.every
@@ -89,10 +89,13 @@ def small(monkeypatch):
 
         monkeypatch.setattr(cls, "open", opened)
 
-    def short(quick, seed):
-        return [point | {"n_frames": 200} for point in of_latency(quick, seed)[:2]]
+    # Of the points that start real graphs, the last alone.
+    for module, n_frames in ((latency, 200), (beside, 50)):
 
-    monkeypatch.setattr(latency, "points", short)
+        def last(quick, seed, n_frames=n_frames, whole=module.points):
+            return [whole(quick, seed)[-1] | {"n_frames": n_frames}]
+
+        monkeypatch.setattr(module, "points", last)
 
 
 @pytest.fixture
