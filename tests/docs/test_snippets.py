@@ -209,7 +209,8 @@ def test_every_module_and_name_of_a_page_can_be_found():
         while parts and not found(parts):
             attribute = parts.pop()
             base = ROOT.joinpath(*parts)
-            source = base.with_suffix(".py") if parts else ROOT / "sparseskin" / "__init__.py"
+            top = ROOT / "src" / "sparseskin" / "__init__.py"
+            source = base.with_suffix(".py") if parts else top
             if source.is_file():
                 assert re.search(rf"\b{attribute}\b", source.read_text(encoding="utf-8")), dotted
                 break

@@ -5,16 +5,9 @@ with no process and no socket. Each is imported when it is first used. The node 
 `sparseskin.nodes`, the launcher in `sparseskin.launch`.
 """
 
-import os
 from importlib import import_module
 
 TYPE_CHECKING = False  # as of `typing`, without its import: the command imports this first
-
-# Where Python runs in a checkout, the subpackages stand beside this folder. `launch` has no
-# __init__.py, lest it shadow the package `launch` of ROS 2, and is found by the path alone.
-_here = os.path.dirname(os.path.abspath(__file__))
-if not os.path.isdir(os.path.join(_here, "launch")):
-    __path__.append(os.path.dirname(_here))
 
 if TYPE_CHECKING:
     from sparseskin.launch.attach.subscription import Subscription, subscribe
