@@ -45,7 +45,7 @@ _WITH_PARAMETER = {
 BLOCK = 256
 """Size of the Hadamard blocks where none is stated: of sums in software, which need no wires.
 Fitted on five recordings (`sparseskin study accuracy`); 1024 is no better."""
-RULES = RANDOM, SPREAD, SUMS = 1, 2, 3
+RULES = RANDOM, SUMS = 1, 3
 """Rules by which the rows of "sbhe" are chosen, see `SbhePhi`; a message states which."""
 _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
@@ -233,8 +233,8 @@ def make_phi(
     block : int, optional
         As in `Phi`; by default 256, and 32 of "local:SIDE", whose sums are those of wires.
     rule : int
-        Rule by which the rows are chosen, as in `SbhePhi`: 3, or 1 for the paper's and those of
-        recordings of version 0.1, or 2. Kinds that have no choice of rules take no notice.
+        Rule by which the rows are chosen, as in `SbhePhi`: 3, or 1 for the paper's. Kinds that have
+        no choice of rules take no notice.
 
     Raises
     ------

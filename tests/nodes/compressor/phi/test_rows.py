@@ -108,10 +108,10 @@ def test_fewer_rows_of_one_seed_are_among_the_more(n, data, block, rule):
     assert set(phis[0].rows) <= set(phis[1].rows)
 
 
-def test_rules_and_blocks_are_those_of_version_0_1_and_of_today():
+def test_rows_of_the_paper_and_default_blocks():
     for rows in ("fixed", "rotating"):
         first = row_subsets(sbhe(96, 30, 7, 32, RANDOM), rows)[0]
-        assert first.fingerprint == "443e07fb12311131"  # by the code of version 0.1
+        assert first.fingerprint == "443e07fb12311131"
     assert {block_of(kind, None) for kind in KINDS} == {256}
     assert (block_of("local:8", None), block_of("local:8", 64)) == (32, 64)
     phi = make_phi("sbhe", 1600, 533, 0)
