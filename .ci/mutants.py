@@ -51,7 +51,6 @@ CORE = (
     "nodes/network/network.py",
     "nodes/player/schedule.py",
     "nodes/reconstructor/bases/haar.py",
-    "nodes/reconstructor/estimates/resultant.py",
     "nodes/reconstructor/estimates/uncertainty.py",
     "nodes/reconstructor/faults/rows.py",
     "nodes/reconstructor/faults/taxels.py",

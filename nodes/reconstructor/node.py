@@ -14,7 +14,6 @@ from sparseskin.messages import (
     Message,
     PhiState,
     Reconstruction,
-    Resultant,
     ShapeError,
     SkinState,
     SolverState,
@@ -35,7 +34,6 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.resultant import Estimate
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 
 from .limits import OWN_BASIS
@@ -94,7 +92,6 @@ class Reconstructor(Node[ReconstructorSettings]):
     @classmethod
     def outputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
         written: list[type[Message]] = [SolverState, Reconstruction]
-        written += [Resultant] if settings.resultant else []
         written += [Contacts] if settings.contacts else []
         return tuple(topic_of(settings.patch, cls.schema) for cls in written)
 
@@ -238,7 +235,7 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def _reconstruct(self, measurements: Measurements) -> Iterator[Message]:
         phi = self._phi_of(measurements)
-        stamp_ns, skin, patches = measurements.stamp_ns, self._skin, self._patches
+        skin, patches = self._skin, self._patches
         assert skin is not None
         n = len(patches)
         unchanged = [False] * n
@@ -258,8 +255,6 @@ class Reconstructor(Node[ReconstructorSettings]):
                     patch.keep(phi, y)
                 else:
                     patch.read(phi, y)
-            if self.settings.resultant and (found := patches[0].resultant) is not None:
-                yield self._resultant_of(found, stamp_ns)
             solving = [k for k in range(n) if not unchanged[k]]
             for k in solving:
                 patches[k].solve()
@@ -274,8 +269,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._skipped = 0
         if self.settings.contacts:
             yield self._contacts(measurements)
-        for k in solving:
-            patches[k].learn()
 
     def _reconstruction(
         self, measurements: Measurements, unchanged: list[bool], done_ns: int
@@ -314,21 +307,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         fields = self._joined(followed) if any(followed) else {}
         self._touching = self._untouched.at(stamp_ns, done_ns, trusted, **fields)
         return self._touching
-
-    def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:
-        row, col = found.centre or (None, None)
-        row_sd, col_sd = found.centre_sd or (None, None)
-        return Resultant(
-            stamp_ns=stamp_ns,
-            patch=self.settings.patch,
-            total=found.total,
-            total_sd=found.total_sd,
-            row=row,
-            col=col,
-            row_sd=row_sd,
-            col_sd=col_sd,
-            done_ns=self.context.clock.now_ns(),
-        )
 
 
 def _stacked(arrays: Sequence[Floats]) -> Floats:

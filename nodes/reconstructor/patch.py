@@ -16,7 +16,6 @@ from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise
 from sparseskin.nodes.reconstructor.solvers.base import (
@@ -58,7 +57,7 @@ class Solved(NamedTuple):
 
 
 class Patch:
-    """Reconstructs the frames of one patch: `read`, `solve`, `check` and `learn` for each."""
+    """Reconstructs the frames of one patch: `read`, `solve` and `check` for each."""
 
     def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
         self.settings = settings
@@ -80,7 +79,6 @@ class Patch:
         self._last: Floats | None = None
         self._warm: Floats | None = None
         self._uncertainty: Uncertainty | None = None
-        self._resultant: ResultantEstimator | None = None
         self._tracker: ContactTracker | None = None
 
     def set_up(
@@ -140,8 +138,6 @@ class Patch:
         if settings.uncertainty:
             name = chosen["solver"]
             self._uncertainty = Uncertainty(solver.mask, phi.ratio, name, announced.rows, phi.rule)
-        if settings.resultant:
-            self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
 
@@ -201,11 +197,6 @@ class Patch:
         self._believed = self.faults.receive(self.solver, phi, y)
         self._y = y if self._believed is None else self._believed
 
-    @property
-    def resultant(self) -> Estimate | None:
-        """Total force and centre of the frame, where they are asked for."""
-        return None if self._resultant is None else self._resultant.estimate(self._phi, self._y)
-
     def solve(self) -> None:
         """Reconstruct the frame within its budget. Raises SolverError if the solver cannot."""
         assert self.solver is not None
@@ -233,8 +224,8 @@ class Patch:
             assert self._last is not None
             verdict = self.faults.look(self.solver, self._phi, self._last)
         forces = verdict.forces if self._last is None else self._last
-        (self._fitted,) = measured(self.solver, forces, self._phi)
-        residuals = np.subtract(self._y, self._fitted, dtype=np.float64)
+        (fitted,) = measured(self.solver, forces, self._phi)
+        residuals = np.subtract(self._y, fitted, dtype=np.float64)
         residual = math.sqrt(float(np.dot(residuals, residuals)) / residuals.size)
 
         sd = None
@@ -264,18 +255,6 @@ class Patch:
         if self._tracker is None or self.solved is None:
             return None
         return self._tracker.update(self.solved.forces, self.solved.error, stamp_ns, self.solved.sd)
-
-    def learn(self) -> None:
-        """Learn from the frame that was solved, once it is published."""
-        if self._believed is None or self._resultant is None:
-            return
-        assert self.solver is not None
-        assert self._last is not None
-        following = (self._subsets.index(self._phi) + 1) % len(self._subsets)
-        x = self._last.reshape(-1)[self.solver.taxels]
-        bias = getattr(self.solver, "bias", 0.0)
-        self._resultant.learn(self._phi, self._y, x, self._fitted, bias)
-        self._resultant.prepare(self._subsets[following])
 
 
 def _noise_model(skin: SkinState) -> NoiseModel | None:

@@ -147,7 +147,7 @@ def test_interpolation_leaves_readings_unchanged():
             (*ADAPTIVE, "reconstructor.preset=paper"),
             'solver "fista": phi "adaptive" reads other rows each frame; allowed: skin',
         ),
-        ((*ADAPTIVE, "reconstructor.resultant=true"), "is not available with phi adaptive"),
+        ((*ADAPTIVE, "reconstructor.uncertainty=true"), "is not available with phi adaptive"),
         (
             ("reconstructor.uncertainty=true", "reconstructor.solver=tv"),
             "uncertainty=true: is not available with solver tv, whose error is not known",
