@@ -196,7 +196,7 @@ def make_solver(
     Parameters
     ----------
     name : str
-        "skin", "fista", "tv", "interpolation"; or "module:Class" for your own, as `Solver`.
+        "skin", "fista", "interpolation"; or "module:Class" for your own, as `Solver`.
     phi, basis, mask
         As in `Solver`.
     fast : str

@@ -16,28 +16,28 @@ from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.quantiser import quantised
-from sparseskin.nodes.errors import SolverError, SparseskinError
-from sparseskin.nodes.lookup import find_class
+from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import (
-    SOLVERS,
     Solver,
     estimated_error,
     make_rotating_solver,
+    solver_class,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.touch import in_contact
 
-_CLASSES = {name: find_class("solver", name, SOLVERS, SolverError) for name in SOLVERS}
-#: Solvers of sums of taxels: all but those that need a phi which chooses its taxels in each frame.
-SUM_SOLVERS = tuple(n for n, cls in _CLASSES.items() if not getattr(cls, "follows_choice", False))
+VARIATION = "sparseskin.studies.baselines.total_variation:TvSolver"
+"""Name for `make_solver` of total variation."""
+SUM_SOLVERS = {"skin": "skin", "fista": "fista", "tv": VARIATION}
+"""Name for `make_solver` of each solver of sums of taxels, by its label."""
 
 
 def settings_of(solver: str) -> Mapping[str, inspect.Parameter]:
-    """Settings that a solver takes, by name."""
-    return inspect.signature(_CLASSES[solver]).parameters
+    """Settings that a solver takes, by name; `solver` is its label in `SUM_SOLVERS`."""
+    return inspect.signature(solver_class(SUM_SOLVERS[solver])).parameters
 
 
 VALUE_BYTES = 2

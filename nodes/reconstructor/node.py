@@ -34,9 +34,8 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.reconstructor.solvers.base import fact, make_solver, solver_class
 
-from .limits import OWN_BASIS
 from .patch import Patch
 from .patch_log import PatchLog
 from .settings import PRESETS, ReconstructorSettings, alike_but_for_contacts
@@ -62,8 +61,9 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        solver, fast = settings.chosen()["solver"], settings.fast
-        compile_loops(solver, fast, context.log, settings.contacts, context.count)
+        has_loops = fact(solver_class(settings.chosen()["solver"]), "has_loops")
+        if has_loops or settings.contacts:
+            compile_loops(settings.fast, context.log, context.count)
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
@@ -153,7 +153,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         }
         if self.settings.skip_idle:
             state["idle"] = self._n_idle
-        if chosen["solver"] in OWN_BASIS:
+        if not self._uses_basis:
             state["basis"] = None
         return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **state}
 
@@ -161,7 +161,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         chosen = self.settings.chosen()
         if not self._subsets:
             return ""
-        basis = "" if chosen["solver"] in OWN_BASIS else f" in {chosen['basis']}"
+        basis = f" in {chosen['basis']}" if self._uses_basis else ""
         n = len(self._patches)
         several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
         found, skin = self._touching, self._skin
@@ -170,6 +170,11 @@ class Reconstructor(Node[ReconstructorSettings]):
         solver = f"solver {chosen['solver']}{basis}"
         parts = solver, self._left_out, several if n > 1 else "", touched
         return "; ".join(filter(None, parts))
+
+    @property
+    def _uses_basis(self) -> bool:
+        """True if the solver uses the basis."""
+        return bool(fact(solver_class(self.settings.chosen()["solver"]), "uses_basis"))
 
     @property
     def _left_out(self) -> str:
@@ -206,7 +211,7 @@ class Reconstructor(Node[ReconstructorSettings]):
 
             self._idle = IdleWatch(len(self._patches), state, subsets)
         solver = {"solver": chosen["solver"], **solver}
-        if chosen["solver"] in OWN_BASIS:
+        if not self._uses_basis:
             solver["basis"] = ""
         preset = self.settings.preset if chosen == PRESETS[self.settings.preset] else ""
         return SolverState(stamp_ns=stamp_ns, patch=self.settings.patch, preset=preset, **solver)

@@ -21,14 +21,15 @@ from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise
 from sparseskin.nodes.reconstructor.solvers.base import (
     Solver,
     estimated_error,
+    fact,
     make_rotating_solver,
     measured,
+    solver_class,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .budget import SHARE, steps_within
 from .limits import (
-    MIN_ITERATIONS,
     OTHER_ROWS,
     SINGLE_TAXELS,
     check_phi,
@@ -101,6 +102,7 @@ class Patch:
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
         options = options_for_range(chosen["solver"], options, skin.f_max, phi)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
+        cls = solver_class(chosen["solver"])
         solver = make_rotating_solver(
             chosen["solver"], subsets, basis, skin.mask, fast=settings.fast, **options
         )
@@ -126,7 +128,7 @@ class Patch:
             n_steps = solver.n_steps
             most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
             frame_ms = round(1e3 * frame_s, 3)
-            if most_steps < MIN_ITERATIONS.get(chosen["solver"], 0):
+            if most_steps < fact(cls, "least_iterations"):
                 self.log(
                     f"{most_steps} of {n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
                     f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
@@ -136,8 +138,8 @@ class Patch:
         self.most_steps = most_steps
         self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
-            name = chosen["solver"]
-            self._uncertainty = Uncertainty(solver.mask, phi.ratio, name, announced.rows, phi.rule)
+            table = fact(cls, "calibrated")
+            self._uncertainty = Uncertainty(solver.mask, phi.ratio, table, announced.rows, phi.rule)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
 

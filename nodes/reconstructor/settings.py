@@ -11,12 +11,11 @@ from typing import Any, Self
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
 from sparseskin.nodes.compressor.phi.base import is_built_in, phi_class
-from sparseskin.nodes.errors import SettingsError, SolverError
-from sparseskin.nodes.lookup import find_class, nearest_of
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
 from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis
-from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads, fact, solver_class
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .contacts import Limits
@@ -209,11 +208,12 @@ class ReconstructorSettings(PatchesSettings):
         with naming("basis"):
             find_basis(chosen["basis"])
         with naming("solver"):
-            solver = find_class("solver", name, SOLVERS, SolverError)
+            solver = solver_class(name)
         self._check_known_to(name, solver)
-        if self.uncertainty and name not in CALIBRATED:
+        if self.uncertainty and fact(solver, "calibrated") is None:
+            calibrated = [one for one in SOLVERS if fact(solver_class(one), "calibrated")]
             fault = f"is not available with solver {name}, whose error is not known"
-            raise SettingsError(f"uncertainty: {fault}; allowed: {', '.join(CALIBRATED)}")
+            raise SettingsError(f"uncertainty: {fault}; allowed: {', '.join(calibrated)}")
 
     def _check_known_to(self, name: str, solver: Callable[..., Any]) -> None:
         parameters = inspect.signature(solver).parameters
@@ -259,7 +259,7 @@ class ReconstructorSettings(PatchesSettings):
                 f"message names it; state phi = '{kind}' here too"
             )
         chosen = self.chosen()["solver"]
-        solver = find_class("solver", chosen, SOLVERS, SolverError)
+        solver = solver_class(chosen)
         phi = phi_class(kind)
         if isinstance(phi, type):
             with naming("solver"):

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.nodes.compressor.node import MIN_BITS, MIN_BLOCK
-from sparseskin.nodes.reconstructor.limits import LAMBDAS_N, MIN_ITERATIONS
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.base import fact, solver_class
 from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.frames import SceneFrames
 from sparseskin.studies.harness import Candidate, Experiment, Measurement
@@ -58,9 +58,10 @@ SETTINGS = {
 
 
 def own(solver: str) -> dict[str, Any]:
-    """Settings of a solver: those of its preset, or its defaults."""
-    presets = (preset for preset in PRESETS.values() if preset["solver"] == solver)
-    return {"solver": solver, "basis": "haar", **next(presets, {})}
+    """Settings of a solver, by its label: those of its preset, or its defaults."""
+    name = SUM_SOLVERS[solver]
+    presets = (preset for preset in PRESETS.values() if preset["solver"] == name)
+    return {"solver": name, "basis": "haar", **next(presets, {})}
 
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -108,9 +109,12 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     for ratio, some in rows.groupby("ratio", sort=False):
         charts += [_draw(page.out, int(ratio), some), markdown(sweep_table(some))]
     page.csv("settings", rows)
+    classes = {label: solver_class(name) for label, name in SUM_SOLVERS.items()}
+    ranges = {label: fact(cls, "lambdas_n") for label, cls in classes.items()}
+    least = {label: fact(cls, "least_iterations") for label, cls in classes.items()}
     known = {
-        "lambdas": ", ".join(f"{a:g} to {b:g} ({name})" for name, (a, b) in LAMBDAS_N.items()),
-        "iterations": ", ".join(f"{least} ({name})" for name, least in MIN_ITERATIONS.items()),
+        "lambdas": ", ".join(f"{r[0]:g} to {r[1]:g} ({label})" for label, r in ranges.items() if r),
+        "iterations": ", ".join(f"{number} ({label})" for label, number in least.items()),
     }
     limits = {"min_block": MIN_BLOCK, "min_bits": MIN_BITS}
     page.section("Solvers: settings and surroundings", *charts, **known, **limits)
@@ -130,7 +134,7 @@ def _draw(out: Path, ratio: int, frame: pd.DataFrame) -> str:
                 grey: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
                 label = "readings of all taxels"
                 axes.plot(readings["value"], readings[noisy], label=label, **grey)
-                draw_lines(axes, some, "value", score, "solver", SUM_SOLVERS, markersize=3.5)
+                draw_lines(axes, some, "value", score, "solver", list(SUM_SOLVERS), markersize=3.5)
                 axes.set(xscale=sweep.scale, xlabel=sweep.label if below else "")
                 axes.set_ylabel("" if k else title)
     return chart.markdown

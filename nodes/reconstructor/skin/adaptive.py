@@ -69,6 +69,8 @@ class AdaptiveSkinSolver(Solver):
     """
 
     name = "skin"
+    uses_basis = False
+    least_iterations = SkinSolver.least_iterations
     paces = SkinSolver.paces
     y_max = SkinSolver.y_max
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
@@ -63,6 +65,15 @@ class SkinSolver(Solver):
     """
 
     name = "skin"
+    uses_basis = False
+    least_iterations = 5
+    has_loops = True
+    calibrated = MappingProxyType(
+        {
+            SUMS: {FIXED: (1.19, 0.24), ROTATING: (1.29, 0.26)},
+            RANDOM: {FIXED: (0.77, 0.73), ROTATING: (1.29, 0.28)},
+        }
+    )
     rotates = True
     adaptive = True
     paces = (1, 3, 5, 8, 12, 16, 24)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,6 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 SOLVERS = {
     "skin": "sparseskin.nodes.reconstructor.skin.solver:SkinSolver",
     "fista": "sparseskin.nodes.reconstructor.solvers.fista:FistaSolver",
-    "tv": "sparseskin.nodes.reconstructor.solvers.tv:TvSolver",
     "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",
 }
 #: Forms of solvers for phi "adaptive".
@@ -83,6 +82,21 @@ class Solver(ABC):
     adaptive: bool = False
     #: Class of the phi that it can use.
     reads: type = object
+    #: False if the basis states the size of the grid alone.
+    uses_basis: bool = True
+    #: True if lambda_n weighs an l1 norm: it needs a sparse basis, and returns 0 for measurements
+    #: below lambda_n.
+    is_l1: bool = False
+    #: Range of lambda_n, newtons for a range of 2.5 N, in which it stays within 3 dB of its best at
+    #: M = N/3; None: not known. Measured by the study `stability`, as the next one.
+    lambdas_n: tuple[float, float] | None = None
+    #: Least iterations with which the first frames of a sudden contact lose less than 3 dB.
+    least_iterations: int = 0
+    #: True if it has compiled loops, which are compiled before the first frame.
+    has_loops: bool = False
+    #: Factor and power of `Uncertainty` by rule of the rows, and "fixed" or "rotating"; None: its
+    #: error is not known.
+    calibrated: Mapping[int, Mapping[str, tuple[float, float]]] | None = None
     #: Estimated RMS error of a taxel of the last frame, in the unit of the forces; None where the
     #: solver does not estimate it.
     error: float | None = None
@@ -301,6 +315,16 @@ class RotatingSolver(Solver):
             solver.reset()
 
 
+def solver_class(name: str) -> Callable[..., Any]:
+    """The class of a solver by name, or "module:Class". Raises SolverError if there is none."""
+    return find_class("solver", name, SOLVERS, SolverError)
+
+
+def fact(solver: object, name: str) -> Any:
+    """An attribute of a solver or its class; that of `Solver` for a user's own without it."""
+    return getattr(solver, name, getattr(Solver, name))
+
+
 def make_solver(
     name: str,
     phi: Phi,
@@ -320,7 +344,7 @@ def make_solver(
             raise SolverError(
                 f"{what}: got {type(given).__name__}; expected what make_{what} returns"
             )
-    cls = find_class("solver", name, SOLVERS, SolverError)
+    cls = solver_class(name)
     check_reads(name, cls, phi.kind, type(phi))
     if isinstance(phi, AdaptivePhi) and name in FOR_ADAPTIVE:
         cls = find_class("solver", FOR_ADAPTIVE[name], {}, SolverError)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
@@ -136,6 +138,16 @@ class FistaSolver(Solver):
     """
 
     name = "fista"
+    is_l1 = True
+    lambdas_n = (0.0006, 0.015)
+    least_iterations = 15
+    has_loops = True
+    calibrated = MappingProxyType(
+        {
+            SUMS: {FIXED: (1.58, 0.72), ROTATING: (1.87, 0.5)},
+            RANDOM: {FIXED: (1.55, 0.8), ROTATING: (1.55, 0.8)},
+        }
+    )
 
     def __init__(
         self,

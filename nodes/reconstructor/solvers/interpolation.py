@@ -44,6 +44,7 @@ class InterpolationSolver(Solver):
     """
 
     name = "interpolation"
+    uses_basis = False
     follows_choice = True
     reads = SubsamplePhi
 

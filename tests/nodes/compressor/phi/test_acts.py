@@ -149,8 +149,8 @@ def test_interpolation_leaves_readings_unchanged():
         ),
         ((*ADAPTIVE, "reconstructor.uncertainty=true"), "is not available with phi adaptive"),
         (
-            ("reconstructor.uncertainty=true", "reconstructor.solver=tv"),
-            "uncertainty=true: is not available with solver tv, whose error is not known",
+            (*ACTS, "reconstructor.uncertainty=true"),
+            "uncertainty=true: is not available with solver interpolation, whose error",
         ),
     ],
 )

@@ -110,7 +110,7 @@ def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(start,
     # What the owner refuses changes nothing, and the page says why.
     set_field(page, field, "0")
     wait_until(lambda: answer(page, field) == "✗ iterations: 0 is outside 1..1000", "the refusal")
-    choose(page, "reconstructor.solver", "tv")
+    choose(page, "reconstructor.solver", "fista")
     choose(page, "reconstructor.preset", "skin")
     faded = f"return getComputedStyle(document.querySelector('[data-answer=\"{field}\"]')).opacity"
     wait_until(lambda: page.execute_script(faded) == "0", "the refusal to fade")
