@@ -42,7 +42,7 @@ CORE = (
     "nodes/graph.py",
     "nodes/node_host.py",
     "nodes/compressor/quantiser.py",
-    "nodes/compressor/phi/acts.py",
+    "plugins/chosen_rows/acts.py",
     "nodes/compressor/phi/hadamard.py",
     "nodes/compressor/phi/sbhe.py",
     "nodes/monitor/metrics.py",

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.base import RANDOM, Phi
+from sparseskin.nodes.compressor.phi.base import RANDOM, Phi, block_layout
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
-from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Mask
 
@@ -30,11 +29,6 @@ OTHER_ROWS = (
 )
 """Warning where preset `paper` reconstructs other rows of "sbhe"."""
 MAX_PAD_SPREAD = 1.75
-SINGLE_TAXELS = (
-    "phi = subsample: solver skin does not know its error between the taxels that are read; "
-    "advised: solver interpolation, or phi sbhe"
-)
-"""Warning where the default solver reconstructs single taxels."""
 
 
 def reconstruction_warnings(
@@ -80,7 +74,9 @@ def has_rows_of_paper(subsets: Sequence[Phi]) -> bool:
     if len(subsets) > 1:
         return False
     (phi,) = subsets
-    return not is_sbhe(phi) or (phi.block, phi.rule) == (PAPER_BLOCK, RANDOM)
+    layout = block_layout(phi)
+    is_of_blocks = layout is not None and layout.blocks is not None
+    return not is_of_blocks or (phi.block, phi.rule) == (PAPER_BLOCK, RANDOM)
 
 
 def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:

@@ -20,9 +20,9 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.messages.contacts import summary
-from sparseskin.nodes.compressor.phi.acts import ActsPhi
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow, phis_for
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi import base as phi_base
+from sparseskin.nodes.compressor.phi.base import Phi, follow, make_phi
+from sparseskin.nodes.compressor.phi.rotation import phis_for
 from sparseskin.nodes.errors import (
     PhiError,
     RefusedError,
@@ -205,7 +205,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._first = None
         self._state_noise()
         self._idle = None
-        chooses = isinstance(subsets[0], ActsPhi | AdaptivePhi)
+        chooses = bool(phi_base.fact(subsets[0], "choice"))
         if self.settings.skip_idle and state.sigma_end > 0 and not chooses:
             from .idle import IdleWatch  # with it the sensor's noise
 
@@ -248,7 +248,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
             for patch, reason in zip(patches, measurements.reason, strict=True):
                 patch.sensed = reason
-            follow(phi, measurements.places, measurements.nodes)
+            follow(phi, places=measurements.places, nodes=measurements.nodes)
             all_y = measurements.y
             if all_y.flags.writeable:  # of a sender in this process, which may write to it again
                 all_y = all_y.copy()

@@ -12,8 +12,8 @@ import numpy as np
 
 from sparseskin.messages import PhiState, Reason, SkinState
 from sparseskin.messages.reasons import first_reason
+from sparseskin.nodes.compressor.phi import base as phi_base
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
@@ -31,7 +31,6 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from .budget import SHARE, steps_within
 from .limits import (
     OTHER_ROWS,
-    SINGLE_TAXELS,
     check_phi,
     has_rows_of_paper,
     options_for_range,
@@ -108,8 +107,8 @@ class Patch:
         )
         if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
-        if chosen["solver"] == "skin" and isinstance(phi, SubsamplePhi):
-            warnings.append(SINGLE_TAXELS)
+        if phi_base.fact(phi, "samples") and fact(cls, "warning_of_samples"):
+            warnings.append(fact(cls, "warning_of_samples"))
         if ":" in settings.phi:
             for one in subsets:
                 warnings += check_phi(one, solver.mask)

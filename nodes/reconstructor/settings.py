@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from sparseskin.messages.ranges import is_real
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
+from sparseskin.nodes.compressor.phi import base as phi_base
 from sparseskin.nodes.compressor.phi.base import is_built_in, phi_class
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
@@ -264,11 +264,9 @@ class ReconstructorSettings(PatchesSettings):
         if isinstance(phi, type):
             with naming("solver"):
                 check_reads(chosen, solver, kind, phi)
-            if self.uncertainty and issubclass(phi, AdaptivePhi):
-                raise SettingsError(
-                    "uncertainty: is not available with phi adaptive, whose rows change each "
-                    "frame; allowed: sbhe"
-                )
+            if self.uncertainty and phi_base.fact(phi, "choice"):
+                fault = f"is not available with phi {kind}, whose rows change each frame"
+                raise SettingsError(f"uncertainty: {fault}; allowed: sbhe")
 
     def kind_of(self, announced: str) -> str:
         """The kind of phi that is made: the stated one, or that which the compressor announces."""

@@ -58,10 +58,9 @@ SETTINGS = {
 
 
 def own(solver: str) -> dict[str, Any]:
-    """Settings of a solver, by its label: those of its preset, or its defaults."""
-    name = SUM_SOLVERS[solver]
-    presets = (preset for preset in PRESETS.values() if preset["solver"] == name)
-    return {"solver": name, "basis": "haar", **next(presets, {})}
+    """Settings of a solver, by its name for `make_solver`: those of its preset, or its defaults."""
+    presets = (preset for preset in PRESETS.values() if preset["solver"] == solver)
+    return {"solver": solver, "basis": "haar", **next(presets, {})}
 
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -75,11 +74,11 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
         of_rows = [{key: value} for value in values] if key in ("block", "bits") else [{}]
         ratios = (3,) if quick else (3, 8)
         measurements = [Measurement(r, **one) for r in ratios for one in of_rows]  # type: ignore[arg-type]
-        candidates = {name: Candidate(own(name)) for name in SUM_SOLVERS}
+        candidates = {label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()}
         if key in ("lambda_n", "iterations"):
             candidates = {
-                f"{name}: {value}": Candidate({**own(name), key: value})
-                for name in SUM_SOLVERS
+                f"{label}: {value}": Candidate({**own(name), key: value})
+                for label, name in SUM_SOLVERS.items()
                 if key in settings_of(name)
                 for value in values
             }

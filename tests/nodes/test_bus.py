@@ -165,7 +165,6 @@ def test_frames_that_newer_ones_overtook_are_counted_for_each_patch():
 @pytest.mark.parametrize(
     ("cls", "values", "line"),
     [
-        (Compressor, {"phi": "acts"}, "phi: acts chooses other rows for each patch"),
         (Compressor, {"bits": 8}, "bits: are not available for several patches"),
         (Compressor, {"patches": ["a", "a"]}, r"patches\[1\]: 'a' occurs twice"),
         (

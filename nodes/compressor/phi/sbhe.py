@@ -6,7 +6,7 @@ import functools
 import heapq
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, TypeGuard
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .base import BLOCK, MAX_SUBSETS, RANDOM, SUMS, UNREAD, Phi
+from .base import BLOCK, MAX_SUBSETS, RANDOM, SUMS, UNREAD, BlockLayout, Phi
 from .hadamard import BlockHadamard, CompiledHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
@@ -102,6 +102,12 @@ class SbhePhi(RotatingPhi):
             order = self._compiled.order
             self._deal_forward = self.permutation[order]
             self._places_forward = np.argsort(order)[self.rows]
+
+    def block_layout(self) -> BlockLayout | None:
+        """As in `Phi`: of a class that states `by_blocks` itself."""
+        if vars(type(self)).get("by_blocks", False) is not True:
+            return None
+        return BlockLayout(self.sizes, self.permutation, self.rows, self.block_of_row)
 
     @property
     def block_of_row(self) -> Indices:
@@ -229,13 +235,6 @@ def in_proportion(numbers: Sequence[int]) -> Indices:
             at += 1
         found[place] = heapq.heappop(ready)[1]
     return found
-
-
-def is_sbhe(phi: object) -> TypeGuard[SbhePhi]:
-    """Return True if permutation, blocks and rows state all of a matrix, so that a solver may apply
-    it by them: not for a subclass, which may have changed what its operators do, unless it says so.
-    """
-    return isinstance(phi, SbhePhi) and vars(type(phi)).get("by_blocks", False) is True
 
 
 class LocalSbhePhi(SbhePhi):

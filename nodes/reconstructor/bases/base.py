@@ -10,15 +10,20 @@ import numpy as np
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_whole
+from sparseskin.nodes import extensions
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.numerics.arrays import Floats, each_frame
 
-BASES = {
-    "haar": "sparseskin.nodes.reconstructor.bases.haar:HaarBasis",
-    "identity": "sparseskin.nodes.reconstructor.bases.base:IdentityBasis",
-}
+BASES = extensions.Registry(
+    extensions.BASES,
+    {
+        "haar": "sparseskin.nodes.reconstructor.bases.haar:HaarBasis",
+        "identity": "sparseskin.nodes.reconstructor.bases.base:IdentityBasis",
+    },
+)
+"""Class of each basis."""
 _INTERFACE = ("n_rows", "n_cols", "analysis", "synthesis")
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages.ranges import is_real, is_whole
-from sparseskin.nodes.compressor.phi.acts import ActsPhi
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
+from sparseskin.nodes import extensions
+from sparseskin.nodes.compressor.phi import base as phi_base
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class
@@ -21,13 +21,14 @@ from sparseskin.nodes.numerics.compiled import check_fast
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-SOLVERS = {
-    "skin": "sparseskin.nodes.reconstructor.skin.solver:SkinSolver",
-    "fista": "sparseskin.nodes.reconstructor.solvers.fista:FistaSolver",
-    "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",
-}
-#: Forms of solvers for phi "adaptive".
-FOR_ADAPTIVE = {"skin": "sparseskin.nodes.reconstructor.skin.adaptive:AdaptiveSkinSolver"}
+SOLVERS = extensions.Registry(
+    extensions.SOLVERS,
+    {
+        "skin": "sparseskin.nodes.reconstructor.skin.solver:SkinSolver",
+        "fista": "sparseskin.nodes.reconstructor.solvers.fista:FistaSolver",
+    },
+)
+"""Class of each solver."""
 MAX_ITERATIONS = 1000
 _INTERFACE = ("setup", "step", "finish", "solve", "reset", "n_steps", "taxels")
 
@@ -76,12 +77,10 @@ class Solver(ABC):
     rotates: bool = False
     #: Row subsets that frames are measured by in turn; none where the rows are fixed.
     subsets: tuple[Phi, ...] = ()
-    #: True if it follows a phi that chooses its taxels anew each frame.
+    #: True if it follows a phi that chooses its rows anew in each frame, whatever phi that is.
     follows_choice: bool = False
-    #: True if it, or its form of `FOR_ADAPTIVE`, follows a phi that chooses rows anew each frame.
-    adaptive: bool = False
-    #: Class of the phi that it can use.
-    reads: type = object
+    #: True if each measurement has to be one taxel.
+    reads_taxels: bool = False
     #: False if the basis states the size of the grid alone.
     uses_basis: bool = True
     #: True if lambda_n weighs an l1 norm: it needs a sparse basis, and returns 0 for measurements
@@ -92,6 +91,8 @@ class Solver(ABC):
     lambdas_n: tuple[float, float] | None = None
     #: Least iterations with which the first frames of a sudden contact lose less than 3 dB.
     least_iterations: int = 0
+    #: Warning where each measurement is one taxel; "": none.
+    warning_of_samples: str = ""
     #: True if it has compiled loops, which are compiled before the first frame.
     has_loops: bool = False
     #: Factor and power of `Uncertainty` by rule of the rows, and "fixed" or "rotating"; None: its
@@ -346,8 +347,9 @@ def make_solver(
             )
     cls = solver_class(name)
     check_reads(name, cls, phi.kind, type(phi))
-    if isinstance(phi, AdaptivePhi) and name in FOR_ADAPTIVE:
-        cls = find_class("solver", FOR_ADAPTIVE[name], {}, SolverError)
+    of_phi = phi_base.fact(phi, "solvers").get(name)
+    if of_phi is not None:
+        cls = solver_class(of_phi)
     parameters = inspect.signature(cls).parameters
     known = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
@@ -421,16 +423,14 @@ def measured(solver: Solver, forces: Floats, *phis: Phi) -> list[Floats]:
 
 def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
     """Raise SolverError if a solver cannot use a class of phi."""
-    if issubclass(phi, ActsPhi) and not getattr(solver, "follows_choice", False):
-        raise SolverError(
-            f'solver "{name}": phi "acts" reads other taxels each frame; allowed: interpolation'
-        )
-    if issubclass(phi, AdaptivePhi) and not getattr(solver, "adaptive", False):
-        raise SolverError(
-            f'solver "{name}": phi "adaptive" reads other rows each frame; allowed: skin'
-        )
-    if not issubclass(phi, getattr(solver, "reads", object)):
-        raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: acts, subsample')
+    of_phi = phi_base.fact(phi, "solvers")
+    follows = name in of_phi or fact(solver, "follows_choice")
+    if phi_base.fact(phi, "choice") and not follows:
+        fault = f'phi "{kind}" reads other rows each frame'
+        raise SolverError(f'solver "{name}": {fault}; allowed: {", ".join(of_phi)}')
+    if fact(solver, "reads_taxels") and not phi_base.fact(phi, "samples"):
+        allowed = "a phi that reads single taxels, as subsample"
+        raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: {allowed}')
 
 
 def make_rotating_solver(

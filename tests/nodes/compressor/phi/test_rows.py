@@ -142,7 +142,6 @@ def test_together_the_row_subsets_hold_each_row_of_w_once(kind, ratio):
         ({"m": 24}, ("fixed", 24)),
         # Their rows do not rotate.
         ({"phi": "gaussian"}, ("fixed", 533)),
-        ({"phi": "adaptive"}, ("fixed", 533)),
         ({"phi": f"{__name__}:Halves"}, ("rotating", 534)),
         ({"phi": f"{__name__}:Unmoved"}, ("fixed", 533)),
         ({"phi": f"{__name__}:by_function"}, ("fixed", 533)),
@@ -173,7 +172,7 @@ def by_function(n, m, seed, block):
 
 
 def test_what_cannot_rotate_is_named():
-    for kind in ("gaussian", "full", "acts"):
+    for kind in ("gaussian", "full"):
         with pytest.raises(PhiError, match=f'rows: "rotating" is not allowed for phi "{kind}"'):
             CompressorSettings(phi=kind, rows="rotating").check()
         with pytest.raises(PhiError, match="allowed: sbhe, subsample"):
