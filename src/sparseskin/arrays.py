@@ -21,8 +21,7 @@ from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import Phi, fact
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import nearest_of
@@ -97,7 +96,8 @@ def compress(
     PhiError
         If forces or mask have another shape or type, a force is not finite, the number of existing
         taxels is not `phi.n`, `phi` measured another grid before, `rows` is neither, the rows of
-        `phi` cannot rotate, `phi` is "adaptive", or there are fewer frames than those of the tare.
+        `phi` cannot rotate, `phi` chooses them in each frame, or there are fewer frames than those
+        of the tare.
 
     Examples
     --------
@@ -106,13 +106,11 @@ def compress(
     >>> sparseskin.compress(np.ones((16, 16), np.float32), phi).shape
     (85,)
     """
-    if isinstance(phi, AdaptivePhi):
-        raise PhiError(
-            'compress: phi "adaptive" chooses rows by what it reads, and measurements alone do not '
-            "state which; allowed: other kinds, or a graph"
-        )
     if not hasattr(phi, "forward"):
         raise PhiError(f"phi: got {type(phi).__name__}; expected what make_phi returns")
+    if fact(phi, "choice"):
+        fault = f'phi "{phi.kind}" chooses rows by what it reads, and measurements alone do not '
+        raise PhiError(f"compress: {fault}state which; allowed: other kinds, or a graph")
     if np.issubdtype(getattr(forces, "dtype", float), np.integer):
         allowed = "newtons, as of float32 (counts become newtons by sparseskin calibrate)"
         raise PhiError(f"compress: forces: type {forces.dtype}; allowed: {allowed}")
@@ -196,7 +194,7 @@ def make_solver(
     Parameters
     ----------
     name : str
-        "skin", "fista", "tv", "interpolation"; or "module:Class" for your own, as `Solver`.
+        "skin", "fista", "interpolation"; or "module:Class" for your own, as `Solver`.
     phi, basis, mask
         As in `Solver`.
     fast : str

@@ -13,7 +13,8 @@ from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.messages.state import CLIP_SD
-from sparseskin.nodes.compressor.node import CHOSEN_ANEW, CompressorSettings
+from sparseskin.nodes.compressor.node import CompressorSettings
+from sparseskin.nodes.compressor.phi.base import fact, phi_class
 from sparseskin.nodes.compressor.phi.rotation import RATIO
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import suggestion
@@ -148,13 +149,13 @@ class Stream:
         if sigmas is not None and np.shape(sigmas) != (2,):
             allowed = "allowed: standard deviations at mid-range and at the ends"
             raise SparseskinError(f"stream: sigmas = {sigmas!r} is not allowed; {allowed}")
-        if phi in CHOSEN_ANEW:
+        edge = CompressorSettings(phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed)
+        edge.check()
+        if fact(phi_class(phi), "choice"):
             raise PhiError(
                 f'stream: phi "{phi}" chooses rows by what it reads, and measurements alone do not '
                 "state which; allowed: other kinds, or a graph"
             )
-        edge = CompressorSettings(phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed)
-        edge.check()
         self._phis = edge.phis(self._skin)
         self.n, self.m = self._phis[0].n, self._phis[0].m
         self._noise_model = None if sigmas is None else NoiseModel(f_max, *sigmas)

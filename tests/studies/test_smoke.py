@@ -23,7 +23,7 @@ from sparseskin.studies.stability import phase, sweeps
 from sparseskin.studies.stability import tables as stability
 
 N_FRAMES = 9
-SOLVERS = ("fista", "skin")
+SOLVERS = {"fista": "fista", "skin": "skin"}
 SHORT_SCENES = ("lift_box_40",)
 SIZES = (
     (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),)}),
@@ -45,7 +45,7 @@ SIZES = (
     (rules, {"QUICK_WORLDS": 1, "RULES": {name: rules.RULES[name] for name in ("bias", "offset")}}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial"}),
-    (sweeps, {"SUM_SOLVERS": ("fista",), "EXCERPTS": sweeps.EXCERPTS[:1]}),
+    (sweeps, {"SUM_SOLVERS": {"fista": "fista"}, "EXCERPTS": sweeps.EXCERPTS[:1]}),
 )
 """Sizes that are smaller than those of a quick run, by module."""
 TEXTS = {

@@ -1,4 +1,4 @@
-"""The cosine basis, and the wavelet families of PyWavelets."""
+"""The cosine basis, and wavelets of PyWavelets, beside the Haar basis of the product."""
 
 from __future__ import annotations
 
@@ -11,8 +11,15 @@ from scipy.fft import dct
 
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles
+from sparseskin.nodes.reconstructor.bases.haar import SeparableBasis
 
-from .haar import SeparableBasis
+BASES = {
+    "haar": "haar",
+    **{name: f"{__name__}:{name}" for name in ("db2", "db4", "sym4", "coif1")},
+    "dct": f"{__name__}:DctBasis",
+    "identity": "identity",
+}
+"""Name for `make_basis` of each basis that is compared, by its label."""
 
 
 class DctBasis(SeparableBasis):

@@ -11,17 +11,19 @@ arXiv 2410.13847.
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.nodes.compressor.phi.base import BLOCK, Code, fingerprint_of
+from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats, Indices
-
-from .base import BLOCK, fingerprint_of
-from .identity import SubsamplePhi
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.touch import touch_level
 
 SIGMAS = 4.0
 """Standard deviations of an untouched taxel's noise above which a reading is a force. Chosen: of
@@ -42,10 +44,38 @@ class ActsPhi(SubsamplePhi):
 
     kind = "acts"
     can_rotate = False  # the rows are chosen anew in each frame
+    choice = "places"
+    solvers = MappingProxyType(
+        {"interpolation": "sparseskin.plugins.chosen_rows.interpolation:InterpolationSolver"}
+    )
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         self.fingerprint = fingerprint_of(self.kind, n, m, 1)
+        self._exists: Mask = np.ones((1, n), dtype=np.bool_)
+        self._search: ActsSearch | None = None
+        self.state_noise(0.0, PAPER_F_MAX_N)
+
+    def _lay_out(self, exists: Mask) -> None:
+        self._exists = exists.copy()
+        self._search = None
+
+    def state_noise(self, sigma_end: float, f_max: float, clipped: bool = True) -> None:
+        self._threshold = touch_level(sigma_end, f_max, SIGMAS)
+        self._search = None
+
+    def measure(self, x: Floats) -> tuple[Floats, Code]:
+        if self._search is None:
+            self._search = ActsSearch(self._exists, self.m, self._threshold)
+        self.choose(self._search.places(x.take))
+        return self.forward(x), packed_places(self.rows, self.n)
+
+    def follow(self, code: Code) -> None:
+        self.choose(np.flatnonzero(np.unpackbits(code)))
+
+    @property
+    def most_code_bytes(self) -> int:
+        return -(-self.n // 8)
 
     def choose(self, taxels: Indices) -> None:
         """Set the taxels of a frame; PhiError unless they are m ascending indices in 0..n-1."""
@@ -56,7 +86,7 @@ class ActsPhi(SubsamplePhi):
         self.rows = taxels
 
 
-def packed_places(taxels: Indices, n: int) -> npt.NDArray[np.uint8]:
+def packed_places(taxels: Indices, n: int) -> Code:
     """One bit a taxel, the highest first, set for those of the indices: uint8 (ceil(n / 8),)."""
     is_read = np.zeros(n, dtype=np.bool_)
     is_read[taxels] = True

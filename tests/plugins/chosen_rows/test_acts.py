@@ -10,10 +10,11 @@ from matrices import grids
 
 from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Measurements, MessageError, Reconstruction, Taxels
-from sparseskin.nodes.compressor.phi.acts import ActsSearch, packed_places
-from sparseskin.nodes.compressor.phi.adaptive import follow
-from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
+from sparseskin.nodes.compressor.phi.base import follow, make_phi
+from sparseskin.nodes.errors import PhiError, SettingsError
+from sparseskin.plugins.chosen_rows.acts import ActsSearch, packed_places
+from sparseskin.studies.evaluate import VALUE_BYTES, values_that_fit
 
 THRESHOLD = 0.05
 
@@ -66,7 +67,7 @@ def test_more_readings_than_taxels_are_refused(m):
 
 def test_what_is_read_are_the_taxels_that_were_chosen():
     phi = make_phi("acts", 100, 4, seed=0)
-    follow(phi, packed_places(np.array([0, 7, 50, 99]), 100), None)
+    follow(phi, places=packed_places(np.array([0, 7, 50, 99]), 100))
     x = np.arange(100, dtype=np.float32)
     np.testing.assert_array_equal(phi.forward(x), [0, 7, 50, 99])
     np.testing.assert_array_equal(phi.dense() @ x, phi.forward(x))
@@ -83,12 +84,12 @@ def test_what_is_read_are_the_taxels_that_were_chosen():
         ("acts", None, "come without the places"),
         ("acts", packed_places(np.arange(3), 100), "3 taxels are read; expected m = 4"),
         ("acts", packed_places(np.array([0, 1, 2, 103]), 104), r"not ascending within 0\.\.99"),
-        ("subsample", packed_places(np.arange(4), 100), 'allowed: phi "acts" alone'),
+        ("subsample", packed_places(np.arange(4), 100), "subsample: measurements with places; "),
     ],
 )
 def test_places_that_do_not_fit_are_refused(kind, places, text):
     with pytest.raises(PhiError, match=text):
-        follow(make_phi(kind, 100, 4, seed=0), places, None)
+        follow(make_phi(kind, 100, 4, seed=0), places=places)
     y = np.ones(4, np.float32)
     with pytest.raises(MessageError, match="places: 3 of them for 4 measurements"):
         Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16, places=np.uint8([7]))
@@ -140,17 +141,17 @@ def test_interpolation_leaves_readings_unchanged():
 @pytest.mark.parametrize(
     ("overrides", "text"),
     [
-        (ACTS[:1], 'solver "skin": phi "acts" reads other taxels each frame'),
-        (ACTS[1:], 'solver "interpolation": phi "sbhe" mixes taxels; allowed: acts, subsample'),
+        (ACTS[:1], 'solver "skin": phi "acts" reads other rows each frame; allowed: interpolation'),
+        (ACTS[1:], 'solver "interpolation": phi "sbhe" mixes taxels; allowed: a phi that reads'),
         ((*ACTS, "compressor.rows=rotating"), '"rotating" is not allowed for phi "acts"'),
         (
             (*ADAPTIVE, "reconstructor.preset=paper"),
             'solver "fista": phi "adaptive" reads other rows each frame; allowed: skin',
         ),
-        ((*ADAPTIVE, "reconstructor.resultant=true"), "is not available with phi adaptive"),
+        ((*ADAPTIVE, "reconstructor.uncertainty=true"), "is not available with phi adaptive"),
         (
-            ("reconstructor.uncertainty=true", "reconstructor.solver=tv"),
-            "uncertainty=true: is not available with solver tv, whose error is not known",
+            (*ACTS, "reconstructor.uncertainty=true"),
+            "uncertainty=true: is not available with solver interpolation, whose error",
         ),
     ],
 )
@@ -171,3 +172,31 @@ def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(chosen, tmp_pat
         for once, again in zip(streamed, reconstructions(bus, 6), strict=True):
             np.testing.assert_array_equal(once.forces, again.forces)
             assert once.phi == again.phi
+
+
+@pytest.mark.parametrize("kind", ["acts", "adaptive"])
+def test_a_kind_that_chooses_has_fixed_rows_one_patch_and_a_place_in_settings(kind):
+    assert CompressorSettings(phi=kind).rows_and_m(1600) == ("fixed", 533)
+    with pytest.raises(SettingsError, match=f"phi: {kind} chooses other rows for each patch"):
+        Compressor.Settings(phi=kind, patches=("left", "right")).check()
+    (entry,) = (one for one in CompressorSettings.described() if one["key"] == "phi")
+    assert kind in entry["known"]
+    with pytest.raises(PhiError, match="n = 55, but 64 taxels exist"):
+        make_phi(kind, 55, 20, 0).lay_out(everywhere(8, 8))
+
+
+@pytest.mark.parametrize("kind", ["acts", "adaptive"])
+@pytest.mark.parametrize(("shape", "ratio"), [((4, 8), 3), ((19, 12), 4), ((64, 64), 8)])
+def test_measurements_with_the_code_of_their_rows_fill_the_bytes_of_m(kind, shape, ratio):
+    mask = everywhere(*shape)
+    m = mask.size // ratio
+    n_values = values_that_fit(kind, mask, m)
+    assert m / 2 <= n_values < m
+    phi = make_phi(kind, mask.size, n_values, seed=0)
+    phi.lay_out(mask)
+    assert VALUE_BYTES * n_values + phi.most_code_bytes <= VALUE_BYTES * m
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        y, code = phi.measure(rng.random(mask.size, dtype=np.float32))
+        assert y.size == n_values
+        assert code.size <= phi.most_code_bytes

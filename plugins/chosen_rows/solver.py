@@ -7,21 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.adaptive import (
-    DRIFT_MEMORY,
-    AdaptivePhi,
-    HeldRows,
-)
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
-from sparseskin.nodes.reconstructor.solvers.base import Solver, check_reads
+from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
+from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
+from sparseskin.nodes.reconstructor.solvers.base import Solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-from .solver import SkinSolver
-from .tuning import SkinTuning
+from .adaptive import DRIFT_MEMORY, AdaptivePhi, HeldRows
 
 MEMORY = 0.7
 """Weight of the past in the running means of squared prediction errors. Chosen."""
@@ -69,6 +65,8 @@ class AdaptiveSkinSolver(Solver):
     """
 
     name = "skin"
+    uses_basis = False
+    least_iterations = SkinSolver.least_iterations
     paces = SkinSolver.paces
     y_max = SkinSolver.y_max
 
@@ -82,7 +80,6 @@ class AdaptiveSkinSolver(Solver):
         fast: str = "auto",
     ) -> None:
         super().__init__(phi, basis, mask)
-        check_reads(self.name, SkinSolver, phi.kind, type(phi))
         if not isinstance(phi, AdaptivePhi):
             raise SolverError(f'solver "skin": phi "{phi.kind}" does not choose rows')
         if phi.exists is None:

@@ -10,21 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.quantised import step_of
-from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.messages.state import CLIP_SD
+from sparseskin.nodes.compressor.phi.base import BLOCK, Code, Phi, fingerprint_of
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
 
-from .acts import ActsPhi
-from .base import BLOCK, Phi, fingerprint_of, make_phi
 from .quadtree import N_DETAILS, Quadtree
-from .rotation import row_subsets
 
 CLIP_MEAN = 0.399
 """Mean of an untouched taxel's noise clipped at 0, in standard deviations of the noise. Derived: of
@@ -71,10 +69,13 @@ class AdaptivePhi(Phi):
     """
 
     kind = "adaptive"
+    choice = "nodes"
+    solvers = MappingProxyType({"skin": "sparseskin.plugins.chosen_rows.solver:AdaptiveSkinSolver"})
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         self.exists: Mask | None = None
+        self._edge: AdaptiveChoice | None = None
         self._arrange(np.ones((1, n), dtype=np.bool_))
         self.state_noise(0.0, PAPER_F_MAX_N)
 
@@ -96,15 +97,34 @@ class AdaptivePhi(Phi):
         self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, *arrays)
         self.rows: Indices = np.arange(self.m)
         self.chosen: Mask = np.zeros(self.tree.n_nodes, dtype=np.bool_)
+        self.forget()
 
     def state_noise(self, sigma_end: float, f_max: float, clipped: bool = True) -> None:
-        """State the standard deviation of an untouched taxel's noise, 0 if not known, f_max, and
-        whether that noise is clipped at 0.
-        """
         self.bias = CLIP_MEAN * sigma_end if clipped else 0.0
         sd = CLIP_SD * sigma_end if clipped else sigma_end
         self.variance, self._f_max = sd**2, f_max
         self.untouched = max(UNTOUCHED_SIGMAS * sd, UNTOUCHED_FRACTION * f_max)
+        self.forget()
+
+    def measure(self, x: Floats) -> tuple[Floats, Code]:
+        if self._edge is None:
+            self._edge = AdaptiveChoice(self)
+        y = self._edge.measure(self.tree.analysis(x).take)
+        return y, self.tree.coded(self.chosen)
+
+    def follow(self, code: Code) -> None:
+        try:
+            chosen = self.tree.decoded(code)
+        except ValueError as cause:
+            raise PhiError(f"adaptive: the code of the nodes is malformed: {cause}") from cause
+        self.choose(chosen)
+
+    def forget(self) -> None:
+        self._edge = None
+
+    @property
+    def most_code_bytes(self) -> int:
+        return self.tree.most_code_bytes(self.m - self.tree.n_tiles)
 
     def choose(self, chosen: Mask) -> None:
         """Set the nodes of a frame, bool (n_nodes,). Measured are the sums of all tiles, the
@@ -291,41 +311,3 @@ class AdaptiveChoice:
         if rows.size:
             self._values[rows] = read(rows)
             self._held.read(rows, self._values[rows])
-
-
-def follow(
-    phi: Phi, places: npt.NDArray[np.uint8] | None, nodes: npt.NDArray[np.uint8] | None
-) -> None:
-    """Set the rows of a matrix that chooses them in each frame, by what came with its measurements.
-
-    `places` are those of "acts", as of `packed_places`; `nodes` those of "adaptive", as of
-    `Quadtree.coded`. Raises PhiError if one is absent, or of another kind, or malformed.
-    """
-    for kind, what, code in (("acts", "places", places), ("adaptive", "nodes", nodes)):
-        if phi.kind != kind and code is not None:
-            raise PhiError(f'{phi.kind}: measurements with {what}; allowed: phi "{kind}" alone')
-        if phi.kind == kind and code is None:
-            raise PhiError(f"{kind}: the measurements come without the {what} of their rows")
-    if isinstance(phi, ActsPhi) and places is not None:
-        phi.choose(np.flatnonzero(np.unpackbits(places)))
-    if isinstance(phi, AdaptivePhi) and nodes is not None:
-        try:
-            chosen = phi.tree.decoded(nodes)
-        except ValueError as cause:
-            raise PhiError(f"adaptive: the code of the nodes is malformed: {cause}") from cause
-        phi.choose(chosen)
-
-
-def phis_for(
-    skin: Skin, sigma_end: float, clips_noise: bool, rows: str | None, **parameters: Any
-) -> list[Phi]:
-    """The matrices that measure the frames of a skin in turn, laid out. `sigma_end` and
-    `clips_noise` are as in `SkinState`, `rows` as in `row_subsets`, parameters those of `make_phi`
-    but n, as is PhiError.
-    """
-    phi = make_phi(n=skin.n_taxels, **parameters)
-    if isinstance(phi, Phi):  # not a class of a user's own
-        phi.lay_out(skin.exists)
-    if isinstance(phi, AdaptivePhi):
-        phi.state_noise(sigma_end, skin.f_max, clips_noise)
-    return row_subsets(phi, rows)

@@ -7,8 +7,12 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
-
-from .base import MAX_ITERATIONS, Solver, newtons, whole_number
+from sparseskin.nodes.reconstructor.solvers.base import (
+    MAX_ITERATIONS,
+    Solver,
+    newtons,
+    whole_number,
+)
 
 #: Steps on the dual variables for each step on the image, and their length. 1/4 is the longest
 #: that converges for one axis (Chambolle 2004).
@@ -48,6 +52,9 @@ class TvSolver(Solver):
     """
 
     name = "tv"
+    uses_basis = False
+    lambdas_n = (0.002, 0.03)
+    least_iterations = 10
 
     def __init__(
         self,

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from matrices import grids
 
 from sparseskin.checks import check_phi
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, HeldRows, follow
-from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.quadtree import Quadtree
+from sparseskin.nodes.compressor.phi.base import follow, make_phi
 from sparseskin.nodes.errors import PhiError
+from sparseskin.plugins.chosen_rows.adaptive import AdaptiveChoice, HeldRows
+from sparseskin.plugins.chosen_rows.quadtree import Quadtree
 
 
 def phi_of(exists, m):
@@ -48,7 +48,7 @@ def test_m_rows_are_read_each_once_and_are_those_of_the_code(exists, data):
         assert len(asked) == len(set(asked)) == m
         np.testing.assert_array_equal(np.sort(asked), phi.rows)
         np.testing.assert_array_equal(y, phi.forward(x))
-        follow(other, None, phi.tree.coded(phi.chosen))
+        follow(other, nodes=phi.tree.coded(phi.chosen))
         np.testing.assert_array_equal(other.rows, phi.rows)
 
 
@@ -114,12 +114,12 @@ GRID = np.ones((16, 16), np.bool_)
         (phi_of(GRID, 64), code_of(phi_of(GRID, 64), 19), r"nodes of 61 .* expected m = 64"),
         (phi_of(GRID, 64), np.array([255], np.uint8), "malformed: too short"),
         (phi_of(GRID, 64), np.array([128, 0, 0], np.uint8), "malformed: not as it is coded"),
-        (make_phi("sbhe", 256, 64, seed=0), np.array([0], np.uint8), 'phi "adaptive" alone'),
+        (make_phi("sbhe", 256, 64, seed=0), np.array([0], np.uint8), "measurements with nodes; "),
     ],
 )
 def test_nodes_that_do_not_fit_are_refused(phi, code, text):
     with pytest.raises(PhiError, match=text):
-        follow(phi, None, code)
+        follow(phi, nodes=code)
 
 
 def dense_of(tree):

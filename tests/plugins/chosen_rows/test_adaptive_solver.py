@@ -10,9 +10,9 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.reconstructor.skin.adaptive import AdaptiveSkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.plugins.chosen_rows.solver import AdaptiveSkinSolver
 from sparseskin.studies.evaluate import Reading, Scores, make_method
 from sparseskin.studies.presses import press_frames
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from sparseskin.nodes.compressor.phi.acts import ActsPhi
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.bases.base import Basis
-
-from .base import Solver, check_reads
+from sparseskin.nodes.reconstructor.solvers.base import Solver, check_reads
 
 
 class InterpolationSolver(Solver):
@@ -44,8 +42,9 @@ class InterpolationSolver(Solver):
     """
 
     name = "interpolation"
+    uses_basis = False
     follows_choice = True
-    reads = SubsamplePhi
+    reads_taxels = True
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask | None = None) -> None:
         super().__init__(phi, basis, mask)
@@ -56,7 +55,7 @@ class InterpolationSolver(Solver):
         self._y = np.zeros(phi.m, dtype=np.float32)
         self._forces = np.zeros(phi.n, dtype=np.float32)
         self._wanted = np.delete(np.arange(phi.n), phi.rows)
-        along_lines = isinstance(phi, ActsPhi)
+        along_lines = bool(phi.choice)
         if not along_lines:
             known, wanted = self._cells[phi.rows], self._cells[self._wanted]
             try:
