@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         UnknownSchemaError,
         VersionError,
     )
-    from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
+    from .frames import Measurements, Reconstruction, Taxels, Truth
     from .labels import Labels
     from .reasons import Reason
     from .skin import Skin
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "MAX_MESSAGE_BYTES", "Calibration", "Contacts", "End", "FieldError", "Labels", "MalformedError",
     "Measurements", "Message", "MessageError", "NotFiniteError", "OversizedError", "PhiState",
-    "Reason", "Reconstruction", "Resultant", "ShapeError", "Skin", "SkinState",
+    "Reason", "Reconstruction", "ShapeError", "Skin", "SkinState",
     "SolverState", "Taxels", "TruncatedError", "Truth",
     "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
 ]  # fmt: skip

@@ -117,8 +117,8 @@ class PhiState(Message):
 
     `rows` "rotating": frames cycle through several row subsets of the same W, `m` rows each, or
     through the matrices of a file. The fingerprint is that of the first; each frame's measurements
-    carry that of their own. `rule` is that by which the rows were chosen, see `SbhePhi`; messages
-    without it are of rule 1.
+    carry that of their own. `rule` is that by which the rows were chosen, see `SbhePhi`; a message
+    that leaves it out is of rule 1.
     """
 
     schema: ClassVar[str] = "phi"
@@ -140,7 +140,7 @@ class SolverState(Message):
 
     `basis` is "" where the solver has its own. `iterations` is the number a frame; `frame_ms` the
     time that they take on this host where every taxel is pressed, milliseconds, 0 where it is not
-    known. `max_iterations` is of recordings by a solver that chose the number by frame.
+    known.
     """
 
     schema: ClassVar[str] = "solver"
@@ -151,7 +151,6 @@ class SolverState(Message):
     preset: str = wire(Text())
     iterations: int = wire(Integer(0, 1_000_000))
     lambda_n: float = wire(Real(0.0))
-    max_iterations: int = wire(Integer(0, 1_000_000), default=0, omitted=True)
     frame_ms: float = wire(Real(0.0), default=0.0, omitted=True)
 
 

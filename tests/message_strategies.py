@@ -15,7 +15,6 @@ from sparseskin.messages import (
     Message,
     PhiState,
     Reconstruction,
-    Resultant,
     SkinState,
     SolverState,
     Taxels,
@@ -157,7 +156,6 @@ def contacts(draw: st.DrawFn) -> Contacts:
     return Contacts(**values)
 
 
-_centre = ("row", "col", "row_sd", "col_sd")
 messages: st.SearchStrategy[Message] = st.one_of(
     made(Taxels, forces=forces(2)),
     made(Truth, forces=forces(2)),
@@ -165,8 +163,6 @@ messages: st.SearchStrategy[Message] = st.one_of(
     made(Reconstruction, forces=forces(2)),
     with_sd(),
     several(),
-    made(Resultant, **dict.fromkeys(_centre, st.none())),
-    made(Resultant, **dict.fromkeys(_centre, st.floats(0, 1e30))),
     contacts(),
     made(Labels),
     skin_states(),

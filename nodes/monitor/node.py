@@ -16,7 +16,6 @@ from sparseskin.messages import (
     Message,
     PhiState,
     Reconstruction,
-    Resultant,
     SkinState,
     SolverState,
     Taxels,
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
 SUMMARY_EVERY_NS = 500_000_000
 """Period in which the live page gets a new summary."""
 REQUIRED = (SkinState, PhiState, Measurements, SolverState, Reconstruction)
-OPTIONAL = (Taxels, Truth, Resultant, Contacts, Labels)
+OPTIONAL = (Taxels, Truth, Contacts, Labels)
 """A compressor outside the graph publishes no taxels."""
 WATCHED = (*REQUIRED, *OPTIONAL)
 

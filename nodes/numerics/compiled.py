@@ -24,10 +24,6 @@ FAST = ("auto", "on", "off")
 ENVIRONMENT = "SPARSESKIN_FAST"
 """Environment variable that replaces "auto": "off" for numpy alone."""
 
-SOLVERS = ("skin", "fista")
-"""Solvers that have compiled loops."""
-
-
 REMEDY = "pip install 'sparseskin[fast]'"
 NOT_INSTALLED = f"compiled loops: none without numba, several times slower; {REMEDY}"
 NOT_IMPORTED = "compiled loops: numba cannot be imported; numpy is used"

@@ -12,26 +12,25 @@ import numpy as np
 
 from sparseskin.messages import PhiState, Reason, SkinState
 from sparseskin.messages.reasons import first_reason
+from sparseskin.nodes.compressor.phi import base as phi_base
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise
 from sparseskin.nodes.reconstructor.solvers.base import (
     Solver,
     estimated_error,
+    fact,
     make_rotating_solver,
     measured,
+    solver_class,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .budget import SHARE, steps_within
 from .limits import (
-    MIN_ITERATIONS,
     OTHER_ROWS,
-    SINGLE_TAXELS,
     check_phi,
     has_rows_of_paper,
     options_for_range,
@@ -58,7 +57,7 @@ class Solved(NamedTuple):
 
 
 class Patch:
-    """Reconstructs the frames of one patch: `read`, `solve`, `check` and `learn` for each."""
+    """Reconstructs the frames of one patch: `read`, `solve` and `check` for each."""
 
     def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
         self.settings = settings
@@ -80,7 +79,6 @@ class Patch:
         self._last: Floats | None = None
         self._warm: Floats | None = None
         self._uncertainty: Uncertainty | None = None
-        self._resultant: ResultantEstimator | None = None
         self._tracker: ContactTracker | None = None
 
     def set_up(
@@ -103,13 +101,14 @@ class Patch:
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
         options = options_for_range(chosen["solver"], options, skin.f_max, phi)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
+        cls = solver_class(chosen["solver"])
         solver = make_rotating_solver(
             chosen["solver"], subsets, basis, skin.mask, fast=settings.fast, **options
         )
         if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
-        if chosen["solver"] == "skin" and isinstance(phi, SubsamplePhi):
-            warnings.append(SINGLE_TAXELS)
+        if phi_base.fact(phi, "samples") and fact(cls, "warning_of_samples"):
+            warnings.append(fact(cls, "warning_of_samples"))
         if ":" in settings.phi:
             for one in subsets:
                 warnings += check_phi(one, solver.mask)
@@ -128,7 +127,7 @@ class Patch:
             n_steps = solver.n_steps
             most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
             frame_ms = round(1e3 * frame_s, 3)
-            if most_steps < MIN_ITERATIONS.get(chosen["solver"], 0):
+            if most_steps < fact(cls, "least_iterations"):
                 self.log(
                     f"{most_steps} of {n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
                     f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
@@ -138,10 +137,8 @@ class Patch:
         self.most_steps = most_steps
         self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
-            name = chosen["solver"]
-            self._uncertainty = Uncertainty(solver.mask, phi.ratio, name, announced.rows, phi.rule)
-        if settings.resultant:
-            self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
+            table = fact(cls, "calibrated")
+            self._uncertainty = Uncertainty(solver.mask, phi.ratio, table, announced.rows, phi.rule)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
 
@@ -201,11 +198,6 @@ class Patch:
         self._believed = self.faults.receive(self.solver, phi, y)
         self._y = y if self._believed is None else self._believed
 
-    @property
-    def resultant(self) -> Estimate | None:
-        """Total force and centre of the frame, where they are asked for."""
-        return None if self._resultant is None else self._resultant.estimate(self._phi, self._y)
-
     def solve(self) -> None:
         """Reconstruct the frame within its budget. Raises SolverError if the solver cannot."""
         assert self.solver is not None
@@ -233,8 +225,8 @@ class Patch:
             assert self._last is not None
             verdict = self.faults.look(self.solver, self._phi, self._last)
         forces = verdict.forces if self._last is None else self._last
-        (self._fitted,) = measured(self.solver, forces, self._phi)
-        residuals = np.subtract(self._y, self._fitted, dtype=np.float64)
+        (fitted,) = measured(self.solver, forces, self._phi)
+        residuals = np.subtract(self._y, fitted, dtype=np.float64)
         residual = math.sqrt(float(np.dot(residuals, residuals)) / residuals.size)
 
         sd = None
@@ -264,18 +256,6 @@ class Patch:
         if self._tracker is None or self.solved is None:
             return None
         return self._tracker.update(self.solved.forces, self.solved.error, stamp_ns, self.solved.sd)
-
-    def learn(self) -> None:
-        """Learn from the frame that was solved, once it is published."""
-        if self._believed is None or self._resultant is None:
-            return
-        assert self.solver is not None
-        assert self._last is not None
-        following = (self._subsets.index(self._phi) + 1) % len(self._subsets)
-        x = self._last.reshape(-1)[self.solver.taxels]
-        bias = getattr(self.solver, "bias", 0.0)
-        self._resultant.learn(self._phi, self._y, x, self._fitted, bias)
-        self._resultant.prepare(self._subsets[following])
 
 
 def _noise_model(skin: SkinState) -> NoiseModel | None:

@@ -49,7 +49,7 @@ CANDIDATES = {
     "lattice": Candidate(of="lattice"),
     "hold": Candidate(of="hold"),
     "subsample": Candidate({"solver": "interpolation"}, changes={"phi": "subsample"}),
-    "acts": Candidate(of="acts"),
+    "acts": Candidate({"solver": "interpolation"}, changes={"phi": "acts"}),
     **LARGER,
 }
 READINGS = {

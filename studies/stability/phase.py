@@ -50,7 +50,8 @@ def coefficients(ratio: float, quick: bool) -> dict[float, int]:
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
     """Every solver, larger taxels and the readings, on pads at random places, by the ratio."""
-    candidates = {name: Candidate(own(name)) for name in SUM_SOLVERS} | LARGER | READINGS
+    candidates = {label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()}
+    candidates |= LARGER | READINGS
     seeds = range(seed, seed + (1 if quick else 3))
     for ratio in QUICK_RATIOS if quick else RATIOS:
         counts = [count for count in coefficients(ratio, quick).values() if count >= LEAST_K]

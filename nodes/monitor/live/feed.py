@@ -17,7 +17,6 @@ from sparseskin.messages import (
     Measurements,
     Message,
     Reconstruction,
-    Resultant,
     SkinState,
     Taxels,
     Truth,
@@ -73,8 +72,8 @@ class Start:
 class PatchFeed:
     """One patch: its newest maps, each with its time of arrival, and its history.
 
-    While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
-    the newest of each kind; NaN where a reading is missing. Their names are those of the schemas.
+    While frames are reconstructed, `maps` are of one frame; otherwise they are the newest of
+    each kind; NaN where a reading is missing. Their names are those of the schemas.
     `idle` is true while the newest frame was published as unchanged. `newest_trusted` is that of
     the newest reconstruction shown, `stamp_ns` too, `untrusted_s` the time of the last one not to
     be trusted, `reason` that of the last one. `measurements` are the newest ones, of frames that
@@ -85,7 +84,6 @@ class PatchFeed:
 
     skin: SkinState | None = None
     maps: dict[str, Floats] = field(default_factory=dict)
-    resultant: Resultant | None = None
     measurements: deque[Measurements] = field(default_factory=lambda: deque(maxlen=N_MEASURED))
     contacts: Contacts | None = None
     label: Labels | None = None
@@ -163,7 +161,7 @@ class Feed:
                 feed.skin = message
                 feed.maps.clear()
                 feed.measurements.clear()
-                feed.resultant = feed.contacts = feed.label = None
+                feed.contacts = feed.label = None
                 feed.newest_trusted, feed.untrusted_s = True, -math.inf
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
@@ -186,7 +184,6 @@ class Feed:
                 return
             maps = (complete.taxels, complete.reconstruction, complete.truth)
             feed.maps = {each.schema: known_forces(each) for each in maps if each is not None}
-            feed.resultant = complete.resultant
             if complete.reconstruction is not None:
                 (feed.idle,) = complete.reconstruction.unchanged
                 feed.note(complete.reconstruction, now_s)
@@ -215,7 +212,6 @@ class Feed:
             feed.maps = {**feed.maps, message.schema: known_forces(message)}
             if isinstance(message, Reconstruction):
                 feed.note(message, now_s)
-            feed.resultant = None
             feed.came_s[message.schema] = now_s
             self._show(feed)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
+from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout, fact
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
@@ -17,7 +18,7 @@ from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, 
 from .estimator import CONVERGED, N_FORMULA, SkinEstimator
 from .frame_vectors import FrameVectors
 from .gates import Gates, gates_of
-from .rows import CompiledRows, HadamardRows, is_block_transform, rows_of
+from .rows import CompiledRows, HadamardRows, rows_of
 from .tiles import tiles_of
 from .tuning import SkinTuning
 from .vectors import Vectors
@@ -63,8 +64,20 @@ class SkinSolver(Solver):
     """
 
     name = "skin"
+    uses_basis = False
+    least_iterations = 5
+    warning_of_samples = (
+        "phi = subsample: solver skin does not know its error between the taxels that are read; "
+        "advised: solver interpolation, or phi sbhe"
+    )
+    has_loops = True
+    calibrated = MappingProxyType(
+        {
+            SUMS: {FIXED: (1.19, 0.24), ROTATING: (1.29, 0.26)},
+            RANDOM: {FIXED: (0.77, 0.73), ROTATING: (1.29, 0.28)},
+        }
+    )
     rotates = True
-    adaptive = True
     paces = (1, 3, 5, 8, 12, 16, 24)
     #: The sum of squares of larger ones could overflow float32.
     y_max = 1e14
@@ -89,7 +102,7 @@ class SkinSolver(Solver):
             allowed = "allowed: SkinTuning, from Python only"
             raise SolverError(f"{self.name}: tuning = {tuning!r} is not allowed; {allowed}")
 
-        compiled = use_compiled(fast) and is_block_transform(phi)
+        compiled = use_compiled(fast) and block_layout(phi) is not None
         self._rows = rows_of(phi, compiled)
         self._cells = shared(self.taxels[self._rows.taxel])
         place = np.zeros(self.mask.shape, dtype=np.intp)
@@ -260,7 +273,7 @@ class SkinSolver(Solver):
         # The residuals of single taxels show no error between them.
         self.error = None
         self.trusted = True
-        if not isinstance(self.phi, SubsamplePhi):
+        if not fact(self.phi, "samples"):
             self.error = self._estimator.stated_error.value
             self.trusted = self._estimator.trust.holds
 

@@ -16,7 +16,6 @@ from sparseskin.messages import (
     Message,
     MessageError,
     Reconstruction,
-    Resultant,
     SkinState,
     Taxels,
     Truth,
@@ -33,7 +32,7 @@ from .reader import BagReader
 
 FRAMES = (Taxels, Truth, Measurements, Reconstruction)
 FRAME_SCHEMAS = tuple(cls.schema for cls in FRAMES)
-STREAM_SCHEMAS = (*FRAME_SCHEMAS, Resultant.schema, Contacts.schema)
+STREAM_SCHEMAS = (*FRAME_SCHEMAS, Contacts.schema)
 STATES = tuple(cls for cls in SCHEMAS.values() if cls.latched)
 
 
@@ -80,7 +79,7 @@ def frame_topics(
 
 
 def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
-    """As `frame_topics`, resultants and contacts included."""
+    """As `frame_topics`, contacts included."""
     return frame_topics(bag, topics, STREAM_SCHEMAS)
 
 

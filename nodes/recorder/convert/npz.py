@@ -55,7 +55,7 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
 
     All other numbers and texts of all messages are arrays SCHEMA_FIELD with one entry a message,
     e.g. `reconstruction_sd` (NaN in frames without one), `reconstruction_trusted`,
-    `resultant_total`, `phi_seed`; None is NaN. Other arrays (mask, calibration, tree) are those of
+    `phi_seed`; None is NaN. Other arrays (mask, calibration, tree) are those of
     the last states, in `states`, as the comment of `export_csv` has them. `states`, `patch`,
     `metadata` and `counts` are texts, JSON but for the patch.
 

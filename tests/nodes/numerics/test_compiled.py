@@ -30,13 +30,12 @@ def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(monkeyp
     with pytest.raises(SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"):
         use_compiled("on")
     lines = []
-    compile_loops("skin", "auto", lines.append)
+    compile_loops("auto", lines.append)
     (line,) = lines
     assert line.endswith("pip install 'sparseskin[fast]'")
-    compile_loops("tv", "auto", pytest.fail)
-    compile_loops("skin", "off", pytest.fail)
+    compile_loops("off", pytest.fail)
     monkeypatch.setenv(fast.ENVIRONMENT, "off")
-    compile_loops("skin", "auto", pytest.fail)
+    compile_loops("auto", pytest.fail)
 
 
 def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(monkeypatch):
@@ -46,7 +45,7 @@ def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(mon
     monkeypatch.setattr(fast, "find_spec", lambda name: name)
     monkeypatch.setattr(fast, "import_module", fail)
     lines = []
-    compile_loops("skin", "auto", lines.append)
+    compile_loops("auto", lines.append)
     assert lines == ["compiled loops: numba cannot be imported; numpy is used"]
     with pytest.raises(SettingsError, match=r"fast: importing numba failed: .*Got NumPy 2\.9"):
         use_compiled("on")
@@ -88,7 +87,7 @@ def test_all_loops_are_compiled_for_their_types_at_once_and_take_no_others():
 
     from sparseskin.nodes.numerics import kernels as fast_kernels
 
-    compile_loops("skin", "on", print)
+    compile_loops("on", print)
     assert all(len(loop.signatures) == 1 for loop in fast_kernels.LOOPS)
     wrong = np.zeros(4)  # float64
     with pytest.raises(TypeError, match="No matching definition"):
