@@ -70,6 +70,7 @@ def load_model(name: str) -> Model:
         except Exception as error:
             raise SettingsError(f"{name}: {one_line(error)}") from error
 
+    # What scikit-learn's classifiers have is asked for, and no class of it.
     if not callable(getattr(model, "predict_proba", None)) or not hasattr(model, "classes_"):
         kind = type(model).__name__
         raise SettingsError(f"{name}: {kind} has no predict_proba and classes_, as models have")
@@ -78,8 +79,8 @@ def load_model(name: str) -> Model:
         if not label.isprintable() or len(label) > MAX_LABEL:
             allowed = f"at most {MAX_LABEL} printable characters"
             raise SettingsError(f"{name}: label {label[:MAX_LABEL]!r}; allowed: {allowed}")
-    known: Model = model
-    return known
+    checked: Model = model
+    return checked
 
 
 def _unpickled(path: Path) -> Any:

@@ -89,6 +89,8 @@ class Recogniser(Node[RecogniserSettings]):
                 )
             return
         values = self._values(message)
+
+        # The age begins anew where the label changes.
         label, share = self._recognised(values)
         if self._since_ns is None or label != self._label:
             self._label = label

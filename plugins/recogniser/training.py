@@ -108,6 +108,7 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
         ours = [(k, span) for k, span in enumerate(spans) if span.recording in names]
         if not ours:
             raise SparseskinError(f"{path}: no row of the table of labels names it")
+        # Nothing presses in frames of a small norm.
         norms = np.linalg.norm(frames, axis=1)
         is_loaded = norms > LOADED * np.percentile(norms, 95)
         for k, span in ours:
@@ -132,9 +133,12 @@ def _names(paths: Iterable[str]) -> Iterable[str]:
 def _frames(path: str, reads: str) -> tuple[Floats, np.ndarray[Any, Any]]:
     """Frames of a recording, float32 (n, d), and their times from the first one on, seconds."""
     recording = read_recording(path)
-    name, stamps = reads, f"{reads}_stamp_ns"
+    name = reads
+    stamps = f"{reads}_stamp_ns"
     if reads == Reconstruction.schema and reads not in recording:
-        name, stamps = "forces", "stamp_ns"
+        # A recording of another program: its readings stand for forces.
+        name = "forces"
+        stamps = "stamp_ns"
     if name not in recording:
         raise SparseskinError(f"{path}: holds no {reads}")
     frames = np.asarray(recording[name], dtype=np.float32)
@@ -189,16 +193,16 @@ def phi_of(paths: Sequence[str], reads: str) -> str:
     from sparseskin.nodes.recorder.bag.frames import streams
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
-    found: set[str] = set()
+    fingerprints: set[str] = set()
     for path in paths:
         with BagReader(path) as bag:
             topics = [t for t in bag.topics if t.endswith(f"/{Measurements.schema}")]
             for message, _ in streams(bag, topics, "phi"):
                 assert isinstance(message, Measurements)
-                found.add(message.phi)
-    if len(found) != 1:
+                fingerprints.add(message.phi)
+    if len(fingerprints) != 1:
         raise SparseskinError(
-            f"measurements of {len(found)} matrices: their numbers mean something else in each; "
+            f"measurements of {len(fingerprints)} matrices, whose numbers differ in meaning; "
             'record with compressor.rows = "fixed", or --reads reconstruction'
         )
-    return found.pop()
+    return fingerprints.pop()

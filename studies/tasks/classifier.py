@@ -71,6 +71,7 @@ class Classifier:
             targets = np.hstack([targets, figures])
 
         scaled = _of_unit_norm(inputs)
+        # The constants on a part of the examples, the model on all of them.
         searched = np.random.default_rng(0).permutation(len(inputs))[:SEARCHED]
         folds = KFold(FOLDS, shuffle=True, random_state=0)
         search = GridSearchCV(KernelRidge(kernel="rbf"), GRID, cv=folds, refit=False)

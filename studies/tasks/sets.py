@@ -73,6 +73,7 @@ def _stemnist(paths: list[Path]) -> LabelledFrames:
         if len(label) != 1 or not number.isdecimal():
             raise StudyError(f"{path}: expected a name as AT_A_1.h5: person, label, number")
         readings = _pressures(path).astype(np.float32)
+        # At rest a taxel reads its median; the character is what is written in all of its time.
         frames[k] = np.maximum(readings - np.median(readings, axis=0), 0).max(axis=0)
         labels.append(label)
         people.append(person)
@@ -87,8 +88,9 @@ def _pressures(path: Path) -> np.ndarray[Any, np.dtype[np.uint8]]:
         with h5py.File(path, "r") as file:
             data = file["pressure_data"]
             shape = tuple(data.shape)
-            is_known = shape[1:] == STEMNIST_SHAPE and 0 < shape[0] <= MOST_STEPS
-            if not is_known or data.dtype != np.uint8:
+            # Checked before it is read into memory.
+            is_as_expected = shape[1:] == STEMNIST_SHAPE and 0 < shape[0] <= MOST_STEPS
+            if not is_as_expected or data.dtype != np.uint8:
                 expected = f"uint8 (1..{MOST_STEPS}, 16, 16)"
                 raise StudyError(f"{path}: pressure_data is {data.dtype} {shape}, not {expected}")
             return np.asarray(data[()])
@@ -100,6 +102,7 @@ def _arrays(path: Path) -> LabelledFrames:
     """A set in .npz: frames (n, n_rows, n_cols), labels (n,), and groups (n,) if there are some."""
     names = ("frames", "labels", "groups")
     try:
+        # An archive may grow a thousand times: its sizes are read first.
         with zipfile.ZipFile(path) as archive:
             n_bytes = sum(member.file_size for member in archive.infolist())
         if n_bytes > 8 * MOST_VALUES:
@@ -112,6 +115,7 @@ def _arrays(path: Path) -> LabelledFrames:
     missing = [name for name in ("frames", "labels") if name not in parts]
     if missing:
         raise StudyError(f"{path}: no array {missing[0]!r}; needed are frames and labels")
+
     frames = parts["frames"]
     if frames.ndim != 3 or not frames.size or frames.dtype.kind not in "iuf":
         given = f"{frames.dtype} {frames.shape}"
@@ -119,6 +123,8 @@ def _arrays(path: Path) -> LabelledFrames:
     frames = frames.astype(np.float32)
     if not np.isfinite(frames).all() or frames.min() < 0:
         raise StudyError(f"{path}: frames hold a number that is negative or not finite")
+
+    # Without groups, each example is one.
     groups = parts.get("groups", np.arange(len(frames)))
     for name, array in (("labels", parts["labels"]), ("groups", groups)):
         if array.shape != (len(frames),):

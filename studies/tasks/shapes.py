@@ -124,9 +124,12 @@ def _forces(shape: Shape, angle: float, place: Doubles, rng: np.random.Generator
     peak = math.exp(rng.uniform(*np.log(PEAKS_N)))
     slope = rng.uniform(-TILT, TILT, 2)
 
+    # Coordinates of the taxels in the frame of the shape, in its radii.
     row, col = np.indices((SIDE, SIDE)) - place[:, None, None]
     along = (math.cos(angle) * row + math.sin(angle) * col) / radius
     across = (math.cos(angle) * col - math.sin(angle) * row) / radius
+
+    # A taxel on the edge is covered in part; the skin is soft.
     cover = np.clip(0.5 - radius * shape.distance(along, across), 0, 1)
     level = 1 + slope[0] * along + slope[1] * across
     soft = ndimage.gaussian_filter(cover * np.maximum(level, 0), BLUR)

@@ -43,13 +43,13 @@ def run(out: Path, quick: bool, seed: int, executor: str, data: Path | None = No
     command = f"study tasks{' --quick' if quick else ''}{' --data DIR' if data else ''}"
     page = Page(out, "tasks", Path(__file__).with_name("notes.md"), quick, command)
     n_seeds = 1 if quick else N_SEEDS
-    rows = pd.DataFrame(
-        compute_rows(of_shapes, points(quick, seed, n_seeds, {}), out, executor, "shapes")
-    )
+    asked = points(quick, seed, n_seeds, {})
+    rows = pd.DataFrame(compute_rows(of_shapes, asked, out, executor, "shapes"))
     if data:
         of_set = {"folder": str(data), "digest": _digest(data)}
-        found = compute_rows(of_frames, points(quick, seed, n_seeds, of_set), out, executor, "set")
-        rows = pd.concat([rows, pd.DataFrame(found).drop(columns=list(of_set))])
+        asked = points(quick, seed, n_seeds, of_set)
+        of_data = pd.DataFrame(compute_rows(of_frames, asked, out, executor, "set"))
+        rows = pd.concat([rows, of_data.drop(columns=list(of_set))])
 
     means = rows.groupby(["task", "way", "ratio"], sort=False).mean(numeric_only=True)
     means = means.drop(columns="seed").reset_index()
@@ -71,13 +71,14 @@ def run(out: Path, quick: bool, seed: int, executor: str, data: Path | None = No
 
 def points(quick: bool, seed: int, n_seeds: int, of_set: dict[str, str]) -> list[dict[str, Any]]:
     """A point a way, ratio and seed; `of_set`: fields of a set of frames."""
-    size = {"quick": quick, **of_set}
-    found = []
-    for k in range(seed, seed + n_seeds):
-        found.append({"way": ALL, "ratio": 1, "seed": k, **size})
-        for ratio in QUICK_RATIOS if quick else RATIOS:
-            found += [{"way": way, "ratio": ratio, "seed": k, **size} for way in WAYS if way != ALL]
-    return found
+    ratios = QUICK_RATIOS if quick else RATIOS
+    compressed = [way for way in WAYS if way != ALL]
+    pairs = [(ALL, 1), *((way, ratio) for ratio in ratios for way in compressed)]
+    return [
+        {"way": way, "ratio": ratio, "seed": number, "quick": quick, **of_set}
+        for number in range(seed, seed + n_seeds)
+        for way, ratio in pairs
+    ]
 
 
 @lru_cache(maxsize=2)
@@ -90,20 +91,22 @@ def of_shapes(point: dict[str, Any]) -> dict[str, Any]:
     n_train = QUICK_TRAIN if point["quick"] else N_TRAIN
     presses = _drawn(n_train + (QUICK_TEST if point["quick"] else N_TEST), point["seed"])
     inputs = WAYS[point["way"]](presses.frames, point["ratio"], point["seed"])
-    train, test = slice(n_train), slice(n_train, None)
+    train = slice(n_train)
+    test = slice(n_train, None)
 
     orders = np.array([shape.symmetry for shape in SHAPES.values()])[presses.labels]
     turned = orders * presses.angles
     middle = (SIDE - 1) / 2
+
     # An angle is a direction of as many turns as the shape looks the same; of a disc there is none.
     directions = np.stack([np.cos(turned), np.sin(turned)], axis=1) * (orders > 0)[:, None]
     figures = np.hstack([directions, (presses.places - middle) / SIDE])
     model = Classifier().fit(inputs[train], presses.labels[train], figures[train])
 
-    shares, found = model.predict_all(inputs[test])
+    shares, estimates = model.predict_all(inputs[test])
     right = model.classes_[shares.argmax(axis=1)] == presses.labels[test]
-    off = np.linalg.norm(middle + SIDE * found[:, 2:] - presses.places[test], axis=1)
-    angles = _angle_errors(found[:, :2], turned[test], orders[test])
+    off = np.linalg.norm(middle + SIDE * estimates[:, 2:] - presses.places[test], axis=1)
+    angles = _angle_errors(estimates[:, :2], turned[test], orders[test])
     return {
         "task": SHAPE_TASK,
         "n_bytes": n_bytes(SIDE * SIDE, point["ratio"]),
@@ -113,12 +116,13 @@ def of_shapes(point: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _angle_errors(found: Doubles, turned: Doubles, orders: np.ndarray[Any, Any]) -> Doubles:
-    """Errors of angles, degrees, of the shapes that have one. `found`: direction (n, 2); `turned`:
+def _angle_errors(directions: Doubles, turned: Doubles, orders: np.ndarray[Any, Any]) -> Doubles:
+    """Errors of angles, degrees, of the shapes that have one. `directions` (n, 2); `turned`:
     true angle times the order of symmetry `orders`, (n,).
     """
     has_angle = orders > 0
-    difference = np.arctan2(found[:, 1], found[:, 0]) - turned
+    difference = np.arctan2(directions[:, 1], directions[:, 0]) - turned
+    # Of the angle times its order: a full turn of it is the smallest turn that changes nothing.
     wrapped = np.abs(np.angle(np.exp(1j * difference[has_angle])))
     errors: Doubles = np.degrees(wrapped / orders[has_angle])
     return errors
@@ -161,17 +165,18 @@ def tables(means: pd.DataFrame, task: str) -> list[str]:
     rows = means[means["task"] == task]
     figures = {"accuracy": "recognised, %", "angle_deg": "median error of the angle, degrees"}
     figures["place_taxels"] = "median error of the place, taxels"
-    found = []
+    texts = []
     for figure, title in figures.items():
         if figure not in rows or rows[figure].isna().all():
             continue
+        # A row a way, in the order of `WAYS`, and a column a ratio.
         by_ratio = rows.pivot(index="way", columns="ratio", values=figure)
         by_ratio = by_ratio.reindex([way for way in WAYS if way in by_ratio.index])
         by_ratio.columns = ["N" if ratio == 1 else f"N/{ratio}" for ratio in by_ratio]
         by_ratio.insert(0, title, by_ratio.index)
         digits = ".2f" if figure == "place_taxels" else ".1f"
-        found.append(markdown(by_ratio, dict.fromkeys(by_ratio.columns[1:], digits)))
-    return found
+        texts.append(markdown(by_ratio, dict.fromkeys(by_ratio.columns[1:], digits)))
+    return texts
 
 
 def conclusion(means: pd.DataFrame) -> list[str]:
