@@ -21,6 +21,7 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.sensor.noise import NoiseModel
 
+from .baselines.larger import LargerTaxels
 from .baselines.libraries import Bpdn, Library, TotalVariation
 from .baselines.sampling import CODECS, Codec, Filtered, Hold, Lattice
 from .evaluate import (
@@ -68,8 +69,8 @@ class Candidate:
     range, and scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own;
     of "reading": dead_zone_n; of "tv": weight, for the paper's range, and iterations; of "library":
     name in `PEERS`, lambda_n and iterations. `of`: "solver", "reading", "filtered", "lattice",
-    "hold", "tv", "library", or one of `CODECS`. `changes`: fields of the measurement that
-    differ. `alone`: True to forget all earlier frames before each one.
+    "hold", "larger", "tv", "library", or one of `CODECS`. `changes`: fields of the
+    measurement that differ. `alone`: True to forget all earlier frames before each one.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -89,6 +90,7 @@ class Candidate:
                 "filtered": lambda: Filtered(NoiseModel.for_range(take.f_max)),
                 "lattice": lambda: Lattice(mask, ratio),
                 "hold": lambda: Hold(mask, ratio),
+                "larger": lambda: LargerTaxels(mask, max(1, m_of(take.n, at.ratio))),
                 "tv": lambda: self._variation(at, take, seed),
                 "library": lambda: self._library(at, take, seed),
                 **{kind: lambda: Codec(mask, take.f_max, self.of) for kind in CODECS},
@@ -120,6 +122,10 @@ class Candidate:
         basis = make_basis("haar", *take.mask.shape)
         problem = Bpdn(_first_phi(at, take, seed), basis, lambda_n, take.sigma_end)
         return Library(self.settings["name"], problem, self.settings["iterations"])
+
+
+LARGER = {"larger taxels": Candidate(of="larger")}
+"""Fewer, larger taxels, the simplest thing that a maker can do: a row of every comparison."""
 
 
 def _first_phi(at: Measurement, take: Take, seed: int) -> Phi:

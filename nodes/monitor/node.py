@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from sparseskin.messages import (
     Contacts,
+    Labels,
     Measurements,
     Message,
     PhiState,
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 SUMMARY_EVERY_NS = 500_000_000
 """Period in which the live page gets a new summary."""
 REQUIRED = (SkinState, PhiState, Measurements, SolverState, Reconstruction)
-OPTIONAL = (Taxels, Truth, Contacts)
+OPTIONAL = (Taxels, Truth, Contacts, Labels)
 """A compressor outside the graph publishes no taxels."""
 WATCHED = (*REQUIRED, *OPTIONAL)
 

@@ -14,7 +14,15 @@ import numpy.typing as npt
 
 from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.launchfile.spec import LaunchFile
-from sparseskin.messages import Contacts, Measurements, Message, Reconstruction, Taxels, Truth
+from sparseskin.messages import (
+    Contacts,
+    Labels,
+    Measurements,
+    Message,
+    Reconstruction,
+    Taxels,
+    Truth,
+)
 from sparseskin.messages.frames import Frames, values_alone
 from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.reasons import first_reason
@@ -409,6 +417,8 @@ class Frame:
     """Word of the `messages.Reason` for that; "" if there is none."""
     contacts: Contacts | None = None
     """Contacts of `forces`, arrays with an entry each, with `reconstructor.contacts=true`."""
+    label: Labels | None = None
+    """What presses: label, share, age; with a node recogniser."""
     missing: Mask | None = None
     """Taxels whose reading is missing, and filled in, (n_rows, n_cols); None: there are none."""
 
@@ -472,6 +482,8 @@ _PARTS = {Truth: "truth", Taxels: "taxels", Measurements: "measurements", Recons
 def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator[Frame]:
     found: dict[tuple[str, int], dict[str, Any]] = {}
     for message in messages:
+        if isinstance(message, Labels):
+            found.setdefault((message.patch, message.stamp_ns), {})["label"] = message
         if not isinstance(message, Frames):
             continue
         for one in message.split(held):

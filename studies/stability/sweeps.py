@@ -16,7 +16,7 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import fact, solver_class
 from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.frames import SceneFrames
-from sparseskin.studies.harness import Candidate, Experiment, Measurement
+from sparseskin.studies.harness import LARGER, Candidate, Experiment, Measurement
 from sparseskin.studies.report import Chart, Page, draw_lines, markdown
 
 EXCERPTS = (
@@ -26,6 +26,8 @@ EXCERPTS = (
 )
 """An impact frame by frame, and at 100 Hz a wrench dragged and a light peg on its way."""
 READINGS = {"readings": Candidate(of="reading")}
+METHODS = (*SUM_SOLVERS, *LARGER)
+"""Order of the curves."""
 FAILS_DB = 3.0
 """Loss from the best of a sweep that counts as failing, in PSNR or over the touched taxels."""
 SHOWN = {"mean_db": ("PSNR, dB", 10, 70), "touched_db": ("1 N / error where touched, dB", 0, 60)}
@@ -82,6 +84,8 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
                 if key in settings_of(name)
                 for value in values
             }
+        if key == "noise":
+            candidates |= LARGER  # nothing else is a setting of them
         scores = ("mean_db", "touched_mn")
         yield Experiment(key, frames, measurements, candidates | READINGS, scores, (seed,))
 
@@ -133,7 +137,7 @@ def _draw(out: Path, ratio: int, frame: pd.DataFrame) -> str:
                 grey: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
                 label = "readings of all taxels"
                 axes.plot(readings["value"], readings[noisy], label=label, **grey)
-                draw_lines(axes, some, "value", score, "solver", list(SUM_SOLVERS), markersize=3.5)
+                draw_lines(axes, some, "value", score, "solver", METHODS, markersize=3.5)
                 axes.set(xscale=sweep.scale, xlabel=sweep.label if below else "")
                 axes.set_ylabel("" if k else title)
     return chart.markdown

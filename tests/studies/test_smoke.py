@@ -55,11 +55,14 @@ TEXTS = {
     "scene-needs": "| without damping of the skin |",
     "accuracy": "| press | 114 | kPa |",
     "speed": "## Beside lean nodes",
+    "tasks": "| sums of neighbours |",
     "train": "Noise of a known deviation",
 }
 """A text on each page."""
+PACKAGES = {"tasks": "sklearn", "train": "torch"}
+"""A package that a study needs beside those of all."""
 
-LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "train")
+LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "tasks", "train")
 """Studies that take more than some seconds even so."""
 
 
@@ -121,8 +124,8 @@ def recordings(tmp_path):
     ],
 )
 def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, recordings, capsys):
-    if name == "train":
-        pytest.importorskip("torch")
+    if name in PACKAGES:
+        pytest.importorskip(PACKAGES[name])
     out, options = tmp_path / "out", []
     if name == "accuracy":
         options = ["--recordings", str(recordings), "--seeds", "1", "--constants"]

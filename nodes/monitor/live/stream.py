@@ -33,6 +33,7 @@ CONTACT_FIELDS = (
     *("id", "total", "total_sd", "centre", "area", "velocity", "age_s", "over", "sliding"),
     *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
 )
+LABEL = ("label", "share", "age_s", "trusted")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
@@ -183,6 +184,9 @@ class StreamReader:
             "reason": None if trusted else _reason(patch.reason),
             "idle": patch.idle,
         }
+        if patch.label is not None:
+            state["label"] = {key: getattr(patch.label, key) for key in LABEL}
+            state["label"]["silent_s"] = now_s - patch.label_came_s
         if self._is_new(f"summary {name}", patch.summary):
             state["summary"] = patch.summary
         return state

@@ -40,6 +40,7 @@ from sparseskin.plugins.design.simulation import (
     SCENE_S,
     band,
     grid_of,
+    larger_raster,
     light_touch,
     make_reader,
     presses,
@@ -47,7 +48,7 @@ from sparseskin.plugins.design.simulation import (
 )
 from sparseskin.plugins.design.simulation import simulate as simulate_on
 from sparseskin.plugins.design.spec import make_design
-from sparseskin.plugins.design.strategies import N_SCENES, STRATEGIES
+from sparseskin.plugins.design.strategies import LARGER, N_SCENES, STRATEGIES
 from sparseskin.plugins.edge.description import EdgeDescription
 
 PALM = {"rows": 64, "cols": 64}
@@ -367,3 +368,15 @@ def test_rows_are_simulated_in_processes_as_in_this_one():
         assert row.accuracy == simulate(
             row.strategy.name, 6, 6, design.noise, 10, row.reached_hz, n_scenes=2
         )
+
+
+def test_larger_taxels_are_read_as_an_array_of_m_and_sums_are_rounded_to_the_bits():
+    design = make_design({"rows": 16, "cols": 32, "rate": "100Hz"})
+    row = next(row for row in budget(design) if row.strategy.phi == LARGER)
+    assert row.conversions == row.m == 128
+    assert row.lines == 8 + 16
+    mask = np.ones((16, 32), np.bool_)
+    read = larger_raster(mask, 8, 128)
+    taxels = np.random.default_rng(0).uniform(0, F_MAX_N, mask.shape).astype(np.float32)
+    tiles = [image.reshape(8, 2, 16, 2).sum(axis=(1, 3)) for image in (read(taxels), taxels)]
+    assert np.abs(tiles[0] - tiles[1]).max() <= 4 * F_MAX_N / 255 / 2 * 1.001

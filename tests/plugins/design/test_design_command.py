@@ -53,7 +53,7 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(tmp_path, cap
     assert "asked 20 Hz" in out
     with table.open() as file:
         written = list(csv.DictReader(file))
-    assert [row["strategy"] for row in written][::6] == ["all taxels", "N/4 adaptive sums"]
+    assert [row["strategy"] for row in written][::7] == ["all taxels", "N/4 adaptive sums"]
     # 64 bytes are 8 CAN frames of 135 bits.
     assert (written[0]["bytes"], float(written[0]["bus_s"])) == ("64", pytest.approx(8 * 135e-6))
 
