@@ -160,7 +160,10 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     recorded = next(iter(states.values()), None)
     if isinstance(recorded, SolverState) and recorded.frame_ms and not job.changes("reconstructor"):
         # Its number of iterations followed from the speed of the host that recorded it.
-        tables["reconstructor"]["iterations"] = recorded.iterations
+        tables["reconstructor"]["iterations"] = recorded.max_iterations or recorded.iterations
+        if recorded.frame_tiles:
+            times = {"frame_tiles": recorded.frame_tiles, "step_tiles": recorded.step_tiles}
+            tables["reconstructor"]["options"] = times
     tables["monitor"] = {"type": "monitor", "patches": [patch]}
     tables["recorder"] = {"type": "recorder", "out": str(out), "launch": origin_of(job, bag)}
     return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
