@@ -169,6 +169,7 @@ class Patch:
         }
         if isinstance(solver, CountsTiles) and solver.times[0]:
             frame_tiles, step_tiles = solver.times
+            _, stated["iterations"] = solver.steps_for(solver.most_tiles)
             stated["max_iterations"] = solver.n_steps
             stated |= {"frame_tiles": frame_tiles, "step_tiles": step_tiles}
         return stated
