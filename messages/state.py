@@ -138,9 +138,10 @@ class PhiState(Message):
 class SolverState(Message):
     """The solver in use.
 
-    `basis` is "" where the solver has its own. `iterations` is the number a frame; `frame_ms` the
-    time that they take on this host where every taxel is pressed, milliseconds, 0 where it is not
-    known.
+    `basis` is "" where the solver has its own. `iterations` is the number a frame where every taxel
+    is pressed; `frame_ms` the time that they take on this host then, milliseconds, 0 where it is
+    not known. Where fewer are pressed, a frame has up to `max_iterations`; 0: none has more. Their
+    number follows from `frame_tiles` and `step_tiles`, as of `SkinSolver`.
     """
 
     schema: ClassVar[str] = "solver"
@@ -152,6 +153,9 @@ class SolverState(Message):
     iterations: int = wire(Integer(0, 1_000_000))
     lambda_n: float = wire(Real(0.0))
     frame_ms: float = wire(Real(0.0), default=0.0, omitted=True)
+    max_iterations: int = wire(Integer(0, 1_000_000), default=0, omitted=True)
+    frame_tiles: int = wire(Integer(), default=0, omitted=True)
+    step_tiles: int = wire(Integer(), default=0, omitted=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
