@@ -61,8 +61,8 @@ class FileAddress(Address):
         if described is None or described.placement is not None or not is_table:
             return layout
         shape = {
-            "n_rows": layout.n_rows or described.rows,
-            "n_cols": layout.n_cols or described.cols,
+            "n_rows": layout.n_rows or described.n_rows,
+            "n_cols": layout.n_cols or described.n_cols,
         }
         return layout.stating(shape)
 
