@@ -297,12 +297,12 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
         text = str(error)
         ways = [option for option in error.options if _reads(path, layout, raw, option)]
         if len(ways) == 1:
-            unit_or_range = [f"{key}={shlex.quote(value)}" for key, value in ways[0].items()]
+            unit_or_range = [f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()]
             text = f"{text}{ADD}{' '.join(unit_or_range)}"
         raise SourceError(text) from error
 
 
-def _reads(path: str, layout: Layout, raw: bool, option: Mapping[str, str]) -> bool:
+def _reads(path: str, layout: Layout, raw: bool, option: Mapping[str, Any]) -> bool:
     """True if all of a file can be read with a further setting, or only something else is not
     stated then.
     """

@@ -95,7 +95,7 @@ class Frames:
 
     def blocks(self) -> Iterator[Stamped]:
         """Read all frames. Raises SourceError at the first reading, time or item that is none."""
-        stamps = Stamps(self.time_unit) if self.is_timed else None
+        stamps = Stamps(self.time_unit, self.layout.time_wrap) if self.is_timed else None
         self._n_before = 0
         for block in self.recording.blocks():
             frames = self._checked(self.arrangement.frames(block.numbers))
@@ -107,6 +107,8 @@ class Frames:
             self._n_before += len(frames)
             self.last_ns = int(stamp_ns[-1])
             yield stamp_ns, frames
+        if stamps is not None:
+            stamps.check(self.name)
         self.recording.tally.check(self.name)
         if not self._n_before:
             raise SourceError(f"{self.name}: the recording holds no frame")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -78,7 +79,8 @@ def arrange(
             places = places.reshape(selection.shape)
             labelled = [Axis(selection.shape[0], "rows"), Axis(selection.shape[1], "cols")]
         else:
-            is_certain = any(names) or bool(layout.columns)
+            is_named = all(re.search(r"\d", names[k]) for k in selection.columns)
+            is_certain = is_named or bool(layout.columns)
             labelled = [Axis(places.size, "taxels" if is_certain else UNNAMED)]
     else:
         places, labelled, notes = _one_channel(layout, places, labelled, where)

@@ -32,11 +32,11 @@ CHANNEL = re.compile(r"\d{1,4}|[A-Za-z_]\w{0,31}")
 class UnstatedError(SourceError):
     """Something that a source does not state, and that can be read in more than one way.
 
-    `options` are the settings that may be meant, each a mapping of key to text. Whoever knows the
+    `options` are the settings that may be meant, each a mapping of key to value. Whoever knows the
     whole source tries them, and proposes the one that reads it.
     """
 
-    def __init__(self, text: str, *options: Mapping[str, str]) -> None:
+    def __init__(self, text: str, *options: Mapping[str, Any]) -> None:
         super().__init__(text)
         self.options = options
 
@@ -95,6 +95,12 @@ class Layout(GridLayout):
     )
     time_unit: str = setting(
         "", "unit of the times; clock: time of day, as 10:15:02.120", choices=TIME_UNITS
+    )
+    time_wrap: int | None = setting(
+        None,
+        "units of time until the times are 0 again: 4294967296 of micros() and millis()",
+        low=2,
+        high=1 << 64,
     )
     rate_hz: float | None = setting(
         None, "frames per second, in place of the times of the file", low=1e-9, high=1e9
