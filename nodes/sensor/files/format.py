@@ -16,6 +16,7 @@ from .arrays import ArrayRecording
 from .bag import BagRecording, is_bag
 from .recording import File, Recording, shown
 from .table.table import TableRecording
+from .table.transposed import TransposedTable
 
 HEAD_BYTES = 1 << 16
 """Bytes from the begin of a file by which its format is found, where several have its suffix."""
@@ -48,9 +49,22 @@ class Format:
     markers: tuple[str, ...] = ()
 
 
+def open_table(file: File) -> Recording:
+    """A table, with frames along its lines, or along its columns if `axes` states that. Raises
+    SourceError if `axes` is of an array.
+    """
+    axes = file.layout.axis_names
+    if axes == ("taxels", "frames"):
+        return TransposedTable(file)
+    if axes not in ((), ("frames", "taxels")):
+        fault = f"axes = {file.layout.axes}; allowed for a table: taxels,frames or frames,taxels"
+        raise SourceError(f"{file.name}: {fault}")
+    return TableRecording(file)
+
+
 _NPZ = "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted"
 OWN = (
-    Format(dict.fromkeys(TABLE_SUFFIXES, "table of text"), TableRecording),
+    Format(dict.fromkeys(TABLE_SUFFIXES, "table of text"), open_table),
     Format({".npy": "array (frames, rows, columns)", ".npz": _NPZ}, ArrayRecording),
     Format({".mcap": "recording of sparseskin"}, BagRecording, is_bag),
 )

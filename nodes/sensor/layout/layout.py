@@ -79,7 +79,8 @@ class Layout(GridLayout):
     axes: str = setting(
         "",
         "axes of an array in their order, as rows,cols,frames; of frames, rows, cols, taxels, "
-        "channel, and - for an axis of one entry",
+        "channel, and - for an axis of one entry; of a table with a line for each taxel: "
+        "taxels,frames",
     )
     columns: str = setting(
         "", "taxels of a table: names as s*, or numbers from 1 as 2-65, separated by commas"
@@ -130,6 +131,9 @@ class Layout(GridLayout):
     )
 
     def __post_init__(self) -> None:
+        if isinstance(self.time_wrap, str) and self.time_wrap.isdecimal():
+            # As it stands behind "add" in an error.
+            object.__setattr__(self, "time_wrap", int(self.time_wrap[:24]))
         for key in NUMBERS_AS_TEXTS:
             value = getattr(self, key)
             if is_real(value):

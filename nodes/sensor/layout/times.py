@@ -20,7 +20,7 @@ NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, ISO: 1, CLOCK_UNIT: 1}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
 TIME_NAME = re.compile(
     r"[%_\s]*(?:field\.|header[._])*(t|ts|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
-    r"|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])"
+    r"|secs?|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])"
 )
 """Begin of the name of a column or array of times, in small letters."""
 UNIT_NAME = re.compile(

@@ -73,6 +73,20 @@ class TableRecording(Recording):
             notes=head.notes,
         )
 
+    @property
+    def numeric(self) -> tuple[int, ...]:
+        """The columns of numbers."""
+        return self._head.numeric
+
+    def texts_of_lines(self) -> tuple[str, ...]:
+        """The first cells of all lines, where these are texts; else ()."""
+        if 0 in self._head.numeric:
+            return ()
+        cells = self._head.dialect.cells
+        names = tuple(cells(text)[0] for texts, _, _ in self._lines() for text in texts)
+        self.tally.begin()
+        return names
+
     def blocks(self) -> Iterator[Block]:
         self.tally.begin()
         if self._head.kind == GRID:
