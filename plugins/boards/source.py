@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -24,7 +24,7 @@ from sparseskin.nodes.sensor.source import LiveSource
 from .can_port import CanPort, chunks_of
 from .framing import Counts, Framing
 from .ports import Arrived, Port
-from .readings import Decoder, Pieces
+from .readings import Pieces
 from .serial_port import SerialPort
 from .settings import (
     BoardSettings,
@@ -57,7 +57,7 @@ class Board:
     kind: str
     address: str
     settings: BoardSettings
-    decode: Decoder
+    decode: Callable[..., Floats]
     framing: Framing
     skin: Skin
 

@@ -125,7 +125,11 @@ class Layout(GridLayout):
     topic: str = setting(
         "", "topic of a recording (ROS, sparseskin), or name or path of the array in a file"
     )
-    frame_id: str = setting("", "of the messages of a topic those whose header names this frame")
+    frame_id: str = setting(
+        "",
+        "of the messages of a topic those whose header names this frame; of a table the lines "
+        "whose column of sensors has it",
+    )
     skip: int = setting(
         0, "lines of a table, or messages, before the first that is read", low=0, high=2**31 - 1
     )

@@ -43,6 +43,11 @@ VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "cou
 FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
 
 TAXEL_WORDS = ("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id")
+SOURCE_WORDS = (
+    *("side", "hand", "foot", "finger", "sensor", "sensor_id", "sensor_name", "device"),
+    *("device_id", "skin", "patch", "mat", "board", "module"),
+)
+"""Names of columns that state which skin a line is of."""
 SECONDS = re.compile(r"(.*?)(?:secs?|seconds)")
 NANOSECONDS = re.compile(r"(.*?)(?:nsecs?|nanosecs?|nanoseconds)")
 TIME_LIKE = re.compile(r"\d[:h]\d\d(?!\d)|\d[-/.]\d{1,2}[-/.]\d")
@@ -71,6 +76,7 @@ class TableHead:
     kind: str = LINES
     height: int = 1  # lines of a frame of a grid
     long: LongColumns | None = None
+    source: int | None = None  # column by which lines of one skin are chosen
     notes: tuple[str, ...] = ()
 
     def label(self, column: int) -> str:
@@ -130,12 +136,18 @@ def read_head(file: File) -> TableHead:
         raise SourceError(f"{place}: no column holds numbers; state columns, or skip")
 
     _find_kind(head, file, raw, data)
+    if head.kind == LINES:
+        head.source = _source_column(head, layout, data, file.name)
+    if head.source is not None:
+        data = [line for line in data if line.cells[head.source] == layout.frame_id]
+    if head.dialect.has_decimal_comma:
+        head.notes += ("commas are decimal points",)
     if head.kind != GRID:
         head.time = _time_column(head, layout, data, file.name)
     if head.time is not None:
         head.nanoseconds = _nanoseconds_beside(head, head.time)
         head.time_unit = _unit_of_column(head, data, layout)
-    no_taxels = (head.time, head.nanoseconds, *_counters(head, data))
+    no_taxels = (head.time, head.nanoseconds, head.source, *_counters(head, data))
     head.usable = tuple(k for k in head.numeric if k not in no_taxels)
     _note_texts(head)
     return head
@@ -384,6 +396,25 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[_Line]) -> Lon
         return LongColumns(frames[0], None, col, value, 0, low[0], 1, sides[0])
     n_rows, n_cols = layout.n_rows or sides[0], layout.n_cols or sides[1]
     return LongColumns(frames[0], row, col, value, low[0], low[1], n_rows, n_cols)
+
+
+def _source_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> int | None:
+    """The column by which the lines of one skin are chosen, where a name states that there is one.
+    Raises UnstatedError if lines are of several skins, and none is stated.
+    """
+    columns = [k for k, label in enumerate(head.names) if label.lower() in SOURCE_WORDS]
+    for k in columns:
+        values = list(dict.fromkeys(line.cells[k] for line in data))
+        if layout.frame_id in values:
+            return k
+        if len(values) > 1:
+            listed = ", ".join(map(shown, values[:MAX_SHOWN]))
+            fault = f"column {head.label(k)} names {len(values)} skins, {listed}"
+            options = [{"frame_id": value} for value in values[:MAX_SHOWN]]
+            raise UnstatedError(f"{name}: {fault}: state frame_id", *options)
+    if layout.frame_id:
+        raise SourceError(f"{name}: frame_id: no column states {shown(layout.frame_id)}")
+    return None
 
 
 def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> int | None:

@@ -136,6 +136,8 @@ class TableRecording(Recording):
                 label = self._dropped_as(text)
                 if not label and piece.is_cut and number == piece.number + len(piece.lines) - 1:
                     label = self._cut_as(text)
+                if not label and head.source is not None:
+                    label = self._of_other_skin(text)
                 if label:
                     self.tally.drop(label)
                     begins = True
@@ -163,6 +165,12 @@ class TableRecording(Recording):
             if not is_row:
                 return "lines between frames"
         return ""
+
+    def _of_other_skin(self, text: str) -> str:
+        cells = self._head.dialect.cells(text)
+        is_other = len(cells) > (self._head.source or 0)
+        is_other = is_other and cells[self._head.source or 0] != self._layout.frame_id
+        return "lines of other skins" if is_other else ""
 
     def _cut_as(self, text: str) -> str:
         is_short = len(self._head.dialect.cells(text)) < self._head.width

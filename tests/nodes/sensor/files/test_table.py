@@ -91,6 +91,11 @@ def test_a_damaged_table_is_read_right_or_refused(tmp_path, table, data):
             10,
         ),
         (
+            "hand,s0,s1,s2,s3,s4,s5\nl,0,1,2,3,4,5\nr,9,9,9,9,9,9\nl,6,7,8,9,10,11\n",
+            {"n_rows": 2, "frame_id": "l"},
+            None,
+        ),
+        (
             "time_s,taxel,value\n"
             + "".join(f"{k / 20},{j + 1},{6 * k + j}\n" for k, j in np.ndindex(2, 6)),
             {"n_rows": 2},
@@ -152,6 +157,11 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         ),
         ('{"t": 0, "s": [1, 2]}\n{"t": 1, "s": [1, 2]}\n', ROW, "lines of JSON are not read"),
         ("1,2\n3,4\n", {**ROW, "axes": "rows,cols,frames"}, "axes = .*; allowed for a table"),
+        (
+            "side,s0,s1\nleft,1,2\nright,3,4\n",
+            ROW,
+            "2 skins, 'left', 'right': state frame_id$",
+        ),
         ("L0,L1,R0,R1\n1,2,3,4\n", ROW, "state columns=1-2 or columns=3-4$"),
         ("1,\0", ROW, "not a text table in UTF-8"),
         ("t,time,s0,s1\n0,5,1,1\n1,6,1,1\n", ROW, "2 columns may be the times: state time='t' or"),
