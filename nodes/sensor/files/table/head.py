@@ -33,8 +33,8 @@ from .text import COMMENTS, Dialect, dialect_of, pieces
 
 MAX_SAMPLE = 1000
 """Lines of the begin that are looked at; chosen: a thousand frames."""
-COUNTED = 8
-"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
+COUNTED = 4
+"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame of real readings is so."""
 MAX_SHOWN = 8
 RISING_LINES = 8
 """Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
@@ -130,7 +130,8 @@ def read_head(file: File) -> TableHead:
     if not data:
         raise SourceError(f"{file.name}: the recording holds no frame")
     _count_before(head, raw, data[0].number, layout, bool(separator))
-    head.numeric = tuple(k for k in range(head.width) if _is_numeric(data, k, layout))
+    numeric = {k for k in range(head.width) if _is_numeric(data, k, layout)}
+    head.numeric = tuple(sorted(numeric | _without_readings(head, data, numeric)))
     if not head.numeric:
         place = f"{file.name}, line {data[0].number}"
         raise SourceError(f"{place}: no column holds numbers; state columns, or skip")
@@ -242,6 +243,8 @@ def _headed(
         return []
     else:
         _named_by_comment(head, raw[n_skipped:], first.number)
+        if head.width > 1 and _counts_columns(first.cells[: head.width]):
+            head.notes += ("the first line counts: it is read as a frame; skip=1 if it is names",)
     if lines and not any(_is_value(cell) for cell in lines[0].cells):
         return []
     return lines
@@ -256,12 +259,12 @@ def _are_names(cells: Sequence[str]) -> bool:
 
 
 def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
-    """True if a line has texts in columns that hold numbers later; or all are 0, 1, 2, ..., as
-    pandas names columns.
+    """True if a line has texts in columns that hold numbers later; or it counts the columns, as
+    programs name them that know no names.
     """
-    by_name = [cell for cell in cells if cell]
-    if len(by_name) >= COUNTED and by_name == [*map(str, range(len(by_name)))]:
-        return True
+    if _counts_columns(cells) and len(cells) >= COUNTED:
+        # Frames of a test pattern count on.
+        return not _steps_by_one(later[0].cells[: len(cells)])
     for k, cell in enumerate(cells):
         if _is_value(cell):
             continue
@@ -270,6 +273,18 @@ def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
         if cell and 2 * n_values > len(below):
             return True
     return False
+
+
+def _steps_by_one(cells: Sequence[str]) -> bool:
+    numbers = [float(cell) for cell in cells if is_number(cell)]
+    return len(numbers) == len(cells) and bool((np.diff(numbers) == 1).all())
+
+
+def _counts_columns(cells: Sequence[str]) -> bool:
+    """True for 0, 1, 2, ... or 1, 2, 3, ..., perhaps behind an empty cell."""
+    counted = [cell for cell in cells if cell]
+    n = len(counted)
+    return counted in ([*map(str, range(n))], [*map(str, range(1, n + 1))])
 
 
 def _is_value(cell: str) -> bool:
@@ -316,6 +331,19 @@ def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
     ]
     n_numbers = sum(map(is_number, texts))
     return n_numbers > 0 and 2 * n_numbers >= len(texts)
+
+
+def _without_readings(head: TableHead, data: Sequence[_Line], numeric: set[int]) -> set[int]:
+    """Columns of missing numbers alone whose names are like those of columns of numbers: taxels
+    that are dead.
+    """
+    patterns = {re.sub(r"\d+", "#", head.names[k]) for k in numeric if _is_indexed(head, k)}
+    dead = set()
+    for k in range(head.width):
+        is_like_others = re.sub(r"\d+", "#", head.names[k]) in patterns
+        if is_like_others and k not in numeric and all(is_missing(row.cells[k]) for row in data):
+            dead.add(k)
+    return dead
 
 
 def _find_kind(

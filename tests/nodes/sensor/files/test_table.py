@@ -230,6 +230,20 @@ def test_a_folder_of_frames_is_read_in_the_order_of_its_numbers(tmp_path):
     assert source.frames[:, 0, 0].tolist() == [1, 2, 10]
 
 
+def test_a_taxel_without_a_reading_is_missing_and_not_left_out(tmp_path):
+    source = read(tmp_path, "s0,s1,s2\n1,NaN,2\n3,NaN,4\n", n_rows=1, n_cols=3, missing="NaN")
+    np.testing.assert_array_equal(source.frames, [[[1, np.nan, 2]], [[3, np.nan, 4]]])
+
+
+def test_a_first_line_that_counts_is_a_header_or_named(tmp_path):
+    wide = ",".join(map(str, range(1, 10)))
+    source = read(tmp_path, f"{wide}\n{'7,' * 8}7\n", n_rows=3, n_cols=3)
+    assert len(source.frames) == 1
+    source = read(tmp_path, "1,2\n7,7\n", n_rows=1)
+    assert len(source.frames) == 2
+    assert any("skip=1 if it is names" in line for line in source.notes)
+
+
 def test_repeated_times_cost_1_ns_and_are_said(tmp_path):
     source = read(tmp_path, "time_s,s0,s1\n0,1,1\n0.1,1,1\n0.1,1,1\n5,1,1\n", **ROW)
     assert source.stamp_ns.tolist() == [0, 100_000_000, 100_000_001, 5_000_000_000]
