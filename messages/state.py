@@ -1,7 +1,7 @@
 """State messages: descriptions of the nodes, latched so that late subscribers receive them."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -77,6 +77,21 @@ class SkinState(Message):
         one where the range clips it; 0 where no noise is stated.
         """
         return min(self.sigma_mid, self.sigma_end) * (CLIP_SD if self.clips_noise else 1.0)
+
+
+def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
+    """`f_max` and `unit` of a skin; `mask`, `points`, `point_rows`, `pitch_m` and `rate_hz` where
+    known.
+    """
+    optional = {
+        "mask": skin.mask,
+        "points": skin.points,
+        "point_rows": skin.point_rows,
+        "pitch_m": skin.pitch_m or None,
+        "rate_hz": rate_hz or None,
+    }
+    known = {name: value for name, value in optional.items() if value is not None}
+    return {"f_max": skin.f_max, "unit": skin.unit, **known}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
