@@ -69,8 +69,8 @@ class Candidate:
     range, and scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own;
     of "reading": dead_zone_n; of "tv": weight, for the paper's range, and iterations; of "library":
     name in `PEERS`, lambda_n and iterations. `of`: "solver", "reading", "filtered", "lattice",
-    "hold", "larger", "tv", "library", or one of `CODECS`. `changes`: fields of the measurement that
-    differ. `alone`: True to forget all earlier frames before each one.
+    "hold", "larger", "tv", "library", or one of `CODECS`. `changes`: fields of the
+    measurement that differ. `alone`: True to forget all earlier frames before each one.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)

@@ -317,7 +317,8 @@ class PatchMetrics:
         return {
             "scene": skin.source if skin else None,
             "phi": phi.kind if phi else None,
-            **_fields(self.solver, "basis", "solver", "preset", "iterations", "frame_ms"),
+            **_fields(self.solver, "basis", "solver", "preset", "iterations", "max_iterations"),
+            **_fields(self.solver, "frame_ms"),
             **_fields(phi, "rows", "n", "m"),
             **_fields(skin, "f_min", "f_max", "unit"),
             "ratio": n / m if m else None,

@@ -146,6 +146,9 @@ def patch_table(name: str, patch: Mapping[str, Any]) -> str:
     within = f" (± {ms:.2f})" if (ms := patch["latency_uncertainty_ms"]) else ""
     full_ms, compared = patch["frame_ms"], ""
     full = "" if full_ms in (NONE, 0) else f" ({full_ms:.2g} ms on a full skin)"
+    iterations = f"{patch['iterations']}"
+    if patch["max_iterations"] not in (NONE, 0):
+        iterations += f" to {patch['max_iterations']}"
     if patch["compared"] < frames["reconstructed"]:
         why = _since(patch["since_ns"]) or " (the others came too late)"
         compared = f";\n            figures of {patch['compared']}{why}"
@@ -158,7 +161,7 @@ def patch_table(name: str, patch: Mapping[str, Any]) -> str:
         f"measured    {patch['phi']}{rotating}: "
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range {shown(patch['f_min'], 'g')}..{shown(patch['f_max'], 'g')} {patch['unit']}{bits}",
-        f"solver      {patch['solver']}{basis}, {patch['iterations']} iterations{full}{preset}",
+        f"solver      {patch['solver']}{basis}, {iterations} iterations{full}{preset}",
         f"bytes       {f'taxels {n_in:,}, ' if n_in else ''}measurements {n_out:,}"
         f"{f' (1/{n_in / n_out:.2f})' if n_in and n_out else ''}",
         f"time        latency {_times(patch['latency_ms'])}{within}; "

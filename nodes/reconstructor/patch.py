@@ -19,6 +19,7 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise
 from sparseskin.nodes.reconstructor.solvers.base import (
+    CountsTiles,
     Solver,
     estimated_error,
     fact,
@@ -40,6 +41,10 @@ from .settings import PRESETS, ReconstructorSettings
 
 if TYPE_CHECKING:
     from .contact_tracks import ContactTracker, Followed
+
+
+USUAL_PART = 0.25
+"""Part of a skin that is pressed, for a warning: 10 to 25 % in scenes, more in recordings."""
 
 
 class Solved(NamedTuple):
@@ -121,17 +126,23 @@ class Patch:
         most_steps, frame_ms = sys.maxsize, 0.0
         if alike is not None:
             most_steps = alike.most_steps
-            if most_steps in getattr(solver, "paces", ()):
+            if isinstance(solver, CountsTiles) and isinstance(alike.solver, CountsTiles):
+                solver.use_times(*alike.solver.times)
+            elif most_steps in getattr(solver, "paces", ()):
                 solver.use_pace(most_steps)
         elif budget_ms is not None:
             n_steps = solver.n_steps
             most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
             frame_ms = round(1e3 * frame_s, 3)
-            if most_steps < fact(cls, "least_iterations"):
+            usual, where = most_steps, ""
+            if isinstance(solver, CountsTiles) and solver.times[0]:
+                usual = solver.steps_for(int(USUAL_PART * solver.most_tiles))[1]
+                where = f" where {USUAL_PART:.0%} of the skin is pressed"
+            if usual < fact(cls, "least_iterations"):
                 self.log(
-                    f"{most_steps} of {n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
-                    f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
-                    "budget_ms, a lower rate, or fewer taxels a node"
+                    f"{usual} of {n_steps} iterations{where}, for a budget of {budget_ms:.2g} ms: "
+                    "a sudden contact takes several frames; advised: a larger budget_ms, a lower "
+                    "rate, or fewer taxels a node"
                 )
         self.settings, self.solver, self._subsets = settings, solver, subsets
         self.most_steps = most_steps
@@ -150,12 +161,18 @@ class Patch:
         if self._last is not None and self._last.shape != skin.shape:
             self._last = None
         self._warm = self._last
-        return {
+        stated = {
             "basis": getattr(basis, "label", chosen["basis"]),
             "iterations": min(options.get("iterations", solver.n_steps), most_steps),
             "lambda_n": options.get("lambda_n", 0.0),
             "frame_ms": frame_ms,
         }
+        if isinstance(solver, CountsTiles) and solver.times[0]:
+            frame_tiles, step_tiles = solver.times
+            _, stated["iterations"] = solver.steps_for(solver.most_tiles)
+            stated["max_iterations"] = solver.n_steps
+            stated |= {"frame_tiles": frame_tiles, "step_tiles": step_tiles}
+        return stated
 
     def _watch_faults(self, settings: ReconstructorSettings, skin: SkinState, mask: Mask) -> None:
         """Watch the frames of a skin from now on."""
@@ -208,10 +225,13 @@ class Patch:
             return
         begin_ns = time.perf_counter_ns()
         self.solver.setup(self._believed, self._warm)
-        self._n_steps = min(self.most_steps, self.solver.n_steps)
-        for _ in range(self._n_steps):
+        most = self.solver.n_steps
+        if not isinstance(self.solver, CountsTiles):
+            most = min(self.most_steps, most)
+        for _ in range(most):
             self.solver.step()
         self._last = self.solver.finish()
+        self._n_steps = self.solver.n_done if isinstance(self.solver, CountsTiles) else most
         self._error, _ = estimated_error(self.solver)
         self._solve_ns = time.perf_counter_ns() - begin_ns
         self._warm = None

@@ -89,8 +89,8 @@ class ReconstructorSettings(PatchesSettings):
     )
     budget_ms: float | None = setting(
         None,
-        "time of a frame, in milliseconds, that the number of iterations is chosen for when the "
-        "graph begins; default: half the time between frames, for solver skin alone",
+        "time of a frame, in milliseconds, that the number of iterations is chosen for: more where "
+        "fewer taxels are pressed; default: half the time between frames, for solver skin alone",
         low=0.05,
         high=60_000.0,
         live=True,

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sparseskin.arrays import read_recording
 from sparseskin.messages import Measurements, Reconstruction
 from sparseskin.messages.labels import MAX_LABEL
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.recordings import read_recording
 from sparseskin.studies.evaluate import LOADED
 from sparseskin.studies.tasks.classifier import Classifier
 

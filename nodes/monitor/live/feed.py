@@ -161,7 +161,8 @@ class Feed:
                 feed.skin = message
                 feed.maps.clear()
                 feed.measurements.clear()
-                feed.contacts = feed.label = None
+                feed.contacts = None
+                feed.label = None
                 feed.newest_trusted, feed.untrusted_s = True, -math.inf
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9

@@ -269,6 +269,31 @@ class Solver(ABC):
         return warm
 
 
+class CountsTiles(Solver):
+    """A solver whose frames take as many steps as fit into a time, which is counted in tiles of the
+    skin in which something presses: the same number on any host.
+    """
+
+    #: Number of tiles of the skin.
+    most_tiles: int
+    #: Steps of the last frame.
+    n_done: int = 0
+    #: Tiles that counted in all steps of the last frame.
+    n_tiles: int = 0
+    #: Arguments of `use_times`.
+    times: tuple[int, int] = (0, 0)
+
+    @abstractmethod
+    def use_times(self, frame_tiles: int, step_tiles: int) -> None:
+        """Choose the steps of each frame from now on, one to `n_steps`, by their time and by that
+        of a step without any tile, both counted in that of a tile in a step. 0: all are done.
+        """
+
+    @abstractmethod
+    def steps_for(self, n_tiles: int) -> tuple[int, int]:
+        """Numbers of steps by the formula and of others, in a frame of so many tiles."""
+
+
 class RotatingSolver(Solver):
     """One solver of any kind for each row subset; each starts from the estimate of the last frame.
 

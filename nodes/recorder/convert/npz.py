@@ -17,11 +17,11 @@ import numpy.typing as npt
 from sparseskin.messages import Contacts, Measurements, Message
 from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
+from sparseskin.messages.state import described
 from sparseskin.nodes.files import os_errors, whole_file
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     array_names,
-    described,
     last_states,
     patch_of,
     skin_of,

@@ -250,7 +250,7 @@ def test_a_file_that_was_changed_is_refused_with_its_place(old, new, line, tmp_p
     assert refusal(lambda: EdgeDescription.read(path), SettingsError).startswith(f"{path}: {line}")
 
 
-EXPORT = ["edge", "export", "--rows", "6", "--cols", "8"]
+EXPORT = ["edge", "export", "--n-rows", "6", "--n-cols", "8"]
 
 
 def test_it_writes_the_program_of_the_stated_matrix(tmp_path, capsys):
@@ -263,7 +263,7 @@ def test_it_writes_the_program_of_the_stated_matrix(tmp_path, capsys):
     assert "12 of 48 taxels, rows rotating, 10 bits, 30 bytes a frame" in capsys.readouterr().out
     assert "@" not in (out / "README.md").read_text()
     skin, out = tmp_path / "skin.toml", tmp_path / "of_skin"
-    skin.write_text('rows = 2\ncols = 3\nf_max = 2.5\nmask = ["101", "111"]\n')
+    skin.write_text('n_rows = 2\nn_cols = 3\nf_max = 2.5\nmask = ["101", "111"]\n')
     assert main(["edge", "export", "--skin", str(skin), "--m", "2", "--out", str(out)]) == 0
     made = EdgeDescription.read(out / "edge.toml")
     assert (made.n_rows, made.n_cols, made.mask, made.m) == (2, 3, ("101", "111"), 2)
@@ -275,7 +275,7 @@ def test_it_writes_the_program_of_the_stated_matrix(tmp_path, capsys):
         (["--bits", "3"], "--bits: 3 is outside 4..16"),
         (["--ratio", "50"], "--ratio: 50 leaves no measurement of 48 taxels; allowed: 1..48"),
         (["--m", "4", "--ratio", "2"], "--m: states the number of measurements; leave out --ratio"),
-        (["--skin", "s.toml"], "--skin: states rows and columns; leave out --rows and --cols"),
+        (["--skin", "s.toml"], "--skin: states rows and columns; leave out --n-rows and --n-cols"),
         (["--out", "."], ".: exists already, and is not written over"),
         (["--out", "no/folder"], "no/folder: its folder does not exist"),
     ],
