@@ -21,6 +21,8 @@ from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
 from sparseskin.studies.stability import phase, sweeps
 from sparseskin.studies.stability import tables as stability
+from sparseskin.studies.tasks import classifier
+from sparseskin.studies.tasks import tables as tasks
 
 N_FRAMES = 9
 SOLVERS = {"fista": "fista", "skin": "skin"}
@@ -45,6 +47,8 @@ SIZES = (
     (rules, {"QUICK_WORLDS": 1, "RULES": {name: rules.RULES[name] for name in ("bias", "offset")}}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial"}),
+    (classifier, {"GRID": {"gamma": (1.0,), "alpha": (0.01,)}}),
+    (tasks, {"QUICK_TRAIN": 60, "QUICK_TEST": 24}),
     (sweeps, {"SUM_SOLVERS": {"fista": "fista"}, "EXCERPTS": sweeps.EXCERPTS[:1]}),
 )
 """Sizes that are smaller than those of a quick run, by module."""
@@ -55,7 +59,7 @@ TEXTS = {
     "scene-needs": "| without damping of the skin |",
     "accuracy": "| press | 114 | kPa |",
     "speed": "## Beside lean nodes",
-    "tasks": "| sums of neighbours |",
+    "tasks": "set: the user's files, read by `--data`.",
     "train": "Noise of a known deviation",
 }
 """A text on each page."""
@@ -129,6 +133,10 @@ def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, reco
     out, options = tmp_path / "out", []
     if name == "accuracy":
         options = ["--recordings", str(recordings), "--seeds", "1", "--constants"]
+    if name == "tasks":
+        frames_of_12 = np.random.default_rng(0).uniform(0, 1, (12, 16, 16))
+        np.savez(tmp_path / "set.npz", frames=frames_of_12, labels=np.array(["a", "b"] * 6))
+        options = ["--data", str(tmp_path)]
     options += ["--quick", "--executor", "serial", "--out", str(out)]
     assert main(["study", name, *options]) == 0
     printed = capsys.readouterr().out.splitlines()
