@@ -18,7 +18,7 @@ from sparseskin.studies.frames import digest_of
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import PALETTE, Chart, Page, markdown, series_style
 
-from .classifier import Classifier, check_installed
+from .classifier import SEARCHED, Classifier, check_installed
 from .sets import LabelledFrames, read_set
 from .shapes import NAMES, PEAKS_N, SHAPES, SIDE, Presses, draw
 from .ways import ALL, FORCES, LARGER, SINGLE, SUMS, WAYS, n_bytes
@@ -53,7 +53,7 @@ def run(out: Path, quick: bool, seed: int, executor: str, data: Path | None = No
 
     means = rows.groupby(["task", "way", "ratio"], sort=False).mean(numeric_only=True)
     means = means.drop(columns="seed").reset_index()
-    opening = {"value_bytes": VALUE_BYTES, "n_seeds": n_seeds}
+    opening = {"value_bytes": VALUE_BYTES, "n_seeds": n_seeds, "searched": SEARCHED}
     page.section("", draw_chart(out, means), **opening)
     sizes = {"side": SIDE, "least_n": PEAKS_N[0], "most_n": PEAKS_N[1], "names": ", ".join(NAMES)}
     sizes["n_labels"] = len(NAMES)
