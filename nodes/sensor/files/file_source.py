@@ -166,6 +166,7 @@ class RecordedSource(Source):
             survey.content = hashlib.blake2b(digest_size=DIGEST_BYTES)
         has_range = (self._layout.f_max or frames.head.f_max) is not None
         needs_range = self._needs.range and not has_range
+        self._reads_twice = False
         needs_all = needs_range or self._needs.digest or Treatment.needs_survey(self._layout)
         store: FrameStore | None = FrameStore(frames.shape)
         for stamp_ns, part in frames.blocks():
@@ -177,6 +178,7 @@ class RecordedSource(Source):
             if store is None or self._needs.in_memory or store.frames.nbytes <= KEPT_BYTES:
                 continue
             store = None
+            self._reads_twice = needs_range and not self._needs.digest
             if not needs_all:
                 survey.n_frames = 0  # not known
                 return survey
@@ -194,6 +196,9 @@ class RecordedSource(Source):
         if not (frames.is_timed or self._layout.rate_hz or frames.head.rate_hz):
             hint = "set rate_hz where it is another"
             lines.append(f"states no rate: taken as {DEFAULT_RATE_HZ:g} Hz; {hint}")
+        if self._reads_twice:
+            f_max = f"f_max={self.skin.f_max:g}"
+            lines.append(f"the whole file was read for its range first: {f_max} begins at once")
         lines += self._treatment.lines(self.skin.unit)
         self._lines.extend(lines)
         return tuple(lines)
