@@ -71,8 +71,9 @@ class RecordedSource(Source):
             self.skin = _skin(frames, survey, self._treatment)
             self.notes = self._noted(frames, survey)
             self.rate_hz = layout.rate_hz or frames.head.rate_hz
-            if self.rate_hz is None and frames.is_timed and frames.last_ns and survey.n_frames > 1:
-                rate_hz = (survey.n_frames - 1) * 1e9 / frames.last_ns
+            if self.rate_hz is None and frames.is_timed and frames.last_ns:
+                # Of a large file the mean rate of its begin, which is all that is known.
+                rate_hz = (frames.n_frames - 1) * 1e9 / frames.last_ns
                 self.rate_hz = float(f"{rate_hz:.6g}")
         self.n_frames = survey.n_frames or frames.head.n_items
         #: Lower end of the range: below 0 where readings below 0 are kept.

@@ -315,6 +315,7 @@ class TestPasses:
         assert n_passes
         assert max(n_passes) < 20
         assert len(source.frames) == 20
+        assert source.rate_hz == 100
 
 
 def treated(layout, folder):
