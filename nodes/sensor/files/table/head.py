@@ -33,8 +33,8 @@ from .text import COMMENTS, Dialect, dialect_of, pieces
 
 MAX_SAMPLE = 1000
 """Lines of the begin that are looked at; chosen: a thousand frames."""
-COUNTED = 4
-"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame of real readings is so."""
+COUNTED = 8
+"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
 MAX_SHOWN = 8
 RISING_LINES = 8
 """Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
