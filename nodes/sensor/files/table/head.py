@@ -186,8 +186,8 @@ def _first_lines(file: File) -> list[tuple[int, str]]:
 
 def _excel(raw: list[tuple[int, str]], layout: Layout) -> tuple[str, int]:
     """The separator that the first line states for Excel, and the lines that are not looked at."""
-    setting = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
-    separator = setting[1] if setting else ""
+    line = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
+    separator = line[1] if line else ""
     return separator, max(layout.skip, int(bool(separator)))
 
 
@@ -359,14 +359,14 @@ def _find_kind(
     if head.header or layout.columns or layout.time not in ("", "none"):
         return
     n_rows, n_cols = layout.n_rows, layout.n_cols
-    setting = layout.n_stated or 0
-    fits = setting > head.width == n_cols and n_rows is not None
+    n_stated = layout.n_stated or 0
+    fits = n_stated > head.width == n_cols and n_rows is not None
     heights = _block_heights(head, raw, data[0].number)
     if fits and n_rows is not None:
         head.height = n_rows
-    elif not setting and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
+    elif not n_stated and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
         head.height = heights[0]
-    elif file.parts and not setting:
+    elif file.parts and not n_stated:
         head.height = sum(heights)
     else:
         return
@@ -451,8 +451,9 @@ def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: s
         return None
     if layout.time:
         ends = {"first": 0, "last": head.width - 1}
-        setting = ends.get(layout.time)
-        return setting if setting is not None else _stated_time(head, layout.time, name)
+        if layout.time in ends:
+            return ends[layout.time]
+        return _stated_time(head, layout.time, name)
     if head.dialect.has_prefix:
         return 0
     by_name = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
