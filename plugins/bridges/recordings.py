@@ -227,8 +227,8 @@ class RosRecording(Recording):
                 firsts[topic] = self._first(readers[topic], plain_message(message.data))
             except (EmptyMessageError, OtherFrameError) as error:
                 faults.setdefault(topic, str(error))
-            except UnstatedError:
-                raise
+            except UnstatedError as error:
+                raise UnstatedError(f"{self._name}: {topic}: {error}", *error.options) from error
             except SourceError as error:
                 faults[topic] = str(error)
                 tries[topic] += 1

@@ -71,8 +71,9 @@ class RecordedSource(Source):
             self.skin = _skin(frames, survey, self._treatment)
             self.notes = self._noted(frames, survey)
             self.rate_hz = layout.rate_hz or frames.head.rate_hz
-            if self.rate_hz is None and frames.is_timed and frames.last_ns and survey.n_frames > 1:
-                rate_hz = (survey.n_frames - 1) * 1e9 / frames.last_ns
+            if self.rate_hz is None and frames.is_timed and frames.last_ns:
+                # Of a large file the mean rate of its begin, which is all that is known.
+                rate_hz = (frames.n_frames - 1) * 1e9 / frames.last_ns
                 self.rate_hz = float(f"{rate_hz:.6g}")
         self.n_frames = survey.n_frames or frames.head.n_items
         #: Lower end of the range: below 0 where readings below 0 are kept.
@@ -166,6 +167,7 @@ class RecordedSource(Source):
             survey.content = hashlib.blake2b(digest_size=DIGEST_BYTES)
         has_range = (self._layout.f_max or frames.head.f_max) is not None
         needs_range = self._needs.range and not has_range
+        self._reads_twice = False
         needs_all = needs_range or self._needs.digest or Treatment.needs_survey(self._layout)
         store: FrameStore | None = FrameStore(frames.shape)
         for stamp_ns, part in frames.blocks():
@@ -177,6 +179,7 @@ class RecordedSource(Source):
             if store is None or self._needs.in_memory or store.frames.nbytes <= KEPT_BYTES:
                 continue
             store = None
+            self._reads_twice = needs_range and not self._needs.digest
             if not needs_all:
                 survey.n_frames = 0  # not known
                 return survey
@@ -194,6 +197,9 @@ class RecordedSource(Source):
         if not (frames.is_timed or self._layout.rate_hz or frames.head.rate_hz):
             hint = "set rate_hz where it is another"
             lines.append(f"states no rate: taken as {DEFAULT_RATE_HZ:g} Hz; {hint}")
+        if self._reads_twice:
+            f_max = f"f_max={self.skin.f_max:g}"
+            lines.append(f"the whole file was read for its range first: {f_max} begins at once")
         lines += self._treatment.lines(self.skin.unit)
         self._lines.extend(lines)
         return tuple(lines)
@@ -297,8 +303,8 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
         text = str(error)
         ways = [option for option in error.options if _reads(path, layout, raw, option)]
         if len(ways) == 1:
-            unit_or_range = [f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()]
-            text = f"{text}{ADD}{' '.join(unit_or_range)}"
+            settings = [f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()]
+            text = f"{text}{ADD}{' '.join(settings)}"
         raise SourceError(text) from error
 
 
@@ -352,38 +358,36 @@ def _skin(frames: Frames, survey: Survey, treatment: Treatment) -> Skin:
 
 def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
     """Upper end of the range: stated, that of the file, or the largest reading."""
-    unit_or_range = frames.layout.f_max or frames.head.f_max
-    if unit_or_range is not None and frames.layout.f_max is None:
-        unit_or_range -= treatment.offset
+    f_max = frames.layout.f_max
+    if f_max is None and frames.head.f_max is not None:
+        f_max = frames.head.f_max - treatment.offset
     peak = survey.highest - treatment.offset
     if frames.layout.negative == KEEP:
         peak = max(peak, -survey.lowest)
     if frames.raw:
-        return max(peak, unit_or_range or 1.0)
-    if unit_or_range is None:
+        return max(peak, f_max or 1.0)
+    if f_max is None:
         if peak <= 0:
             fault = "all readings are 0, so its range is unknown; state f_max"
             raise SourceError(f"{frames.name}: {fault}")
         return peak
     # In float32 as the frames are: 0.1 in a float32 recording is above 0.1 in float64.
-    if np.float32(peak) > np.float32(unit_or_range):
-        fault = f"f_max = {unit_or_range:g} is below the largest reading, {peak:g}"
+    if np.float32(peak) > np.float32(f_max):
+        fault = f"f_max = {f_max:g} is below the largest reading, {peak:g}"
         raise SourceError(f"{frames.name}: {fault}")
-    return float(unit_or_range)
+    return float(f_max)
 
 
 def _unit(frames: Frames) -> str:
     """Unit of the readings: stated, that of the file, or an assumption."""
-    unit_or_range = frames.layout.unit
+    stated = frames.layout.unit
     of_file = frames.head.unit
     check_unit(frames.name, of_file)
-    if unit_or_range is not None and of_file is not None and unit_or_range != of_file:
-        contradiction = (
-            f"unit = {shown(unit_or_range)} is stated, but the file states {shown(of_file)}"
-        )
+    if stated is not None and of_file is not None and stated != of_file:
+        contradiction = f"unit = {shown(stated)} is stated, but the file states {shown(of_file)}"
         raise SourceError(f"{frames.name}: {contradiction}")
-    if unit_or_range or of_file:
-        return unit_or_range or str(of_file)
+    if stated or of_file:
+        return stated or str(of_file)
     if frames.is_whole:
         return COUNTS
     return "raw" if frames.raw else "N"

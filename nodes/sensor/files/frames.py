@@ -44,7 +44,8 @@ class Frames:
         self.head = recording.head()
         self.n_repeated = 0
         self.last_ns = 0
-        self._n_before = 0
+        #: Frames that the last `blocks` has yielded.
+        self.n_frames = 0
         self._sample_block: Block | None = None
         self.arrangement = self._arranged()
         self.mask = self._arranged_mask()
@@ -84,7 +85,7 @@ class Frames:
     def blocks(self) -> Iterator[Stamped]:
         """Read all frames. Raises SourceError at the first reading, time or item that is none."""
         stamps = Stamps(self.time_unit, self.layout.time_wrap) if self.is_timed else None
-        self._n_before = 0
+        self.n_frames = 0
         for block in self.recording.blocks():
             frames = self._checked(self.arrangement.frames(block.numbers))
             if stamps is not None:
@@ -92,13 +93,13 @@ class Frames:
                 self.n_repeated = stamps.n_repeated
             else:
                 stamp_ns = self._even(len(frames))
-            self._n_before += len(frames)
+            self.n_frames += len(frames)
             self.last_ns = int(stamp_ns[-1])
             yield stamp_ns, frames
         if stamps is not None:
             stamps.check(self.name)
         self.recording.tally.check(self.name)
-        if not self._n_before:
+        if not self.n_frames:
             raise SourceError(f"{self.name}: the recording holds no frame")
 
     def notes(self) -> Sequence[str]:
@@ -177,7 +178,7 @@ class Frames:
         """Stamps of the next n frames at an even rate."""
         rate_hz = self.layout.rate_hz or self.head.rate_hz
         period_ns = UNTIMED_PERIOD_NS if rate_hz is None else 1e9 / rate_hz
-        stamps = np.rint(np.arange(self._n_before, self._n_before + n) * period_ns)
+        stamps = np.rint(np.arange(self.n_frames, self.n_frames + n) * period_ns)
         if stamps[-1] > INT64_MAX:
             raise SourceError(f"{self.name}: the recording lasts longer than 2**63 ns")
         whole: npt.NDArray[np.int64] = stamps.astype(np.int64)
@@ -222,7 +223,7 @@ class Frames:
 
     def _place(self, readings: npt.NDArray[Any], is_bad: Mask) -> str:
         frame, row, col = np.argwhere(is_bad)[0]
-        place = f"{self.name}: frame {self._n_before + frame}, row {row}, column {col}"
+        place = f"{self.name}: frame {self.n_frames + frame}, row {row}, column {col}"
         return f"{place}: {float(readings[frame, row, col]):.9g}"
 
     def _refuse_negative(self, readings: npt.NDArray[Any], frames: Floats, below: Mask) -> None:

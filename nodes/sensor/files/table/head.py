@@ -1,110 +1,48 @@
-"""The begin of a table: where its data begin, names of columns, times, the kind of its lines."""
+"""The begin of a table: where its data begin, names of columns, the kind of its lines."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import islice
 
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import File, is_missing, shown
-from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
+from sparseskin.nodes.sensor.files.recording import File, is_missing
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.layout.names import (
     COL_WORDS,
     ROW_WORDS,
-    matching,
-    stated_columns,
 )
 from sparseskin.nodes.sensor.layout.times import (
-    CLOCK_UNIT,
-    ISO,
-    clock_ns,
-    is_epoch,
     is_time_name,
-    iso_ns,
-    named_unit,
 )
 
+from .columns import counters, nanoseconds_beside, source_column, time_column, unit_of_column
+from .sample import (
+    FRAME_WORDS,
+    GRID,
+    LINES,
+    LONG,
+    MAX_SHOWN,
+    Line,
+    LongColumns,
+    TableHead,
+    is_indexed,
+    is_number,
+    is_value,
+)
 from .text import COMMENTS, Dialect, dialect_of, pieces
 
 MAX_SAMPLE = 1000
 """Lines of the begin that are looked at; chosen: a thousand frames."""
-COUNTED = 4
-"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame of real readings is so."""
-MAX_SHOWN = 8
-RISING_LINES = 8
-"""Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
+COUNTED = 8
+"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts")
-FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
-
 TAXEL_WORDS = ("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id")
-SOURCE_WORDS = (
-    *("side", "hand", "foot", "finger", "sensor", "sensor_id", "sensor_name", "device"),
-    *("device_id", "skin", "patch", "mat", "board", "module"),
-)
-"""Names of columns that state which skin a line is of."""
-SECONDS = re.compile(r"(.*?)(?:secs?|seconds)")
-NANOSECONDS = re.compile(r"(.*?)(?:nsecs?|nanosecs?|nanoseconds)")
-TIME_LIKE = re.compile(r"\d[:h]\d\d(?!\d)|\d[-/.]\d{1,2}[-/.]\d")
-"""In texts that are times of a day or dates."""
-
-LINES, GRID, LONG = "lines", "grid", "long"
-"""Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
-
-
-@dataclass
-class TableHead:
-    """What the begin of a table shows."""
-
-    dialect: Dialect
-    width: int  # cells of a line
-    has_trailing: bool = False  # a separator ends each line
-    n_before: int = 0  # lines before the first one of data
-    dropped: Counter[str] = field(default_factory=Counter)  # of these lines, by name
-    header: str = ""  # the line of the names
-    names: tuple[str, ...] = ()
-    usable: tuple[int, ...] = ()  # columns of numbers that are no times
-    numeric: tuple[int, ...] = ()  # columns of numbers
-    time: int | None = None
-    nanoseconds: int | None = None  # column with those of a time in seconds
-    time_unit: str = ""
-    kind: str = LINES
-    height: int = 1  # lines of a frame of a grid
-    long: LongColumns | None = None
-    source: int | None = None  # column by which lines of one skin are chosen
-    notes: tuple[str, ...] = ()
-
-    def label(self, column: int) -> str:
-        """The name of a column, or its number from 1."""
-        return shown(self.names[column]) if self.names[column] else str(column + 1)
-
-
-@dataclass(frozen=True)
-class LongColumns:
-    """Columns of a table with a line for each taxel, and the sides of a frame."""
-
-    frame: int  # a number, or the time
-    row: int | None  # None: `col` counts all taxels
-    col: int
-    value: int
-    first_row: int = 0
-    first_col: int = 0
-    n_rows: int = 1
-    n_cols: int = 1
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A line of the sample: its number from 1, its text, and its cells."""
-
-    number: int
-    text: str
-    cells: tuple[str, ...]
 
 
 def read_head(file: File) -> TableHead:
@@ -122,7 +60,7 @@ def read_head(file: File) -> TableHead:
     dialect = dialect_of([text for _, text in bodies[len(bodies) // 3 :]])
     if separator:
         dialect = dialect._replace(separator=separator)
-    lines = [_Line(number, text, tuple(dialect.cells(text))) for number, text in bodies]
+    lines = [Line(number, text, tuple(dialect.cells(text))) for number, text in bodies]
 
     head = _sized(dialect, lines)
     lines = [line for line in lines if len(line.cells) in _widths(head)]
@@ -138,17 +76,17 @@ def read_head(file: File) -> TableHead:
 
     _find_kind(head, file, raw, data)
     if head.kind == LINES:
-        head.source = _source_column(head, layout, data, file.name)
+        head.source = source_column(head, layout, data, file.name)
     if head.source is not None:
         data = [line for line in data if line.cells[head.source] == layout.frame_id]
     if head.dialect.has_decimal_comma:
         head.notes += ("commas are decimal points",)
     if head.kind != GRID:
-        head.time = _time_column(head, layout, data, file.name)
+        head.time = time_column(head, layout, data, file.name)
     if head.time is not None:
-        head.nanoseconds = _nanoseconds_beside(head, head.time)
-        head.time_unit = _unit_of_column(head, data, layout)
-    no_taxels = (head.time, head.nanoseconds, head.source, *_counters(head, data))
+        head.nanoseconds = nanoseconds_beside(head, head.time)
+        head.time_unit = unit_of_column(head, data, layout)
+    no_taxels = (head.time, head.nanoseconds, head.source, *counters(head, data))
     head.usable = tuple(k for k in head.numeric if k not in no_taxels)
     _note_texts(head)
     return head
@@ -161,15 +99,6 @@ def _note_texts(head: TableHead) -> None:
         labels = ", ".join(head.label(k) for k in texts[:MAX_SHOWN])
         further = ", ..." if len(texts) > MAX_SHOWN else ""
         head.notes += (f"no numbers, and left out: column {labels}{further}",)
-
-
-def is_number(cell: str) -> bool:
-    """True if a cell is a number; not one of Python's literals such as 1_0."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell
 
 
 def _first_lines(file: File) -> list[tuple[int, str]]:
@@ -186,8 +115,8 @@ def _first_lines(file: File) -> list[tuple[int, str]]:
 
 def _excel(raw: list[tuple[int, str]], layout: Layout) -> tuple[str, int]:
     """The separator that the first line states for Excel, and the lines that are not looked at."""
-    setting = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
-    separator = setting[1] if setting else ""
+    line = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
+    separator = line[1] if line else ""
     return separator, max(layout.skip, int(bool(separator)))
 
 
@@ -197,7 +126,7 @@ def _is_body(text: str) -> bool:
     return bool(stripped) and not stripped.startswith(("#", "//"))
 
 
-def _sized(dialect: Dialect, lines: Sequence[_Line]) -> TableHead:
+def _sized(dialect: Dialect, lines: Sequence[Line]) -> TableHead:
     """A head with the number of cells of the lines that hold most numbers: a preamble of settings
     may have more lines than a short table.
     """
@@ -221,8 +150,8 @@ def _widths(head: TableHead) -> tuple[int, ...]:
 
 
 def _headed(
-    head: TableHead, lines: list[_Line], raw: list[tuple[int, str]], n_skipped: int
-) -> list[_Line]:
+    head: TableHead, lines: list[Line], raw: list[tuple[int, str]], n_skipped: int
+) -> list[Line]:
     """The lines of data; the head learns the names before them."""
     head.names = ("",) * head.width
     # A title of as many words as the table has columns stands before the names of these.
@@ -245,20 +174,20 @@ def _headed(
         _named_by_comment(head, raw[n_skipped:], first.number)
         if head.width > 1 and _counts_columns(first.cells[: head.width]):
             head.notes += ("the first line counts: it is read as a frame; skip=1 if it is names",)
-    if lines and not any(_is_value(cell) for cell in lines[0].cells):
+    if lines and not any(is_value(cell) for cell in lines[0].cells):
         return []
     return lines
 
 
 def _are_names(cells: Sequence[str]) -> bool:
     """True if cells are no numbers, and most are names with numbers, or one is that of times."""
-    if any(map(_is_value, cells)):
+    if any(map(is_value, cells)):
         return False
     n_indexed = sum(bool(re.search(r"\d", cell)) for cell in cells)
     return 2 * n_indexed > len(cells) or any(map(is_time_name, cells))
 
 
-def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
+def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
     """True if a line has texts in columns that hold numbers later; or it counts the columns, as
     programs name them that know no names.
     """
@@ -266,10 +195,10 @@ def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
         # Frames of a test pattern count on.
         return not _steps_by_one(later[0].cells[: len(cells)])
     for k, cell in enumerate(cells):
-        if _is_value(cell):
+        if is_value(cell):
             continue
         below = [line.cells[k] for line in later if k < len(line.cells)]
-        n_values = sum(map(_is_value, below))
+        n_values = sum(map(is_value, below))
         if cell and 2 * n_values > len(below):
             return True
     return False
@@ -285,11 +214,6 @@ def _counts_columns(cells: Sequence[str]) -> bool:
     counted = [cell for cell in cells if cell]
     n = len(counted)
     return counted in ([*map(str, range(n))], [*map(str, range(1, n + 1))])
-
-
-def _is_value(cell: str) -> bool:
-    """True if a cell is a number, a time, or states that there is none."""
-    return is_number(cell) or is_missing(cell) or bool(iso_ns(cell) or clock_ns(cell) is not None)
 
 
 def _named_by_comment(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> None:
@@ -323,7 +247,7 @@ def _count_before(
         head.dropped["lines before the table"] += n_others
 
 
-def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
+def _is_numeric(data: Sequence[Line], k: int, layout: Layout) -> bool:
     """True if most cells of a column that are not missing are numbers, and some is."""
     cells = [line.cells[k] for line in data]
     texts = [
@@ -333,11 +257,11 @@ def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
     return n_numbers > 0 and 2 * n_numbers >= len(texts)
 
 
-def _without_readings(head: TableHead, data: Sequence[_Line], numeric: set[int]) -> set[int]:
+def _without_readings(head: TableHead, data: Sequence[Line], numeric: set[int]) -> set[int]:
     """Columns of missing numbers alone whose names are like those of columns of numbers: taxels
     that are dead.
     """
-    patterns = {re.sub(r"\d+", "#", head.names[k]) for k in numeric if _is_indexed(head, k)}
+    patterns = {re.sub(r"\d+", "#", head.names[k]) for k in numeric if is_indexed(head, k)}
     dead = set()
     for k in range(head.width):
         is_like_others = re.sub(r"\d+", "#", head.names[k]) in patterns
@@ -347,7 +271,7 @@ def _without_readings(head: TableHead, data: Sequence[_Line], numeric: set[int])
 
 
 def _find_kind(
-    head: TableHead, file: File, raw: list[tuple[int, str]], data: Sequence[_Line]
+    head: TableHead, file: File, raw: list[tuple[int, str]], data: Sequence[Line]
 ) -> None:
     """Find whether a frame is a line, a block of lines, or a line for each taxel."""
     layout = file.layout
@@ -359,14 +283,14 @@ def _find_kind(
     if head.header or layout.columns or layout.time not in ("", "none"):
         return
     n_rows, n_cols = layout.n_rows, layout.n_cols
-    setting = layout.n_stated or 0
-    fits = setting > head.width == n_cols and n_rows is not None
+    n_stated = layout.n_stated or 0
+    fits = n_stated > head.width == n_cols and n_rows is not None
     heights = _block_heights(head, raw, data[0].number)
     if fits and n_rows is not None:
         head.height = n_rows
-    elif not setting and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
+    elif not n_stated and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
         head.height = heights[0]
-    elif file.parts and not setting:
+    elif file.parts and not n_stated:
         head.height = sum(heights)
     else:
         return
@@ -391,7 +315,7 @@ def _block_heights(head: TableHead, raw: list[tuple[int, str]], first_number: in
     return heights
 
 
-def _long_columns(head: TableHead, layout: Layout, data: Sequence[_Line]) -> LongColumns | None:
+def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> LongColumns | None:
     """Columns of frame, row, column and value, or of frame, taxel and value, where the names state
     them.
     """
@@ -424,196 +348,3 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[_Line]) -> Lon
         return LongColumns(frames[0], None, col, value, 0, low[0], 1, sides[0])
     n_rows, n_cols = layout.n_rows or sides[0], layout.n_cols or sides[1]
     return LongColumns(frames[0], row, col, value, low[0], low[1], n_rows, n_cols)
-
-
-def _source_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> int | None:
-    """The column by which the lines of one skin are chosen, where a name states that there is one.
-    Raises UnstatedError if lines are of several skins, and none is stated.
-    """
-    columns = [k for k, label in enumerate(head.names) if label.lower() in SOURCE_WORDS]
-    for k in columns:
-        values = list(dict.fromkeys(line.cells[k] for line in data))
-        if layout.frame_id in values:
-            return k
-        if len(values) > 1:
-            listed = ", ".join(map(shown, values[:MAX_SHOWN]))
-            fault = f"column {head.label(k)} names {len(values)} skins, {listed}"
-            options = [{"frame_id": value} for value in values[:MAX_SHOWN]]
-            raise UnstatedError(f"{name}: {fault}: state frame_id", *options)
-    if layout.frame_id:
-        raise SourceError(f"{name}: frame_id: no column states {shown(layout.frame_id)}")
-    return None
-
-
-def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> int | None:
-    """The column of the times. Raises UnstatedError if there may be several."""
-    if layout.time == "none":
-        return None
-    if layout.time:
-        ends = {"first": 0, "last": head.width - 1}
-        setting = ends.get(layout.time)
-        return setting if setting is not None else _stated_time(head, layout.time, name)
-    if head.dialect.has_prefix:
-        return 0
-    by_name = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
-    by_name = [k for k in by_name if _holds_values(data, k)]
-    by_name = _without_nanoseconds(head, by_name)
-    texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]
-    dates = [k for k in head.numeric if not _is_indexed(head, k) and is_epoch(_column(data, k))]
-    dates = _without_nanoseconds(head, dates)
-    for candidates, note in ((by_name, ""), (texts, ""), (dates, "holds dates")):
-        if len(candidates) > 1:
-            labels = " or ".join(f"time={head.label(k)}" for k in candidates)
-            options = [{"time": head.names[k] or str(k + 1)} for k in candidates]
-            fault = f"{len(candidates)} columns may be the times: state {labels}"
-            raise UnstatedError(f"{name}: {fault}", *options)
-        if candidates:
-            if note:
-                head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
-            return candidates[0]
-    if layout.rate_hz is None:
-        _ask_for_texts(head, data, name)
-    column = _time_at_an_end(head, layout, data, name)
-    if column is None and layout.rate_hz is None:
-        _ask_for_times(head, layout, data, name)
-    return column
-
-
-def _holds_values(data: Sequence[_Line], k: int) -> bool:
-    """True if most cells of a column are values; one that is none is refused where it stands."""
-    return 2 * sum(_is_value(line.cells[k]) for line in data) > len(data)
-
-
-def _without_nanoseconds(head: TableHead, columns: Sequence[int]) -> list[int]:
-    """Columns of times without those of nanoseconds beside one of seconds, which are one time."""
-    parts = {_nanoseconds_beside(head, k) for k in columns}
-    return [k for k in columns if k not in parts]
-
-
-def _nanoseconds_beside(head: TableHead, time: int) -> int | None:
-    """The column with the nanoseconds of a column of seconds, as sec and nsec of ROS."""
-    match = SECONDS.fullmatch(head.names[time].lower())
-    if match is None:
-        return None
-    for k, name in enumerate(head.names):
-        part = NANOSECONDS.fullmatch(name.lower())
-        if part is not None and part[1] == match[1]:
-            return k
-    return None
-
-
-def _ask_for_texts(head: TableHead, data: Sequence[_Line], name: str) -> None:
-    """Raise SourceError if a column holds texts that look like times, of a form that is not
-    read.
-    """
-    for k in range(head.width):
-        if k in head.numeric:
-            continue
-        if all(TIME_LIKE.search(line.cells[k]) for line in data):
-            fault = f"column {head.label(k)} holds {shown(data[0].cells[k])}, like a time"
-            forms = "2026-03-12T10:15:02.120, 12.03.2026 10:15:02.120 or 10:15:02.120"
-            ways = "write the times so, or state rate_hz, or time=none"
-            raise SourceError(f"{name}: {fault}; times that are read: {forms}; {ways}")
-
-
-def _stated_time(head: TableHead, text: str, name: str) -> int:
-    columns = matching(text, head.names, head.width, name, "time")
-    if len(columns) > 1:
-        raise SourceError(f"{name}: time: {shown(text)} names {len(columns)} columns, not one")
-    return columns[0]
-
-
-def _time_at_an_end(
-    head: TableHead, layout: Layout, data: Sequence[_Line], name: str
-) -> int | None:
-    """The first or last column of a table without names, if it has one more than the stated shape,
-    and is the only one of the two that rises.
-    """
-    is_one_more = layout.n_stated is not None and len(head.numeric) == layout.n_stated + 1
-    if head.header or layout.columns or not is_one_more or len(data) < 2:
-        return None
-    ends = {"first": head.numeric[0], "last": head.numeric[-1]}
-    rising = {word: k for word, k in ends.items() if _rises(_column(data, k))}
-    if len(rising) > 1:
-        options = [{"time": word} for word in rising]
-        fault = "the first and the last column rise: state time=first or time=last, or columns"
-        raise UnstatedError(f"{name}: {fault}", *options)
-    for k in rising.values():
-        if not _counts(_column(data, k)):
-            head.notes += (f"column {head.label(k)} rises in all lines: the times",)
-            return k
-    return None
-
-
-def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> None:
-    """Raise UnstatedError if a column that nothing names rises in all lines: likely the times.
-
-    A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
-    """
-    if len(data) < RISING_LINES:
-        return
-    taxels: list[int] = []
-    if layout.columns.strip():
-        taxels = stated_columns(layout.columns, head.names, head.width, name)
-    rising = []
-    for k in head.numeric:
-        is_named = _is_indexed(head, k) or head.names[k].lower() in FRAME_WORDS
-        steps = np.diff(_column(data, k))
-        if k not in taxels and not is_named and (steps > 0).all() and (steps != 1).any():
-            rising.append(k)
-    if not rising or len(rising) == len(head.numeric):
-        return
-    labels = [f"time={head.label(k)}" for k in rising[:MAX_SHOWN]]
-    further = ", ..." if len(rising) > MAX_SHOWN else ""
-    columns = "column rises" if len(rising) == 1 else "columns rise"
-    ways = f"state {', '.join(labels)}{further} or, if these are no times, time=none"
-    options = [{"time": head.names[k] or str(k + 1)} for k in rising]
-    raise UnstatedError(f"{name}: {len(rising)} {columns} in all lines: {ways}", *options)
-
-
-def _counters(head: TableHead, data: Sequence[_Line]) -> list[int]:
-    """A column at an end of a table without names that counts its lines, which is no taxel."""
-    if head.header or head.kind != LINES or head.time is not None or len(data) < 3:
-        return []
-    counting = [k for k in {head.numeric[0], head.numeric[-1]} if _counts(_column(data, k))]
-    if len(counting) == 1:
-        head.notes += (f"column {head.label(counting[0])} counts lines, and is left out",)
-        return counting
-    return []
-
-
-def _counts(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
-    """True for 0, 1, 2, ... or 1, 2, 3, ..."""
-    return numbers.size > 1 and numbers[0] in (0, 1) and bool((np.diff(numbers) == 1).all())
-
-
-def _rises(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
-    steps = np.diff(numbers)
-    return bool((steps >= 0).all() and (steps > 0).any())
-
-
-def _column(data: Sequence[_Line], k: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Numbers of a column of the sample; NaN where there is none."""
-    cells = [line.cells[k] for line in data]
-    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
-
-
-def _is_indexed(head: TableHead, k: int) -> bool:
-    return any(character.isdigit() for character in head.names[k])
-
-
-def _text_unit(data: Sequence[_Line], k: int) -> str:
-    """ISO or CLOCK_UNIT of a column of texts that are times; "" of others."""
-    cells = [line.cells[k] for line in data]
-    if all(iso_ns(cell) is not None for cell in cells):
-        return ISO
-    return CLOCK_UNIT if all(clock_ns(cell) is not None for cell in cells) else ""
-
-
-def _unit_of_column(head: TableHead, data: Sequence[_Line], layout: Layout) -> str:
-    assert head.time is not None
-    if head.nanoseconds is not None:
-        return "ns"
-    if layout.time_unit:
-        return layout.time_unit
-    return _text_unit(data, head.time) or named_unit(head.names[head.time])

@@ -27,7 +27,8 @@ from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
 
-from .head import GRID, LONG, is_number, read_head
+from .head import read_head
+from .sample import GRID, LONG, is_number
 from .text import pieces
 
 EXACT = float(1 << 53)

@@ -12,15 +12,21 @@ from drawn_tables import tables, transposed_tables
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics.array_files import read_npy, read_npz
+from sparseskin.nodes.recorder.convert.to_bag import import_file
+from sparseskin.nodes.sensor.calibration.description import of_skin
 from sparseskin.nodes.sensor.files import file_source, recording
 from sparseskin.nodes.sensor.files.file_source import n_taxels, open_file
+from sparseskin.nodes.sensor.files.table.table import TableRecording
 from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
+from sparseskin.nodes.sensor.sources import open_source
+from sparseskin.recordings import read_recording
 
 GRID = np.arange(12.0).reshape(2, 2, 3)
 ROW = {"n_rows": 1, "n_cols": 2}
@@ -262,6 +268,54 @@ def test_a_large_table_is_read_by_blocks_as_a_small_one(tmp_path, monkeypatch):
 
 
 BAD = np.array([[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32)
+
+
+class TestPasses:
+    """How often a file is decoded."""
+
+    @pytest.fixture
+    def n_passes(self, monkeypatch):
+        passes = []
+        blocks = TableRecording.blocks
+
+        def counted(recording):
+            passes.append(0)
+            for block in blocks(recording):
+                passes[-1] += len(block.numbers)
+                yield block
+
+        monkeypatch.setattr(TableRecording, "blocks", counted)
+        monkeypatch.setattr(file_source, "KEPT_BYTES", 80)
+        monkeypatch.setattr(recording, "BLOCK_NUMBERS", 4)
+        return passes
+
+    TEXT = "t_ms,s0,s1\n" + "".join(f"{10 * k},{k},1\n" for k in range(20))
+
+    def test_arrays_decode_it_once(self, tmp_path, n_passes):
+        (tmp_path / "log.csv").write_text(self.TEXT)
+        arrays = read_recording(tmp_path / "log.csv", n_rows=1, unit="N")
+        assert arrays["forces"].shape == (20, 1, 2)
+        assert n_passes == [20]
+
+    def test_an_import_decodes_it_twice(self, tmp_path, n_passes):
+        (tmp_path / "log.csv").write_text(self.TEXT)
+        layout = Layout(n_rows=1, unit="N")
+        assert import_file(tmp_path / "log.csv", tmp_path / "log.mcap", layout=layout) == 20
+        assert n_passes == [20, 20]
+
+    @pytest.mark.parametrize("stated", [{"f_max": 50.0}, {"skin": True}])
+    def test_no_pass_comes_before_the_first_frame_where_the_range_is_known(
+        self, tmp_path, n_passes, stated
+    ):
+        (tmp_path / "log.csv").write_text(self.TEXT)
+        layout = Layout(n_rows=1, unit="N", f_max=stated.get("f_max"))
+        described = of_skin("skin", Skin(1, 2, 50.0)) if "skin" in stated else None
+        where = f"file:{tmp_path / 'log.csv'}"
+        source = open_source(where, layout=layout, raw="skin" in stated, described=described)
+        assert n_passes
+        assert max(n_passes) < 20
+        assert len(source.frames) == 20
+        assert source.rate_hz == 100
 
 
 def treated(layout, folder):
