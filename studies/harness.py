@@ -14,7 +14,7 @@ import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import Phi, fact, phi_class
+from sparseskin.nodes.compressor.phi.base import Phi, phi_class, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -101,7 +101,7 @@ class Candidate:
             settings["lambda_n"] *= take.f_max / PAPER_F_MAX_N
         if "tuning" in settings:
             settings["tuning"] = SkinTuning(**settings["tuning"])
-        if fact(phi_class(at.phi), "choice"):
+        if phi_fact(phi_class(at.phi), "choice"):
             # As many rows as fit, with the code of their choice, into the bytes of M; M is rounded
             # down, and a half keeps it from rounding errors.
             rows = values_that_fit(at.phi, mask, m_of(take.n, at.ratio))

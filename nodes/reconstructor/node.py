@@ -20,8 +20,7 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.messages.contacts import summary
-from sparseskin.nodes.compressor.phi import base as phi_base
-from sparseskin.nodes.compressor.phi.base import Phi, follow, make_phi
+from sparseskin.nodes.compressor.phi.base import Phi, follow, make_phi, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import phis_for
 from sparseskin.nodes.errors import (
     PhiError,
@@ -34,7 +33,7 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import fact, make_solver, solver_class
+from sparseskin.nodes.reconstructor.solvers.base import make_solver, solver_class, solver_fact
 
 from .patch import Patch
 from .patch_log import PatchLog
@@ -61,7 +60,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        has_loops = fact(solver_class(settings.chosen()["solver"]), "has_loops")
+        has_loops = solver_fact(solver_class(settings.chosen()["solver"]), "has_loops")
         if has_loops or settings.contacts:
             compile_loops(settings.fast, context.log, context.count)
         _rehearse(settings)
@@ -174,7 +173,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     @property
     def _uses_basis(self) -> bool:
         """True if the solver uses the basis."""
-        return bool(fact(solver_class(self.settings.chosen()["solver"]), "uses_basis"))
+        return bool(solver_fact(solver_class(self.settings.chosen()["solver"]), "uses_basis"))
 
     @property
     def _left_out(self) -> str:
@@ -205,7 +204,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._first = None
         self._state_noise()
         self._idle = None
-        chooses = bool(phi_base.fact(subsets[0], "choice"))
+        chooses = bool(phi_fact(subsets[0], "choice"))
         if self.settings.skip_idle and state.sigma_end > 0 and not chooses:
             from .idle import IdleWatch  # with it the sensor's noise
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from sparseskin.messages import PhiState, Reason, SkinState
 from sparseskin.messages.reasons import first_reason
-from sparseskin.nodes.compressor.phi import base as phi_base
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
@@ -22,10 +21,10 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     CountsTiles,
     Solver,
     estimated_error,
-    fact,
     make_rotating_solver,
     measured,
     solver_class,
+    solver_fact,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -112,8 +111,8 @@ class Patch:
         )
         if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
-        if phi_base.fact(phi, "samples") and fact(cls, "warning_of_samples"):
-            warnings.append(fact(cls, "warning_of_samples"))
+        if phi_fact(phi, "samples") and solver_fact(cls, "warning_of_samples"):
+            warnings.append(solver_fact(cls, "warning_of_samples"))
         if ":" in settings.phi:
             for one in subsets:
                 warnings += check_phi(one, solver.mask)
@@ -138,7 +137,7 @@ class Patch:
             if isinstance(solver, CountsTiles) and solver.times[0]:
                 usual = solver.steps_for(int(USUAL_PART * solver.most_tiles))[1]
                 where = f" where {USUAL_PART:.0%} of the skin is pressed"
-            if usual < fact(cls, "least_iterations"):
+            if usual < solver_fact(cls, "least_iterations"):
                 self.log(
                     f"{usual} of {n_steps} iterations{where}, for a budget of {budget_ms:.2g} ms: "
                     "a sudden contact takes several frames; advised: a larger budget_ms, a lower "
@@ -148,7 +147,7 @@ class Patch:
         self.most_steps = most_steps
         self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
-            table = fact(cls, "calibrated")
+            table = solver_fact(cls, "calibrated")
             self._uncertainty = Uncertainty(solver.mask, phi.ratio, table, announced.rows, phi.rule)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker

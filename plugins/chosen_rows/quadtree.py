@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -89,16 +88,9 @@ class Quadtree:
         places = np.flatnonzero(used)
         tiles = np.arange(self.n_tiles)
         # Node of each row, and its place in a flat array of three details a node; those of a tile's
-        # sum are the tile and -1. Then the tile that the node is in.
+        # sum are the tile and -1.
         self.node_of_row = np.concatenate([tiles, places // N_DETAILS])
         self.place_of_row = np.concatenate([np.full_like(tiles, -1), places])
-        tile_of_node = np.arange(max(self.n_nodes, 1))
-        for upper, lower in itertools.pairwise(self.levels):
-            inside = upper.parts < lower.size
-            own = tile_of_node[upper.first : upper.first + upper.size, None]
-            below = lower.first + upper.parts[inside]
-            tile_of_node[below] = np.broadcast_to(own, inside.shape)[inside]
-        self.tile_of_row = tile_of_node[self.node_of_row]
 
     def analysis(self, x: npt.NDArray[np.floating]) -> Doubles:
         """Return W x, float64 (n,), of forces (n,)."""

@@ -27,14 +27,19 @@ from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.compressor.phi.base import Phi, fact
+from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.numerics.arrays import LARGEST, real_floats
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.faults.watch import solve_watched, watch_of
-from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver, newtons
+from sparseskin.nodes.reconstructor.solvers.base import (
+    Solver,
+    make_rotating_solver,
+    newtons,
+    solver_fact,
+)
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.zero import Zero
 
@@ -98,7 +103,7 @@ def compress(
     """
     if not hasattr(phi, "forward"):
         raise PhiError(f"phi: got {type(phi).__name__}; expected what make_phi returns")
-    if fact(phi, "choice"):
+    if phi_fact(phi, "choice"):
         fault = f'phi "{phi.kind}" chooses rows by what it reads, and measurements alone do not '
         raise PhiError(f"compress: {fault}state which; allowed: other kinds, or a graph")
     if np.issubdtype(getattr(forces, "dtype", float), np.integer):
@@ -246,7 +251,7 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     >>> bool(sparseskin.psnr_db(forces, truth).min() > 30)
     True
     """
-    if getattr(solver, "name", "") == "skin":
+    if solver_fact(solver, "uses_blas"):
         warn_of_threads()
     if not hasattr(solver, "solve"):
         raise SolverError(f"solver: got {type(solver).__name__}; expected what make_solver returns")

@@ -14,7 +14,7 @@ from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import fact, phi_class
+from sparseskin.nodes.compressor.phi.base import phi_class, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import RATIO
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import suggestion
@@ -28,6 +28,8 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     estimated_error,
     make_rotating_solver,
     newtons,
+    solver_class,
+    solver_fact,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.zero import Zero
@@ -151,7 +153,7 @@ class Stream:
             raise SparseskinError(f"stream: sigmas = {sigmas!r} is not allowed; {allowed}")
         edge = CompressorSettings(phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed)
         edge.check()
-        if fact(phi_class(phi), "choice"):
+        if phi_fact(phi_class(phi), "choice"):
             raise PhiError(
                 f'stream: phi "{phi}" chooses rows by what it reads, and measurements alone do not '
                 "state which; allowed: other kinds, or a graph"
@@ -188,7 +190,7 @@ class Stream:
         """The solver, made when it is first used: an edge needs none."""
         chosen, skin, phi = dict(self._host.chosen()), self._skin, self._phis[0]
         name, basis = chosen.pop("solver"), make_basis(chosen.pop("basis"), *skin.shape)
-        if name == "skin":
+        if solver_fact(solver_class(name), "uses_blas"):
             warn_of_threads()
         options = options_for_range(name, chosen, skin.f_max, phi)
         fast = self._host.fast

@@ -21,7 +21,7 @@ import pandas as pd
 
 from sparseskin.messages import Measurements, Taxels
 from sparseskin.messages.wire import size_bytes
-from sparseskin.nodes.compressor.phi.base import KINDS, fact, phi_class
+from sparseskin.nodes.compressor.phi.base import KINDS, phi_class, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import ROTATING, m_of
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
@@ -37,7 +37,7 @@ RATIOS, QUICK_RATIOS = (2, 3, 4, 8, 16), (3, 8)
 PARTS_RATIOS, CENTRE_RATIO = (3, 4, 8), 3
 #: Every Phi but those that no solver of sums inverts.
 SUM_KINDS = tuple(
-    kind for kind in KINDS if not fact(phi_class(kind), "choice") and kind != "row_local"
+    kind for kind in KINDS if not phi_fact(phi_class(kind), "choice") and kind != "row_local"
 )
 PAPER_LABEL = "fista, preset paper"
 PRESET_SKIN, ROTATED = "skin, preset skin", "skin, rotating rows"

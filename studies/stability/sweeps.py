@@ -13,7 +13,7 @@ import pandas as pd
 
 from sparseskin.nodes.compressor.node import MIN_BITS, MIN_BLOCK
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.reconstructor.solvers.base import fact, solver_class
+from sparseskin.nodes.reconstructor.solvers.base import solver_class, solver_fact
 from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.frames import SceneFrames
 from sparseskin.studies.harness import LARGER, Candidate, Experiment, Measurement
@@ -113,8 +113,8 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
         charts += [_draw(page.out, int(ratio), some), markdown(sweep_table(some))]
     page.csv("settings", rows)
     classes = {label: solver_class(name) for label, name in SUM_SOLVERS.items()}
-    ranges = {label: fact(cls, "lambdas_n") for label, cls in classes.items()}
-    least = {label: fact(cls, "least_iterations") for label, cls in classes.items()}
+    ranges = {label: solver_fact(cls, "lambdas_n") for label, cls in classes.items()}
+    least = {label: solver_fact(cls, "least_iterations") for label, cls in classes.items()}
     known = {
         "lambdas": ", ".join(f"{r[0]:g} to {r[1]:g} ({label})" for label, r in ranges.items() if r),
         "iterations": ", ".join(f"{number} ({label})" for label, number in least.items()),

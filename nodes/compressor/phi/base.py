@@ -227,7 +227,7 @@ class Phi(ABC):
         """Write Phi^T y to out, one frame; both contiguous float32 of the right length."""
 
 
-def fact(phi: object, name: str) -> Any:
+def phi_fact(phi: object, name: str) -> Any:
     """An attribute of a matrix or its class; that of `Phi` for a user's own without it."""
     return getattr(phi, name, getattr(Phi, name))
 
@@ -243,7 +243,7 @@ def follow(phi: Phi, **codes: Code | None) -> None:
 
     Raises PhiError if the code is absent, of another kind, or malformed.
     """
-    choice = fact(phi, "choice")
+    choice = phi_fact(phi, "choice")
     for field, code in codes.items():
         if field != choice and code is not None:
             fault = f"{phi.kind}: measurements with {field}"

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout, fact
+from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask, shared
@@ -82,6 +82,7 @@ class SkinSolver(CountsTiles):
         "advised: solver interpolation, or phi sbhe"
     )
     has_loops = True
+    uses_blas = True
     calibrated = MappingProxyType(
         {
             SUMS: {FIXED: (1.19, 0.24), ROTATING: (1.29, 0.26)},
@@ -303,7 +304,7 @@ class SkinSolver(CountsTiles):
         # The residuals of single taxels show no error between them.
         self.error = None
         self.trusted = True
-        if not fact(self.phi, "samples"):
+        if not phi_fact(self.phi, "samples"):
             self.error = self._estimator.stated_error.value
             self.trusted = self._estimator.trust.holds
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes import extensions
-from sparseskin.nodes.compressor.phi import base as phi_base
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, real_floats, shared
@@ -93,6 +92,8 @@ class Solver(ABC):
     least_iterations: int = 0
     #: Warning where each measurement is one taxel; "": none.
     warning_of_samples: str = ""
+    #: True if small products by the BLAS take most of its time, which threads of it slow down.
+    uses_blas: bool = False
     #: True if it has compiled loops, which are compiled before the first frame.
     has_loops: bool = False
     #: Factor and power of `Uncertainty` by rule of the rows, and "fixed" or "rotating"; None: its
@@ -346,7 +347,7 @@ def solver_class(name: str) -> Callable[..., Any]:
     return find_class("solver", name, SOLVERS, SolverError)
 
 
-def fact(solver: object, name: str) -> Any:
+def solver_fact(solver: object, name: str) -> Any:
     """An attribute of a solver or its class; that of `Solver` for a user's own without it."""
     return getattr(solver, name, getattr(Solver, name))
 
@@ -372,7 +373,7 @@ def make_solver(
             )
     cls = solver_class(name)
     check_reads(name, cls, phi.kind, type(phi))
-    of_phi = phi_base.fact(phi, "solvers").get(name)
+    of_phi = phi_fact(phi, "solvers").get(name)
     if of_phi is not None:
         cls = solver_class(of_phi)
     parameters = inspect.signature(cls).parameters
@@ -448,12 +449,12 @@ def measured(solver: Solver, forces: Floats, *phis: Phi) -> list[Floats]:
 
 def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
     """Raise SolverError if a solver cannot use a class of phi."""
-    of_phi = phi_base.fact(phi, "solvers")
-    follows = name in of_phi or fact(solver, "follows_choice")
-    if phi_base.fact(phi, "choice") and not follows:
+    of_phi = phi_fact(phi, "solvers")
+    follows = name in of_phi or solver_fact(solver, "follows_choice")
+    if phi_fact(phi, "choice") and not follows:
         fault = f'phi "{kind}" reads other rows each frame'
         raise SolverError(f'solver "{name}": {fault}; allowed: {", ".join(of_phi)}')
-    if fact(solver, "reads_taxels") and not phi_base.fact(phi, "samples"):
+    if solver_fact(solver, "reads_taxels") and not phi_fact(phi, "samples"):
         allowed = "a phi that reads single taxels, as subsample"
         raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: {allowed}')
 
