@@ -114,7 +114,8 @@ class Calibration(Message):
     response_force: Floats | None = wire(Array("<f4", 1, optional=True))
 
     def validate(self) -> None:
-        reading, force = self.response_reading, self.response_force
+        reading = self.response_reading
+        force = self.response_force
         if (reading is None) != (force is None):
             raise ShapeError("response_reading, response_force: expected both of them or none")
         if reading is not None and force is not None and len(reading) != len(force):

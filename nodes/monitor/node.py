@@ -249,7 +249,8 @@ class Monitor(Node[MonitorSettings]):
         earlier, self._status_ns = self._status_ns, self.context.clock.now_ns()
         seconds = max(self._status_ns - earlier, 1) / 1e9
         each = [{name: metrics} for name, metrics in self._patches.items()]
-        before, lines = self._status_frames, []
+        before = self._status_frames
+        lines = []
         for patches in [self._patches] if len(each) > FEW else each:
             new = sum(m.reconstructed - before[name] for name, m in patches.items())
             lines.append(status_line(patches, new / seconds / len(patches)))

@@ -69,7 +69,10 @@ class Pieces:
     """
 
     def __init__(self, n_readings: int, n_bytes: int, modulus: int, counts: Counts) -> None:
-        self._n, self._size, self._modulus, self._counts = n_readings, n_bytes, modulus, counts
+        self._n = n_readings
+        self._size = n_bytes
+        self._modulus = modulus
+        self._counts = counts
         self._begun = bytearray()
         self._number = 0
 
@@ -81,7 +84,9 @@ class Pieces:
 
     def add(self, piece: Frame) -> Frame | None:
         """Add a piece; return the frame that it completes, with its stamp and end."""
-        counts, at, whole = self._counts, piece.first * self._size, self._n * self._size
+        counts = self._counts
+        at = piece.first * self._size
+        whole = self._n * self._size
         counts.frames -= 1
         in_turn = not self._modulus or piece.sequence == self._number
         if piece.sequence is not None:

@@ -135,7 +135,8 @@ class BoardSource(LiveSource):
     def __init__(self, board: Board, raw: bool = False, layout: Layout = EMPTY) -> None:
         check_board(board)
         super().__init__()
-        self._raw, self._layout = raw, layout
+        self._raw = raw
+        self._layout = layout
         self.name = board.name
         self.skin = board.skin
         self.counts = Counts()
@@ -240,7 +241,8 @@ class BoardSource(LiveSource):
     def _pieces_of(self, board: Board) -> Pieces | None:
         if not (isinstance(board.settings, StreamSettings) and board.settings.piece):
             return None
-        n, sequence = board.skin.n_rows * board.skin.n_cols, board.framing.sequence
+        n = board.skin.n_rows * board.skin.n_cols
+        sequence = board.framing.sequence
         size = board.framing.payload_bytes // board.settings.piece
         return Pieces(n, size, 1 << 8 * sequence.n_bytes if sequence else 0, self.counts)
 
@@ -254,7 +256,8 @@ class BoardSource(LiveSource):
     def _why_silent(self) -> str:
         n_bytes = self._port.n_bytes - self._bytes_before
         self._bytes_before = self._port.n_bytes
-        n, settings = self._board.framing.n_bytes, self._board.settings
+        n = self._board.framing.n_bytes
+        settings = self._board.settings
         if n_bytes > n:  # one may wait for the start bytes of the next
             baud = ", baud" if isinstance(settings, SerialSettings) else ""
             return (

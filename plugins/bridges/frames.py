@@ -20,7 +20,8 @@ class OtherFrameError(SourceError):
     """A message of another frame than the stated one."""
 
 
-LOG, NONE = "log", "none"
+LOG = "log"
+NONE = "none"
 """Values of `Layout.time`: the times at which messages were recorded; no times."""
 STAMP = "header.stamp"
 SOURCES = (

@@ -57,7 +57,8 @@ class InterpolationSolver(Solver):
         self._wanted = np.delete(np.arange(phi.n), phi.rows)
         along_lines = bool(phi.choice)
         if not along_lines:
-            known, wanted = self._cells[phi.rows], self._cells[self._wanted]
+            known = self._cells[phi.rows]
+            wanted = self._cells[self._wanted]
             try:
                 self._corners, self._weights = interpolated_from(known, wanted)
             except QhullError:  # no area between them

@@ -15,7 +15,8 @@ LEAST_DEPTH = 3
 recordings of real skins, tiles of 4 x 4 are worse at N/8, and 16 x 16 at N/3 and N/4."""
 COARSE_PART = 0.25
 """Largest part of the measurements that the sums of all tiles take. Chosen."""
-N_PARTS, N_DETAILS = 4, 3
+N_PARTS = 4
+N_DETAILS = 3
 _HAAR = 0.5 * np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]], dtype=np.float64)
 
 
@@ -62,7 +63,8 @@ class Quadtree:
         while numbers.size > 1 and (
             len(found) < LEAST_DEPTH or np.count_nonzero(counts) > max(1, COARSE_PART * m)
         ):
-            parts, taxels = _quarters(numbers, -1), _quarters(counts, 0)
+            parts = _quarters(numbers, -1)
+            taxels = _quarters(counts, 0)
             counts = taxels.sum(axis=2)
             some = counts > 0
             found.append((parts[some], taxels[some]))
@@ -151,7 +153,8 @@ class Quadtree:
 
     def decoded(self, code: npt.NDArray[np.uint8]) -> Mask:
         """Return the nodes that `coded` stated, bool (n_nodes,); ValueError if it stated none."""
-        bits, at = np.unpackbits(code).astype(np.bool_), 0
+        bits = np.unpackbits(code).astype(np.bool_)
+        at = 0
         chosen, some = np.zeros((2, self.n_nodes), dtype=np.bool_)
 
         def taken(nodes: Indices) -> Mask:

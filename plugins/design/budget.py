@@ -152,7 +152,8 @@ def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:
     conversions = n if is_every else strategy.m(n, design.n_rows)
     if sums == ANALOG and strategy.phi != "row_local":
         return n, conversions
-    n_rows, n_cols = design.n_rows, design.n_cols
+    n_rows = design.n_rows
+    n_cols = design.n_cols
     if strategy.phi == LARGER and n_rows is not None and n_cols is not None:
         # As many along both sides as their number and the shape of the skin allow.
         n_rows = min(conversions, max(1, round(math.sqrt(conversions * n_rows / n_cols))))

@@ -51,7 +51,8 @@ def _design(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         draft = arguments.csv and stack.enter_context(whole_file(arguments.csv))
         if not arguments.no_accuracy:
-            n, few = len(STRATEGIES), arguments.scenes
+            n = len(STRATEGIES)
+            few = arguments.scenes
             begun = f"{design.size}, {n} ways to read them in {few} simulated scenes each ..."
             print(begun, file=sys.stderr, flush=True)
         # Imported here, where all that is stated has been checked and reported.

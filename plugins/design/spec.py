@@ -34,7 +34,8 @@ from .strategies import ANALOG, DIGITAL
 if TYPE_CHECKING:
     from sparseskin.plugins.points.placing import Placement
 
-MAX_SIDE, MAX_TAXELS = 1024, 65536
+MAX_SIDE = 1024
+MAX_TAXELS = 65536
 MOST_CORES = 4096
 Place: TypeAlias = "Callable[[str], str]"
 Reads: TypeAlias = "Callable[[object], Any]"

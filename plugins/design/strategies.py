@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
 
-ANALOG, DIGITAL, SINGLE = "analog", "digital", "single"
+ANALOG = "analog"
+DIGITAL = "digital"
+SINGLE = "single"
 """Where the sums of a measurement are made: by amplifiers before the converter, M conversions a
 frame; by the edge, from all N taxels; or nowhere, as each measurement is one taxel."""
 LARGER = "larger"
@@ -64,6 +66,7 @@ _ALL = (
 )
 STRATEGIES: dict[str, Strategy] = {strategy.name: strategy for strategy in _ALL}
 """Strategies by name, in the order of tables."""
-FEW_SCENES, N_SCENES = 5, 15
+FEW_SCENES = 5
+N_SCENES = 15
 """Scenes that are simulated where their number is not stated, each body once; and all of them, each
 body in each course. Chosen: all strategies in some 15 s on two cores."""

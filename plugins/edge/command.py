@@ -64,14 +64,17 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.m is not None and arguments.ratio is not None:
         raise SettingsError("--m: states the number of measurements; leave out --ratio")
     mask: Any = None
-    n_rows, n_cols = arguments.n_rows, arguments.n_cols
+    n_rows = arguments.n_rows
+    n_cols = arguments.n_cols
     if arguments.skin is not None:
         if n_rows is not None or n_cols is not None:
             raise SettingsError("--skin: states rows and columns; leave out --n-rows and --n-cols")
         from sparseskin.nodes.sensor.calibration.skin_file import load_skin
 
         skin = load_skin(arguments.skin).skin
-        n_rows, n_cols, mask = skin.n_rows, skin.n_cols, skin.mask
+        n_rows = skin.n_rows
+        n_cols = skin.n_cols
+        mask = skin.mask
     elif n_rows is None or n_cols is None:
         missing = "--n-rows" if n_rows is None else "--n-cols"
         raise SettingsError(f"{missing}: is missing; state --n-rows and --n-cols, or --skin")

@@ -159,7 +159,8 @@ class Stream:
                 "state which; allowed: other kinds, or a graph"
             )
         self._phis = edge.phis(self._skin)
-        self.n, self.m = self._phis[0].n, self._phis[0].m
+        self.n = self._phis[0].n
+        self.m = self._phis[0].m
         self._noise_model = None if sigmas is None else NoiseModel(f_max, *sigmas)
         noise_sd = noise_sd if sigmas is None else CLIP_SD * min(sigmas)
         self._noise_sd = newtons("stream", "noise_sd", noise_sd)
@@ -188,8 +189,11 @@ class Stream:
     @cached_property
     def _solver(self) -> Solver:
         """The solver, made when it is first used: an edge needs none."""
-        chosen, skin, phi = dict(self._host.chosen()), self._skin, self._phis[0]
-        name, basis = chosen.pop("solver"), make_basis(chosen.pop("basis"), *skin.shape)
+        chosen = dict(self._host.chosen())
+        skin = self._skin
+        phi = self._phis[0]
+        name = chosen.pop("solver")
+        basis = make_basis(chosen.pop("basis"), *skin.shape)
         if solver_fact(solver_class(name), "uses_blas"):
             warn_of_threads()
         options = options_for_range(name, chosen, skin.f_max, phi)

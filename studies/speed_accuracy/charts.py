@@ -152,7 +152,8 @@ def write(
 
 def conclusion(by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> list[str]:
     """The default beside the paper's method and the reading of all taxels, at M = N/3."""
-    lines, best = [], []
+    lines = []
+    best = []
     for panel, of in by_panel.items():
         rows = swept(of)
         rows = rows[rows["ratio"] == CENTRE_RATIO].set_index("label")

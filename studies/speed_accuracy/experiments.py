@@ -33,15 +33,19 @@ from sparseskin.studies.frames import SceneFrames, scene_of
 from sparseskin.studies.harness import LARGER, PAPER_ROWS, Candidate, Experiment, Measurement
 
 QUICK_SCENES = ("drag_wrench_40", "lift_box_64")
-RATIOS, QUICK_RATIOS = (2, 3, 4, 8, 16), (3, 8)
-PARTS_RATIOS, CENTRE_RATIO = (3, 4, 8), 3
+RATIOS = (2, 3, 4, 8, 16)
+QUICK_RATIOS = (3, 8)
+PARTS_RATIOS = (3, 4, 8)
+CENTRE_RATIO = 3
 #: Every Phi but those that no solver of sums inverts.
 SUM_KINDS = tuple(
     kind for kind in KINDS if not phi_fact(phi_class(kind), "choice") and kind != "row_local"
 )
 PAPER_LABEL = "fista, preset paper"
-PRESET_SKIN, ROTATED = "skin, preset skin", "skin, rotating rows"
-FORMULA, INTERPOLATED = "skin, formula", "random taxels, interpolated"
+PRESET_SKIN = "skin, preset skin"
+ROTATED = "skin, rotating rows"
+FORMULA = "skin, formula"
+INTERPOLATED = "random taxels, interpolated"
 #: Best lambda of the paper's solver: a second reference.
 TUNED_LAMBDA_N = 0.0125
 #: Dead zones of the full reading, newtons.

@@ -23,9 +23,12 @@ from .sets import LabelledFrames, read_set
 from .shapes import NAMES, PEAKS_N, SHAPES, SIDE, Presses, draw
 from .ways import ALL, FORCES, LARGER, SINGLE, SUMS, WAYS, n_bytes
 
-RATIOS, QUICK_RATIOS = (3, 8, 16, 32, 64), (8, 64)
-N_TRAIN, N_TEST = 2400, 1200
-QUICK_TRAIN, QUICK_TEST = 360, 120
+RATIOS = (3, 8, 16, 32, 64)
+QUICK_RATIOS = (8, 64)
+N_TRAIN = 2400
+N_TEST = 1200
+QUICK_TRAIN = 360
+QUICK_TEST = 120
 N_SEEDS = 3
 SHAPE_TASK = "shapes"
 PLACES_IN_PALETTE = {FORCES: 1, SUMS: 0, LARGER: 2, SINGLE: 3}

@@ -13,8 +13,11 @@ from sparseskin.studies.baselines.larger import LargerTaxels
 from sparseskin.studies.baselines.sampling import classes
 from sparseskin.studies.evaluate import VALUE_BYTES, Method, make_method
 
-ALL, FORCES, SUMS = "all taxels", "reconstructed forces", "measurements y"
-SINGLE, LARGER = "single taxels", "sums of neighbours"
+ALL = "all taxels"
+FORCES = "reconstructed forces"
+SUMS = "measurements y"
+SINGLE = "single taxels"
+LARGER = "sums of neighbours"
 
 
 def _method(frames: Floats, ratio: int, seed: int) -> Method:

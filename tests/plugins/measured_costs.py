@@ -24,7 +24,8 @@ SIZES = ((12, 32), (32, 32), (64, 64))
 """Skins that are timed: from a fingertip pad to a palm."""
 DENSE = 0.2
 """Part of the taxels that a body presses: the most of those from which accuracy is stated."""
-N_CALM, N_PRESSED = 24, 60
+N_CALM = 24
+N_PRESSED = 60
 """Frames of each body that are timed, after `WARM_UP` others: untouched ones, then pressed ones."""
 N_REPEATS = 3
 """How often all is measured; the least time counts, as other programs on a core only add to it."""

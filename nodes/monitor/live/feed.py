@@ -163,7 +163,8 @@ class Feed:
                 feed.measurements.clear()
                 feed.contacts = None
                 feed.label = None
-                feed.newest_trusted, feed.untrusted_s = True, -math.inf
+                feed.newest_trusted = True
+                feed.untrusted_s = -math.inf
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
             if isinstance(message, Measurements):
@@ -230,8 +231,10 @@ class Feed:
             for patch, summary in (summaries or {}).items():
                 self.patches[patch].summary = summary
             if graph is not None:
-                was_paused, now_s = self.paused, time.monotonic()
-                self.graph, self.graph_came_s = graph, now_s
+                was_paused = self.paused
+                now_s = time.monotonic()
+                self.graph = graph
+                self.graph_came_s = now_s
                 self.start = None if self._has_started else Start.of_nodes(graph["nodes"])
                 self._has_started = self.start is None
                 if was_paused and not self.paused:

@@ -94,7 +94,8 @@ class StreamReader:
         feed = self._feed
         while not feed.closed and self._n_answers == feed.n_answers:
             now_s = time.monotonic()
-            frame_s, state_s = self._frame_due_s - now_s, self._state_at_s + STATE_S - now_s
+            frame_s = self._frame_due_s - now_s
+            state_s = self._state_at_s + STATE_S - now_s
             if state_s <= 0:
                 return
             if frame_s > 0:

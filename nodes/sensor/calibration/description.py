@@ -28,7 +28,8 @@ ARRAYS = ("baseline", "gains", "response_reading", "response_force")
 """Arrays of a message of a calibration."""
 MAX_NUMBER = 1e30
 """Largest baseline, knot or range: as that of a reading, float32 holds it."""
-MIN_SLOPE, MAX_SLOPE = 1e-12, 1e12
+MIN_SLOPE = 1e-12
+MAX_SLOPE = 1e12
 """Allowed gains, and slopes of a response curve, by magnitude."""
 SLOPES = f"{MIN_SLOPE:g}..{MAX_SLOPE:g}"
 
@@ -90,7 +91,8 @@ class Response:
     force: Doubles
 
     def __post_init__(self) -> None:
-        k, n = len(self.force), len(self.reading)
+        k = len(self.force)
+        n = len(self.reading)
         if not (self.force.ndim == 1 and 1 <= k <= MAX_KNOTS):
             raise SkinFileError(f"response.force: {k} knots; allowed are 1..{MAX_KNOTS}")
         if self.reading.ndim not in (1, 3) or n != k:
@@ -182,7 +184,8 @@ class SkinDescription:
             ("gains", np.float64, ()),
             ("points", np.float32, (6,)),
         ):
-            array, shape = getattr(self, key), (*self.shape, *beyond)
+            array = getattr(self, key)
+            shape = (*self.shape, *beyond)
             if array is not None and (array.shape != shape or array.dtype != dtype):
                 expected = f"expected {np.dtype(dtype)} of shape {shape}"
                 raise SkinFileError(f"{key}: {array.dtype} of shape {array.shape}; {expected}")
@@ -259,7 +262,8 @@ class SkinDescription:
         """The calibration as a message, in float32."""
         reading = force = None
         if self.response is not None:
-            reading, force = self.response.reading, self.response.force
+            reading = self.response.reading
+            force = self.response.force
             reading = reading if reading.ndim == 3 else reading[:, None, None]
         single: dict[str, Any] = {
             key: None if array is None else np.ascontiguousarray(array, dtype=np.float32)

@@ -96,7 +96,8 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
         if key not in values:
             raise SkinFileError(f"{key}: is missing")
     stated = {key: values.pop(key) for key in GRIDS if key in values}
-    curve, beside = values.pop("response", {}), values.pop(ARRAYS, None)
+    curve = values.pop("response", {})
+    beside = values.pop(ARRAYS, None)
     if not isinstance(curve, Mapping):
         raise SkinFileError("response: expected a table of reading and force")
     _check_keys(curve, CURVE, "response.")

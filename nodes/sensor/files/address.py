@@ -56,7 +56,8 @@ class FileAddress(Address):
     @property
     def _layout(self) -> Layout:
         """What is stated; a table takes its shape from the file of the skin, where there is one."""
-        described, layout = self.described, self.layout
+        described = self.described
+        layout = self.layout
         is_table = Path(self.path).suffix.lower() in TABLE_SUFFIXES
         if described is None or described.placement is not None or not is_table:
             return layout

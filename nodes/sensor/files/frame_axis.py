@@ -23,7 +23,11 @@ FRAME_LABELS = frozenset(
 )
 """Labels of the axis of the frames."""
 TAXEL_LABELS = frozenset({*ROWS, *COLS, *CHANNELS, "taxel", "taxels", "sensor", "sensors"})
-_DIRECT, _WITH_TIME, _TRANSPOSED, _CHANNELS, _NO_FIT = 0, 1, 2, 4, 8
+_DIRECT = 0
+_WITH_TIME = 1
+_TRANSPOSED = 2
+_CHANNELS = 4
+_NO_FIT = 8
 """Fits of a frame and the stated shape, the better the smaller: as it is; with one number too many,
 which may be the time; with columns before rows. `_CHANNELS` is added where an axis has to be that
 of the channels, though no channel is stated."""
@@ -186,7 +190,8 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
 
 def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
     """The ways in which sides are those of a frame of the stated shape."""
-    rows, cols = layout.n_rows, layout.n_cols
+    rows = layout.n_rows
+    cols = layout.n_cols
     if len(sides) < 2:
         n = math.prod(sides)
         n_wanted = layout.n_stated

@@ -197,7 +197,8 @@ class Frames:
             frames[:, ~self.mask] = 0
 
         with np.errstate(invalid="ignore"):
-            lowest, highest = frames.min(), frames.max()
+            lowest = frames.min()
+            highest = frames.max()
         allows_below = self.raw or layout.negative != REFUSE
         lower_end = -MAX_READING if allows_below else 0.0
         if lower_end <= lowest and highest <= MAX_READING:  # False for a NaN

@@ -220,7 +220,8 @@ def _as_grid(
     layout: Layout, places: npt.NDArray[Any], axes: list[Axis], where: str
 ) -> npt.NDArray[Any]:
     """Places as rows and columns; UnstatedError if nothing states them."""
-    n_rows, n_cols = layout.n_rows, layout.n_cols
+    n_rows = layout.n_rows
+    n_cols = layout.n_cols
     if len(axes) == 2:
         labels = [axis.label.lower() for axis in axes]
         is_transposed = labels[0] in COLS or (labels[1] in ROWS and labels[0] not in ROWS)

@@ -12,7 +12,12 @@ from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.settings import Settings, setting
 
-REFUSE, ZERO, HOLD, OFFSET, MASK, KEEP = "refuse", "zero", "hold", "offset", "mask", "keep"
+REFUSE = "refuse"
+ZERO = "zero"
+HOLD = "hold"
+OFFSET = "offset"
+MASK = "mask"
+KEEP = "keep"
 NAN_WAYS = (REFUSE, ZERO, HOLD, MASK)
 """Ways to treat readings that are NaN or infinite. They are refused; or, as `MissingReadings`, they
 become 0, the last reading of their taxel, or the mean of its neighbours."""

@@ -15,7 +15,8 @@ from sparseskin.nodes.errors import SourceError
 
 from .layout import UnstatedError
 
-ISO, CLOCK_UNIT = "iso", "clock"
+ISO = "iso"
+CLOCK_UNIT = "clock"
 NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, ISO: 1, CLOCK_UNIT: 1}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
 TIME_NAME = re.compile(

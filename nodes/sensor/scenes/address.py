@@ -33,7 +33,8 @@ class SceneAddress(Address):
     own = ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min")
 
     def check(self) -> None:
-        name, on_grid = self.rest, self.rest in SCENES
+        name = self.rest
+        on_grid = self.rest in SCENES
         if on_grid and (self.points or "points" in (self.simulated or {})):
             known = ", ".join(point_scenes())
             raise SourceError(f"scene {name} presses a flat grid; allowed on points: {known}")

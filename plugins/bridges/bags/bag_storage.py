@@ -16,7 +16,10 @@ from sparseskin.plugins.bridges.messages.definitions import full_name
 from .storage import Recorded, Storage, Topic
 
 MAGIC = b"#ROSBAG V2.0\n"
-OP_MESSAGE, OP_HEADER, OP_CHUNK, OP_CONNECTION = 2, 3, 5, 7
+OP_MESSAGE = 2
+OP_HEADER = 3
+OP_CHUNK = 5
+OP_CONNECTION = 7
 MAX_CHUNK_BYTES = 1 << 28
 """Largest chunk of a bag after decompression; chosen: a hundred times the usual."""
 MAX_HEAD_BYTES = 1 << 20

@@ -119,7 +119,8 @@ def _cells(
     """The numbers of each cell, (height, width) or (height, width, n), at an offset in each `pitch`
     bytes of each `step` bytes.
     """
-    n_rows, n_cols = message["height"], message["width"]
+    n_rows = message["height"]
+    n_cols = message["width"]
     data = message["data"]
     if n_rows * n_cols == 0:
         raise EmptyMessageError("holds no number")

@@ -61,12 +61,15 @@ def row(name, **keys):
 def test_a_full_raster_of_a_palm_is_limited_by_its_line():
     found = row("all taxels")
     # 4096 readings of 10 bits and 15 bytes; 4096 conversions at 200 kS/s; 10 bits a byte at 2 Mbaud
-    assert (found.n_bytes, found.stage_s["ADC"]) == (5120 + 15, pytest.approx(4096 / 200e3))
+    assert found.n_bytes == 5120 + 15
+    assert found.stage_s["ADC"] == pytest.approx(4096 / 200e3)
     # Of several converters each waits for its multiplexer: ceil(4096 / 3) = 1366 of 5 + 2 us.
     assert Adc(10, 200e3, 3, 2e-6).seconds(4096) == pytest.approx(1366 * 7e-6)
-    assert (found.stage_s["bus"], found.limit) == (pytest.approx(51350 / 2e6), "bus")
+    assert found.stage_s["bus"] == pytest.approx(51350 / 2e6)
+    assert found.limit == "bus"
     # A line a row and column.
-    assert (found.lines, found.conversions) == (128, 4096)
+    assert found.lines == 128
+    assert found.conversions == 4096
     assert found.possible_hz == pytest.approx(2e6 / 51350)
     assert not found.is_met
 
@@ -86,15 +89,21 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
 
 
 def test_sums_need_conversions_by_their_kind_and_single_taxels_the_bits_of_the_converter():
-    digital, analog = (row("N/4 sums"), row("N/4 sums", sums="analog", n_rows=16, n_cols=16))
-    assert (digital.m, digital.conversions) == (1024, 4096)
-    assert (analog.m, analog.conversions, analog.lines) == (64, 64, 256)
+    digital = row("N/4 sums")
+    analog = row("N/4 sums", sums="analog", n_rows=16, n_cols=16)
+    assert digital.m == 1024
+    assert digital.conversions == 4096
+    assert analog.m == 64
+    assert analog.conversions == 64
+    assert analog.lines == 256
     # 24 * 4096 + 72 * 1024 + 16 * 1039 + 550 instructions of 2 cycles
     assert digital.stage_s["edge"] == pytest.approx(2 * 189_206 / 168e6)
     d = make_design(PALM)
     sizes = {name: frame_bytes(STRATEGIES[name], d) - 15 for name in STRATEGIES}
-    assert (sizes["all taxels"], sizes["N/4 taxels in turn"]) == (4096 * 10 // 8, 1024 * 10 // 8)
-    assert (sizes["N/3 sums"], sizes["N/4 sums of rows"]) == (1366, 1024)
+    assert sizes["all taxels"] == 4096 * 10 // 8
+    assert sizes["N/4 taxels in turn"] == 1024 * 10 // 8
+    assert sizes["N/3 sums"] == 1366
+    assert sizes["N/4 sums of rows"] == 1024
     assert sizes["N/4 adaptive sums"] == 1024 + math.ceil(2 * math.ceil(4096 / 3) / 8)
 
 
@@ -109,8 +118,10 @@ def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum():
 
 
 def test_a_skin_of_several_patches_uses_several_cores():
-    one, four = row("N/4 sums", host="1cores"), row("N/4 sums", n_rows=128, n_cols=128)
-    assert (one.patches, four.patches) == (1, 4)
+    one = row("N/4 sums", host="1cores")
+    four = row("N/4 sums", n_rows=128, n_cols=128)
+    assert one.patches == 1
+    assert four.patches == 4
     assert four.stage_s["host"] == pytest.approx(one.stage_s["host"])
     assert four.host_rate_hz == pytest.approx(one.host_rate_hz)
     alone = row("N/4 sums", n_rows=128, n_cols=128, host="1cores")
@@ -124,7 +135,8 @@ def test_points_have_no_rows_and_no_neighbourhoods():
     assert rows[0].lines == 64 + 63
     # They are simulated on it, too.
     mask = grid_of(make_design({"taxels": 4000}))
-    assert (mask.shape, np.count_nonzero(mask)) == ((63, 64), 4000)
+    assert mask.shape == (63, 64)
+    assert np.count_nonzero(mask) == 4000
 
 
 def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours():
@@ -298,7 +310,8 @@ def test_rigs_that_were_built_are_predicted():
             hz.append(1 / read_bus(rig["bus"]).seconds(rig["n_bytes"]))
         ratios[rig["name"]] = min(hz) / rig["published_hz"]
     beyond = [name for name, ratio in ratios.items() if not 0.5 <= ratio <= 2]
-    assert (len(ratios), beyond) == (9, ["3D-ViTac", "SPTS, 7 % of 100"])
+    assert len(ratios) == 9
+    assert beyond == ["3D-ViTac", "SPTS, 7 % of 100"]
     assert ratios["FlexiTac, bus alone"] == pytest.approx(1.0, abs=0.001)
 
 

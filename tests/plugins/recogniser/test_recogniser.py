@@ -76,7 +76,8 @@ def test_the_node_is_found_by_its_type():
 
 def test_a_frame_gets_the_label_with_the_largest_share_and_its_age():
     one = node()
-    above, below = [3, 0, 0, 1, 0, 0], [0, 0, 1, 3, 1, 0]
+    above = [3, 0, 0, 1, 0, 0]
+    below = [0, 0, 1, 3, 1, 0]
     stamps = (10**9, 2 * 10**9, 4 * 10**9, 5 * 10**9)
     found = labels_of(
         one, *(frame(f, t) for f, t in zip((above, above, below, below), stamps, strict=True))
@@ -94,8 +95,10 @@ def test_a_frame_of_nothing_or_of_a_small_share_has_no_label():
     empty, even, clear = labels_of(
         one, frame([0] * 6), frame([3, 0, 0, 2, 0, 0]), frame([1] + [0] * 5)
     )
-    assert (empty.label, empty.share) == ("", 0.0)
-    assert (even.label, even.share) == ("", pytest.approx(0.6))
+    assert empty.label == ""
+    assert empty.share == 0.0
+    assert even.label == ""
+    assert even.share == pytest.approx(0.6)
     assert clear.label == "above"
 
 

@@ -157,7 +157,8 @@ def _headed(
     # A title of as many words as the table has columns stands before the names of these.
     while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
         lines = lines[1:]
-    first, later = lines[0], lines[1:] or lines[:1]
+    first = lines[0]
+    later = lines[1:] or lines[:1]
     if len(lines) > 1 and _is_header(first.cells[: head.width], later):
         head.names = tuple(name.strip() for name in first.cells[: head.width])
         head.header = first.text
@@ -282,7 +283,8 @@ def _find_kind(
         return
     if head.header or layout.columns or layout.time not in ("", "none"):
         return
-    n_rows, n_cols = layout.n_rows, layout.n_cols
+    n_rows = layout.n_rows
+    n_cols = layout.n_cols
     n_stated = layout.n_stated or 0
     fits = n_stated > head.width == n_cols and n_rows is not None
     heights = _block_heights(head, raw, data[0].number)
@@ -325,7 +327,8 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> Long
         columns = [k for k in head.numeric if names[k] in words]
         return columns[0] if len(columns) == 1 else None
 
-    row, col = only((*ROW_WORDS, "i")), only((*COL_WORDS, "j"))
+    row = only((*ROW_WORDS, "i"))
+    col = only((*COL_WORDS, "j"))
     if row is None and col is None:
         col = only(TAXEL_WORDS)
     elif row is None or col is None:
@@ -342,9 +345,11 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> Long
     if not all(cell.isdecimal() for place in places for cell in place):
         return None
     numbers = np.array(places, dtype=np.int64)
-    low, high = numbers.min(axis=0).tolist(), numbers.max(axis=0).tolist()
+    low = numbers.min(axis=0).tolist()
+    high = numbers.max(axis=0).tolist()
     sides = [end - begin + 1 for begin, end in zip(low, high, strict=True)]
     if row is None:
         return LongColumns(frames[0], None, col, value, 0, low[0], 1, sides[0])
-    n_rows, n_cols = layout.n_rows or sides[0], layout.n_cols or sides[1]
+    n_rows = layout.n_rows or sides[0]
+    n_cols = layout.n_cols or sides[1]
     return LongColumns(frames[0], row, col, value, low[0], low[1], n_rows, n_cols)

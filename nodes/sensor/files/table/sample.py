@@ -18,7 +18,9 @@ from .text import Dialect
 
 MAX_SHOWN = 8
 FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
-LINES, GRID, LONG = "lines", "grid", "long"
+LINES = "lines"
+GRID = "grid"
+LONG = "long"
 """Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
 
 

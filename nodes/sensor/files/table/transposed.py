@@ -42,7 +42,8 @@ class TransposedTable(Recording):
         self._lines = TableRecording(of_lines)
 
     def head(self) -> Head:
-        names, time = self._names, self._time
+        names = self._names
+        time = self._time
         axis = Axis(len(names), "lines", names)
         usable = tuple(k for k in range(len(names)) if k != time)
         if time is None:
@@ -82,7 +83,8 @@ class TransposedTable(Recording):
     @cached_property
     def _time(self) -> int | None:
         """The line of the times."""
-        stated, names = self._layout.time, self._names
+        stated = self._layout.time
+        names = self._names
         if stated == "none":
             return None
         ends = {"first": 0, "last": len(names) - 1}

@@ -32,7 +32,8 @@ def write(folder, text):
 def assert_same(a, b):
     """Equal field by field, arrays with their dtype."""
     for field in fields(a):
-        one, other = getattr(a, field.name), getattr(b, field.name)
+        one = getattr(a, field.name)
+        other = getattr(b, field.name)
         if isinstance(one, Response):
             assert_same(one, other)
         elif isinstance(one, np.ndarray):
@@ -44,7 +45,10 @@ def assert_same(a, b):
 
 def test_a_file_of_the_required_keys_alone_describes_a_skin_without_calibration(tmp_path):
     skin = load_skin(write(tmp_path, HEAD))
-    assert (skin.name, skin.shape, skin.f_max, skin.unit) == ("palm", (2, 3), 2.5, "N")
+    assert skin.name == "palm"
+    assert skin.shape == (2, 3)
+    assert skin.f_max == 2.5
+    assert skin.unit == "N"
     assert not skin.changes_readings
     assert skin.skin.mask is None
     assert skin.skin.pitch_m is None
@@ -57,7 +61,8 @@ def test_a_file_with_all_keys(tmp_path):
         "f_min = -0.05\n[response]\nreading = [1, 3]\nforce = [0.5, 2.5]\n"
     )
     skin = load_skin(write(tmp_path, text))
-    assert (skin.skin.pitch_m, skin.skin.n_taxels) == (0.0025, 5)
+    assert skin.skin.pitch_m == 0.0025
+    assert skin.skin.n_taxels == 5
     assert skin.baseline is not None
     assert (skin.baseline == 12.0).all()
     assert skin.gains[1, 0] == -4.0

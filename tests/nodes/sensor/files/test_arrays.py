@@ -268,7 +268,9 @@ class TestNpy:
     def test_stated_unit_range_and_rate_are_kept(self, tmp_path):
         stated = {"unit": "kPa", "f_max": 2.5, "rate_hz": 1000.0}
         source = open_bytes(tmp_path, "skin.npy", npy(FORCES), **stated)
-        assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 2.5, 1000)
+        assert source.skin.unit == "kPa"
+        assert source.skin.f_max == 2.5
+        assert source.rate_hz == 1000
         np.testing.assert_array_equal(source.stamp_ns, 1_000_000 * np.arange(4))
 
     @pytest.mark.parametrize(
@@ -342,7 +344,9 @@ class TestNpz:
         assert source.stamp_ns.tolist() == [0, 4_000, 4_500, 5_000]
         assert source.rate_hz == 250.0
         assert source.skin.n_taxels == 4
-        assert (source.skin.f_max, source.skin.unit, source.skin.pitch_m) == (2.5, "raw", 0.005)
+        assert source.skin.f_max == 2.5
+        assert source.skin.unit == "raw"
+        assert source.skin.pitch_m == 0.005
         frames = source.frames
         np.testing.assert_array_equal(frames[:, mask], FORCES[:, mask].astype(np.float32))
         assert not frames[:, ~mask].any()
@@ -355,9 +359,11 @@ class TestNpz:
             st.lists(st.booleans(), min_size=n_rows * n_cols, max_size=n_rows * n_cols)
         )
         mask = np.array([True, *bits[1:]]).reshape(n_rows, n_cols)
-        stored, axes = array.stored, array.axes_stated
+        stored = array.stored
+        axes = array.axes_stated
         if is_flat:
-            stored, axes = array.frames.reshape(len(array.frames), -1), array.shape_stated
+            stored = array.frames.reshape(len(array.frames), -1)
+            axes = array.shape_stated
             axes["axes"] = "frames,taxels"
         raw = npz(forces=stored, mask=mask)
         source = open_bytes(tmp_path, "a.npz", raw, **axes)
