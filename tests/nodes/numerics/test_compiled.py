@@ -108,7 +108,7 @@ def test_loops_that_call_blas_are_read_without_its_package_which_still_imports()
     lines = _run("""if True:
         import sys
         from sparseskin.nodes.numerics.warm_up import compile_loops
-        compile_loops("skin", "on", print)
+        compile_loops("on", print)
         print("scipy.linalg" in sys.modules)
         import scipy.linalg.cython_blas
         from scipy.linalg import blas, cython_blas, inv
