@@ -488,7 +488,7 @@ def haar_image(v: A, grid: A, half: A) -> None:
 
 
 @compiled()
-def sum_bands(image: A, begin: int, width: int, n_columns: int, bands: A) -> None:
+def sum_bands(image: A, begin: Any, width: int, n_columns: Any, bands: A) -> None:
     """Set the first four rows of bands, each of n_columns, to the sums of three rows each of a flat
     image from its place `begin` on, and the last one to the peaks of all twelve: what windows that
     lie beside each other share.
@@ -508,7 +508,7 @@ def sum_bands(image: A, begin: int, width: int, n_columns: int, bands: A) -> Non
 
 
 @compiled()
-def standing_out(bands: A, n_columns: int, column: int, limits: A) -> Any:
+def standing_out(bands: A, n_columns: Any, column: Any, limits: A) -> Any:
     """Part of the window of 12 x 12 that begins at a column of `sum_bands`, as in `gates`."""
     of_thirds = _0
     of_sixths = _0
