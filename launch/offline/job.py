@@ -158,12 +158,18 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
         tables[name] = {"type": name, "patch": patch}
     states = last_messages(bag, [topic_of(patch, SolverState.schema)])
     recorded = next(iter(states.values()), None)
-    if isinstance(recorded, SolverState) and recorded.frame_ms and not job.changes("reconstructor"):
-        # Its number of iterations followed from the speed of the host that recorded it.
-        tables["reconstructor"]["iterations"] = recorded.max_iterations or recorded.iterations
-        if recorded.frame_tiles:
-            times = {"frame_tiles": recorded.frame_tiles, "step_tiles": recorded.step_tiles}
-            tables["reconstructor"]["options"] = times
+    if isinstance(recorded, SolverState) and not job.changes("reconstructor"):
+        tables["reconstructor"] |= iterations_of(recorded)
     tables["monitor"] = {"type": "monitor", "patches": [patch]}
     tables["recorder"] = {"type": "recorder", "out": str(out), "launch": origin_of(job, bag)}
     return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
+
+
+def iterations_of(recorded: SolverState) -> dict[str, Any]:
+    """Settings of the reconstructor that give each frame the iterations that it had, where their
+    number followed from the speed of the host that recorded it.
+    """
+    if recorded.frame_tiles:
+        times = {"frame_tiles": recorded.frame_tiles, "step_tiles": recorded.step_tiles}
+        return {"iterations": recorded.max_iterations, "options": times}
+    return {"iterations": recorded.iterations} if recorded.frame_ms else {}

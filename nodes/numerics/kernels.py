@@ -488,25 +488,35 @@ def haar_image(v: A, grid: A, half: A) -> None:
 
 
 @compiled()
-def standing_out(image: A, begin: int, width: int, limits: A, sums: A, peaks: A) -> Any:
-    """Part of the window of 12 x 12 that begins at a place of a flat image, as in `gates`; sums and
-    peaks are scratch, 12 columns each.
+def sum_bands(image: A, begin: Any, width: int, n_columns: Any, bands: A) -> None:
+    """Set the first four rows of bands, each of n_columns, to the sums of three rows each of a flat
+    image from its place `begin` on, and the last one to the peaks of all twelve: what windows that
+    lie beside each other share.
     """
+    peaks = bands[4 * n_columns :][:n_columns]
+    for j in range(n_columns):
+        peaks[j] = _0
+    for band in range(4):
+        at = begin + 3 * band * width
+        upper = image[at:][:n_columns]
+        middle = image[at + width :][:n_columns]
+        lower = image[at + 2 * width :][:n_columns]
+        sums = bands[band * n_columns :][:n_columns]
+        for j in range(n_columns):
+            sums[j] = upper[j] + middle[j] + lower[j]
+            peaks[j] = max(peaks[j], max(upper[j], max(middle[j], lower[j])))
+
+
+@compiled()
+def standing_out(bands: A, n_columns: Any, column: Any, limits: A) -> Any:
+    """Part of the window of 12 x 12 that begins at a column of `sum_bands`, as in `gates`."""
     of_thirds = _0
     of_sixths = _0
     whole = _0
     left_half = _0
     right_half = _0
-    for j in range(12):
-        peaks[j] = _0
     for band in range(4):
-        at = begin + 3 * band * width
-        upper = image[at:][:12]
-        middle = image[at + width :][:12]
-        lower = image[at + 2 * width :][:12]
-        for j in range(12):
-            sums[j] = upper[j] + middle[j] + lower[j]
-            peaks[j] = max(peaks[j], max(upper[j], max(middle[j], lower[j])))
+        sums = bands[band * n_columns + column :][:12]
 
         # Squares of 3 x 3.
         a = sums[0] + sums[1] + sums[2]
@@ -525,6 +535,7 @@ def standing_out(image: A, begin: int, width: int, limits: A, sums: A, peaks: A)
             right_half = _0
 
     highest = _0
+    peaks = bands[4 * n_columns + column :][:12]
     for j in range(12):
         highest = max(highest, peaks[j])
     excess = max(highest / limits.single, of_thirds / (3 * limits.by_3))
@@ -1209,23 +1220,32 @@ def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, floa
     begins = tiles.begins[shift]
     shares = tiles.shares[shift]
     width = tiles.width
-    sums = w[-1][:12]  # the last window is written at last, and then read no more
-    peaks = w[-1][12:24]
+    bands = scratch.sums.reshape(-1)  # not in use yet
+    n_tiles = tiles.counts[shift]
     n_busy = 0
     expected = 0.0
-    for tile in range(tiles.counts[shift]):
-        begin = begins[tile]
-        part = standing_out(image, begin, width, limits, sums, peaks)
-        if part > 0:
-            window = w[n_busy]
-            for i in range(12):
-                for j in range(12):
-                    window[12 * i + j] = image[begin + i * width + j]
-            busy[n_busy] = tile
-            parts[n_busy] = part
-            n_busy += 1
-        else:
-            expected += shares[tile] * limits.quiet
+    first = 0
+    while first < n_tiles:
+        row = np.int64(begins[first])
+        stop = first + 1
+        while stop < n_tiles and np.int64(begins[stop]) - np.int64(begins[stop - 1]) == 8:
+            stop += 1
+        n_columns = np.int64(begins[stop - 1]) - row + 12
+        sum_bands(image, row, width, n_columns, bands)
+        for tile in range(first, stop):
+            begin = np.int64(begins[tile])
+            part = standing_out(bands, n_columns, begin - row, limits)
+            if part > 0:
+                window = w[n_busy]
+                for i in range(12):
+                    for j in range(12):
+                        window[12 * i + j] = image[begin + i * width + j]
+                busy[n_busy] = tile
+                parts[n_busy] = part
+                n_busy += 1
+            else:
+                expected += shares[tile] * limits.quiet
+        first = stop
     return n_busy, expected
 
 
