@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from sparseskin.nodes.compressor.phi.base import UNREAD
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -231,8 +230,8 @@ class SkinEstimator:
         # What the noise of measurements left in the last estimate, the same measurements leave.
         inherited2 = frame.repeated * min(last_error2, self._noise)
         self.error = math.sqrt(max((1 - part) * error2, inherited2))
-        has_unread_rows = self._filtered.n_known < (1 - UNREAD) * self._rows.n
-        return Fit(steps, settled, part, inherited2, has_unread_rows)
+        known = self._filtered.n_known / self._rows.n
+        return Fit(steps, settled, part, inherited2, known, frame.n_read / self._rows.n)
 
     def _judge(self, fit: Fit, frame: FrameNumbers) -> None:
         """Set the stated error, and whether the estimate is trusted."""

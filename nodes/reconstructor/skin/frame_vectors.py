@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -150,6 +150,7 @@ class FrameVectors(Vectors):
         self._predicted_rows = self._rows.forward(self._predicted)
         self.innovation = self._certain * (self._values - self._predicted_rows[read])
         self._estimate = self._predicted
+        self._own = np.zeros_like(self.innovation)
 
         self._expected = (self._variance + self._change)[read]
         self._is_known: Mask = self._expected < UNKNOWN
@@ -238,21 +239,16 @@ class FrameVectors(Vectors):
 
     def steps(self, plan: StepPlan) -> Steps:
         self._z = self._predicted
-        estimates = []
-        expected2 = []
-        residual2 = []
-        for k in range(plan.n_formula + plan.n):
-            x, error2, before2 = self._step(k, plan)
-            if k >= plan.n_formula:
-                estimates.append(x)
-                expected2.append(error2)
-                residual2.append(before2)
+        steps = [self._step(k, plan) for k in range(plan.n_formula + plan.n)][plan.n_formula :]
+        expected2 = [step.expected2 for step in steps]
+        residual2 = [step.residual2 for step in steps]
 
         # Errors of steps with other tiles differ: their mean has less.
         weights = self._weights_of(np.array(residual2), plan)
         self._estimate = np.zeros_like(self._z)
-        for weight, x in zip(weights.astype(np.float32), estimates, strict=True):
-            self._estimate += weight * x
+        for weight, step in zip(weights.astype(np.float32), steps, strict=True):
+            self._estimate += weight * step.x
+            self._own += weight * step.own
         return Steps(float(weights @ expected2), float(weights @ residual2))
 
     def _weights_of(self, residual2: Doubles, plan: StepPlan) -> Doubles:
@@ -266,18 +262,9 @@ class FrameVectors(Vectors):
         weights /= weights.sum()
         return weights
 
-    def _step(self, k: int, plan: StepPlan) -> tuple[Floats, float, float]:
+    def _step(self, k: int, plan: StepPlan) -> Step:
         """Move z, in step k; by `shrink` in place of the weights where the plan says so, and where
         there are none.
-
-        Returns
-        -------
-        x : array of float32, shape (n,)
-            The estimate of this step.
-        error2 : float
-            Its expected mean squared error.
-        residual2 : float
-            Mean squared residual of z before the step, of the rows read.
         """
         tuning = self._tuning
         shift = (plan.first_shift + k) % len(SHIFTS)
@@ -298,7 +285,8 @@ class FrameVectors(Vectors):
         mean_weight = _total(weight) / self._rows.n
         s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + plan.floor
         s = np.float32(math.sqrt(s2))
-        u = z + self._rows.adjoint(weight * off) / np.float32(mean_weight)
+        correction = weight * off / np.float32(mean_weight)
+        u = z + self._rows.adjoint(correction)
 
         denoise = shrink if by_formula or self._gates is None else self._gates.denoise
         windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
@@ -311,7 +299,8 @@ class FrameVectors(Vectors):
         free = (x - alpha * u) / (1 - alpha)
         damping = tuning.damping * min(1.0, tuning.damped_from / (k + 1))
         self._z = z + np.float32(damping) * (free - z)
-        return x, expected * float(s) ** 2, residual2
+        own = alpha * correction[self._rows.read]
+        return Step(x, expected * float(s) ** 2, residual2, own)
 
     def fade(self, part: float) -> None:
         self._predicted = np.float32(1 - part) * self._predicted
@@ -323,6 +312,10 @@ class FrameVectors(Vectors):
         self._correction = self._x_rows - self._predicted_rows
         self.residual = self._certain * (self._values - self._x_rows[self._rows.read])
 
+        # Residual of the steps in their part of x, without what each row added to its own value.
+        of_steps = self.residual - part * self.innovation
+        left_out = of_steps + (1 - part) * (self._certain * self._own)
+
         # A taxel within the noise counts as unpressed.
         x = self.x
         near = (x / np.float32(2 * blend.noise_sd + math.sqrt(TINY))).clip(None, 8)
@@ -331,6 +324,7 @@ class FrameVectors(Vectors):
             forces=_unclipped(x, blend),
             power=_dot(x, x) / len(x),
             residual2=_dot(self.residual, self.residual) / len(self.residual),
+            left_out2=_dot(left_out, left_out) / len(left_out),
             along_ones=_dot(ones, self.residual),
             unpressed=_dot(x, unpressed),
             pressed=_total((1 - unpressed) ** 2) / len(x),
@@ -338,6 +332,20 @@ class FrameVectors(Vectors):
 
     def mean_variance(self, forces: Floats, model: NoiseModel) -> float:
         return _total(model.variance(forces)) / len(forces)
+
+
+class Step(NamedTuple):
+    """A step of the iteration.
+
+    `x`, float32 (n,): its estimate; `expected2`: expected mean squared error of x; `residual2`:
+    mean squared residual of z before the step, of the rows read; `own`, float32 (n_read,): what
+    each row read has added to its own value in x.
+    """
+
+    x: Floats
+    expected2: float
+    residual2: float
+    own: Floats
 
 
 class Recall:

@@ -98,6 +98,7 @@ class Settled(NamedTuple):
     forces: Floats
     power: float  # mean square of x
     residual2: float  # mean square of the residual
+    left_out2: float  # that of the part of the steps in x, each row left out of its own value
     along_ones: float  # product of the residual and Phi 1
     unpressed: float  # sum of x over taxels within the noise
     pressed: float  # part of the taxels beyond it
