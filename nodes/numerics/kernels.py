@@ -1489,7 +1489,7 @@ def skin_settle(
     estimate: A,
     blend: A,
     forces: A,
-) -> tuple[float, float, float, float, float, float]:
+) -> tuple[float, float, float, float, float, float, float, float]:
     """Settle a frame, as in `FrameVectors`; return what it does but for the forces."""
     x = estimate.x
     n = x.size
@@ -1525,13 +1525,19 @@ def skin_settle(
     innovation = measured.innovation
     own = measured.own
     left_out2 = 0.0
+    along_x = 0.0
+    read2 = 0.0
     for i in range(read.size):
-        of_steps = residual[i] - part * innovation[i]
-        left_out = of_steps + rest * ((_1 - doubt[i]) * own[i])
+        x_read = x_rows[read[i]]
+        left_out = residual[i] + rest * ((_1 - doubt[i]) * own[i])
+        along_x += x_read * left_out
+        read2 += x_read * x_read
+        left_out -= part * innovation[i]
         left_out2 += left_out * left_out
     unpressed, pressed = settle_forces(x, blend, forces)
     m = read.size
-    return np.float64(power / n), residual2 / m, left_out2 / m, along_ones, unpressed, pressed
+    fits = residual2 / m, left_out2 / m, along_x, read2
+    return np.float64(power / n), *fits, along_ones, unpressed, pressed
 
 
 @compiled((V, NOISE_CURVE), sums_in_any_order=True)

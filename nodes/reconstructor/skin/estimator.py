@@ -13,7 +13,7 @@ from .prediction import PredictionError, motion_of
 from .row_subset import FrameNumbers, Level, RowSubset
 from .rows import Rows
 from .tiles import SHIFTS
-from .trust import Fit, StatedError, TaxelNoise, Trust, estimate_error2
+from .trust import CommonError, Fit, StatedError, TaxelNoise, Trust, estimate_error2
 from .tuning import SkinTuning
 from .vectors import UNKNOWN, Blend, Innovation, RowVariances, Settled, StepPlan, Steps, Vectors
 
@@ -76,7 +76,7 @@ class SkinEstimator:
         sets it.
     noise_model : NoiseModel or None
         Noise of the readings; None: not stated. The caller sets it.
-    vectors, noise_level, prediction_error, bias, stated_error, trust
+    vectors, noise_level, prediction_error, bias, stated_error, common_error, trust
         The state from frame to frame.
     error : float
         Estimated RMS error of a taxel of the last frame, by which the next one is predicted.
@@ -96,6 +96,7 @@ class SkinEstimator:
         self.prediction_error = PredictionError(tuning)
         self.bias = Bias(tuning)
         self.stated_error = StatedError(tuning)
+        self.common_error = CommonError(tuning)
         self.trust = Trust(tuning)
         self.noise_sd = 0.0
         self.noise_model: NoiseModel | None = None
@@ -110,6 +111,7 @@ class SkinEstimator:
         self.prediction_error.forget()
         self.bias.forget()
         self.stated_error.forget()
+        self.common_error.forget()
         self.trust.forget()
         self.error = 0.0
         self._level = Level()
@@ -237,6 +239,7 @@ class SkinEstimator:
         """Set the stated error, and whether the estimate is trusted."""
         noise = self._taxel_noise(fit.settled)
         error2 = self.stated_error.follow(fit, noise, frame)
+        self.common_error.follow(fit.settled)
         self.trust.follow_silence(frame.silent)
 
         level = self.noise_level

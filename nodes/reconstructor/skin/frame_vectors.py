@@ -313,8 +313,9 @@ class FrameVectors(Vectors):
         self.residual = self._certain * (self._values - self._x_rows[self._rows.read])
 
         # Residual of the steps in their part of x, without what each row added to its own value.
-        of_steps = self.residual - part * self.innovation
-        left_out = of_steps + (1 - part) * (self._certain * self._own)
+        own = (1 - part) * (self._certain * self._own)
+        left_out = self.residual - part * self.innovation + own
+        x_read = self._x_rows[self._rows.read]
 
         # A taxel within the noise counts as unpressed.
         x = self.x
@@ -325,6 +326,8 @@ class FrameVectors(Vectors):
             power=_dot(x, x) / len(x),
             residual2=_dot(self.residual, self.residual) / len(self.residual),
             left_out2=_dot(left_out, left_out) / len(left_out),
+            along_x=_dot(x_read, self.residual + own),
+            read2=_dot(x_read, x_read),
             along_ones=_dot(ones, self.residual),
             unpressed=_dot(x, unpressed),
             pressed=_total((1 - unpressed) ** 2) / len(x),

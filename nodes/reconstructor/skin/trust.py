@@ -104,6 +104,36 @@ class StatedError:
         return error2
 
 
+class CommonError:
+    """RMS relative error that all forces of a frame share: a loss or gain of the total.
+
+    It is the regression of the residuals on W x, each row left out of its own value, over the rows
+    read.
+
+    Attributes
+    ----------
+    value : float
+        Its RMS over the last frames; those with more force count more.
+    """
+
+    def __init__(self, tuning: SkinTuning) -> None:
+        self._tuning = tuning
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as if no frame had been measured."""
+        self.value = 0.0
+        self._products2 = 0.0
+        self._squares2 = 0.0
+
+    def follow(self, settled: Settled) -> None:
+        """Update the error."""
+        kept = 1 - self._tuning.signal_rate
+        self._products2 = kept * self._products2 + settled.along_x**2
+        self._squares2 = kept * self._squares2 + settled.read2**2
+        self.value = math.sqrt(self._products2 / (self._squares2 + TINY))
+
+
 class Trust:
     """Whether an estimate is trusted: the skin is untouched, or the error is small.
 
