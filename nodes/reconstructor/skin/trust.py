@@ -73,7 +73,7 @@ class StatedError:
     def forget(self) -> None:
         """Begin anew, as if no frame had been measured."""
         self.value = 0.0
-        self._share = 1.0
+        self._share = 1.0  # of errors in the squared distance from the readings
         self._n_repeats = 0.0
 
     def follow(self, fit: Fit, noise: TaxelNoise, frame: FrameNumbers) -> float:
@@ -88,8 +88,9 @@ class StatedError:
         # What is no error in the distance from the readings is their noise.
         distance2 = fit.distance2
         share = min(error2, distance2) / (distance2 + TINY)
-        self._share += tuning.signal_rate * (share - self._share)
-        error2 = self._share * distance2
+        self._share += tuning.share_rate * (share - self._share)
+        # The mean of 1 / s^2 is larger by 2 / M, s^2 a mean square of M numbers.
+        error2 = (1 + 2 / frame.n_read) * self._share * distance2
 
         # Where many rows are never read, the same measurements leave the same errors: repeats lower
         # them at most as other measurements would.
