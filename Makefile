@@ -94,7 +94,7 @@ hooks: .venv/installed-dev
 check: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python .ci/typecheck.py
+	$(BIN)/python -m mypy --package sparseskin
 	$(BIN)/python .ci/core.py
 
 .venv/python:

@@ -41,12 +41,10 @@ _tree = tempfile.TemporaryDirectory()
 
 @event_priority(100)  # before mkdocstrings reads its settings
 def on_config(config: Any, **_: Any) -> Any:
-    """Let the docstrings be read from a tree that is named as the package is imported."""
-    made = Path(_tree.name, "sparseskin")
-    shutil.copytree(ROOT / "sparseskin", made, dirs_exist_ok=True)
-    for name in ("messages", "nodes", "launch", "studies", "plugins"):
-        shutil.copytree(ROOT / name, made / name, dirs_exist_ok=True)
-    (made / "launch" / "__init__.py").touch()  # it has none, and would not be searched
+    """Let the docstrings be read from a copy of the package, in which each folder is a package."""
+    package = Path(_tree.name, "sparseskin")
+    shutil.copytree(ROOT / "src" / "sparseskin", package, dirs_exist_ok=True)
+    (package / "launch" / "__init__.py").touch()  # it has none, and would not be searched
     config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [_tree.name]
     return config
 

@@ -247,27 +247,3 @@ class Reconstruction(Sensed):
             if name in held:
                 parts.append(self._single(k, forces=held[name]))
         return parts
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Resultant(Message):
-    """Total force and centre of pressure, estimated from the measurements alone, at `done_ns` on
-    the graph's clock: `total` in the skin's unit, 0 or more; `row` and `col` from the middle of
-    taxel (0, 0); and standard deviations. None where no contact is detected.
-    """
-
-    schema: ClassVar[str] = "resultant"
-    times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
-
-    total: float = wire(Real(0.0))
-    total_sd: float = wire(Real(0.0))
-    row: float | None = wire(Real(optional=True), default=None)
-    col: float | None = wire(Real(optional=True), default=None)
-    row_sd: float | None = wire(Real(0.0, optional=True), default=None)
-    col_sd: float | None = wire(Real(0.0, optional=True), default=None)
-    done_ns: int = wire(Integer())
-
-    def validate(self) -> None:
-        known = {value is not None for value in (self.row, self.col, self.row_sd, self.col_sd)}
-        if len(known) > 1:
-            raise FieldError("row, col, row_sd, col_sd: expected all of them or none")

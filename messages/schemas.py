@@ -3,12 +3,13 @@
 from .base import Message
 from .contacts import Contacts
 from .errors import UnknownSchemaError, VersionError
-from .frames import Measurements, Reconstruction, Resultant, Taxels, Truth
+from .frames import Measurements, Reconstruction, Taxels, Truth
+from .labels import Labels
 from .state import Calibration, End, PhiState, SkinState, SolverState
 
 _CLASSES: tuple[type[Message], ...] = (
     *(SkinState, Calibration, Truth, Taxels, PhiState, Measurements),
-    *(SolverState, Resultant, Reconstruction, Contacts, End),
+    *(SolverState, Reconstruction, Contacts, Labels, End),
 )
 SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
 """Message classes by schema name."""

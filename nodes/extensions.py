@@ -3,7 +3,7 @@
 The core imports no plug-in by its name. What it needs it looks up here, when it is asked for.
 """
 
-from collections.abc import Container
+from collections.abc import Container, Iterator, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,12 @@ EXPORTS = "sparseskin_exports"
 """Kinds of export of a bag: each a `sparseskin.nodes.recorder.convert.export.Export`."""
 STUDIES = "sparseskin_studies"
 """Studies: each a `sparseskin.studies.command.Study`."""
+PHIS = "sparseskin_phis"
+"""Kinds of measurement matrices: each a subclass of `sparseskin.nodes.compressor.phi.base.Phi`."""
+BASES = "sparseskin_bases"
+"""Bases: each a subclass of `sparseskin.nodes.reconstructor.bases.base.Basis`."""
+SOLVERS = "sparseskin_solvers"
+"""Solvers: each a subclass of `sparseskin.nodes.reconstructor.solvers.base.Solver`."""
 
 
 @cache
@@ -45,6 +51,37 @@ def offered(group: str) -> "dict[str, EntryPoint]":
 def added(group: str, own: Container[str]) -> "dict[str, EntryPoint]":
     """Entry points of a group by name, without those that the core has itself: none replaces it."""
     return {name: point for name, point in offered(group).items() if name not in own}
+
+
+class Registry(Mapping[str, str]):
+    """Class of each name, as "module:Class": those of the core, then those of plug-ins.
+
+    Entry points are looked up where a name is none of the core's, or where all are asked for: that
+    takes time, and the core alone needs none.
+
+    Parameters
+    ----------
+    group : str
+        Group of the entry points.
+    core : mapping of str to str
+        Those of the core, which no entry point replaces.
+    """
+
+    def __init__(self, group: str, core: Mapping[str, str]) -> None:
+        self._group = group
+        self._core = core
+
+    def __getitem__(self, name: str) -> str:
+        if name in self._core:
+            return self._core[name]
+        return offered(self._group)[name].value
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._core
+        yield from added(self._group, self._core)
+
+    def __len__(self) -> int:
+        return len(self._core) + len(added(self._group, self._core))
 
 
 def load(group: str, name: str, error: type[SparseskinError], where: str = "") -> Any:

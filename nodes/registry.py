@@ -9,29 +9,25 @@ from .lookup import find_class
 if TYPE_CHECKING:
     from .node import Node
 
-NODE_TYPES = {
-    "sensor": "sparseskin.nodes.sensor.node:Sensor",
-    "compressor": "sparseskin.nodes.compressor.node:Compressor",
-    "reconstructor": "sparseskin.nodes.reconstructor.node:Reconstructor",
-    "monitor": "sparseskin.nodes.monitor.node:Monitor",
-    "recorder": "sparseskin.nodes.recorder.node:Recorder",
-    "player": "sparseskin.nodes.player.node:Player",
-}
-"""Class of each type of the core."""
-
-
-def node_types() -> dict[str, str]:
-    """Class of each type, as "module:Class": those of the core, then those of plug-ins."""
-    offers = extensions.added(extensions.NODES, NODE_TYPES)
-    return NODE_TYPES | {name: point.value for name, point in offers.items()}
+NODE_TYPES = extensions.Registry(
+    extensions.NODES,
+    {
+        "sensor": "sparseskin.nodes.sensor.node:Sensor",
+        "compressor": "sparseskin.nodes.compressor.node:Compressor",
+        "reconstructor": "sparseskin.nodes.reconstructor.node:Reconstructor",
+        "monitor": "sparseskin.nodes.monitor.node:Monitor",
+        "recorder": "sparseskin.nodes.recorder.node:Recorder",
+        "player": "sparseskin.nodes.player.node:Player",
+    },
+)
+"""Class of each type."""
 
 
 def node_class(type_name: str) -> "type[Node[Any]]":
     """Return the class of a registered node type, or of "module:Class"; or raise SettingsError."""
     from .node import Node  # with it numpy, which the names above do not need
 
-    known = NODE_TYPES if type_name in NODE_TYPES or ":" in type_name else node_types()
-    cls = find_class("type", type_name, known, SettingsError)
+    cls = find_class("type", type_name, NODE_TYPES, SettingsError)
     if not (isinstance(cls, type) and issubclass(cls, Node)):
         raise SettingsError(f'type "{type_name}": not a subclass of sparseskin.nodes.node.Node')
     return cls

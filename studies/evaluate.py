@@ -13,31 +13,30 @@ import numpy as np
 
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.quantiser import quantised
-from sparseskin.nodes.errors import SolverError, SparseskinError
-from sparseskin.nodes.lookup import find_class
+from sparseskin.nodes.errors import PhiError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import (
-    SOLVERS,
     Solver,
     estimated_error,
     make_rotating_solver,
+    solver_class,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.touch import in_contact
 
-_CLASSES = {name: find_class("solver", name, SOLVERS, SolverError) for name in SOLVERS}
-#: Solvers of sums of taxels: all but those that need a phi which chooses its taxels in each frame.
-SUM_SOLVERS = tuple(n for n, cls in _CLASSES.items() if not getattr(cls, "follows_choice", False))
+VARIATION = "sparseskin.studies.baselines.total_variation:TvSolver"
+"""Name for `make_solver` of total variation."""
+SUM_SOLVERS = {"skin": "skin", "fista": "fista", "tv": VARIATION}
+"""Name for `make_solver` of each solver of sums of taxels, by its label."""
 
 
 def settings_of(solver: str) -> Mapping[str, inspect.Parameter]:
     """Settings that a solver takes, by name."""
-    return inspect.signature(_CLASSES[solver]).parameters
+    return inspect.signature(solver_class(solver)).parameters
 
 
 VALUE_BYTES = 2
@@ -102,7 +101,6 @@ class Method:
         self.bits: int | None = None
         self.n_frames = 0
         self._n_code_bytes = 0
-        self._choice: AdaptiveChoice | None = None
         self.reset()
 
     @property
@@ -114,17 +112,14 @@ class Method:
         """Forget all frames, and begin with the first matrix again."""
         self.solver.reset()
         self.n_frames = 0
-        if isinstance(self.phi, AdaptivePhi):
-            self._choice = AdaptiveChoice(self.phi)
+        self.phi.forget()
 
     def measure(self, taxels: Floats) -> Floats:
         """Measurements of the next frame: float32, shape (n_rows, n_cols) to (m,)."""
         x, phi = taxels.reshape(-1)[self.solver.taxels], self.phi
-        if self._choice is not None and isinstance(phi, AdaptivePhi):
-            y = self._choice.measure(phi.tree.analysis(x).take)
-            self._n_code_bytes = phi.tree.coded(phi.chosen).size
-            return y
-        return phi.forward(x)
+        y, code = phi.measure(x)
+        self._n_code_bytes = 0 if code is None else code.size
+        return y
 
     def solve(self, y: Floats) -> Solved:
         """Reconstruct the next frame from measurements, shape (m,); Raises as `Solver.solve`."""
@@ -189,6 +184,22 @@ def make_method(
         sigma_mid = min(f_max_n, sigma_end * paper.sigma_mid / paper.sigma_end)
         solver.noise_model = NoiseModel(f_max_n, sigma_mid, sigma_end)
     return Method(solver, phis)
+
+
+def values_that_fit(kind: str, mask: Mask, m: int) -> int:
+    """Number of measurements by a kind of Phi that fit, with the longest code of their rows, into
+    the bytes of m values; at least 1. Raises PhiError as `make_phi`.
+    """
+    n = int(np.count_nonzero(mask))
+    for k in range(m, 1, -1):
+        try:
+            phi = make_phi(kind, n, k, seed=0)
+        except PhiError:
+            break  # it needs more
+        phi.lay_out(mask)
+        if VALUE_BYTES * k + phi.most_code_bytes <= VALUE_BYTES * m:
+            return k
+    return 1
 
 
 @dataclass

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from sparseskin.arrays import read_recording
 from sparseskin.messages import SkinState
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SparseskinError
@@ -24,6 +23,7 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
 from sparseskin.nodes.sensor.scenes.simulation import Scene
 from sparseskin.nodes.touch import in_contact
+from sparseskin.recordings import read_recording
 from sparseskin.studies.presses import press_frames, scattered_mask
 
 from .evaluate import LOADED

@@ -14,15 +14,16 @@ import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import Phi, fact, phi_class
 from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.sensor.noise import NoiseModel
 
+from .baselines.larger import LargerTaxels
 from .baselines.libraries import Bpdn, Library, TotalVariation
-from .baselines.sampling import CODECS, Acts, Codec, Filtered, Hold, Lattice, adaptive_values
+from .baselines.sampling import CODECS, Codec, Filtered, Hold, Lattice
 from .evaluate import (
     CLOSE,
     POOR,
@@ -36,6 +37,7 @@ from .evaluate import (
     Scores,
     evaluate,
     make_method,
+    values_that_fit,
 )
 from .frames import Frames, Take, opened, stated
 from .points import StudyError, compute
@@ -67,8 +69,8 @@ class Candidate:
     range, and scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own;
     of "reading": dead_zone_n; of "tv": weight, for the paper's range, and iterations; of "library":
     name in `PEERS`, lambda_n and iterations. `of`: "solver", "reading", "filtered", "lattice",
-    "hold", "acts", "tv", "library", or one of `CODECS`. `changes`: fields of the measurement that
-    differ. `alone`: True to forget all earlier frames before each one.
+    "hold", "larger", "tv", "library", or one of `CODECS`. `changes`: fields of the
+    measurement that differ. `alone`: True to forget all earlier frames before each one.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -88,7 +90,7 @@ class Candidate:
                 "filtered": lambda: Filtered(NoiseModel.for_range(take.f_max)),
                 "lattice": lambda: Lattice(mask, ratio),
                 "hold": lambda: Hold(mask, ratio),
-                "acts": lambda: Acts(mask, ratio, take.f_max),
+                "larger": lambda: LargerTaxels(mask, max(1, m_of(take.n, at.ratio))),
                 "tv": lambda: self._variation(at, take, seed),
                 "library": lambda: self._library(at, take, seed),
                 **{kind: lambda: Codec(mask, take.f_max, self.of) for kind in CODECS},
@@ -99,10 +101,10 @@ class Candidate:
             settings["lambda_n"] *= take.f_max / PAPER_F_MAX_N
         if "tuning" in settings:
             settings["tuning"] = SkinTuning(**settings["tuning"])
-        if at.phi == "adaptive":
+        if fact(phi_class(at.phi), "choice"):
             # As many rows as fit, with the code of their choice, into the bytes of M; M is rounded
             # down, and a half keeps it from rounding errors.
-            rows = adaptive_values(mask, m_of(take.n, at.ratio))
+            rows = values_that_fit(at.phi, mask, m_of(take.n, at.ratio))
             at = replace(at, ratio=take.n / (rows + 0.5))
         skin: dict[str, Any] = {"mask": mask, "f_max_n": take.f_max, "sigma_end": take.sigma_end}
         how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
@@ -120,6 +122,10 @@ class Candidate:
         basis = make_basis("haar", *take.mask.shape)
         problem = Bpdn(_first_phi(at, take, seed), basis, lambda_n, take.sigma_end)
         return Library(self.settings["name"], problem, self.settings["iterations"])
+
+
+LARGER = {"larger taxels": Candidate(of="larger")}
+"""Fewer, larger taxels, the simplest thing that a maker can do: a row of every comparison."""
 
 
 def _first_phi(at: Measurement, take: Take, seed: int) -> Phi:

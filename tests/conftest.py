@@ -41,7 +41,7 @@ def _own_environment():
         del os.environ[name]
 
 
-COMPILE = "from sparseskin.nodes.numerics.warm_up import compile_loops as c; c('skin', 'auto', id)"
+COMPILE = "from sparseskin.nodes.numerics.warm_up import compile_loops as c; c('auto', id)"
 
 
 def pytest_sessionstart(session):

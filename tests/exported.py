@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from bags import MASK, N_COLS, N_ROWS, PERIOD_NS, PHI, M, frame, make_bag, skin_state
 
-from sparseskin.messages import Calibration, Contacts, PhiState, Resultant, SkinState, SolverState
+from sparseskin.messages import Calibration, Contacts, PhiState, SkinState, SolverState
 from sparseskin.messages.base import Message
 from sparseskin.messages.quantised import Quantised
 
@@ -57,11 +57,7 @@ def rich_frames() -> list[Message]:
             reconstruction = replace(
                 reconstruction, sd=sd, error=(0.25,), trusted=(k != 3,), skipped=k
             )
-        touched = {"row": 1.5, "col": 2.5, "row_sd": 0.1, "col_sd": 0.2} if k % 2 else {}
-        resultant = Resultant(
-            stamp_ns=k * PERIOD_NS, patch="skin", total=float(k), total_sd=0.5, done_ns=3, **touched
-        )
-        found += [taxels, truth, measurements, resultant, reconstruction, contacts(k)]
+        found += [taxels, truth, measurements, reconstruction, contacts(k)]
         if k == 5:
             found.append(replace(skin_state(), stamp_ns=k * PERIOD_NS, rate_hz=50.0, mask=None))
             gains = np.full((N_ROWS, N_COLS), 2.0, np.float32)

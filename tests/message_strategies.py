@@ -10,11 +10,11 @@ from sparseskin.messages import (
     Calibration,
     Contacts,
     End,
+    Labels,
     Measurements,
     Message,
     PhiState,
     Reconstruction,
-    Resultant,
     SkinState,
     SolverState,
     Taxels,
@@ -156,7 +156,6 @@ def contacts(draw: st.DrawFn) -> Contacts:
     return Contacts(**values)
 
 
-_centre = ("row", "col", "row_sd", "col_sd")
 messages: st.SearchStrategy[Message] = st.one_of(
     made(Taxels, forces=forces(2)),
     made(Truth, forces=forces(2)),
@@ -164,9 +163,8 @@ messages: st.SearchStrategy[Message] = st.one_of(
     made(Reconstruction, forces=forces(2)),
     with_sd(),
     several(),
-    made(Resultant, **dict.fromkeys(_centre, st.none())),
-    made(Resultant, **dict.fromkeys(_centre, st.floats(0, 1e30))),
     contacts(),
+    made(Labels),
     skin_states(),
     calibrations(),
     made(PhiState),

@@ -12,6 +12,7 @@ from damaged import refusal
 import sparseskin
 from sparseskin import arrays, compress, make_basis, make_phi, make_solver, reconstruct
 from sparseskin.messages.state import CLIP_SD
+from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.errors import SolverError, SparseskinError
 from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N
 
@@ -168,7 +169,17 @@ def test_arguments_of_a_run_are_named(n_frames):
 
 
 PHI, BASIS = make_phi("sbhe", 64, 22, 0), make_basis("haar", 8, 8)
-OTHER, CHOOSING = (make_phi(kind, 64, 22, 0) for kind in ("gaussian", "adaptive"))
+OTHER = make_phi("gaussian", 64, 22, 0)
+
+
+class Choosing(SubsamplePhi):
+    """One whose taxels are chosen anew in each frame."""
+
+    kind = "choosing"
+    choice = "places"
+
+
+CHOOSING = Choosing(64, 22, 0)
 X, Y = np.ones((2, 8, 8), np.float32), np.ones((2, 22), np.float32)
 
 
@@ -203,7 +214,7 @@ MISTAKES = {
     "compress: forces: shape (64,)": lambda: compress(X[0].reshape(-1), PHI),
     "compress: 256 taxels of (16, 16) exist": lambda: compress(np.ones((16, 16)), PHI),
     '"rotating" is not allowed for phi "gaussian"': lambda: compress(X, OTHER, rows="rotating"),
-    'compress: phi "adaptive" chooses rows by what it': lambda: compress(X, CHOOSING),
+    'compress: phi "choosing" chooses rows by what it': lambda: compress(X, CHOOSING),
     "rows: 'turning' is not allowed": lambda: make_solver("skin", PHI, BASIS, rows="turning"),
     "phi: got ndarray": lambda: compress(PHI, X),
     "measures frames of (8, 8), not of (4, 16)": lambda: make_solver(

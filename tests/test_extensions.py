@@ -8,7 +8,8 @@ import pytest
 
 from sparseskin.launch.commands import cli
 from sparseskin.nodes import extensions
-from sparseskin.nodes.errors import SettingsError, SourceError
+from sparseskin.nodes.errors import SettingsError, SolverError, SourceError
+from sparseskin.nodes.reconstructor.bases.base import BASES, make_basis
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.convert.export import export_names, find_export
 from sparseskin.nodes.registry import node_class
@@ -80,6 +81,21 @@ def test_what_another_package_brings_is_used(tmp_path, capsys):
     assert suffixes()[".csv"].endswith(" or counts")
     assert find_export("text").ending == ".txt"
     assert "text" in export_names()
+
+
+BASIS = "sparseskin.nodes.reconstructor.bases.base:IdentityBasis"
+
+
+def test_parts_of_a_method_have_names_that_replace_none_of_the_core(offering):
+    offering(extensions.BASES, own=BASIS, haar="absent:THING", broken="absent:THING")
+    assert list(BASES) == ["haar", "identity", "broken", "own"]
+    assert len(BASES) == 4
+    assert type(make_basis("own", 4, 4)).__name__ == "IdentityBasis"
+    assert type(make_basis("haar", 4, 4)).__name__ == "HaarBasis"
+    with pytest.raises(SolverError, match="there is no module 'absent'"):
+        make_basis("broken", 4, 4)
+    with pytest.raises(SolverError, match=r'basis "haer" is not known \(did you mean \'haar\'\?\)'):
+        make_basis("haer", 4, 4)
 
 
 @pytest.mark.usefixtures("brought")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = ("sparseskin", "messages", "nodes", "launch", "studies", "plugins")
+FOLDERS = ("src/sparseskin", "messages", "nodes", "launch", "studies", "plugins")
 STATIONS = [
     f"sparseskin.nodes.{station}"
     for station in ("sensor", "compressor", "reconstructor", "monitor", "recorder", "player")
@@ -26,7 +26,8 @@ EVERY_PHI = "[b.make_phi(kind, 64, 64, seed=0) for kind in b.KINDS]"
 def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
     source = tmp_path / "source"
     source.mkdir()
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", *FOLDERS):
+    for name in ("pyproject.toml", "README.md", "LICENSE", *FOLDERS):
+        (source / name).parent.mkdir(exist_ok=True)
         (source / name).symlink_to(ROOT / name)
     options = ["--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
     wheel = [sys.executable, "-m", "pip", "wheel", *options, "--wheel-dir", str(tmp_path)]
@@ -39,7 +40,7 @@ def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
     held = {name.removeprefix("sparseskin/") for name in names if name.startswith("sparseskin/")}
     wanted = ("*.py", "*.toml", "*.typed", "*.npz", "*.md", "*.js", "*.css", "*.html", "*.c", "*.h")
     files = {
-        str(path.relative_to(ROOT)).removeprefix("sparseskin/")
+        str(path.relative_to(ROOT)).removeprefix("src/sparseskin/")
         for top in FOLDERS
         for pattern in wanted
         for path in (ROOT / top).rglob(pattern)

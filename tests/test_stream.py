@@ -9,6 +9,7 @@ import sparseskin
 from sparseskin import Stream
 from sparseskin.checks import check_basis, check_phi, check_solver
 from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.errors import PhiError, SolverError, SparseskinError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
@@ -131,13 +132,19 @@ def test_a_number_of_a_frame_that_is_none_is_refused(k):
         Stream((8, 8)).reconstruct(np.zeros(22, np.float32), k)
 
 
+class Choosing(SubsamplePhi):
+    """A matrix whose taxels are chosen anew in each frame."""
+
+    choice = "places"
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
         ({"shape": 8}, "stream: shape = 8 is not allowed; allowed: (n_rows, n_cols)"),
         ({"shape": (16.0, 16)}, "stream: shape = (16.0, 16) is not allowed; allowed: (n_rows"),
         ({"mask": np.ones((8, 7), np.bool_)}, "skin: the mask is bool [8, 7], expected bool"),
-        ({"phi": "adaptive"}, 'stream: phi "adaptive" chooses rows by what it reads'),
+        ({"phi": f"{__name__}:Choosing"}, ':Choosing" chooses rows by what it reads'),
         ({"ratio": 100}, "ratio: 100 leaves no measurement of 64 taxels"),
         ({"solver": "fist"}, 'solver: solver "fist" is not known (did you mean'),
         ({"max_iteration": 9}, "max_iteration: is not known"),

@@ -1,8 +1,8 @@
-// Prints the age of each contact message that is read, the newest ones, for some seconds:
+// Prints the age of some contact messages, the newest each time:
 //
 //     g++ -std=c++17 -O2 ages.cpp -o ages -lzmq
-//     ./ages ADDRESS OFFSET_NS SECONDS
-#include <chrono>
+//     ./ages ADDRESS OFFSET_NS N_MESSAGES
+#include <cstddef>
 #include <cstdio>
 #include <cstdlib>
 #include <vector>
@@ -11,16 +11,16 @@
 
 int main(int n_arguments, char** arguments) {
     if (n_arguments != 4) {
-        std::fprintf(stderr, "usage: %s ADDRESS OFFSET_NS SECONDS\n", arguments[0]);
+        std::fprintf(stderr, "usage: %s ADDRESS OFFSET_NS N_MESSAGES\n", arguments[0]);
         return 2;
     }
     const std::int64_t offset_ns = std::atoll(arguments[2]);
-    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(std::atoi(arguments[3]));
+    const std::size_t n_messages = std::strtoul(arguments[3], nullptr, 10);
     std::vector<double> ages_ms;
     try {
         sparseskin::Reader<sparseskin::Contacts> reader(arguments[1], "/skin/contacts", true);
         sparseskin::Contacts contacts;
-        while (std::chrono::steady_clock::now() < end) {
+        while (ages_ms.size() < n_messages) {
             const sparseskin::Status status = reader.next(contacts, 100);
             if (status == sparseskin::Status::ended) break;
             if (status == sparseskin::Status::timeout) continue;

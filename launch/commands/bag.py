@@ -45,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add = add_commands(parser, "Work with recordings (.mcap).")
     look.configure(add("look", look.look, "show how a file would be read, and its first frame"))
     info = add("info", _info, "print what a recording holds")
-    info.add_argument("bag", metavar="F.mcap", help=f"NAME{FILE_SUFFIX}, or an address of one")
+    info.add_argument("bag", metavar="F.mcap", type=Path, help=f"NAME{FILE_SUFFIX}")
     info.add_argument("--json", action="store_true", help="print JSON in place of a table")
     recover = add("recover", _recover, "save the readable part of a broken recording")
     recover.add_argument(
@@ -106,11 +106,9 @@ def _info(arguments: argparse.Namespace) -> int:
     seconds from the first to the last, and how many the recorder lost.
     """
     from sparseskin.nodes.recorder.bag.reader import BagReader
-    from sparseskin.nodes.remote import local_path
 
-    with BagReader(local_path(arguments.bag)) as bag:
-        name = arguments.bag
-        return show(arguments, "recording-info", info_document(bag, name), info_lines(bag, name))
+    with BagReader(arguments.bag) as bag:
+        return show(arguments, "recording-info", info_document(bag), info_lines(bag))
 
 
 def _recover(arguments: argparse.Namespace) -> int:
@@ -196,10 +194,10 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}" if n == 1 else f"{n} {what}s"
 
 
-def info_document(bag: "BagReader", name: str = "") -> dict[str, Any]:
-    """The file or its `name`, its topics, counts of its recorder and its metadata in full."""
+def info_document(bag: "BagReader") -> dict[str, Any]:
+    """The file, its topics, counts of its recorder and its metadata in full."""
     return {
-        "recording": name or str(bag.path),
+        "recording": str(bag.path),
         "size_bytes": bag.path.stat().st_size,
         "recovered": bag.recovered,
         "duration_s": _seconds(span_ns(bag.topics.values())),
@@ -213,11 +211,11 @@ def info_document(bag: "BagReader", name: str = "") -> dict[str, Any]:
     }
 
 
-def info_lines(bag: "BagReader", name: str = "") -> list[str]:
+def info_lines(bag: "BagReader") -> list[str]:
     """The same for a terminal, long values cut."""
     n_messages = sum(info.n_messages for info in bag.topics.values())
     of_file = {
-        "recording": name or str(bag.path),
+        "recording": str(bag.path),
         "size": f"{size_text(bag.path.stat().st_size)}, {n_messages} messages",
         "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
         "state": bag.recovered or "whole",

@@ -236,7 +236,7 @@ def report(found: Fit) -> list[str]:
     if skin.response is not None:
         own = "each taxel" if skin.response.reading.ndim == 3 else "all taxels"
         named["response"] = f"{len(skin.response.force)} knots for {own}"
-    size = f"{skin.rows} x {skin.cols} taxels, {skin.f_min:g}..{skin.f_max:g} {skin.unit}"
+    size = f"{skin.n_rows} x {skin.n_cols} taxels, {skin.f_min:g}..{skin.f_max:g} {skin.unit}"
     lines = [f"{skin.name}: {size}", *facts(named)]
     if found.presses:
         head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")

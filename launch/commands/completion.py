@@ -177,7 +177,7 @@ def declared_settings(type_name: str) -> list[Mapping[str, Any]]:
         from sparseskin.launch.launchfile.check import GRAPH_TABLES
 
         return [entry for cls in GRAPH_TABLES for entry in cls.described()]
-    target = registry.NODE_TYPES.get(type_name) or registry.node_types().get(type_name, "")
+    target = registry.NODE_TYPES.get(type_name, "")
     if not target.startswith("sparseskin."):
         return []
     described: list[Mapping[str, Any]] = registry.node_class(type_name).Settings.described()

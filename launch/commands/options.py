@@ -24,7 +24,6 @@ from sparseskin.nodes.files import (
     overwrite,
 )
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.remote import check_address, is_remote, shown
 
 if TYPE_CHECKING:
     from sparseskin.nodes.sensor.layout.layout import Layout
@@ -143,7 +142,7 @@ def as_options(text: str) -> str:
 
 
 def bag_names(names: Sequence[str], out: str) -> list[str]:
-    """Path or address of each bag that a command writes: `out`, or of its name in the folder `out`,
+    """Path of each bag that a command writes: `out`, or of its name in the folder `out`,
     which is made for several.
 
     Raises SettingsError if two have the same name, `out` is a bag for several, or no bag for one;
@@ -151,16 +150,13 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
     """
     from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 
-    folder = None if is_remote(out) else Path(out)
-    if len(names) == 1 and not (folder and folder.is_dir()):
+    folder = Path(out)
+    if len(names) == 1 and not folder.is_dir():
         if not out.endswith(FILE_SUFFIX):
-            raise SettingsError(f"--out {shown(out)}: expected a name that ends in {FILE_SUFFIX}")
+            raise SettingsError(f"--out {out}: expected a name that ends in {FILE_SUFFIX}")
         return [out]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise SettingsError(f"--out {shown(out)}: two of the files would become {twice[0]}")
-    if folder is None:
-        check_address(out)
-        return [f"{out.rstrip('/')}/{name}" for name in names]
+        raise SettingsError(f"--out {out}: two of the files would become {twice[0]}")
     if not folder.is_dir():
         if folder.suffix == FILE_SUFFIX:
             raise SettingsError(f"--out {out}: several files need a folder, one recording each")

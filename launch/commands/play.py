@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from sparseskin.launch.attach.text import table
 from sparseskin.launch.launchfile import BUNDLED, bundled_names
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.remote import local_path
 
 from .options import add_page, naming_options, print_ends, rare, real, whole
 
@@ -37,7 +36,7 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
         "up and down change the rate, q ends."
     )
     more = rare(parser)
-    parser.add_argument("file", metavar="F.mcap", help="recording, or an address of one")
+    parser.add_argument("file", metavar="F.mcap", help="recording")
     about = "times the recorded speed; 0: as fast as it is read"
     parser.add_argument("--rate", type=real(False), metavar="R", help=about)
     parser.add_argument("--loop", action="store_true", default=None, help="start again at the end")
@@ -63,7 +62,7 @@ def _play(arguments: argparse.Namespace) -> int:
 
     if arguments.no_token and not arguments.open:
         raise SettingsError("--no-token: goes with --open: without it there is no page")
-    path = local_path(arguments.file)
+    path = Path(arguments.file)
     stated = {key: getattr(arguments, key) for key in OPTIONS}
     values: dict[str, Any] = {
         **{key: value for key, value in stated.items() if value is not None},

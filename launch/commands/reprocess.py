@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from sparseskin.launch.attach.text import size_text
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean, one_line
-from sparseskin.nodes.remote import check_address, file_name, is_remote, shown
 from sparseskin.nodes.tasks import FORMS
 
 from .options import add_set, add_summary, bag_names, check_summary, rare, write_summary
@@ -28,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "recorded; the result is a recording with the same stamps."
     )
     more = rare(parser)
-    parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings, or addresses")
+    parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings")
     add_set(parser, "change a setting of the compressor or the reconstructor", "NODE.KEY=VALUE")
     about = "file to write; a folder for several, made if it does not exist"
     parser.add_argument("--out", metavar="G.mcap", required=True, help=about)
@@ -53,19 +52,19 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     for outcome in outcomes:
         job = outcome.job
         if outcome.error:
-            places = (shown(job.source), shown(job.out))
-            named = outcome.error.startswith("--") or any(p in outcome.error for p in places)
-            print(outcome.error if named else f"{places[0]}: {outcome.error}", file=sys.stderr)
+            names_a_file = job.source in outcome.error or job.out in outcome.error
+            has_place = outcome.error.startswith("--") or names_a_file
+            print(outcome.error if has_place else f"{job.source}: {outcome.error}", file=sys.stderr)
         elif outcome.was_finished:
-            print(f"{shown(job.out)}: computed before, by the same command")
+            print(f"{job.out}: computed before, by the same command")
         else:
-            print(f"{shown(job.out)}:")
+            print(f"{job.out}:")
             print(summary_table(outcome.patches))
             per_minute = size_text(60 * outcome.n_bytes / outcome.seconds)
             size = size_text(outcome.n_bytes)
             print(f"{size} in {outcome.seconds:.1f} s: {per_minute} per minute")
-    found = {shown(o.job.out): {"patches": o.patches} for o in outcomes if o.patches}
-    write_summary(arguments.summary, "reprocess-summary", {"recordings": found})
+    results = {o.job.out: {"patches": o.patches} for o in outcomes if o.patches}
+    write_summary(arguments.summary, "reprocess-summary", {"recordings": results})
     return 2 if any(outcome.error for outcome in outcomes) else 0
 
 
@@ -75,18 +74,16 @@ def _jobs(arguments: argparse.Namespace) -> "list[Job]":
     from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
 
     for file in arguments.files:
-        if not file_name(file).removesuffix(PART_SUFFIX).endswith(FILE_SUFFIX):
-            raise SettingsError(f"{shown(file)}: no recording ({FILE_SUFFIX})")
-        if is_remote(file):
-            check_address(file)
-        elif not Path(file).is_file():
+        if not file.removesuffix(PART_SUFFIX).endswith(FILE_SUFFIX):
+            raise SettingsError(f"{file}: no recording ({FILE_SUFFIX})")
+        if not Path(file).is_file():
             raise SettingsError(f"{file}: no such file")
     for text in arguments.set:
         node = text.partition(".")[0]
         if node not in STATIONS:
             hint = did_you_mean(node, STATIONS)
             raise SettingsError(f"--set {text}: unknown node '{node}'{hint}")
-    names = [file_name(file).removesuffix(PART_SUFFIX) for file in arguments.files]
+    names = [Path(file).name.removesuffix(PART_SUFFIX) for file in arguments.files]
     outs = bag_names(names, arguments.out)
     changes, start_from = tuple(arguments.set), arguments.start_from
     pairs = zip(arguments.files, outs, strict=True)

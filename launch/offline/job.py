@@ -1,9 +1,7 @@
 """One recording to reprocess: the graph that does it, and the result."""
 
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,8 +20,6 @@ from sparseskin.messages import (
     Truth,
 )
 from sparseskin.messages.topics import split_topic, topic_of
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.recorder.bag.format import BagError
@@ -32,14 +28,15 @@ from sparseskin.nodes.recorder.bag.patches import names_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import removing
 from sparseskin.nodes.recorder.node import metadata_of
-from sparseskin.nodes.remote import check_free, file_name, is_remote, local_path, store
+
+from .pipeline import Pipeline
 
 
 @dataclass(frozen=True)
 class Job:
-    """A recording `source` to reprocess into `out`, .mcap or addresses of such (`nodes.remote`),
-    with settings "NODE.KEY=VALUE" of the compressor and the reconstructor. `start_from` is
-    "taxels", "measurements", or "auto": measurements unless the compressor is changed.
+    """A recording `source` to reprocess into `out`, both .mcap, with settings "NODE.KEY=VALUE" of
+    the compressor and the reconstructor. `start_from` is "taxels", "measurements", or "auto":
+    measurements unless the compressor is changed.
     """
 
     source: str
@@ -74,10 +71,10 @@ def run_job(job: Job, progress: bool = False) -> Outcome:
     """
     begin_s = time.monotonic()
     try:
-        source = local_path(job.source)
+        source = Path(job.source)
         if is_finished(job, source):
             return Outcome(job, {}, was_finished=True)
-        with _written(job.out) as draft:
+        with whole_file(Path(job.out)) as draft, removing(draft, Path(job.out)):
             patches = _run(job, source, draft, progress)
         n_bytes = source.stat().st_size
     except SparseskinError as error:
@@ -88,10 +85,9 @@ def run_job(job: Job, progress: bool = False) -> Outcome:
 def is_finished(job: Job, source: Path) -> bool:
     """True if the result of a job exists, complete, and later than its source: made of a recording
     of the same name and origin, with the same settings, by the same versions of all programs.
-    False for addresses, which would have to be read for it.
     """
     out = Path(job.out)
-    if is_remote(job.out) or not out.is_file():
+    if not out.is_file():
         return False
     if out.stat().st_mtime_ns < source.stat().st_mtime_ns:
         return False
@@ -111,37 +107,20 @@ def origin_of(job: Job, bag: BagReader) -> str:
     recording.
     """
     changes = " ".join(f"--set {text}" for text in job.overrides)
-    command = f"# sparseskin reprocess {file_name(job.source)} {changes}".rstrip()
+    command = f"# sparseskin reprocess {Path(job.source).name} {changes}".rstrip()
     return f"{command} --from {job.start_from}\n{bag.metadata.get('launch', '')}"
-
-
-@contextmanager
-def _written(out: str) -> Iterator[Path]:
-    """Yield a path to write to, whose file becomes `out`, a path or an address."""
-    if is_remote(out):
-        check_free(out)
-        with tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
-            path = Path(folder) / file_name(out)
-            with removing(path, path):
-                yield path
-            store(path, out)
-    else:
-        with whole_file(Path(out)) as draft, removing(draft, Path(out)):
-            yield draft
 
 
 def _run(job: Job, source: Path, out: Path, progress: bool) -> dict[str, Any]:
     """Write the result of a job; return the monitor's summary by patch, without latencies."""
-    clock = ManualClock()  # offline a frame is done when it was acquired
     with BagReader(source, whole=False) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
         launch = make_graph(job, bag, out)
-    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
-    bar = tqdm(total=total, disable=not progress, unit="frame", desc=file_name(job.source))
+    # Offline a frame is done when it was acquired.
+    bus = Pipeline({n.name: (n.cls, n.settings) for n in launch.nodes.values()})
+    bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
     with bar, closing(bus):
-        for messages in bus.frames():
-            newest_ns = max((message.stamp_ns for message in messages), default=0)
-            clock.advance(max(0, newest_ns - clock.now_ns()))
+        for _ in bus.frames():
             bar.update()
     bus.check()
     patches = bus.reports()["monitor"]["patches"]
@@ -181,7 +160,10 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     recorded = next(iter(states.values()), None)
     if isinstance(recorded, SolverState) and recorded.frame_ms and not job.changes("reconstructor"):
         # Its number of iterations followed from the speed of the host that recorded it.
-        tables["reconstructor"]["iterations"] = recorded.iterations
+        tables["reconstructor"]["iterations"] = recorded.max_iterations or recorded.iterations
+        if recorded.frame_tiles:
+            times = {"frame_tiles": recorded.frame_tiles, "step_tiles": recorded.step_tiles}
+            tables["reconstructor"]["options"] = times
     tables["monitor"] = {"type": "monitor", "patches": [patch]}
     tables["recorder"] = {"type": "recorder", "out": str(out), "launch": origin_of(job, bag)}
-    return load_tables(f"reprocess {file_name(job.source)}", tables, job.overrides)
+    return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)

@@ -10,8 +10,6 @@ import numpy as np
 
 from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.compressor.phi.acts import SIGMAS, ActsPhi, ActsSearch, packed_places
-from sparseskin.nodes.compressor.phi.adaptive import AdaptiveChoice, AdaptivePhi, phis_for
 from sparseskin.nodes.compressor.phi.base import (
     KINDS,
     RANDOM,
@@ -20,6 +18,7 @@ from sparseskin.nodes.compressor.phi.base import (
     Phi,
     block_of,
     check_parameters,
+    fact,
     phi_class,
 )
 from sparseskin.nodes.compressor.phi.rotation import (
@@ -33,13 +32,13 @@ from sparseskin.nodes.compressor.phi.rotation import (
     check_subsets,
     default_rows,
     m_of,
+    phis_for,
 )
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
-from sparseskin.nodes.touch import touch_level
 
 from .quantiser import quantised
 
@@ -53,8 +52,6 @@ COMPILED_HZ = 300.0
 processor time, which they save in a minute. Chosen."""
 MIN_BITS = 5
 """Least bits of a measurement: with fewer, the quantiser's step exceeds the small measurements."""
-CHOSEN_ANEW = ("acts", "adaptive")
-"""Kinds of Phi that choose other taxels or rows for each patch."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +60,11 @@ class CompressorSettings(PatchesSettings):
 
     phi: str = setting(
         "sbhe",
-        "measurement matrix: sbhe, full, subsample, gaussian, acts (taxels chosen anew in each "
-        "frame, for the solver interpolation), adaptive (rows where forces changed, chosen anew in "
-        "each frame, for the solver skin), row_local (columns of a row summed), local:SIDE "
-        "(sbhe within neighbourhoods of SIDE x SIDE taxels), file:PHI.npz (a sparse matrix, "
-        "or a stack of matrices that measure frames in turn) or module:Class",
+        "measurement matrix: sbhe, full, subsample, gaussian, row_local (columns of a row summed), "
+        "local:SIDE (sbhe within neighbourhoods of SIDE x SIDE taxels), file:PHI.npz (a sparse "
+        "matrix, or a stack of matrices that measure frames in turn) or module:Class; of a "
+        "plug-in, acts (taxels chosen anew in each frame, for the solver interpolation) and "
+        "adaptive (rows where forces changed, chosen anew in each frame, for the solver skin)",
         known=KINDS,
         decides=True,
     )
@@ -104,9 +101,6 @@ class CompressorSettings(PatchesSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.n_patches > 1 and self.phi in CHOSEN_ANEW:
-            allowed = "allowed for several patches: a Phi that all patches share, as sbhe"
-            raise SettingsError(f"phi: {self.phi} chooses other rows for each patch; {allowed}")
         if self.n_patches > 1 and self.bits is not None:
             raise SettingsError("bits: are not available for several patches; leave them out")
 
@@ -115,6 +109,9 @@ class CompressorSettings(PatchesSettings):
             raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
         with naming("phi"):
             made_by = phi_class(self.phi)
+        if self.n_patches > 1 and fact(made_by, "choice"):
+            allowed = "allowed for several patches: a Phi that all patches share, as sbhe"
+            raise SettingsError(f"phi: {self.phi} chooses other rows for each patch; {allowed}")
         if self.rows == ROTATING and isinstance(made_by, type):
             check_rotates(made_by, self.phi)
 
@@ -203,8 +200,6 @@ class Compressor(Node[CompressorSettings]):
         self._rows = settings.rows  # in use: resolved once the skin is known
         #: The first message by a matrix: those of later frames are like it.
         self._first: Measurements | None = None
-        self._search: ActsSearch | None = None
-        self._choice: AdaptiveChoice | None = None
         self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
 
     @classmethod
@@ -278,10 +273,6 @@ class Compressor(Node[CompressorSettings]):
         self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
         self._first = None
         self._cells = None if state.mask is None else np.flatnonzero(state.mask)
-        if isinstance(phi, ActsPhi):
-            threshold = touch_level(state.sigma_end, state.f_max, SIGMAS)
-            self._search = ActsSearch(state.skin.exists, phi.m, threshold)
-        self._choice = AdaptiveChoice(phi) if isinstance(phi, AdaptivePhi) else None
         block, rule = s.block_and_rule()
         return PhiState(
             stamp_ns=stamp_ns,
@@ -318,14 +309,9 @@ class Compressor(Node[CompressorSettings]):
         x = self._existing(taxels)
         phi = self._subsets[self._subset]
         self._subset = (self._subset + 1) % len(self._subsets)
-        places = nodes = None
-        if isinstance(phi, ActsPhi) and self._search is not None:
-            found = self._search.places(x[0].take)
-            phi.choose(found)
-            places = packed_places(found, phi.n)
-        if isinstance(phi, AdaptivePhi) and self._choice is not None:
-            y = self._choice.measure(phi.tree.analysis(x[0]).take)
-            nodes = phi.tree.coded(phi.chosen)
+        choice = fact(phi, "choice")
+        if choice:
+            y, code = phi.measure(x[0])
         else:
             y = phi.forward(x if len(x) > 1 else x[0])
         bits = self.settings.bits
@@ -335,9 +321,9 @@ class Compressor(Node[CompressorSettings]):
             "phi": phi.fingerprint,
             "missing": taxels.missing,
             "reason": taxels.reason,
-            "places": places,
-            "nodes": nodes,
         }
+        if choice:
+            changes[choice] = code
         if self._first is None:
             of_node: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
             self._first = Measurements(**of_node, **changes)

@@ -15,7 +15,6 @@ from sparseskin.messages import (
     PhiState,
     Reason,
     Reconstruction,
-    Resultant,
     SkinState,
     SolverState,
     Taxels,
@@ -96,7 +95,6 @@ class FrameMetrics:
     taxels: Taxels | None = None
     truth: Truth | None = None
     reconstruction: Reconstruction | None = None
-    resultant: Resultant | None = None
     psnr_noisy_db: float = math.nan
     psnr_db: float = math.nan
     latency_ms: float = math.nan
@@ -200,8 +198,6 @@ class PatchMetrics:
                 self._pair(stamp_ns).taxels = message
             case Truth():
                 self._pair(stamp_ns).truth = message
-            case Resultant():
-                self._pair(stamp_ns).resultant = message
             case Contacts():
                 self.contacts = message
             case Reconstruction():
@@ -321,7 +317,8 @@ class PatchMetrics:
         return {
             "scene": skin.source if skin else None,
             "phi": phi.kind if phi else None,
-            **_fields(self.solver, "basis", "solver", "preset", "iterations", "frame_ms"),
+            **_fields(self.solver, "basis", "solver", "preset", "iterations", "max_iterations"),
+            **_fields(self.solver, "frame_ms"),
             **_fields(phi, "rows", "n", "m"),
             **_fields(skin, "f_min", "f_max", "unit"),
             "ratio": n / m if m else None,

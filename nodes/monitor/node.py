@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from sparseskin.messages import (
     Contacts,
+    Labels,
     Measurements,
     Message,
     PhiState,
     Reconstruction,
-    Resultant,
     SkinState,
     SolverState,
     Taxels,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 SUMMARY_EVERY_NS = 500_000_000
 """Period in which the live page gets a new summary."""
 REQUIRED = (SkinState, PhiState, Measurements, SolverState, Reconstruction)
-OPTIONAL = (Taxels, Truth, Resultant, Contacts)
+OPTIONAL = (Taxels, Truth, Contacts, Labels)
 """A compressor outside the graph publishes no taxels."""
 WATCHED = (*REQUIRED, *OPTIONAL)
 

@@ -242,11 +242,14 @@ class FilterConstants(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Steps of a frame: by the formula, then by the weights."""
+    """Steps of a frame, as of `StepPlan`: by the formula, then by the weights."""
 
     n_formula: int
     n: int
     first_shift: int
+    frame_tiles: int
+    step_tiles: int
+    most: int
     target_variance: float  # mean variance of the targets of the rows read
     floor: float  # least variance
 
@@ -261,6 +264,9 @@ class StepConstants(NamedTuple):
     residual_power: float
     rise_power: float
     fully_averaged: float
+    converged: int
+    n_formula: int
+    formula_share: int
 
 
 class StepInputs(NamedTuple):
@@ -319,8 +325,8 @@ DENOISER = group(Denoiser, WEIGHTS, LIMITS, V, int64)
 MOTION_WEIGHTS = group(MotionWeights, *(4 * [float64]))
 VARIANCES = group(Variances, *(4 * [float64]))
 FILTER_CONSTANTS = group(FilterConstants, *(8 * [float64]))
-PLAN = group(Plan, int64, int64, int64, float64, float64)
-STEP_CONSTANTS = group(StepConstants, *(7 * [float64]))
+PLAN = group(Plan, *(6 * [int64]), float64, float64)
+STEP_CONSTANTS = group(StepConstants, *(7 * [float64]), *(3 * [int64]))
 STEP_INPUTS = group(
     *(StepInputs, TRANSFORM, PREDICTION, TARGETS, ITERATES),
     *(TILE_MAPS, DENOISER, STEP_CONSTANTS),
@@ -1368,6 +1374,33 @@ def weight_of(k: int, residual2: float, plan: A, constants: A) -> float:
     return weight
 
 
+@compiled()
+def steps_for(plan: A, n_busy: int, constants: A) -> Any:
+    """As `vectors.steps_for`."""
+    if plan.frame_tiles == 0:
+        return plan
+    per_step = plan.step_tiles + n_busy
+    n_formula = 0
+    n = min(plan.frame_tiles // per_step, plan.most)
+    if n < constants.converged:
+        n_formula = constants.n_formula
+        by_formula = plan.step_tiles + n_busy // constants.formula_share
+        n = (plan.frame_tiles - n_formula * by_formula) // per_step
+        n = min(n, constants.converged - 1, plan.most)
+    if n < plan.n:
+        return plan
+    return Plan(
+        n_formula,
+        n,
+        plan.first_shift,
+        plan.frame_tiles,
+        plan.step_tiles,
+        plan.most,
+        plan.target_variance,
+        plan.floor,
+    )
+
+
 class StepMeans(NamedTuple):
     """Means over the steps so far, weighted as their estimates are."""
 
@@ -1377,9 +1410,12 @@ class StepMeans(NamedTuple):
 
 
 @compiled(sums_in_any_order=True)
-def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMeans) -> StepMeans:
+def skin_step(
+    inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMeans
+) -> tuple[StepMeans, Any, int]:
     """Step k, as in `FrameVectors`: z becomes the next, and its estimate is added to their mean.
-    Return the means with this step.
+    Return the means with this step, the plan, which the first one chooses, and the number of tiles
+    in which something stands out.
     """
     iterates = inputs.iterates
     z = iterates.z
@@ -1400,6 +1436,8 @@ def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMe
     for q in range(denoised.size):
         denoised[q] = _0
     n_busy, expected = busy_windows(tiles, shift, limits, scratch)
+    if k == 0:
+        plan = steps_for(plan, n_busy, constants)
     if n_busy and (k < plan.n_formula or not inputs.denoiser.has_gates):
         expected += shrink_tiles(tiles, shift, limits, scratch, n_busy, s)
     elif n_busy:
@@ -1419,17 +1457,19 @@ def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMe
     add_own(measured, tau, alpha * per_weight, np.float32(part))
 
     error2 = expected * np.float64(s) ** 2
-    return StepMeans(
+    means = StepMeans(
         total,
         means.expected2 + part * (error2 - means.expected2),
         means.residual2 + part * (residual2 - means.residual2),
     )
+    return means, plan, n_busy
 
 
 @compiled((STEP_INPUTS, MEASURED, PLAN), sums_in_any_order=True)
-def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float]:
+def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float, int, int, int]:
     """The steps of a frame from its prediction, which set the mean of the estimates. Return the
-    same means of the expected squared error and of the squared residual before the step.
+    same means of the expected squared error and of the squared residual before the step; the
+    numbers of steps by the formula and by the weights, and of tiles that counted in all of them.
     """
     iterates = inputs.iterates
     scratch = step_scratch(inputs.denoiser, inputs.tiles, iterates.z.size)
@@ -1440,9 +1480,20 @@ def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float]:
         z[p] = predicted[p]
         mean[p] = _0
     means = StepMeans(0.0, 0.0, 0.0)
-    for k in range(plan.n_formula + plan.n):
-        means = skin_step(inputs, measured, plan, scratch, k, means)
-    return means.expected2, means.residual2
+    least = plan.n_formula + plan.n
+    k = 0
+    n_busy = 0
+    n_tiles = 0
+    while k < plan.n_formula + plan.n:
+        # Forces of a sudden contact stand out step by step: what it takes is counted.
+        spent = (k + 1) * plan.step_tiles + n_tiles + n_busy
+        if k >= least and spent > plan.frame_tiles:
+            break
+        means, plan, n_busy = skin_step(inputs, measured, plan, scratch, k, means)
+        is_by_formula = k < plan.n_formula
+        n_tiles += n_busy // inputs.constants.formula_share if is_by_formula else n_busy
+        k += 1
+    return means.expected2, means.residual2, plan.n_formula, k - plan.n_formula, n_tiles
 
 
 @compiled(sums_in_any_order=True)

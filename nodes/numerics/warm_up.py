@@ -11,21 +11,15 @@ from . import compiled
 
 
 def compile_loops(
-    solver: str,
-    fast: str,
-    log: Callable[[str], None],
-    contacts: bool = False,
-    count: compiled.Count = lambda done, of: None,
+    fast: str, log: Callable[[str], None], count: compiled.Count = lambda done, of: None
 ) -> None:
     """Compile all loops now, or read them from disk, so that no frame waits for it.
 
-    Nothing is done where the solver has none and there are no contacts, or where `use_compiled` is
-    False, with Raises as there. `log` receives a line of text before anything is compiled, and one
-    after it; where numba is missing or cannot be imported, one that says so. `count` receives the
-    numbers of loops that are compiled and of all, from 0 on, if any has to be.
+    Nothing is done where `use_compiled` is False, with Raises as there. `log` receives a line of
+    text before anything is compiled, and one after it; where numba is missing or cannot be
+    imported, one that says so. `count` receives the numbers of loops that are compiled and of all,
+    from 0 on, if any has to be.
     """
-    if solver not in compiled.SOLVERS and not contacts:
-        return
     if compiled.use_compiled(fast):
         from . import kernels  # needs numba
 
@@ -36,4 +30,4 @@ def compile_loops(
 
 
 if __name__ == "__main__":
-    compile_loops("skin", "auto", print)
+    compile_loops("auto", print)

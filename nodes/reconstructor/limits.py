@@ -12,24 +12,13 @@ from typing import Any
 import numpy as np
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
-from sparseskin.nodes.compressor.phi.base import RANDOM, Phi
+from sparseskin.nodes.compressor.phi.base import RANDOM, Phi, block_layout
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
-from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Mask
 
-#: Range of lambda, newtons for a range of 2.5 N, in which a solver stays within 3 dB of its best
-#: at M = N/3.
-LAMBDAS_N = {
-    "fista": (0.0006, 0.015),
-    "tv": (0.002, 0.03),
-}
-#: Solvers that return 0 for measurements below their lambda, and need a sparse basis.
-L1_SOLVERS = ("fista",)
-#: Solvers that do not use the basis they are given.
-OWN_BASIS = ("skin", "tv", "interpolation")
-#: Least iterations with which the first frames of a sudden contact lose less than 3 dB.
-MIN_ITERATIONS = {"fista": 15, "tv": 10, "skin": 5}
+from .solvers.base import fact, solver_class
+
 #: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
 MAX_STEP = 4.0 / 3.0
 N_POWER_STEPS = 30
@@ -40,11 +29,6 @@ OTHER_ROWS = (
 )
 """Warning where preset `paper` reconstructs other rows of "sbhe"."""
 MAX_PAD_SPREAD = 1.75
-SINGLE_TAXELS = (
-    "phi = subsample: solver skin does not know its error between the taxels that are read; "
-    "advised: solver interpolation, or phi sbhe"
-)
-"""Warning where the default solver reconstructs single taxels."""
 
 
 def reconstruction_warnings(
@@ -52,13 +36,14 @@ def reconstruction_warnings(
 ) -> list[str]:
     """Return warnings of settings that are allowed and known to fail, one line each.
 
-    Solver and basis are registered names, or "module:Class", of which nothing is known; `options`
-    are the stated settings of the solver, lambda_n for a range of 2.5 N.
+    `options` are the stated settings of the solver, lambda_n for a range of 2.5 N.
     """
     warnings = []
+    cls = solver_class(solver)
     lambda_n = options.get("lambda_n")
-    if solver in LAMBDAS_N and lambda_n is not None:
-        low, high = LAMBDAS_N[solver]
+    advised_range = fact(cls, "lambdas_n")
+    if advised_range is not None and lambda_n is not None:
+        low, high = advised_range
         advised = f"advised: {low:g} to {high:g}"
         if lambda_n > high:
             warnings.append(
@@ -68,15 +53,15 @@ def reconstruction_warnings(
         elif lambda_n < low:
             warnings.append(f"lambda_n = {lambda_n:g}: the noise is fitted; {advised}")
     iterations = options.get("iterations")
-    least = MIN_ITERATIONS.get(solver, 0)
+    least = fact(cls, "least_iterations")
     if iterations is not None and iterations < least:
         warnings.append(
             f"iterations = {iterations}: {solver} takes several frames to follow a sudden contact; "
             f"advised: {least} or more"
         )
-    if solver in OWN_BASIS and basis != "haar":
+    if not fact(cls, "uses_basis") and basis != "haar":
         warnings.append(f"basis = {basis}: {solver} does not use it; advised: haar, or fista")
-    if solver in L1_SOLVERS and basis == "identity" and m < n:
+    if fact(cls, "is_l1") and basis == "identity" and m < n:
         warnings.append(
             f"basis = identity with m = {m} of n = {n}: reconstructs no more than {m // 4} pressed "
             "taxels or so; advised: haar"
@@ -89,7 +74,9 @@ def has_rows_of_paper(subsets: Sequence[Phi]) -> bool:
     if len(subsets) > 1:
         return False
     (phi,) = subsets
-    return not is_sbhe(phi) or (phi.block, phi.rule) == (PAPER_BLOCK, RANDOM)
+    layout = block_layout(phi)
+    is_of_blocks = layout is not None and layout.blocks is not None
+    return not is_of_blocks or (phi.block, phi.rule) == (PAPER_BLOCK, RANDOM)
 
 
 def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:
@@ -104,7 +91,7 @@ def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:
         If lambda_n is that or more.
     """
     largest = phi.lipschitz * f_max * math.sqrt(phi.n)
-    if solver in L1_SOLVERS and lambda_n >= largest:
+    if fact(solver_class(solver), "is_l1") and lambda_n >= largest:
         raise SolverError(
             f"lambda_n = {lambda_n:g}: every frame would be 0; allowed: below {largest:g}"
         )

@@ -14,16 +14,15 @@ from sparseskin.messages import (
     Message,
     PhiState,
     Reconstruction,
-    Resultant,
     ShapeError,
     SkinState,
     SolverState,
     topic_of,
 )
 from sparseskin.messages.contacts import summary
-from sparseskin.nodes.compressor.phi.acts import ActsPhi
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi, follow, phis_for
-from sparseskin.nodes.compressor.phi.base import Phi, make_phi
+from sparseskin.nodes.compressor.phi import base as phi_base
+from sparseskin.nodes.compressor.phi.base import Phi, follow, make_phi
+from sparseskin.nodes.compressor.phi.rotation import phis_for
 from sparseskin.nodes.errors import (
     PhiError,
     RefusedError,
@@ -35,10 +34,8 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.resultant import Estimate
-from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.reconstructor.solvers.base import fact, make_solver, solver_class
 
-from .limits import OWN_BASIS
 from .patch import Patch
 from .patch_log import PatchLog
 from .settings import PRESETS, ReconstructorSettings, alike_but_for_contacts
@@ -64,8 +61,9 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        solver, fast = settings.chosen()["solver"], settings.fast
-        compile_loops(solver, fast, context.log, settings.contacts, context.count)
+        has_loops = fact(solver_class(settings.chosen()["solver"]), "has_loops")
+        if has_loops or settings.contacts:
+            compile_loops(settings.fast, context.log, context.count)
         _rehearse(settings)
         self._skin: SkinState | None = None
         self._announced: PhiState | None = None
@@ -94,7 +92,6 @@ class Reconstructor(Node[ReconstructorSettings]):
     @classmethod
     def outputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
         written: list[type[Message]] = [SolverState, Reconstruction]
-        written += [Resultant] if settings.resultant else []
         written += [Contacts] if settings.contacts else []
         return tuple(topic_of(settings.patch, cls.schema) for cls in written)
 
@@ -156,7 +153,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         }
         if self.settings.skip_idle:
             state["idle"] = self._n_idle
-        if chosen["solver"] in OWN_BASIS:
+        if not self._uses_basis:
             state["basis"] = None
         return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **state}
 
@@ -164,7 +161,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         chosen = self.settings.chosen()
         if not self._subsets:
             return ""
-        basis = "" if chosen["solver"] in OWN_BASIS else f" in {chosen['basis']}"
+        basis = f" in {chosen['basis']}" if self._uses_basis else ""
         n = len(self._patches)
         several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
         found, skin = self._touching, self._skin
@@ -173,6 +170,11 @@ class Reconstructor(Node[ReconstructorSettings]):
         solver = f"solver {chosen['solver']}{basis}"
         parts = solver, self._left_out, several if n > 1 else "", touched
         return "; ".join(filter(None, parts))
+
+    @property
+    def _uses_basis(self) -> bool:
+        """True if the solver uses the basis."""
+        return bool(fact(solver_class(self.settings.chosen()["solver"]), "uses_basis"))
 
     @property
     def _left_out(self) -> str:
@@ -203,13 +205,13 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._first = None
         self._state_noise()
         self._idle = None
-        chooses = isinstance(subsets[0], ActsPhi | AdaptivePhi)
+        chooses = bool(phi_base.fact(subsets[0], "choice"))
         if self.settings.skip_idle and state.sigma_end > 0 and not chooses:
             from .idle import IdleWatch  # with it the sensor's noise
 
             self._idle = IdleWatch(len(self._patches), state, subsets)
         solver = {"solver": chosen["solver"], **solver}
-        if chosen["solver"] in OWN_BASIS:
+        if not self._uses_basis:
             solver["basis"] = ""
         preset = self.settings.preset if chosen == PRESETS[self.settings.preset] else ""
         return SolverState(stamp_ns=stamp_ns, patch=self.settings.patch, preset=preset, **solver)
@@ -238,7 +240,7 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def _reconstruct(self, measurements: Measurements) -> Iterator[Message]:
         phi = self._phi_of(measurements)
-        stamp_ns, skin, patches = measurements.stamp_ns, self._skin, self._patches
+        skin, patches = self._skin, self._patches
         assert skin is not None
         n = len(patches)
         unchanged = [False] * n
@@ -246,7 +248,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
             for patch, reason in zip(patches, measurements.reason, strict=True):
                 patch.sensed = reason
-            follow(phi, measurements.places, measurements.nodes)
+            follow(phi, places=measurements.places, nodes=measurements.nodes)
             all_y = measurements.y
             if all_y.flags.writeable:  # of a sender in this process, which may write to it again
                 all_y = all_y.copy()
@@ -258,8 +260,6 @@ class Reconstructor(Node[ReconstructorSettings]):
                     patch.keep(phi, y)
                 else:
                     patch.read(phi, y)
-            if self.settings.resultant and (found := patches[0].resultant) is not None:
-                yield self._resultant_of(found, stamp_ns)
             solving = [k for k in range(n) if not unchanged[k]]
             for k in solving:
                 patches[k].solve()
@@ -274,8 +274,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._skipped = 0
         if self.settings.contacts:
             yield self._contacts(measurements)
-        for k in solving:
-            patches[k].learn()
 
     def _reconstruction(
         self, measurements: Measurements, unchanged: list[bool], done_ns: int
@@ -315,21 +313,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         fields = self._joined(followed) if any(followed) else {}
         self._touching = self._untouched.at(stamp_ns, done_ns, trusted, **fields)
         return self._touching
-
-    def _resultant_of(self, found: Estimate, stamp_ns: int) -> Resultant:
-        row, col = found.centre or (None, None)
-        row_sd, col_sd = found.centre_sd or (None, None)
-        return Resultant(
-            stamp_ns=stamp_ns,
-            patch=self.settings.patch,
-            total=found.total,
-            total_sd=found.total_sd,
-            row=row,
-            col=col,
-            row_sd=row_sd,
-            col_sd=col_sd,
-            done_ns=self.context.clock.now_ns(),
-        )
 
 
 def _stacked(arrays: Sequence[Floats]) -> Floats:

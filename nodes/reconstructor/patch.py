@@ -12,26 +12,26 @@ import numpy as np
 
 from sparseskin.messages import PhiState, Reason, SkinState
 from sparseskin.messages.reasons import first_reason
+from sparseskin.nodes.compressor.phi import base as phi_base
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.resultant import Estimate, ResultantEstimator
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise
 from sparseskin.nodes.reconstructor.solvers.base import (
+    CountsTiles,
     Solver,
     estimated_error,
+    fact,
     make_rotating_solver,
     measured,
+    solver_class,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .budget import SHARE, steps_within
 from .limits import (
-    MIN_ITERATIONS,
     OTHER_ROWS,
-    SINGLE_TAXELS,
     check_phi,
     has_rows_of_paper,
     options_for_range,
@@ -41,6 +41,10 @@ from .settings import PRESETS, ReconstructorSettings
 
 if TYPE_CHECKING:
     from .contact_tracks import ContactTracker, Followed
+
+
+USUAL_PART = 0.25
+"""Part of a skin that is pressed, for a warning: 10 to 25 % in scenes, more in recordings."""
 
 
 class Solved(NamedTuple):
@@ -59,7 +63,7 @@ class Solved(NamedTuple):
 
 
 class Patch:
-    """Reconstructs the frames of one patch: `read`, `solve`, `check` and `learn` for each."""
+    """Reconstructs the frames of one patch: `read`, `solve` and `check` for each."""
 
     def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
         self.settings = settings
@@ -82,7 +86,6 @@ class Patch:
         self._last: Floats | None = None
         self._warm: Floats | None = None
         self._uncertainty: Uncertainty | None = None
-        self._resultant: ResultantEstimator | None = None
         self._tracker: ContactTracker | None = None
 
     def set_up(
@@ -105,13 +108,14 @@ class Patch:
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
         options = options_for_range(chosen["solver"], options, skin.f_max, phi)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
+        cls = solver_class(chosen["solver"])
         solver = make_rotating_solver(
             chosen["solver"], subsets, basis, skin.mask, fast=settings.fast, **options
         )
         if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
-        if chosen["solver"] == "skin" and isinstance(phi, SubsamplePhi):
-            warnings.append(SINGLE_TAXELS)
+        if phi_base.fact(phi, "samples") and fact(cls, "warning_of_samples"):
+            warnings.append(fact(cls, "warning_of_samples"))
         if ":" in settings.phi:
             for one in subsets:
                 warnings += check_phi(one, solver.mask)
@@ -124,26 +128,30 @@ class Patch:
         most_steps, frame_ms = sys.maxsize, 0.0
         if alike is not None:
             most_steps = alike.most_steps
-            if most_steps in getattr(solver, "paces", ()):
+            if isinstance(solver, CountsTiles) and isinstance(alike.solver, CountsTiles):
+                solver.use_times(*alike.solver.times)
+            elif most_steps in getattr(solver, "paces", ()):
                 solver.use_pace(most_steps)
         elif budget_ms is not None:
             n_steps = solver.n_steps
             most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
             frame_ms = round(1e3 * frame_s, 3)
-            if most_steps < MIN_ITERATIONS.get(chosen["solver"], 0):
+            usual, where = most_steps, ""
+            if isinstance(solver, CountsTiles) and solver.times[0]:
+                usual = solver.steps_for(int(USUAL_PART * solver.most_tiles))[1]
+                where = f" where {USUAL_PART:.0%} of the skin is pressed"
+            if usual < fact(cls, "least_iterations"):
                 self.log(
-                    f"{most_steps} of {n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
-                    f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
-                    "budget_ms, a lower rate, or fewer taxels a node"
+                    f"{usual} of {n_steps} iterations{where}, for a budget of {budget_ms:.2g} ms: "
+                    "a sudden contact takes several frames; advised: a larger budget_ms, a lower "
+                    "rate, or fewer taxels a node"
                 )
         self.settings, self.solver, self._subsets = settings, solver, subsets
         self.most_steps = most_steps
         self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
-            name = chosen["solver"]
-            self._uncertainty = Uncertainty(solver.mask, phi.ratio, name, announced.rows, phi.rule)
-        if settings.resultant:
-            self._resultant = ResultantEstimator(phi, solver.taxels, skin.shape)
+            table = fact(cls, "calibrated")
+            self._uncertainty = Uncertainty(solver.mask, phi.ratio, table, announced.rows, phi.rule)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
 
@@ -155,12 +163,18 @@ class Patch:
         if self._last is not None and self._last.shape != skin.shape:
             self._last = None
         self._warm = self._last
-        return {
+        stated = {
             "basis": getattr(basis, "label", chosen["basis"]),
             "iterations": min(options.get("iterations", solver.n_steps), most_steps),
             "lambda_n": options.get("lambda_n", 0.0),
             "frame_ms": frame_ms,
         }
+        if isinstance(solver, CountsTiles) and solver.times[0]:
+            frame_tiles, step_tiles = solver.times
+            _, stated["iterations"] = solver.steps_for(solver.most_tiles)
+            stated["max_iterations"] = solver.n_steps
+            stated |= {"frame_tiles": frame_tiles, "step_tiles": step_tiles}
+        return stated
 
     def _watch_faults(self, settings: ReconstructorSettings, skin: SkinState, mask: Mask) -> None:
         """Watch the frames of a skin from now on."""
@@ -203,11 +217,6 @@ class Patch:
         self._believed = self.faults.receive(self.solver, phi, y)
         self._y = y if self._believed is None else self._believed
 
-    @property
-    def resultant(self) -> Estimate | None:
-        """Total force and centre of the frame, where they are asked for."""
-        return None if self._resultant is None else self._resultant.estimate(self._phi, self._y)
-
     def solve(self) -> None:
         """Reconstruct the frame within its budget. Raises SolverError if the solver cannot."""
         assert self.solver is not None
@@ -219,10 +228,13 @@ class Patch:
             return
         begin_ns = time.perf_counter_ns()
         self.solver.setup(self._believed, self._warm)
-        self._n_steps = min(self.most_steps, self.solver.n_steps)
-        for _ in range(self._n_steps):
+        most = self.solver.n_steps
+        if not isinstance(self.solver, CountsTiles):
+            most = min(self.most_steps, most)
+        for _ in range(most):
             self.solver.step()
         self._last = self.solver.finish()
+        self._n_steps = self.solver.n_done if isinstance(self.solver, CountsTiles) else most
         self._error, _ = estimated_error(self.solver)
         self._common_error = self.solver.common_error
         self._solve_ns = time.perf_counter_ns() - begin_ns
@@ -237,8 +249,8 @@ class Patch:
             assert self._last is not None
             verdict = self.faults.look(self.solver, self._phi, self._last)
         forces = verdict.forces if self._last is None else self._last
-        (self._fitted,) = measured(self.solver, forces, self._phi)
-        residuals = np.subtract(self._y, self._fitted, dtype=np.float64)
+        (fitted,) = measured(self.solver, forces, self._phi)
+        residuals = np.subtract(self._y, fitted, dtype=np.float64)
         residual = math.sqrt(float(np.dot(residuals, residuals)) / residuals.size)
 
         sd = None
@@ -270,18 +282,6 @@ class Patch:
         solved = self.solved
         errors = solved.error, stamp_ns, solved.sd, solved.common_error
         return self._tracker.update(solved.forces, *errors)
-
-    def learn(self) -> None:
-        """Learn from the frame that was solved, once it is published."""
-        if self._believed is None or self._resultant is None:
-            return
-        assert self.solver is not None
-        assert self._last is not None
-        following = (self._subsets.index(self._phi) + 1) % len(self._subsets)
-        x = self._last.reshape(-1)[self.solver.taxels]
-        bias = getattr(self.solver, "bias", 0.0)
-        self._resultant.learn(self._phi, self._y, x, self._fitted, bias)
-        self._resultant.prepare(self._subsets[following])
 
 
 def _noise_model(skin: SkinState) -> NoiseModel | None:

@@ -9,15 +9,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from sparseskin.messages.ranges import is_real
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
+from sparseskin.nodes.compressor.phi import base as phi_base
 from sparseskin.nodes.compressor.phi.base import is_built_in, phi_class
-from sparseskin.nodes.errors import SettingsError, SolverError
-from sparseskin.nodes.lookup import find_class, nearest_of
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
 from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis
-from sparseskin.nodes.reconstructor.estimates.resultant import RESULTANT_SOLVERS
-from sparseskin.nodes.reconstructor.estimates.uncertainty import CALIBRATED
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads
+from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads, fact, solver_class
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .contacts import Limits
@@ -91,8 +89,8 @@ class ReconstructorSettings(PatchesSettings):
     )
     budget_ms: float | None = setting(
         None,
-        "time of a frame, in milliseconds, that the number of iterations is chosen for when the "
-        "graph begins; default: half the time between frames, for solver skin alone",
+        "time of a frame, in milliseconds, that the number of iterations is chosen for: more where "
+        "fewer taxels are pressed; default: half the time between frames, for solver skin alone",
         low=0.05,
         high=60_000.0,
         live=True,
@@ -109,9 +107,6 @@ class ReconstructorSettings(PatchesSettings):
     )
     uncertainty: bool = setting(
         False, "publish a standard deviation with each force; twice as many bytes"
-    )
-    resultant: bool = setting(
-        False, "publish total force and centre of pressure before the frame is reconstructed"
     )
     contacts: bool = setting(False, "publish the contacts of each frame, followed by their ids")
     contact_force: float = setting(
@@ -183,9 +178,8 @@ class ReconstructorSettings(PatchesSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for key in ("uncertainty", "resultant"):
-            if getattr(self, key) and (self.n_patches > 1 or self.skip_idle):
-                raise SettingsError(f"{key}: is not available with several patches or skip_idle")
+        if self.uncertainty and (self.n_patches > 1 or self.skip_idle):
+            raise SettingsError("uncertainty: is not available with several patches or skip_idle")
         if self.contact_high < self.contact_low:
             raise SettingsError(
                 f"contact_high: {self.contact_high:g} is below contact_low = {self.contact_low:g}"
@@ -214,15 +208,12 @@ class ReconstructorSettings(PatchesSettings):
         with naming("basis"):
             find_basis(chosen["basis"])
         with naming("solver"):
-            solver = find_class("solver", name, SOLVERS, SolverError)
+            solver = solver_class(name)
         self._check_known_to(name, solver)
-        for key, why, known in (
-            ("resultant", "frames are biased", RESULTANT_SOLVERS),
-            ("uncertainty", "error is not known", CALIBRATED),
-        ):
-            if getattr(self, key) and name not in known:
-                fault = f"is not available with solver {name}, whose {why}"
-                raise SettingsError(f"{key}: {fault}; allowed: {', '.join(known)}")
+        if self.uncertainty and fact(solver, "calibrated") is None:
+            calibrated = [one for one in SOLVERS if fact(solver_class(one), "calibrated")]
+            fault = f"is not available with solver {name}, whose error is not known"
+            raise SettingsError(f"uncertainty: {fault}; allowed: {', '.join(calibrated)}")
 
     def _check_known_to(self, name: str, solver: Callable[..., Any]) -> None:
         parameters = inspect.signature(solver).parameters
@@ -268,17 +259,14 @@ class ReconstructorSettings(PatchesSettings):
                 f"message names it; state phi = '{kind}' here too"
             )
         chosen = self.chosen()["solver"]
-        solver = find_class("solver", chosen, SOLVERS, SolverError)
+        solver = solver_class(chosen)
         phi = phi_class(kind)
         if isinstance(phi, type):
             with naming("solver"):
                 check_reads(chosen, solver, kind, phi)
-            for key in ("resultant", "uncertainty"):
-                if getattr(self, key) and issubclass(phi, AdaptivePhi):
-                    raise SettingsError(
-                        f"{key}: is not available with phi adaptive, whose rows change each frame; "
-                        "allowed: sbhe"
-                    )
+            if self.uncertainty and phi_base.fact(phi, "choice"):
+                fault = f"is not available with phi {kind}, whose rows change each frame"
+                raise SettingsError(f"uncertainty: {fault}; allowed: sbhe")
 
     def kind_of(self, announced: str) -> str:
         """The kind of phi that is made: the stated one, or that which the compressor announces."""

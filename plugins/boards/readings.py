@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.sensor.layout.arrangement import Arrangement
@@ -38,10 +41,18 @@ class Decoder:
         """Length of a payload."""
         return self._shape[0] * self._shape[1] * self._dtype.itemsize
 
-    def __call__(self, payload: bytes) -> Floats:
-        """Readings, float32 (n_rows, n_cols); neither clipped nor checked for NaN."""
+    def __call__(self, payload: bytes, missing: Sequence[float] = ()) -> Floats:
+        """Readings, float32 (n_rows, n_cols), NaN where the count is one of `missing`; neither
+        clipped nor checked for other NaN.
+        """
         counts = np.frombuffer(payload, self._dtype)
         counts = counts.reshape(self._shape) if self._places is None else counts[self._places]
+        readings = self._readings(counts)
+        for number in missing:
+            readings[counts == number] = np.nan
+        return readings
+
+    def _readings(self, counts: npt.NDArray[Any]) -> Floats:
         with np.errstate(all="ignore"):  # a float64 beyond float32 becomes infinite
             if self._zero == 0 and self._scale == 1:
                 return counts.astype(np.float32)

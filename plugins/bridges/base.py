@@ -13,7 +13,6 @@ from sparseskin.messages import (
     Contacts,
     Message,
     Reconstruction,
-    Resultant,
     SkinState,
     Taxels,
     Truth,
@@ -155,11 +154,9 @@ class Bridge(Node[S]):
             self._next[topic] = message.seq + 1
             for part in message.split(self._held[topic]):  # none before the first that is solved
                 self._send(part, skin)
-        elif isinstance(message, Resultant):
-            self._send(message, self.skins.get(message.patch))
         return ()
 
-    def _send(self, message: Map | Contacts | Resultant, skin: SkinState | None) -> None:
+    def _send(self, message: Map | Contacts, skin: SkinState | None) -> None:
         shape = message.forces.shape[1:] if isinstance(message, Map) else None
         if skin is None or shape not in (None, skin.skin.shape):
             # The skin may arrive on another connection than its frames.
@@ -168,8 +165,8 @@ class Bridge(Node[S]):
         self.send(message, skin)
         self.n_sent += 1
 
-    def send(self, message: Map | Contacts | Resultant, skin: SkinState) -> None:
-        """Send a map, contacts or a resultant of one patch."""
+    def send(self, message: Map | Contacts, skin: SkinState) -> None:
+        """Send a map or the contacts of one patch."""
         raise NotImplementedError
 
     def overtaken(self, message: Message) -> None:

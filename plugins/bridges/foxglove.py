@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from sparseskin.messages import Contacts, Message, Resultant, SkinState
+from sparseskin.messages import Message, SkinState
 from sparseskin.messages.topics import topic_of
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import one_line
@@ -35,7 +35,6 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
     """Sends what an export to Foxglove writes; a topic without a subscriber costs nothing."""
 
     HELP = "serve a running graph to Foxglove and Lichtblick"
-    EXTRAS = (Contacts.schema, Resultant.schema)
     Settings = FoxgloveSettings
     patience_s = 0.008  # not visible to a person; messages are read together
 

@@ -1,6 +1,6 @@
 """Ages at which a program has each frame, one line each, in milliseconds.
 
-python -m sparseskin.plugins.control_loop.ages WAY SECONDS: a way of `WAYS`.
+python -m sparseskin.plugins.control_loop.ages WAY N_MESSAGES: a way of `WAYS`.
 A process of its own, as a user's loop is one.
 """
 
@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Generator
 from contextlib import closing
+from itertools import islice
 
 import numpy as np
 
@@ -90,18 +91,11 @@ WAYS: dict[str, Callable[[], Generator[float]]] = {
 }
 
 
-def main(way: str, seconds: str) -> None:
-    """Print the ages of a way for some seconds from the first one on."""
-    ages_s: list[float] = []
-    until_s = None
-    with closing(WAYS[way]()) as found:
-        for age_s in found:
-            now_s = time.monotonic()
-            until_s = until_s or now_s + float(seconds)
-            if now_s > until_s:
-                break
-            ages_s.append(age_s)
-    print("\n".join(f"{1e3 * age_s:.4f}" for age_s in ages_s))
+def main(way: str, n_messages: str) -> None:
+    """Print the ages of the first messages of a way."""
+    with closing(WAYS[way]()) as ages_s:
+        for age_s in islice(ages_s, int(n_messages)):
+            print(f"{1e3 * age_s:.4f}")
 
 
 if __name__ == "__main__":

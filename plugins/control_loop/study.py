@@ -31,10 +31,13 @@ WAYS = {
     "ros2": "ROS 2 bridge, by DDS",
     "echo": "`topic echo --json`, by a pipe",
 }
-N_ROUNDS, ROUND_S = 10, 20
-QUICK_ROUNDS, QUICK_S = 2, 6
-WARM_UP_S = 3
-"""First seconds of each round, left out: a program imports, compiles and fills its caches."""
+N_ROUNDS = 10
+QUICK_ROUNDS = 2
+N_MESSAGES = 20 * RATE_HZ
+"""Messages of each way in a round. They are counted, so that a busy host measures as many."""
+QUICK_MESSAGES = 6 * RATE_HZ
+N_WARM_UP = 3 * RATE_HZ
+"""First messages of a round, left out: a program imports, compiles and fills its caches."""
 COMPARED = "echo"
 """The way with whose p50 in the same round each other one is compared."""
 GRAPH = f"""\
@@ -57,12 +60,12 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     measured anew each time, on this host; neither `seed` nor `executor` is used.
     """
     n_rounds = QUICK_ROUNDS if quick else N_ROUNDS
-    seconds = QUICK_S if quick else ROUND_S
+    n_messages = QUICK_MESSAGES if quick else N_MESSAGES
     rows = []
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sparseskin-loop-")))
         graph = stack.enter_context(running(folder))
-        commands, absent = ways(folder, graph, seconds)
+        commands, absent = ways(folder, graph, n_messages)
         if "ros2" in commands:
             stack.enter_context(bridge(folder))
         for number in range(n_rounds):
@@ -77,8 +80,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     page.section(
         "",
         markdown(table, {"p50, ms": ".2f", "p99, ms": ".2f", "p50 to echo": ".3f"}),
-        **{"rate_hz": RATE_HZ, "n_rounds": n_rounds, "seconds": seconds, "cores": cores},
-        warm_up=WARM_UP_S,
+        **{"rate_hz": RATE_HZ, "n_rounds": n_rounds, "n_messages": n_messages, "cores": cores},
+        n_warm_up=N_WARM_UP,
         absent="; ".join(absent) or "none",
     )
     page.csv("ages", rows)
@@ -128,7 +131,9 @@ def bridge(folder: Path) -> Iterator[None]:
             process.terminate()
 
 
-def ways(folder: Path, graph: RunningGraph, seconds: int) -> tuple[dict[str, list[str]], list[str]]:
+def ways(
+    folder: Path, graph: RunningGraph, n_messages: int
+) -> tuple[dict[str, list[str]], list[str]]:
     """Command of each way that this host has, and why it lacks the others."""
     commands: dict[str, list[str]] = {}
     absent: list[str] = []
@@ -136,12 +141,12 @@ def ways(folder: Path, graph: RunningGraph, seconds: int) -> tuple[dict[str, lis
         if way == "cpp":
             program, why = compiled(folder)
             endpoint = graph.nodes[graph.writers()[CONTACTS]].endpoint
-            words = [program, endpoint, str(graph.offset_ns), str(seconds)]
+            words = [program, endpoint, str(graph.offset_ns), str(n_messages)]
         else:
             lacking = way == "ros2" and find_spec("cyclonedds") is None
             why = "cyclonedds is not installed" if lacking else ""
             module = f"{__package__}.ages"
-            words = [sys.executable, "-m", module, way, str(seconds)]
+            words = [sys.executable, "-m", module, way, str(n_messages)]
         if why:
             absent.append(f"{WAYS[way]}: {why}")
         else:
@@ -163,13 +168,12 @@ def compiled(folder: Path) -> tuple[str, str]:
 
 
 def ages_of(way: str, words: list[str], folder: Path) -> list[float]:
-    """Ages that a program prints, ms, without those of its first `WARM_UP_S` seconds."""
+    """Ages that a program prints, ms, without its first `N_WARM_UP`."""
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     ages_ms = [float(line) for line in done.stdout.split()]
-    n_first = WARM_UP_S * RATE_HZ if way != "echo" else RATE_HZ
-    if done.returncode or len(ages_ms) < 2:
+    if done.returncode or len(ages_ms) <= N_WARM_UP:
         raise StudyError(f"{WAYS[way]}: ended with {done.returncode}: {done.stderr[-500:]}")
-    return ages_ms[min(n_first, len(ages_ms) // 2) :]
+    return ages_ms[N_WARM_UP:]
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:

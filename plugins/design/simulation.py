@@ -32,12 +32,13 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.tasks import computed
 from sparseskin.nodes.touch import in_contact
+from sparseskin.studies.baselines.larger import LargerTaxels
 from sparseskin.studies.evaluate import make_method
 from sparseskin.studies.presses import BODIES, COURSES, Timing, press_frames
 
 from .budget import Accuracy, Row
 from .spec import Design
-from .strategies import FEW_SCENES, N_SCENES, Strategy
+from .strategies import FEW_SCENES, LARGER, N_SCENES, Strategy
 
 F_MAX_N = PAPER_F_MAX_N
 SPEED = 20.0
@@ -77,6 +78,18 @@ def raster(mask: Mask, bits: int, phis: list[Phi] | None = None) -> Reader:
     return read
 
 
+def larger_raster(mask: Mask, bits: int, m: int) -> Reader:
+    """Reader of m larger taxels, each of the range of all that it sums, rounded to `bits`."""
+    larger = LargerTaxels(mask, m)
+    steps = (F_MAX_N * larger.sizes / (2**bits - 1)).astype(np.float32)
+
+    def read(readings: Floats) -> Floats:
+        sums = np.rint(larger.sums(readings) / steps) * steps
+        return larger.spread(sums)
+
+    return read
+
+
 def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int) -> Reader:
     """Make the reader of a strategy on a skin, `mask` True where a taxel exists; `noise` of a taxel
     as a part of the range; `bits` of a value that is read or sent; `seed` of Phi. Raises PhiError
@@ -85,6 +98,8 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     how: dict[str, Any] = {"rows": strategy.rows, "phi": strategy.phi}
     shape = (mask.shape[0], mask.shape[1])
     n = int(np.count_nonzero(mask))
+    if strategy.phi == LARGER:
+        return larger_raster(mask, bits, strategy.m(n))
     if strategy.reads_single:
         settings = CompressorSettings(ratio=strategy.ratio, seed=seed, **how)
         phis = settings.phis(Skin(*shape, F_MAX_N, mask=mask))

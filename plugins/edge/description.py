@@ -20,7 +20,7 @@ import numpy.typing as npt
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.quantised import Quantised, largest_code, n_bytes, packed, unpacked
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SUMS
+from sparseskin.nodes.compressor.phi.base import BLOCK, RULES, SUMS
 from sparseskin.nodes.compressor.phi.rotation import (
     FIXED,
     ROTATING,
@@ -61,7 +61,7 @@ class EdgeDescription(Settings):
         BLOCK, "size of the Hadamard blocks, a power of two", low=1, high=MAX_BLOCK
     )
     seed: int = setting(0, "seed of the matrix", low=0, high=2**32 - 1)
-    rule: int = setting(SUMS, "rule by which its rows are chosen", low=RANDOM, high=SUMS)
+    rule: int = setting(SUMS, "rule by which its rows are chosen, 1 or 3")
     adc_bits: int = setting(12, "bits of a reading: counts are 0 .. 2^adc_bits - 1", low=1, high=16)
     mask: tuple[str, ...] | None = setting(
         None, "a text a row, 1 where a taxel exists and 0 where none does; all do by default"
@@ -71,6 +71,9 @@ class EdgeDescription(Settings):
         super().__post_init__()
         if self.block & (self.block - 1):
             raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
+        if self.rule not in RULES:
+            allowed = ", ".join(map(str, RULES))
+            raise SettingsError(f"rule: {self.rule} is not allowed; allowed: {allowed}")
         if self.n_cells > MAX_CELLS:
             raise SettingsError(f"n_rows: {self.n_cells} cells; allowed: {MAX_CELLS} or fewer")
         if self.mask is not None:
@@ -198,8 +201,7 @@ class EdgeDescription(Settings):
         keys or values that are not allowed, or its seed gives another matrix here.
         """
         try:
-            # Files of version 0.1 state no rule.
-            values = {"rule": RANDOM, **tomllib.loads(path.read_text(encoding="utf-8"))}
+            values = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise SettingsError(f"{path}: cannot be read: {error.strerror}") from error
         except ValueError as error:

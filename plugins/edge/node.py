@@ -50,7 +50,7 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
             UdpPort.check(address, settings)
     framing = framing_of(description)
     # A payload is taken whole: nothing is decoded.
-    return Board(name, kind, address, settings, lambda _: np.empty(0, np.float32), framing, skin)
+    return Board(name, kind, address, settings, lambda *_: np.empty(0, np.float32), framing, skin)
 
 
 class EdgeWire(BoardSource):

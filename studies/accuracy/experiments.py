@@ -25,7 +25,7 @@ from sparseskin.studies.frames import (
     part_of,
     scene_of,
 )
-from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
+from sparseskin.studies.harness import LARGER, PAPER_ROWS, Candidate, Experiment, Measurement
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.presses import BODIES, COURSES, SKINS
 
@@ -33,8 +33,10 @@ RATIOS = (3, 4, 8)
 DEFAULT, SKIN, PAPER = "skin, rotating", "skin", "paper"
 ADAPTIVE, ALONE = "skin, adaptive", "skin, each frame alone"
 FEW_STEPS, FORMULA = "skin, 3 iterations", "skin, formula"
-SIMPLE = ("lattice", "hold", "subsample", "acts")
-"""Methods that read single taxels at the edge, and need no measurement matrix."""
+ALIKE = ("lattice", "hold", *LARGER)
+"""Of `SIMPLE` those that need no choice of taxels, on all frames."""
+SIMPLE = (*ALIKE, "subsample", "acts")
+"""Methods that need no measurement matrix: single taxels, or fewer, larger ones."""
 ALL, FILTERED, RAW = "skin, all taxels", "all taxels, filtered", "all taxels, raw"
 CANDIDATES = {
     DEFAULT: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
@@ -47,7 +49,8 @@ CANDIDATES = {
     "lattice": Candidate(of="lattice"),
     "hold": Candidate(of="hold"),
     "subsample": Candidate({"solver": "interpolation"}, changes={"phi": "subsample"}),
-    "acts": Candidate(of="acts"),
+    "acts": Candidate({"solver": "interpolation"}, changes={"phi": "acts"}),
+    **LARGER,
 }
 READINGS = {
     ALL: Candidate(PRESETS["skin"]),
@@ -148,7 +151,7 @@ class Runs:
 
     def rates(self) -> pd.DataFrame:
         """Scenes of which every k-th frame is read, so that bodies move further a frame."""
-        names = (DEFAULT, SKIN, PAPER, ALONE, "lattice", "hold")
+        names = (DEFAULT, SKIN, PAPER, ALONE, *ALIKE)
         frames = list(rated_frames(self._quick))
         rows = self._rows("rates", frames, names, PSNR, (ALL, FILTERED, RAW), ratios=(3,))
         step_ms = rows["scene"].map(lambda scene: 1e-6 * scene_of(scene).dt_ns)
@@ -162,7 +165,7 @@ class Runs:
             for course in COURSES
             for body in (QUICK_BODIES if self._quick else BODIES)
         ]
-        names = (DEFAULT, SKIN, FEW_STEPS, FORMULA, ADAPTIVE, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, FEW_STEPS, FORMULA, ADAPTIVE, PAPER, *ALIKE)
         return self._rows("presses", frames, names, (*PSNR, *MARKS, *ESTIMATES))
 
     def sizes(self) -> pd.DataFrame:
@@ -173,7 +176,7 @@ class Runs:
             for part in ACTIVE
             for body in BODIES
         ]
-        names = (DEFAULT, SKIN, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, PAPER, *ALIKE)
         return self._rows("sizes", frames, names, ERRORS)
 
     def constants(

@@ -6,23 +6,16 @@ Each estimator sends the bytes that its frames state, `VALUE_BYTES` a value.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from functools import cache
 
 import numpy as np
 import zstandard
-from scipy.spatial import QhullError, cKDTree
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from sparseskin.nodes.compressor.phi.acts import ActsSearch
-from sparseskin.nodes.compressor.phi.quadtree import Quadtree
-from sparseskin.nodes.compressor.phi.rotation import m_of
-from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
-from sparseskin.nodes.reconstructor.solvers.interpolation import (
-    LineInterpolation,
-    interpolated_from,
-)
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.touch import touch_level
 from sparseskin.studies.evaluate import VALUE_BYTES, Solved
 
 N_CODES = 255
@@ -68,23 +61,24 @@ class Lattice:
         # A mask of few cells may have them all in one class.
         allowed = allowed or [np.flatnonzero(mask)[::ratio]]
         self._read = max(allowed, key=lambda one: one.size)
-        self._wanted = np.setdiff1d(np.flatnonzero(mask), self._read)
-        places = np.argwhere(np.ones_like(mask)).astype(np.float64)
-        known, wanted = places[self._read], places[self._wanted]
-        try:
-            self._corners, self._weights = interpolated_from(known, wanted)
-        except QhullError:  # no area between them: the nearest
-            self._corners = cKDTree(known).query(wanted)[1][:, None]
-            self._weights = np.ones((len(wanted), 1), dtype=np.float32)
+        self._places = np.argwhere(np.ones_like(mask)).astype(np.float64)
+        known = self._places[self._read]
+        self._nearest = cKDTree(known).query(self._places)[1]
+        self._mask = mask
+        self._triangles: Delaunay | None = None
+        with suppress(QhullError):  # no area between them: the nearest
+            self._triangles = Delaunay(known)
         self.n_values = self._read.size
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """See `Estimator`."""
-        flat, forces = taxels.reshape(-1), np.zeros(taxels.size, dtype=np.float32)
-        values = flat[self._read]
-        forces[self._read] = values
-        forces[self._wanted] = np.einsum("ij,ij->i", values[self._corners], self._weights)
-        return Solved(forces.reshape(taxels.shape), n_bytes=VALUE_BYTES * self.n_values)
+        values = taxels.reshape(-1)[self._read]
+        filled = values[self._nearest]
+        if self._triangles is not None:
+            within = LinearNDInterpolator(self._triangles, values)(self._places)
+            filled = np.where(np.isnan(within), filled, within).astype(np.float32)
+        forces = np.where(self._mask, filled.reshape(taxels.shape), np.float32(0))
+        return Solved(forces, n_bytes=VALUE_BYTES * self.n_values)
 
 
 class Hold:
@@ -105,34 +99,6 @@ class Hold:
         self._frame += 1
         self._held[read] = taxels.reshape(-1)[read]
         return Solved(self._held.reshape(taxels.shape).copy(), n_bytes=self._n_bytes)
-
-
-class Acts:
-    """Estimator that chooses single taxels anew in each frame; linear between them.
-
-    After ACTS, arXiv 2410.13847: the sampling follows differences of readings; the interpolation
-    along rows, columns and diagonals is ours. It has fewer values, as their addresses are sent too.
-    Raises PhiError if no value fits with its address into the bytes of N / `ratio` values.
-    """
-
-    def __init__(self, mask: Mask, ratio: int, f_max: float) -> None:
-        n = int(np.count_nonzero(mask))
-        m = acts_values(n, m_of(n, ratio))
-        if not m:
-            raise PhiError(f"acts: no value of {n} taxels fits with its address at N/{ratio}")
-        # The noise of a recorded skin is not known, as in the graph: 0.
-        self._search = ActsSearch(mask, m, touch_level(0.0, f_max))
-        self._lines = LineInterpolation(mask)
-        self._taxels, self._inside = np.flatnonzero(mask), mask
-        self._n_bytes = VALUE_BYTES * m + address_bytes(n, m)
-
-    def reconstruct(self, taxels: Floats) -> Solved:
-        """See `Estimator`."""
-        x = taxels.reshape(-1)[self._taxels]
-        read = self._search.places(x.take)
-        forces = self._lines.fill(self._taxels[read], x[read]).reshape(taxels.shape)
-        forces = np.where(self._inside, np.maximum(forces, 0), np.float32(0))
-        return Solved(forces, n_bytes=self._n_bytes)
 
 
 class Codec:
@@ -194,20 +160,3 @@ def _slope(k: int) -> int:
 def address_bytes(n: int, m: int) -> int:
     """Bytes that state which m of n taxels are sent: a bit a taxel, or a number each."""
     return min(math.ceil(n / 8), math.ceil(m * max(1, (n - 1).bit_length()) / 8))
-
-
-def adaptive_values(mask: Mask, m: int) -> int:
-    """Number of rows that fit with the longest code of their choice into the bytes of m values, at
-    least 1.
-    """
-    for k in range(m, 1, -1):
-        tree = Quadtree(mask, k)
-        if VALUE_BYTES * k + tree.most_code_bytes(k - tree.n_tiles) <= VALUE_BYTES * m:
-            return k
-    return 1
-
-
-def acts_values(n: int, m: int) -> int:
-    """Number of values that fit with their addresses into the bytes of m values; 0 if none."""
-    fits = (k for k in range(m, 0, -1) if VALUE_BYTES * k + address_bytes(n, k) <= VALUE_BYTES * m)
-    return next(fits, 0)

@@ -21,22 +21,24 @@ import pandas as pd
 
 from sparseskin.messages import Measurements, Taxels
 from sparseskin.messages.wire import size_bytes
-from sparseskin.nodes.compressor.phi.base import KINDS
+from sparseskin.nodes.compressor.phi.base import KINDS, fact, phi_class
 from sparseskin.nodes.compressor.phi.rotation import ROTATING, m_of
-from sparseskin.nodes.reconstructor.bases.base import BASES
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.sensor.scenes.scenes import SCENES
 from sparseskin.studies.baselines.libraries import PEERS
-from sparseskin.studies.evaluate import SUM_SOLVERS
+from sparseskin.studies.baselines.wavelets import BASES
+from sparseskin.studies.evaluate import SUM_SOLVERS, VARIATION
 from sparseskin.studies.frames import SceneFrames, scene_of
-from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
+from sparseskin.studies.harness import LARGER, PAPER_ROWS, Candidate, Experiment, Measurement
 
 QUICK_SCENES = ("drag_wrench_40", "lift_box_64")
 RATIOS, QUICK_RATIOS = (2, 3, 4, 8, 16), (3, 8)
 PARTS_RATIOS, CENTRE_RATIO = (3, 4, 8), 3
 #: Every Phi but those that no solver of sums inverts.
-SUM_KINDS = tuple(kind for kind in KINDS if kind not in ("acts", "adaptive", "row_local"))
+SUM_KINDS = tuple(
+    kind for kind in KINDS if not fact(phi_class(kind), "choice") and kind != "row_local"
+)
 PAPER_LABEL = "fista, preset paper"
 PRESET_SKIN, ROTATED = "skin, preset skin", "skin, rotating rows"
 FORMULA, INTERPOLATED = "skin, formula", "random taxels, interpolated"
@@ -71,8 +73,9 @@ def raced() -> dict[str, Candidate]:
     if find_spec("numba"):
         methods["skin, numpy"] = Candidate({**PRESETS["skin"], "fast": "off"}, changes=rotating)
     methods[PAPER_LABEL] = Candidate(PRESETS["paper"], changes=paper)
-    methods["tv"] = Candidate({"solver": "tv", "basis": "haar"})
+    methods["tv"] = Candidate({"solver": VARIATION, "basis": "haar"})
     methods[INTERPOLATED] = Candidate({"solver": "interpolation"}, changes={"phi": "subsample"})
+    methods |= LARGER
     settings = {key: PRESETS["paper"][key] for key in ("iterations", "lambda_n")}
     for name, peer in PEERS.items():
         if find_spec(peer.module):
@@ -86,8 +89,8 @@ def raced() -> dict[str, Candidate]:
 def variants() -> dict[str, Candidate]:
     """Solvers that M is swept of, by the label they are shown with.
 
-    Each preset, `skin` with rotating rows and without learned weights, the tuned FISTA, and each
-    solver that has no preset with its own defaults.
+    Each preset, `skin` with rotating rows and without learned weights, the tuned FISTA, each
+    solver that has no preset with its own defaults, and fewer, larger taxels.
     """
     paper = {"rows": PAPER_ROWS}
     solvers_by_label = {
@@ -97,10 +100,11 @@ def variants() -> dict[str, Candidate]:
         "fista, tuned": Candidate({**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N}, changes=paper),
         FORMULA: Candidate({**PRESETS["skin"], "gates": "formula"}),
     }
-    covered = {candidate.settings["solver"] for candidate in solvers_by_label.values()}
-    for name in SUM_SOLVERS:
+    solvers_by_label |= LARGER
+    covered = {of.settings.get("solver", "") for of in solvers_by_label.values()}
+    for label, name in SUM_SOLVERS.items():
         if name not in covered:
-            solvers_by_label[name] = Candidate({"solver": name, "basis": "haar"})
+            solvers_by_label[label] = Candidate({"solver": name, "basis": "haar"})
     return solvers_by_label
 
 
@@ -126,7 +130,11 @@ def times(quick: bool, seed: int) -> Experiment:
 def solvers(quick: bool, seed: int) -> Iterator[Experiment]:
     """Every solver by M, and on all taxels."""
     known = variants()
-    fixed = {label: of for label, of in known.items() if of.changes.get("rows") != ROTATING}
+    fixed = {
+        label: of
+        for label, of in known.items()
+        if of.changes.get("rows") != ROTATING and label not in LARGER
+    }
     frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
     swept = [*map(Measurement, QUICK_RATIOS if quick else RATIOS)]
     for candidates, measurements in ((known, swept), (fixed, [Measurement(1, phi="full")])):
@@ -139,7 +147,8 @@ def parts(quick: bool, seed: int) -> Iterator[Experiment]:
     ratios = QUICK_RATIOS if quick else PARTS_RATIOS
     changes = {"rows": PAPER_ROWS}
     bases = {
-        basis: Candidate({**PRESETS["paper"], "basis": basis}, changes=changes) for basis in BASES
+        label: Candidate({**PRESETS["paper"], "basis": name}, changes=changes)
+        for label, name in BASES.items()
     }
     others = [kind for kind in SUM_KINDS if kind not in ("sbhe", "full")]
     kinds = [Measurement(ratio, phi=kind) for kind in others for ratio in ratios]

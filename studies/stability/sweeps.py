@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.nodes.compressor.node import MIN_BITS, MIN_BLOCK
-from sparseskin.nodes.reconstructor.limits import LAMBDAS_N, MIN_ITERATIONS
 from sparseskin.nodes.reconstructor.settings import PRESETS
+from sparseskin.nodes.reconstructor.solvers.base import fact, solver_class
 from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.frames import SceneFrames
-from sparseskin.studies.harness import Candidate, Experiment, Measurement
+from sparseskin.studies.harness import LARGER, Candidate, Experiment, Measurement
 from sparseskin.studies.report import Chart, Page, draw_lines, markdown
 
 EXCERPTS = (
@@ -26,6 +26,8 @@ EXCERPTS = (
 )
 """An impact frame by frame, and at 100 Hz a wrench dragged and a light peg on its way."""
 READINGS = {"readings": Candidate(of="reading")}
+METHODS = (*SUM_SOLVERS, *LARGER)
+"""Order of the curves."""
 FAILS_DB = 3.0
 """Loss from the best of a sweep that counts as failing, in PSNR or over the touched taxels."""
 SHOWN = {"mean_db": ("PSNR, dB", 10, 70), "touched_db": ("1 N / error where touched, dB", 0, 60)}
@@ -58,7 +60,7 @@ SETTINGS = {
 
 
 def own(solver: str) -> dict[str, Any]:
-    """Settings of a solver: those of its preset, or its defaults."""
+    """Settings of a solver, by its name for `make_solver`: those of its preset, or its defaults."""
     presets = (preset for preset in PRESETS.values() if preset["solver"] == solver)
     return {"solver": solver, "basis": "haar", **next(presets, {})}
 
@@ -74,14 +76,16 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
         of_rows = [{key: value} for value in values] if key in ("block", "bits") else [{}]
         ratios = (3,) if quick else (3, 8)
         measurements = [Measurement(r, **one) for r in ratios for one in of_rows]  # type: ignore[arg-type]
-        candidates = {name: Candidate(own(name)) for name in SUM_SOLVERS}
+        candidates = {label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()}
         if key in ("lambda_n", "iterations"):
             candidates = {
-                f"{name}: {value}": Candidate({**own(name), key: value})
-                for name in SUM_SOLVERS
+                f"{label}: {value}": Candidate({**own(name), key: value})
+                for label, name in SUM_SOLVERS.items()
                 if key in settings_of(name)
                 for value in values
             }
+        if key == "noise":
+            candidates |= LARGER  # nothing else is a setting of them
         scores = ("mean_db", "touched_mn")
         yield Experiment(key, frames, measurements, candidates | READINGS, scores, (seed,))
 
@@ -108,9 +112,12 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     for ratio, some in rows.groupby("ratio", sort=False):
         charts += [_draw(page.out, int(ratio), some), markdown(sweep_table(some))]
     page.csv("settings", rows)
+    classes = {label: solver_class(name) for label, name in SUM_SOLVERS.items()}
+    ranges = {label: fact(cls, "lambdas_n") for label, cls in classes.items()}
+    least = {label: fact(cls, "least_iterations") for label, cls in classes.items()}
     known = {
-        "lambdas": ", ".join(f"{a:g} to {b:g} ({name})" for name, (a, b) in LAMBDAS_N.items()),
-        "iterations": ", ".join(f"{least} ({name})" for name, least in MIN_ITERATIONS.items()),
+        "lambdas": ", ".join(f"{r[0]:g} to {r[1]:g} ({label})" for label, r in ranges.items() if r),
+        "iterations": ", ".join(f"{number} ({label})" for label, number in least.items()),
     }
     limits = {"min_block": MIN_BLOCK, "min_bits": MIN_BITS}
     page.section("Solvers: settings and surroundings", *charts, **known, **limits)
@@ -130,7 +137,7 @@ def _draw(out: Path, ratio: int, frame: pd.DataFrame) -> str:
                 grey: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
                 label = "readings of all taxels"
                 axes.plot(readings["value"], readings[noisy], label=label, **grey)
-                draw_lines(axes, some, "value", score, "solver", SUM_SOLVERS, markersize=3.5)
+                draw_lines(axes, some, "value", score, "solver", METHODS, markersize=3.5)
                 axes.set(xscale=sweep.scale, xlabel=sweep.label if below else "")
                 axes.set_ylabel("" if k else title)
     return chart.markdown

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bags import skin_state
 
-from sparseskin.messages import Contacts, Reconstruction, Resultant, Taxels
+from sparseskin.messages import Contacts, Reconstruction, Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import KINDS
@@ -21,7 +21,7 @@ SHAPE = (12, 10)
 PHIS = (*KINDS, "local:4")
 FEATURES = (
     *("rotating rows", "masked", "points", "several patches", "bits"),
-    *("resultant", "contacts", "uncertainty"),
+    *("contacts", "uncertainty"),
 )
 
 
@@ -44,7 +44,7 @@ def works(phi, solver, feature=""):
     edge_settings |= {"rows": "rotating"} if feature == "rotating rows" else {}
     edge_settings |= {"bits": 8} if feature == "bits" else {}
     host_settings = {"solver": solver, "patches": names, "fast": "off"}
-    if feature in ("resultant", "contacts", "uncertainty"):
+    if feature in ("contacts", "uncertainty"):
         host_settings[feature] = True
     found = []
     try:
@@ -59,7 +59,7 @@ def works(phi, solver, feature=""):
             found += host.step(message)
     except SparseskinError:
         return False
-    wanted = {"resultant": Resultant, "contacts": Contacts}.get(feature, Reconstruction)
+    wanted = Contacts if feature == "contacts" else Reconstruction
     assert sum(isinstance(one, wanted) for one in found) == 2
     reconstructed = next(one for one in found if isinstance(one, Reconstruction))
     assert feature != "uncertainty" or reconstructed.sd is not None

@@ -1,6 +1,7 @@
 """Every snippet of README and docs/ runs or is accepted by its parser; names stand in the docs."""
 
 import importlib.util
+import json
 import re
 import shlex
 import shutil
@@ -13,6 +14,7 @@ import pytest
 
 import sparseskin
 from sparseskin.launch.commands import cli
+from sparseskin.nodes.monitor.node import MonitorSettings
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -20,7 +22,7 @@ FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^    (\S.*)$", re.MULTILINE)
 INLINE = re.compile(r"`(?:\.venv/bin/)?((?:sparseskin|make|python|pytest|pip) [^`\n]+)`")
 #: Programs of the host, and words of the shell, that are not run here.
-OTHERS = {"ssh", "source", "cd", "git", "."}
+OTHERS = {"ssh", "source", "cd", "git", "docker", "."}
 #: Commands that need no running graph and take a moment: these are run.
 QUICK = ("scenes", "recording info", "recording export", "keys make", "--version")
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -115,6 +117,7 @@ def test_the_driver_of_the_pages_delivers_frames(workplace):
 def test_launch_files_of_a_page_are_accepted(page, workplace):
     for name in ("arm", "desk"):
         assert cli.main(["keys", "make", name]) == 0
+    (workplace / "model.joblib").touch(mode=0o600)  # it is read when the node starts
     for number, block in enumerate(fenced(page, "toml")):
         path = workplace / f"page{number}.toml"
         path.write_text(block, encoding="utf-8")
@@ -207,7 +210,8 @@ def test_every_module_and_name_of_a_page_can_be_found():
         while parts and not found(parts):
             attribute = parts.pop()
             base = ROOT.joinpath(*parts)
-            source = base.with_suffix(".py") if parts else ROOT / "sparseskin" / "__init__.py"
+            top = ROOT / "src" / "sparseskin" / "__init__.py"
+            source = base.with_suffix(".py") if parts else top
             if source.is_file():
                 assert re.search(rf"\b{attribute}\b", source.read_text(encoding="utf-8")), dotted
                 break
@@ -239,3 +243,14 @@ def test_every_picture_has_the_command_that_makes_it_beside_it():
         for k, line in enumerate(lines):
             if line.startswith("![") and "data_flow.svg" not in line:  # drawn by hand
                 assert command.search("\n".join(lines[max(0, k - 2) : k + 8])), (page, line)
+
+
+def test_the_container_starts_a_graph_and_forwards_the_port_of_its_page():
+    text = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
+    forwards, launches = re.fullmatch(r"(.*) & +exec (.*)\n", text.rpartition("CMD ")[2]).groups()
+    port = str(MonitorSettings().port)
+    assert f"TCP:127.0.0.1:{port}" in shlex.split(forwards)
+    assert f"EXPOSE {port}\n" in text
+    of_editor = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text())
+    assert of_editor["forwardPorts"] == [int(port)]
+    assert cli.main([*shlex.split(launches)[1:], "--dry-run"]) == 0

@@ -165,10 +165,13 @@ def test_frames_that_newer_ones_overtook_are_counted_for_each_patch():
 @pytest.mark.parametrize(
     ("cls", "values", "line"),
     [
-        (Compressor, {"phi": "acts"}, "phi: acts chooses other rows for each patch"),
         (Compressor, {"bits": 8}, "bits: are not available for several patches"),
         (Compressor, {"patches": ["a", "a"]}, r"patches\[1\]: 'a' occurs twice"),
-        (Reconstructor, {"patches": [], "skip_idle": True, "resultant": True}, "resultant: is not"),
+        (
+            Reconstructor,
+            {"patches": [], "skip_idle": True, "uncertainty": True},
+            "uncertainty: is not",
+        ),
         (Sensor, WALK | {"simulated": {"rows": 1024, "cols": 1024}}, "at most 1048576 cells"),
         (Sensor, WALK | {"simulated": SKIN | {"mask": ["01"]}}, "source: simulated: mask"),
         (

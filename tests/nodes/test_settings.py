@@ -117,7 +117,7 @@ def test_a_ratio_or_preset_that_is_stated_last_counts():
     assert settings.changed({"ratio": 8}).rows_and_m(1600)[1] == 200
     assert settings.changed({"ratio": 8, "m": 300}).rows_and_m(1600)[1] == 300
     assert settings.changed({"ratio": 8}).changed({"m": 100}).rows_and_m(1600)[1] == 100
-    settings = load("path_40", ["reconstructor.solver=tv"]).nodes["reconstructor"].settings
+    settings = load("path_40", ["reconstructor.solver=fista"]).nodes["reconstructor"].settings
     assert settings.changed({"preset": "paper"}).chosen() == PRESETS["paper"]
     both = settings.changed({"preset": "paper", "iterations": 5})
     assert both.chosen() == PRESETS["paper"] | {"iterations": 5}

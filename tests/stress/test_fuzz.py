@@ -27,7 +27,7 @@ from sparseskin.nodes.node import Node
 from sparseskin.nodes.node_host import is_latched
 from sparseskin.nodes.process.proc import resident_bytes
 from sparseskin.nodes.reconstructor.node import Reconstructor
-from sparseskin.nodes.registry import node_class, node_types
+from sparseskin.nodes.registry import NODE_TYPES, node_class
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.settings import Settings
 
@@ -250,7 +250,7 @@ def test_hostile_messages_and_subscriptions_end_no_process(type_name, full, note
 def test_settings_of_any_value_are_accepted_or_refused():
     rng = np.random.default_rng(5)
     values = [None, True, -1, 1e400, 10**400, float("nan"), "", "x" * 5000, [], {}]
-    for type_name in node_types():
+    for type_name in NODE_TYPES:
         cls = node_class(type_name)
         for setting in cls.Settings.described():
             for value in (*values, rng.bytes(8).hex()):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sparseskin.nodes.compressor.phi.base import make_phi
-from sparseskin.nodes.compressor.phi.quadtree import Quadtree
 from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -18,9 +17,6 @@ from sparseskin.studies.baselines.sampling import (
     Codec,
     Filtered,
     Lattice,
-    acts_values,
-    adaptive_values,
-    address_bytes,
     classes,
 )
 from sparseskin.studies.evaluate import VALUE_BYTES, Reading, Scores, Solved, evaluate, make_method
@@ -226,16 +222,3 @@ def test_codecs_keep_eight_bits_and_state_their_size(kind):
     # Touched taxels cost a byte each, and a bit a taxel.
     frame = press(5)
     assert kind != "touched" or codec.reconstruct(frame).n_bytes == np.count_nonzero(frame) + 15
-
-
-@pytest.mark.parametrize(("shape", "ratio"), [((4, 8), 3), ((19, 12), 4), ((64, 64), 8)])
-def test_taxels_with_addresses_and_adaptive_rows_with_their_code_fill_the_bytes_of_m(shape, ratio):
-    mask = np.ones(shape, dtype=np.bool_)
-    m = mask.size // ratio
-    values = acts_values(mask.size, m)
-    assert VALUE_BYTES * values + address_bytes(mask.size, values) <= VALUE_BYTES * m
-    assert VALUE_BYTES * (values + 1) + address_bytes(mask.size, values + 1) > VALUE_BYTES * m
-    values = adaptive_values(mask, m)
-    assert 2 * m / 3 < values < m
-    tree = Quadtree(mask, values)
-    assert VALUE_BYTES * values + tree.most_code_bytes(values - tree.n_tiles) <= VALUE_BYTES * m

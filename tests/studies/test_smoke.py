@@ -23,7 +23,7 @@ from sparseskin.studies.stability import phase, sweeps
 from sparseskin.studies.stability import tables as stability
 
 N_FRAMES = 9
-SOLVERS = ("fista", "skin")
+SOLVERS = {"fista": "fista", "skin": "skin"}
 SHORT_SCENES = ("lift_box_40",)
 SIZES = (
     (accuracy, {"ACTIVE": (0.3,), "QUICK_SIZES": (((4, 4), None),)}),
@@ -45,7 +45,7 @@ SIZES = (
     (rules, {"QUICK_WORLDS": 1, "RULES": {name: rules.RULES[name] for name in ("bias", "offset")}}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial"}),
-    (sweeps, {"SUM_SOLVERS": ("fista",), "EXCERPTS": sweeps.EXCERPTS[:1]}),
+    (sweeps, {"SUM_SOLVERS": {"fista": "fista"}, "EXCERPTS": sweeps.EXCERPTS[:1]}),
 )
 """Sizes that are smaller than those of a quick run, by module."""
 TEXTS = {
@@ -55,11 +55,14 @@ TEXTS = {
     "scene-needs": "| without damping of the skin |",
     "accuracy": "| press | 114 | kPa |",
     "speed": "## Beside lean nodes",
+    "tasks": "| sums of neighbours |",
     "train": "Noise of a known deviation",
 }
 """A text on each page."""
+PACKAGES = {"tasks": "sklearn", "train": "torch"}
+"""A package that a study needs beside those of all."""
 
-LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "train")
+LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "tasks", "train")
 """Studies that take more than some seconds even so."""
 
 
@@ -72,7 +75,7 @@ def small(monkeypatch):
     # Charts are drawn, but not laid out, which takes longer than all else.
     engine = "matplotlib.layout_engine.ConstrainedLayoutEngine.execute"
     monkeypatch.setattr(engine, lambda self, figure: None)
-    windows, of_latency = frames.SceneFrames.windows, latency.points
+    windows = frames.SceneFrames.windows
 
     def few(self, seed):
         begin = frames.first_contact(self.scene, seed) - 3 * self.every
@@ -89,10 +92,13 @@ def small(monkeypatch):
 
         monkeypatch.setattr(cls, "open", opened)
 
-    def short(quick, seed):
-        return [point | {"n_frames": 200} for point in of_latency(quick, seed)[:2]]
+    # Of the points that start real graphs, the last alone.
+    for module, n_frames in ((latency, 200), (beside, 50)):
 
-    monkeypatch.setattr(latency, "points", short)
+        def last(quick, seed, n_frames=n_frames, whole=module.points):
+            return [whole(quick, seed)[-1] | {"n_frames": n_frames}]
+
+        monkeypatch.setattr(module, "points", last)
 
 
 @pytest.fixture
@@ -118,8 +124,8 @@ def recordings(tmp_path):
     ],
 )
 def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, recordings, capsys):
-    if name == "train":
-        pytest.importorskip("torch")
+    if name in PACKAGES:
+        pytest.importorskip(PACKAGES[name])
     out, options = tmp_path / "out", []
     if name == "accuracy":
         options = ["--recordings", str(recordings), "--seeds", "1", "--constants"]

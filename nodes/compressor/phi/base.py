@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,20 +15,23 @@ import numpy.typing as npt
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.frames import FINGERPRINT_PATTERN
 from sparseskin.messages.ranges import is_whole
+from sparseskin.nodes import extensions
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.lookup import find_callable, find_class
-from sparseskin.nodes.numerics.arrays import Floats, Mask, each_frame
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, each_frame
 
-KINDS = {
-    "sbhe": "sparseskin.nodes.compressor.phi.sbhe:SbhePhi",
-    "full": "sparseskin.nodes.compressor.phi.identity:FullPhi",
-    "subsample": "sparseskin.nodes.compressor.phi.identity:SubsamplePhi",
-    "gaussian": "sparseskin.nodes.compressor.phi.gaussian:GaussianPhi",
-    "acts": "sparseskin.nodes.compressor.phi.acts:ActsPhi",
-    "adaptive": "sparseskin.nodes.compressor.phi.adaptive:AdaptivePhi",
-    "row_local": "sparseskin.nodes.compressor.phi.row_local:RowLocalPhi",
-}
+KINDS = extensions.Registry(
+    extensions.PHIS,
+    {
+        "sbhe": "sparseskin.nodes.compressor.phi.sbhe:SbhePhi",
+        "full": "sparseskin.nodes.compressor.phi.identity:FullPhi",
+        "subsample": "sparseskin.nodes.compressor.phi.identity:SubsamplePhi",
+        "gaussian": "sparseskin.nodes.compressor.phi.gaussian:GaussianPhi",
+        "row_local": "sparseskin.nodes.compressor.phi.row_local:RowLocalPhi",
+    },
+)
+"""Class of each kind."""
 MAX_SUBSETS = 64
 """Largest number of row subsets. Chosen: a row that is measured less often than every 64 frames
 adds as good as nothing."""
@@ -45,12 +49,27 @@ _WITH_PARAMETER = {
 BLOCK = 256
 """Size of the Hadamard blocks where none is stated: of sums in software, which need no wires.
 Fitted on five recordings (`sparseskin study accuracy`); 1024 is no better."""
-RULES = RANDOM, SPREAD, SUMS = 1, 2, 3
+RULES = RANDOM, SUMS = 1, 3
 """Rules by which the rows of "sbhe" are chosen, see `SbhePhi`; a message states which."""
 _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
     *("forward", "adjoint", "dense", "describe"),
 )
+
+
+Code = npt.NDArray[np.uint8]
+"""Bits that state which rows of a matrix a frame reads."""
+
+
+class BlockLayout(NamedTuple):
+    """Where a block Hadamard transform has the taxels and the measurements of a matrix, whose rows
+    are some of its rows, of length 1.
+    """
+
+    sizes: list[int]  # of the blocks
+    permutation: Indices  # taxel of each column
+    rows: Indices  # row of each measurement
+    blocks: Indices | None  # block of each measurement; None where blocks are single taxels
 
 
 class Phi(ABC):
@@ -84,6 +103,14 @@ class Phi(ABC):
         seed, so that two machines with different generators notice.
     lipschitz : float
         Largest eigenvalue of Phi Phi^T; 1 for orthonormal rows.
+    choice : str
+        Field of `Measurements` that states the rows of a frame, of a kind that chooses them anew in
+        each: "places" or "nodes"; "" for others.
+    solvers : mapping of str to str
+        Solvers that invert a kind with a `choice`, as "module:Class", by the name that settings
+        state.
+    samples : bool
+        True if each measurement is one taxel, and the others are not read.
 
     Raises PhiError if a parameter is of the wrong type or out of its range.
     """
@@ -96,6 +123,9 @@ class Phi(ABC):
     #: Why the readings that `sparseskin.compress` measured last are not trusted, "" if they are.
     sensed: str = ""
     has_rules: ClassVar[bool] = False
+    choice: ClassVar[str] = ""
+    solvers: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    samples: ClassVar[bool] = False
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         self.check_size(n, m, seed, block)
@@ -139,6 +169,36 @@ class Phi(ABC):
         numba.
         """
 
+    def block_layout(self) -> BlockLayout | None:
+        """Return the layout by which a solver may apply the matrix; None if there is none. A
+        subclass may have changed what the operators do, and has none unless it says so.
+        """
+        return None
+
+    def measure(self, x: Floats) -> tuple[Floats, Code | None]:
+        """Return the measurements of a frame, float32 (m,), of forces x, float32 (n,); and, of a
+        kind with a `choice`, the code of the rows that were chosen for it.
+        """
+        return self.forward(x), None
+
+    def follow(self, code: Code) -> None:  # noqa: B027
+        """Use the rows of a frame by their code, of a kind with a `choice`. Raises PhiError if it
+        is malformed.
+        """
+
+    def forget(self) -> None:  # noqa: B027
+        """Forget the frames that rows were chosen by."""
+
+    @property
+    def most_code_bytes(self) -> int:
+        """Largest number of bytes of a code; 0 without a `choice`."""
+        return 0
+
+    def state_noise(self, sigma_end: float, f_max: float, clipped: bool = True) -> None:  # noqa: B027
+        """State the standard deviation of an untouched taxel's noise, 0 if not known, f_max, and
+        whether that noise is clipped at 0, for a kind that chooses its rows by what is touched.
+        """
+
     def lay_out(self, exists: Mask) -> None:
         """State the grid of the taxels, bool (n_rows, n_cols), True where one exists, by which some
         kinds arrange their rows. Raises PhiError if they are not n, or the kind does not allow it.
@@ -167,6 +227,34 @@ class Phi(ABC):
         """Write Phi^T y to out, one frame; both contiguous float32 of the right length."""
 
 
+def fact(phi: object, name: str) -> Any:
+    """An attribute of a matrix or its class; that of `Phi` for a user's own without it."""
+    return getattr(phi, name, getattr(Phi, name))
+
+
+def block_layout(phi: object) -> BlockLayout | None:
+    """As the method of `Phi`, of a user's own too."""
+    layout: BlockLayout | None = phi.block_layout() if isinstance(phi, Phi) else None
+    return layout
+
+
+def follow(phi: Phi, **codes: Code | None) -> None:
+    """Set the rows of a frame by what came with its measurements, by field of `Measurements`.
+
+    Raises PhiError if the code is absent, of another kind, or malformed.
+    """
+    choice = fact(phi, "choice")
+    for field, code in codes.items():
+        if field != choice and code is not None:
+            fault = f"{phi.kind}: measurements with {field}"
+            raise PhiError(f"{fault}; allowed: a phi that chooses its rows by them")
+    if choice:
+        code = codes.get(choice)
+        if code is None:
+            raise PhiError(f"{phi.kind}: the measurements come without the {choice} of their rows")
+        phi.follow(code)
+
+
 def phi_class(kind: str) -> Callable[..., Any]:
     """The class of a kind, as `make_phi` takes it. Raises PhiError if there is none."""
     prefix, colon, parameter = kind.partition(":")
@@ -177,7 +265,9 @@ def phi_class(kind: str) -> Callable[..., Any]:
 
 
 def is_built_in(kind: str) -> bool:
-    """True for a kind that a message may name: one that opens no file and imports no module."""
+    """True for a kind that a message may name: one of the core or of an installed plug-in, which
+    opens no file and imports no other module.
+    """
     return kind in KINDS or kind.startswith(LOCAL)
 
 
@@ -223,18 +313,18 @@ def make_phi(
     ----------
     kind : str
         "sbhe" (scrambled block Hadamard, the paper's), "full" (every taxel), "subsample"
-        (single taxels), "gaussian" (dense), "acts" (single taxels, chosen anew in each frame),
-        "adaptive" (rows of a quad tree, chosen anew in each frame), "row_local" (columns of a row
-        summed), "local:SIDE" (sbhe within neighbourhoods of SIDE x SIDE taxels), "file:PHI.npz" (a
-        sparse matrix, or a stack of matrices), or "module:Class" for your own, with the constructor
-        and the interface of `Phi`.
+        (single taxels), "gaussian" (dense), "row_local" (columns of a row summed), "local:SIDE"
+        (sbhe within neighbourhoods of SIDE x SIDE taxels), "file:PHI.npz" (a sparse matrix, or a
+        stack of matrices); that of a plug-in: "acts" (single taxels, chosen anew in each frame),
+        "adaptive" (rows of a quad tree, chosen anew in each frame); or "module:Class" for your own,
+        with the constructor and the interface of `Phi`.
     n, m, seed : int
         As in `Phi`.
     block : int, optional
         As in `Phi`; by default 256, and 32 of "local:SIDE", whose sums are those of wires.
     rule : int
-        Rule by which the rows are chosen, as in `SbhePhi`: 3, or 1 for the paper's and those of
-        recordings of version 0.1, or 2. Kinds that have no choice of rules take no notice.
+        Rule by which the rows are chosen, as in `SbhePhi`: 3, or 1 for the paper's. Kinds that have
+        no choice of rules take no notice.
 
     Raises
     ------

@@ -7,7 +7,7 @@ import numpy as np
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 
-from .base import BLOCK, Phi, fingerprint_of
+from .base import BLOCK, BlockLayout, Phi, fingerprint_of
 from .rotation import RotatingPhi
 
 
@@ -21,6 +21,13 @@ class FullPhi(Phi):
         if m != n:
             raise PhiError(f'phi "full": m = {m} is not allowed; allowed: {n} (every taxel)')
         self.fingerprint = fingerprint_of(self.kind, n, m, 1)
+
+    def block_layout(self) -> BlockLayout | None:
+        """As in `Phi`: blocks of one taxel each."""
+        if type(self) is not FullPhi:
+            return None
+        taxels = np.arange(self.n)
+        return BlockLayout([1] * self.n, taxels, taxels, None)
 
     def _forward(self, x: Floats, out: Floats) -> None:
         np.copyto(out, x)
@@ -37,11 +44,18 @@ class SubsamplePhi(RotatingPhi):
     """
 
     kind = "subsample"
+    samples = True
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         self._order: Indices = np.random.default_rng(seed).permutation(n).astype(np.intp)
         self._keep(np.sort(self._order[:m]))
+
+    def block_layout(self) -> BlockLayout | None:
+        """As in `Phi`: blocks of one taxel each."""
+        if type(self) is not SubsamplePhi:
+            return None
+        return BlockLayout([1] * self.n, np.arange(self.n), self.rows, None)
 
     def _forward(self, x: Floats, out: Floats) -> None:
         x.take(self.rows, None, out, "clip")

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .base import MAX_SUBSETS, STORED, Phi, fingerprint_of
+from .base import MAX_SUBSETS, STORED, Phi, fingerprint_of, make_phi
 
 FIXED, ROTATING = "fixed", "rotating"
 ROWS = (FIXED, ROTATING)
@@ -115,6 +116,20 @@ def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
     check_subsets(phi.n, phi.m)
     subsets: list[Phi] = getattr(phi, "row_subsets")()  # noqa: B009
     return subsets
+
+
+def phis_for(
+    skin: Skin, sigma_end: float, clips_noise: bool, rows: str | None, **parameters: Any
+) -> list[Phi]:
+    """The matrices that measure the frames of a skin in turn, laid out. `sigma_end` and
+    `clips_noise` are as in `SkinState`, `rows` as in `row_subsets`, parameters those of `make_phi`
+    but n, as is PhiError.
+    """
+    phi = make_phi(n=skin.n_taxels, **parameters)
+    if isinstance(phi, Phi):  # not a class of a user's own
+        phi.lay_out(skin.exists)
+        phi.state_noise(sigma_end, skin.f_max, clips_noise)
+    return row_subsets(phi, rows)
 
 
 def check_subsets(n: int, m: int) -> None:

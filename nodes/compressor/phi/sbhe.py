@@ -6,7 +6,7 @@ import functools
 import heapq
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, TypeGuard
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .base import BLOCK, MAX_SUBSETS, RANDOM, SPREAD, SUMS, UNREAD, Phi
+from .base import BLOCK, MAX_SUBSETS, RANDOM, SUMS, UNREAD, BlockLayout, Phi
 from .hadamard import BlockHadamard, CompiledHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
@@ -38,9 +38,8 @@ class SbhePhi(RotatingPhi):
     By rule 3, Q_M keeps the sum of each block, the largest blocks first where m is too small for
     all, rows that identify the taxels of small blocks (`least_m`), and other rows, in number
     proportional to those of the blocks. Row subsets of rotating rows (`row_subsets`) are those of
-    `split_with_sums`. By rule 2, of earlier recordings, none identify taxels, and row subsets are
-    those of `split_evenly`. By rule 1, the paper's, rows and row subsets are drawn at random from
-    all. With one seed and rule, a smaller m keeps a subset of the rows of a larger one.
+    `split_with_sums`. By rule 1, the paper's, rows and row subsets are drawn at random from all.
+    With one seed and rule, a smaller m keeps a subset of the rows of a larger one.
 
     Column j of W sees taxel `permutation[j]`, intp (n,); measurement i is its row `rows[i]`, intp
     (m,), ascending, of a block whose 1 / sqrt(B) is `scale[i]`, float32 (m,). `sizes` are those of
@@ -67,7 +66,7 @@ class SbhePhi(RotatingPhi):
         if rule == RANDOM:
             self._order: Indices = rng.permutation(n).astype(np.intp)
         else:
-            self._order, self._by_block = spread_order(self.sizes, rng, rule == SUMS)
+            self._order, self._by_block = spread_order(self.sizes, rng)
         self._arrange(permutation)
         # A line of the cache apart: of a power of two both would compete for the same places.
         self._v, scratch = np.zeros((2, n + 16), dtype=np.float32)[:, :n]
@@ -104,6 +103,12 @@ class SbhePhi(RotatingPhi):
             self._deal_forward = self.permutation[order]
             self._places_forward = np.argsort(order)[self.rows]
 
+    def block_layout(self) -> BlockLayout | None:
+        """As in `Phi`: of a class that states `by_blocks` itself."""
+        if vars(type(self)).get("by_blocks", False) is not True:
+            return None
+        return BlockLayout(self.sizes, self.permutation, self.rows, self.block_of_row)
+
     @property
     def block_of_row(self) -> Indices:
         """Number of the block of taxels that each row sums, int64 (m,)."""
@@ -113,8 +118,6 @@ class SbhePhi(RotatingPhi):
         """As in `RotatingPhi`; but by rule 1, the first one is not this matrix."""
         if self.rule == RANDOM:
             return super().row_subsets()
-        if self.rule == SPREAD:
-            return self._twins(split_evenly(self._by_block, self.m))
         return self._twins(split_with_sums(self.sizes, self._by_block, self.m))
 
     def dense(self) -> npt.NDArray[np.float64]:
@@ -142,22 +145,20 @@ class SbhePhi(RotatingPhi):
         out[self._deal] = self._v
 
 
-def spread_order(
-    sizes: Sequence[int], rng: np.random.Generator, identify: bool
-) -> tuple[Indices, Indices]:
+def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indices, Indices]:
     """All rows of W in two orders, intp (n,): spread over the blocks (first the sums of the blocks,
     those of the largest first; then the other rows, of which the first k are divided among the
-    blocks in proportion to their rows); and block by block, shuffled within each.
+    blocks in proportion to their rows, but that those of `least_m` come earlier); and block by
+    block, shuffled within each.
 
-    `sizes` are those of the blocks, in order; `identify` is True if rows that `least_m` states come
-    earlier.
+    `sizes` are those of the blocks, in order.
     """
     block = np.repeat(np.arange(len(sizes)), sizes)
     by_block = np.lexsort((rng.random(block.size), block)).astype(np.intp)
     shuffled = rng.permutation(len(sizes))
     blocks = shuffled[np.argsort(-np.array(sizes)[shuffled], kind="stable")]
     sums = (np.cumsum(sizes) - sizes)[blocks].astype(np.intp)
-    least = least_m(sizes) if identify else np.full(block.size, block.size + 1)
+    least = least_m(sizes)
     others = by_block[~np.isin(by_block, sums)]
     others = others[np.lexsort((least[others], block[others]))]
     turns = blocks[in_proportion((np.array(sizes)[blocks] - 1).tolist())]
@@ -234,13 +235,6 @@ def in_proportion(numbers: Sequence[int]) -> Indices:
             at += 1
         found[place] = heapq.heappop(ready)[1]
     return found
-
-
-def is_sbhe(phi: object) -> TypeGuard[SbhePhi]:
-    """Return True if permutation, blocks and rows state all of a matrix, so that a solver may apply
-    it by them: not for a subclass, which may have changed what its operators do, unless it says so.
-    """
-    return isinstance(phi, SbhePhi) and vars(type(phi)).get("by_blocks", False) is True
 
 
 class LocalSbhePhi(SbhePhi):

@@ -13,10 +13,10 @@ import numpy as np
 
 from sparseskin.messages import (
     Contacts,
+    Labels,
     Measurements,
     Message,
     Reconstruction,
-    Resultant,
     SkinState,
     Taxels,
     Truth,
@@ -72,20 +72,22 @@ class Start:
 class PatchFeed:
     """One patch: its newest maps, each with its time of arrival, and its history.
 
-    While frames are reconstructed, `maps` and `resultant` are of one frame; otherwise `maps` are
-    the newest of each kind; NaN where a reading is missing. Their names are those of the schemas.
+    While frames are reconstructed, `maps` are of one frame; otherwise they are the newest of
+    each kind; NaN where a reading is missing. Their names are those of the schemas.
     `idle` is true while the newest frame was published as unchanged. `newest_trusted` is that of
     the newest reconstruction shown, `stamp_ns` too, `untrusted_s` the time of the last one not to
     be trusted, `reason` that of the last one. `measurements` are the newest ones, of frames that
     may still be under way. `contacts` are those of the newest frame, where they are published,
-    `events` their events, a row for each frame with some: time, number of each kind.
+    `events` their events, a row for each frame with some: time, number of each kind. `label` is the
+    newest one, where a node recognises, which came at `label_came_s`.
     """
 
     skin: SkinState | None = None
     maps: dict[str, Floats] = field(default_factory=dict)
-    resultant: Resultant | None = None
     measurements: deque[Measurements] = field(default_factory=lambda: deque(maxlen=N_MEASURED))
     contacts: Contacts | None = None
+    label: Labels | None = None
+    label_came_s: float = -math.inf
     events: History = field(default_factory=lambda: History(("time_s", *EVENTS)))
     stamp_ns: int = 0
     came_s: dict[str, float] = field(default_factory=dict)
@@ -159,12 +161,17 @@ class Feed:
                 feed.skin = message
                 feed.maps.clear()
                 feed.measurements.clear()
-                feed.resultant = feed.contacts = None
+                feed.contacts = None
+                feed.label = None
                 feed.newest_trusted, feed.untrusted_s = True, -math.inf
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
             if isinstance(message, Measurements):
                 feed.measurements.append(message)
+            if isinstance(message, Labels):
+                feed.label = message
+                feed.label_came_s = now_s
+                return
             if isinstance(message, Contacts):
                 feed.contacts = message
                 if message.events is not None:
@@ -178,7 +185,6 @@ class Feed:
                 return
             maps = (complete.taxels, complete.reconstruction, complete.truth)
             feed.maps = {each.schema: known_forces(each) for each in maps if each is not None}
-            feed.resultant = complete.resultant
             if complete.reconstruction is not None:
                 (feed.idle,) = complete.reconstruction.unchanged
                 feed.note(complete.reconstruction, now_s)
@@ -207,7 +213,6 @@ class Feed:
             feed.maps = {**feed.maps, message.schema: known_forces(message)}
             if isinstance(message, Reconstruction):
                 feed.note(message, now_s)
-            feed.resultant = None
             feed.came_s[message.schema] = now_s
             self._show(feed)
 

@@ -33,7 +33,7 @@ CONTACT_FIELDS = (
     *("id", "total", "total_sd", "centre", "area", "velocity", "age_s", "over", "sliding"),
     *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
 )
-RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
+LABEL = ("label", "share", "age_s", "trusted")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
@@ -136,8 +136,6 @@ class StreamReader:
                 if self._patch is None and not is_new:
                     continue  # an idle patch
                 shown = _contacts(patch, now_s)
-                if patch.resultant is not None:
-                    shown["resultant"] = {key: getattr(patch.resultant, key) for key in RESULTANT}
                 arrays: dict[str, np.ndarray[Any, Any]] = dict(maps)
                 if self._patch is not None and Reconstruction.schema in maps:
                     arrays |= _measured(patch)
@@ -186,6 +184,9 @@ class StreamReader:
             "reason": None if trusted else _reason(patch.reason),
             "idle": patch.idle,
         }
+        if patch.label is not None:
+            state["label"] = {key: getattr(patch.label, key) for key in LABEL}
+            state["label"]["silent_s"] = now_s - patch.label_came_s
         if self._is_new(f"summary {name}", patch.summary):
             state["summary"] = patch.summary
         return state

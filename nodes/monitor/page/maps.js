@@ -4,7 +4,7 @@
 import { Cloud } from "./cloud.js";
 import { GRADIENT, pixel, Range } from "./colours.js";
 import { Contacts } from "./contacts.js";
-import { brief, byId, cross, element, highest, setText, tick, within } from "./dom.js";
+import { brief, byId, cross, element, highest, setText, tick } from "./dom.js";
 import { DARK, SpaceView } from "./space.js";
 
 const TITLES = {
@@ -21,7 +21,6 @@ const PRESSED = 0.2; // part of the peak beyond which a taxel is zoomed to
 const WIDE = 2; // columns per row beyond which the other maps stand below the large one
 const AROUND = 2, LEAST_CROP = 0.2; // taxels around it; part of the skin that is shown at least
 const INSET = 2; // pixels of the inset for each taxel
-const ELLIPSE = 2.146; // standard deviations that contain 90 % of a normal distribution in a plane
 
 // A map as the grid of its taxels, or the part of it that is pressed.
 class GridView {
@@ -132,21 +131,12 @@ class GridView {
     return { cell: row * this.skin.n_cols + col, name: `row ${row}, column ${col}` };
   }
 
-  // The centre of pressure estimated from the measurements alone: a cross, and the ellipse that
-  // contains it in 90 % of the frames; contacts. Faulty taxels are struck out on all panels.
-  mark(panels, { resultant, faulty, contacts }) {
-    const { row, col, row_sd: rowSd, col_sd: colSd } = resultant ?? {};
-    const arm = 0.04 * Math.max(this.crop.rows, this.crop.cols);
-    const plus = `M${col - arm} ${row}h${2 * arm}M${col} ${row - arm}v${2 * arm}`;
+  // Contacts; faulty taxels are struck out on all panels.
+  mark(panels, { faulty, contacts }) {
     for (const [name, { over }] of Object.entries(panels)) {
       over.replaceChildren(...faulty.map((cell) => element("path", { class: "faulty",
         d: cross(cell % this.skin.n_cols, Math.floor(cell / this.skin.n_cols), 0.35) })));
-      if (name !== "reconstruction") continue;
-      over.append(...this.#drawn(contacts));
-      if (!Number.isFinite(row)) continue;
-      over.append(
-        element("ellipse", { cx: col, cy: row, rx: ELLIPSE * colSd, ry: ELLIPSE * rowSd }),
-        element("path", { d: plus }));
+      if (name === "reconstruction") over.append(...this.#drawn(contacts));
     }
   }
 
@@ -273,12 +263,11 @@ export class Maps {
     });
   }
 
-  // Show new maps, each float32 (n_rows * n_cols,), row after row, the frame's resultant, and a list
-  // of its contacts.
-  show({ data: maps, resultant, contacts }, now) {
+  // Show new maps, each float32 (n_rows * n_cols,), row after row, and a list of the
+  // frame's contacts.
+  show({ data: maps, contacts }, now) {
     this.maps = { ...maps };
     this.contacts.show(contacts, now);
-    this.resultant = resultant;
     const reference = maps.truth ?? maps.taxels, felt = maps.reconstruction ?? maps.taxels;
     if (highest(felt) > FIRST * this.skin.f_max) {
       this.view.turnAtFirst?.(felt);
@@ -303,10 +292,7 @@ export class Maps {
       const top = name === "error" ? this.errors.over(highest(map), now) : range;
       this.view.paint(panel, map, top);
       setText(panel.top, `${tick(top)} ${this.skin.unit}`);
-      const resultant = name === "reconstruction" && this.resultant;
-      setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map, name)
-        + (resultant
-          ? ` · resultant ${within(resultant.total, resultant.total_sd, this.skin.sum_unit)}` : ""));
+      setText(panel.figures, name === "error" ? this.errorText(map) : this.forceText(map, name));
     }
     this.panels[this.large].map.append(this.inset);
     this.view.inset?.(this.inset, this.maps[this.large], this.large === "error"
@@ -317,8 +303,8 @@ export class Maps {
 
   // What is drawn over the maps.
   mark() {
-    const { resultant, faulty, contacts, pointed } = this;
-    this.view.mark(this.panels, { resultant, faulty, contacts, cell: pointed?.cell });
+    const { faulty, contacts, pointed } = this;
+    this.view.mark(this.panels, { faulty, contacts, cell: pointed?.cell });
   }
 
   // Mark the taxels of these cells as faulty.

@@ -10,20 +10,20 @@ import numpy as np
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_whole
+from sparseskin.nodes import extensions
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import find_class
 from sparseskin.nodes.numerics.arrays import Floats, each_frame
 
-BASES = {
-    "haar": "sparseskin.nodes.reconstructor.bases.haar:HaarBasis",
-    "db2": "sparseskin.nodes.reconstructor.bases.separable:db2",
-    "db4": "sparseskin.nodes.reconstructor.bases.separable:db4",
-    "sym4": "sparseskin.nodes.reconstructor.bases.separable:sym4",
-    "coif1": "sparseskin.nodes.reconstructor.bases.separable:coif1",
-    "dct": "sparseskin.nodes.reconstructor.bases.separable:DctBasis",
-    "identity": "sparseskin.nodes.reconstructor.bases.base:IdentityBasis",
-}
+BASES = extensions.Registry(
+    extensions.BASES,
+    {
+        "haar": "sparseskin.nodes.reconstructor.bases.haar:HaarBasis",
+        "identity": "sparseskin.nodes.reconstructor.bases.base:IdentityBasis",
+    },
+)
+"""Class of each basis."""
 _INTERFACE = ("n_rows", "n_cols", "analysis", "synthesis")
 
 
@@ -123,9 +123,8 @@ def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
     Parameters
     ----------
     name : str
-        "haar"; "db2", "db4", "sym4", "coif1" (PyWavelets' names); "dct"; "identity";
-        or "module:Class" for your own: called with the keywords n_rows, n_cols, it must offer what
-        `Basis` does.
+        "haar"; "identity"; or "module:Class" for your own: called with the keywords n_rows, n_cols,
+        it must offer what `Basis` does.
     n_rows, n_cols : int
         Size of the grid of taxels.
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 
 #: Rates of the running mean of forces, and of squared changes: an estimate that lags behind a slow
@@ -16,19 +17,10 @@ MEAN_RATE, RATE = np.float32(0.25), np.float32(0.2)
 #: Part of the RMS residual added to the change, squared, and to the force: taxels that stand still
 #: or are untouched are not certain.
 CHANGE_FLOOR, FORCE_FLOOR = np.float32(0.03), np.float32(0.3)
-#: By solver, rule of the rows of Phi, and fixed rows or rotating ones: factor a, and power b of
-#: N / M. Fitted on random scenes at N/3, N/4 and N/8, so that bands of 1.645 deviations hold 90 %
-#: of the touched taxels, by the geometric mean over the scenes.
-CALIBRATED = {
-    "skin": {
-        SUMS: {FIXED: (1.19, 0.24), ROTATING: (1.29, 0.26)},
-        RANDOM: {FIXED: (0.77, 0.73), ROTATING: (1.29, 0.28)},
-    },
-    "fista": {
-        SUMS: {FIXED: (1.58, 0.72), ROTATING: (1.87, 0.5)},
-        RANDOM: {FIXED: (1.55, 0.8), ROTATING: (1.55, 0.8)},
-    },
-}
+Calibrated = Mapping[int, Mapping[str, tuple[float, float]]]
+"""By rule of the rows of Phi, and "fixed" or "rotating": factor a, and power b of N / M. Those of
+the solvers are fitted on random scenes at N/3, N/4 and N/8, so that bands of 1.645 deviations hold
+90 % of the touched taxels, by the geometric mean over the scenes."""
 LEAST_RESIDUAL = 1e-12
 """Least residual a taxel, in the unit of the forces: none is zero."""
 
@@ -52,8 +44,8 @@ class Uncertainty:
         True where a taxel exists; elsewhere the deviation is 0.
     ratio : float
         N / M.
-    solver : str
-        One of `CALIBRATED`.
+    calibrated : mapping
+        That of the solver (`Solver.calibrated`).
     rows : str
         "fixed" or "rotating": with fixed rows, errors that none of them measures persist.
     rule : int
@@ -61,9 +53,14 @@ class Uncertainty:
     """
 
     def __init__(
-        self, mask: Mask, ratio: float, solver: str, rows: str = FIXED, rule: int = SUMS
+        self,
+        mask: Mask,
+        ratio: float,
+        calibrated: Calibrated,
+        rows: str = FIXED,
+        rule: int = SUMS,
     ) -> None:
-        factor, power = CALIBRATED[solver][RANDOM if rule == RANDOM else SUMS][rows]
+        factor, power = calibrated[RANDOM if rule == RANDOM else SUMS][rows]
         self._factor = np.float32(factor * ratio**power)
         self._mask = mask
         self._mean, self._changes = np.zeros((2, *mask.shape), dtype=np.float32)

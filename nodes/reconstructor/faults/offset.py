@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
+from sparseskin.nodes.compressor.phi.base import Phi, block_layout
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, shared
 
 SIGNIFICANT = 6.0
@@ -52,9 +51,10 @@ class OffsetRows:
 
 def _blocks_of(phi: Phi) -> Indices:
     """Number of the block of taxels that each row sums; 0 if there are no blocks."""
-    if not isinstance(phi, SbhePhi):
+    layout = block_layout(phi)
+    if layout is None or layout.blocks is None:
         return np.zeros(phi.m, dtype=np.intp)
-    return phi.block_of_row
+    return layout.blocks
 
 
 class OffsetWatch:

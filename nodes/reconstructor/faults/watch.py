@@ -9,10 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sparseskin.messages import Reason
-from sparseskin.nodes.compressor.phi.acts import ActsPhi
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
-from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
+from sparseskin.nodes.compressor.phi.base import Phi, fact
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.solvers.base import Solver, checked_measurements
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -221,7 +218,7 @@ class FaultWatch:
     def _mixes(self, phi: Phi) -> bool:
         """True if each measurement sums several taxels: single ones repeat where they are 0."""
         if phi.fingerprint not in self._mixing:
-            chooses = isinstance(phi, ActsPhi | AdaptivePhi)
+            chooses = bool(fact(phi, "choice"))
             self._mixing[phi.fingerprint] = not chooses and mixed_taxels(phi) >= LEAST_MIXED
         return self._mixing[phi.fingerprint]
 
@@ -307,7 +304,7 @@ class FaultWatch:
 
     def _untouched_noise(self, solver: Any) -> float:
         """Noise variance of an untouched taxel; 0: measurements lack it, or nothing is known."""
-        if not hasattr(solver, "projection") or isinstance(solver.phi, SubsamplePhi):
+        if not hasattr(solver, "projection") or fact(solver.phi, "samples"):
             return 0.0
         if self._noise.model is None:
             return self._least_noise(solver)

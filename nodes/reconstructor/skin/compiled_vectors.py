@@ -24,6 +24,9 @@ from .tuning import SkinTuning
 from .vectors import (
     CERTAIN,
     CLEAR_RATIO,
+    CONVERGED,
+    FORMULA_SHARE,
+    N_FORMULA,
     UNKNOWN,
     Blend,
     Filtered,
@@ -74,6 +77,9 @@ class CompiledVectors(Vectors):
             residual_power=tuning.residual_power,
             rise_power=tuning.rise_power,
             fully_averaged=tuning.fully_averaged,
+            converged=CONVERGED,
+            n_formula=N_FORMULA,
+            formula_share=FORMULA_SHARE,
         )
         self._filter_constants = kernels.FilterConstants(
             prior=tuning.prior,

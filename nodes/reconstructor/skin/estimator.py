@@ -15,13 +15,19 @@ from .rows import Rows
 from .tiles import SHIFTS
 from .trust import CommonError, Fit, StatedError, TaxelNoise, Trust, estimate_error2
 from .tuning import SkinTuning
-from .vectors import UNKNOWN, Blend, Innovation, RowVariances, Settled, StepPlan, Steps, Vectors
+from .vectors import (
+    N_FORMULA,
+    UNKNOWN,
+    Blend,
+    Innovation,
+    RowVariances,
+    Settled,
+    StepPlan,
+    Steps,
+    StepTimes,
+    Vectors,
+)
 
-CONVERGED = 8
-"""Steps of a frame that need no others before them."""
-N_FORMULA = 3
-"""Steps by the formula before fewer than `CONVERGED`. Measured on five recordings and on presses at
-N/3: 3 and 1 have less error than 3 alone, in less time."""
 REPEATED = 1e6
 """Noise variance of a measurement that repeats exactly and was predicted, in that of others."""
 INVISIBLE = 1e-3
@@ -76,6 +82,10 @@ class SkinEstimator:
         sets it.
     noise_model : NoiseModel or None
         Noise of the readings; None: not stated. The caller sets it.
+    times : StepTimes
+        What the steps of a frame may take, where it chooses their number. The caller sets it.
+    steps : Steps
+        Those of the last frame.
     vectors, noise_level, prediction_error, bias, stated_error, common_error, trust
         The state from frame to frame.
     error : float
@@ -100,6 +110,7 @@ class SkinEstimator:
         self.trust = Trust(tuning)
         self.noise_sd = 0.0
         self.noise_model: NoiseModel | None = None
+        self.times = StepTimes()
         self.forget()
 
     def forget(self) -> None:
@@ -145,7 +156,7 @@ class SkinEstimator:
 
         self._noise = self.noise_level.bounded(noise)
         # Those of the prediction, should the frame have no step.
-        self._steps = Steps(expected2=error2, residual2=innovation.mean_square)
+        self.steps = Steps(expected2=error2, residual2=innovation.mean_square)
 
     def _follow_noise(self, innovation: Innovation, frame: FrameNumbers) -> float:
         """Update the noise level; return the noise variance of the frame: the level times the trust
@@ -184,13 +195,14 @@ class SkinEstimator:
         return RowVariances(noise, prediction, change, frame.floor)
 
     def finish(self, n: int, n_formula: int) -> Floats:
-        """Do `n_formula` steps by the formula and n by the weights, if any; return the forces of
-        the frame, float32 (n,), in the order of the rows' taxels.
+        """Do `n_formula` steps by the formula and n by the weights, if any, or as many of these as
+        `times` allows; return the forces of the frame, float32 (n,), in the order of the rows'
+        taxels.
         """
         if n:
             self._iterate(n, n_formula)
         self.vectors.fade(self._frame.silent)
-        fit = self._settle(self._steps, self._frame)
+        fit = self._settle(self.steps, self._frame)
         self._judge(fit, self._frame)
         self.bias.follow(
             fit.settled,
@@ -203,15 +215,19 @@ class SkinEstimator:
 
     def _iterate(self, n: int, n_formula: int) -> None:
         """Do the steps of the frame."""
+        counts = self.times.frame > 0
         plan = StepPlan(
-            n_formula=n_formula,
-            n=n,
+            n_formula=N_FORMULA if counts else n_formula,
+            n=1 if counts else n,
             first_shift=self._n_shifts,
+            frame_tiles=self.times.frame,
+            step_tiles=self.times.step,
+            most=n,
             target_variance=self._filtered.target_variance,
             floor=self._frame.floor,
         )
-        self._steps = self.vectors.steps(plan)
-        self._n_shifts = (self._n_shifts + n_formula + n) % len(SHIFTS)
+        self.steps = self.vectors.steps(plan)
+        self._n_shifts = (self._n_shifts + self.steps.n_formula + self.steps.n) % len(SHIFTS)
 
     def _settle(self, steps: Steps, frame: FrameNumbers) -> Fit:
         """Make the estimate of the steps and the prediction, by the error of each."""

@@ -11,7 +11,7 @@ from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .formula import shrink
-from .gates import Gates
+from .gates import Gates, standing_out
 from .prediction import Motion, MotionSums
 from .row_subset import Comparison, RowSubset
 from .rows import Rows
@@ -20,6 +20,7 @@ from .tuning import SkinTuning
 from .vectors import (
     CERTAIN,
     CLEAR_RATIO,
+    FORMULA_SHARE,
     UNKNOWN,
     Blend,
     Filtered,
@@ -29,10 +30,22 @@ from .vectors import (
     StepPlan,
     Steps,
     Vectors,
+    steps_for,
 )
 
 NOTHING = np.zeros(1, dtype=np.float32)
 """What cells without a taxel read."""
+
+
+class Step(NamedTuple):
+    """A step of a frame."""
+
+    x: Floats  # its estimate, (n,)
+    error2: float  # the mean squared error that is expected of it
+    residual2: float  # mean squared residual of z before it, of the rows read
+    plan: StepPlan  # the plan of the frame, which the first step chooses
+    n_busy: int  # tiles in which something stands out of the noise
+    own: Floats  # what each row read has added to its own value in x, (n_read,)
 
 
 class FrameVectors(Vectors):
@@ -239,24 +252,45 @@ class FrameVectors(Vectors):
 
     def steps(self, plan: StepPlan) -> Steps:
         self._z = self._predicted
-        steps = [self._step(k, plan) for k in range(plan.n_formula + plan.n)][plan.n_formula :]
-        expected2 = [step.expected2 for step in steps]
-        residual2 = [step.residual2 for step in steps]
+        estimates = []
+        own = []
+        expected2 = []
+        residual2 = []
+        least = plan.n_formula + plan.n
+        k = 0
+        n_busy = 0
+        n_tiles = 0
+        while k < plan.n_formula + plan.n:
+            # Forces of a sudden contact stand out step by step: what it takes is counted.
+            spent = (k + 1) * plan.step_tiles + n_tiles + n_busy
+            if k >= least and spent > plan.frame_tiles:
+                break
+            step = self._step(k, plan)
+            plan = step.plan
+            n_busy = step.n_busy
+            n_tiles += n_busy // FORMULA_SHARE if k < plan.n_formula else n_busy
+            if k >= plan.n_formula:
+                estimates.append(step.x)
+                own.append(step.own)
+                expected2.append(step.error2)
+                residual2.append(step.residual2)
+            k += 1
 
         # Errors of steps with other tiles differ: their mean has less.
         weights = self._weights_of(np.array(residual2), plan)
         self._estimate = np.zeros_like(self._z)
-        for weight, step in zip(weights.astype(np.float32), steps, strict=True):
-            self._estimate += weight * step.x
-            self._own += weight * step.own
-        return Steps(float(weights @ expected2), float(weights @ residual2))
+        for weight, x, added in zip(weights.astype(np.float32), estimates, own, strict=True):
+            self._estimate += weight * x
+            self._own += weight * added
+        numbers = plan.n_formula, k - plan.n_formula, n_tiles
+        return Steps(float(weights @ expected2), float(weights @ residual2), *numbers)
 
     def _weights_of(self, residual2: Doubles, plan: StepPlan) -> Doubles:
         """Return the weights of the estimates of steps in their mean, by the residual before each:
         of an iteration that diverges, the steps before it does count.
         """
         tuning = self._tuning
-        rising = np.arange(1, plan.n + 1) / max(1, plan.n + 1 - tuning.fully_averaged)
+        rising = np.arange(1, len(residual2) + 1) / max(1, plan.n + 1 - tuning.fully_averaged)
         weights: Doubles = np.minimum(rising, 1) ** tuning.rise_power
         weights /= (residual2 + plan.floor) ** tuning.residual_power
         weights /= weights.sum()
@@ -268,7 +302,6 @@ class FrameVectors(Vectors):
         """
         tuning = self._tuning
         shift = (plan.first_shift + k) % len(SHIFTS)
-        by_formula = k < plan.n_formula
         z = self._z
         off = self._target - self._rows.forward(z)
         off_read = off[self._rows.read]
@@ -288,8 +321,12 @@ class FrameVectors(Vectors):
         correction = weight * off / np.float32(mean_weight)
         u = z + self._rows.adjoint(correction)
 
-        denoise = shrink if by_formula or self._gates is None else self._gates.denoise
         windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
+        n_busy = int(np.count_nonzero(standing_out(windows, self._tiles.strictness)))
+        if k == 0:
+            plan = steps_for(plan, n_busy)
+        by_formula = k < plan.n_formula
+        denoise = shrink if by_formula or self._gates is None else self._gates.denoise
         tiles, tile_error = denoise(windows, self._tiles.strictness)
         x = self._tiles.taxels(tiles, shift) * s
         expected = _dot(tile_error, self._tiles.shares[shift])
@@ -300,7 +337,7 @@ class FrameVectors(Vectors):
         damping = tuning.damping * min(1.0, tuning.damped_from / (k + 1))
         self._z = z + np.float32(damping) * (free - z)
         own = alpha * correction[self._rows.read]
-        return Step(x, expected * float(s) ** 2, residual2, own)
+        return Step(x, expected * float(s) ** 2, residual2, plan, n_busy, own)
 
     def fade(self, part: float) -> None:
         self._predicted = np.float32(1 - part) * self._predicted
@@ -335,20 +372,6 @@ class FrameVectors(Vectors):
 
     def mean_variance(self, forces: Floats, model: NoiseModel) -> float:
         return _total(model.variance(forces)) / len(forces)
-
-
-class Step(NamedTuple):
-    """A step of the iteration.
-
-    `x`, float32 (n,): its estimate; `expected2`: expected mean squared error of x; `residual2`:
-    mean squared residual of z before the step, of the rows read; `own`, float32 (n_read,): what
-    each row read has added to its own value in x.
-    """
-
-    x: Floats
-    expected2: float
-    residual2: float
-    own: Floats
 
 
 class Recall:

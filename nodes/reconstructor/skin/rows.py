@@ -7,10 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import BlockLayout, Phi, block_layout
 from sparseskin.nodes.compressor.phi.hadamard import HadamardProducts, side_by_side
-from sparseskin.nodes.compressor.phi.identity import FullPhi, SubsamplePhi
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, is_sbhe
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, shared
 from sparseskin.nodes.numerics.compiled import ready
 
@@ -79,31 +77,6 @@ class ReadRows(NamedTuple):
     blocks: Indices | None  # block of the rows, in their order
 
 
-def is_block_transform(phi: Phi) -> bool:
-    """True if the rows of a matrix are some of those of a block Hadamard transform: of "sbhe", and
-    single taxels, whose blocks have one taxel each. Not of a subclass, which may do otherwise.
-    """
-    return is_sbhe(phi) or type(phi) in (FullPhi, SubsamplePhi)
-
-
-class BlockLayout(NamedTuple):
-    """Where a block transform has the taxels and the measurements of a matrix."""
-
-    sizes: list[int]  # of the blocks
-    permutation: Indices  # taxel of each column
-    rows: Indices  # row of each measurement
-    blocks: Indices | None  # block of each measurement; None where blocks are single taxels
-
-
-def layout_of(phi: Phi) -> BlockLayout:
-    """Return the layout of a matrix for which `is_block_transform` is true."""
-    if isinstance(phi, SbhePhi):
-        return BlockLayout(phi.sizes, phi.permutation, phi.rows, phi.block_of_row)
-    taxels = np.arange(phi.n)
-    rows = phi.rows if isinstance(phi, SubsamplePhi) else taxels
-    return BlockLayout([1] * phi.n, taxels, rows, None)
-
-
 class HadamardRows(Rows):
     """All rows of a block Hadamard transform, also those that no frame reads: of a scrambled block
     Hadamard ensemble, or single taxels.
@@ -119,7 +92,7 @@ class HadamardRows(Rows):
     def __init__(self, phi: Phi) -> None:
         self.n = phi.n
         self.n_rows = phi.n
-        layout = layout_of(phi)
+        layout = _layout_of(phi)
         taxels, rows = self._transform_of(layout.sizes)
         self.taxel = shared(layout.permutation[taxels])
         self.block_of_taxel = np.zeros(phi.n, dtype=np.intp)
@@ -150,7 +123,7 @@ class HadamardRows(Rows):
 
     def _of(self, phi: Phi) -> ReadRows:
         if phi.fingerprint not in self._subsets:
-            layout = layout_of(phi)
+            layout = _layout_of(phi)
             places = self._place_of_row[layout.rows]
             order = np.argsort(places)
             blocks = None if layout.blocks is None else shared(layout.blocks[order])
@@ -243,6 +216,13 @@ class WhitenedRows(Rows):
         return [phi.forward(x) for phi in phis]
 
 
+def _layout_of(phi: Phi) -> BlockLayout:
+    """The layout of a matrix that has one."""
+    layout = block_layout(phi)
+    assert layout is not None
+    return layout
+
+
 def _whitening(phi: Phi) -> Floats | None:
     """Return D^(-1/2) Q^T, float32 (n_rows, m); None for orthonormal rows."""
     dense = np.asarray(phi.dense(), dtype=np.float64)
@@ -259,6 +239,6 @@ def rows_of(phi: Phi, compiled: bool = False) -> Rows:
     """Return the rows of any Phi; `compiled`: by compiled loops, where they are those of a block
     transform.
     """
-    if not is_block_transform(phi):
+    if block_layout(phi) is None:
         return WhitenedRows(phi)
     return CompiledRows(phi) if compiled else HadamardRows(phi)

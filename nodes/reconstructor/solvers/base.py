@@ -5,14 +5,14 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from sparseskin.messages.ranges import is_real, is_whole
-from sparseskin.nodes.compressor.phi.acts import ActsPhi
-from sparseskin.nodes.compressor.phi.adaptive import AdaptivePhi
+from sparseskin.nodes import extensions
+from sparseskin.nodes.compressor.phi import base as phi_base
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class
@@ -21,14 +21,14 @@ from sparseskin.nodes.numerics.compiled import check_fast
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-SOLVERS = {
-    "skin": "sparseskin.nodes.reconstructor.skin.solver:SkinSolver",
-    "fista": "sparseskin.nodes.reconstructor.solvers.fista:FistaSolver",
-    "tv": "sparseskin.nodes.reconstructor.solvers.tv:TvSolver",
-    "interpolation": "sparseskin.nodes.reconstructor.solvers.interpolation:InterpolationSolver",
-}
-#: Forms of solvers for phi "adaptive".
-FOR_ADAPTIVE = {"skin": "sparseskin.nodes.reconstructor.skin.adaptive:AdaptiveSkinSolver"}
+SOLVERS = extensions.Registry(
+    extensions.SOLVERS,
+    {
+        "skin": "sparseskin.nodes.reconstructor.skin.solver:SkinSolver",
+        "fista": "sparseskin.nodes.reconstructor.solvers.fista:FistaSolver",
+    },
+)
+"""Class of each solver."""
 MAX_ITERATIONS = 1000
 _INTERFACE = ("setup", "step", "finish", "solve", "reset", "n_steps", "taxels")
 
@@ -77,12 +77,27 @@ class Solver(ABC):
     rotates: bool = False
     #: Row subsets that frames are measured by in turn; none where the rows are fixed.
     subsets: tuple[Phi, ...] = ()
-    #: True if it follows a phi that chooses its taxels anew each frame.
+    #: True if it follows a phi that chooses its rows anew in each frame, whatever phi that is.
     follows_choice: bool = False
-    #: True if it, or its form of `FOR_ADAPTIVE`, follows a phi that chooses rows anew each frame.
-    adaptive: bool = False
-    #: Class of the phi that it can use.
-    reads: type = object
+    #: True if each measurement has to be one taxel.
+    reads_taxels: bool = False
+    #: False if the basis states the size of the grid alone.
+    uses_basis: bool = True
+    #: True if lambda_n weighs an l1 norm: it needs a sparse basis, and returns 0 for measurements
+    #: below lambda_n.
+    is_l1: bool = False
+    #: Range of lambda_n, newtons for a range of 2.5 N, in which it stays within 3 dB of its best at
+    #: M = N/3; None: not known. Measured by the study `stability`, as the next one.
+    lambdas_n: tuple[float, float] | None = None
+    #: Least iterations with which the first frames of a sudden contact lose less than 3 dB.
+    least_iterations: int = 0
+    #: Warning where each measurement is one taxel; "": none.
+    warning_of_samples: str = ""
+    #: True if it has compiled loops, which are compiled before the first frame.
+    has_loops: bool = False
+    #: Factor and power of `Uncertainty` by rule of the rows, and "fixed" or "rotating"; None: its
+    #: error is not known.
+    calibrated: Mapping[int, Mapping[str, tuple[float, float]]] | None = None
     #: Estimated RMS error of a taxel of the last frame, in the unit of the forces; None where the
     #: solver does not estimate it.
     error: float | None = None
@@ -256,6 +271,31 @@ class Solver(ABC):
         return warm
 
 
+class CountsTiles(Solver):
+    """A solver whose frames take as many steps as fit into a time, which is counted in tiles of the
+    skin in which something presses: the same number on any host.
+    """
+
+    #: Number of tiles of the skin.
+    most_tiles: int
+    #: Steps of the last frame.
+    n_done: int = 0
+    #: Tiles that counted in all steps of the last frame.
+    n_tiles: int = 0
+    #: Arguments of `use_times`.
+    times: tuple[int, int] = (0, 0)
+
+    @abstractmethod
+    def use_times(self, frame_tiles: int, step_tiles: int) -> None:
+        """Choose the steps of each frame from now on, one to `n_steps`, by their time and by that
+        of a step without any tile, both counted in that of a tile in a step. 0: all are done.
+        """
+
+    @abstractmethod
+    def steps_for(self, n_tiles: int) -> tuple[int, int]:
+        """Numbers of steps by the formula and of others, in a frame of so many tiles."""
+
+
 class RotatingSolver(Solver):
     """One solver of any kind for each row subset; each starts from the estimate of the last frame.
 
@@ -303,6 +343,16 @@ class RotatingSolver(Solver):
             solver.reset()
 
 
+def solver_class(name: str) -> Callable[..., Any]:
+    """The class of a solver by name, or "module:Class". Raises SolverError if there is none."""
+    return find_class("solver", name, SOLVERS, SolverError)
+
+
+def fact(solver: object, name: str) -> Any:
+    """An attribute of a solver or its class; that of `Solver` for a user's own without it."""
+    return getattr(solver, name, getattr(Solver, name))
+
+
 def make_solver(
     name: str,
     phi: Phi,
@@ -322,10 +372,11 @@ def make_solver(
             raise SolverError(
                 f"{what}: got {type(given).__name__}; expected what make_{what} returns"
             )
-    cls = find_class("solver", name, SOLVERS, SolverError)
+    cls = solver_class(name)
     check_reads(name, cls, phi.kind, type(phi))
-    if isinstance(phi, AdaptivePhi) and name in FOR_ADAPTIVE:
-        cls = find_class("solver", FOR_ADAPTIVE[name], {}, SolverError)
+    of_phi = phi_base.fact(phi, "solvers").get(name)
+    if of_phi is not None:
+        cls = solver_class(of_phi)
     parameters = inspect.signature(cls).parameters
     known = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
@@ -399,16 +450,14 @@ def measured(solver: Solver, forces: Floats, *phis: Phi) -> list[Floats]:
 
 def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
     """Raise SolverError if a solver cannot use a class of phi."""
-    if issubclass(phi, ActsPhi) and not getattr(solver, "follows_choice", False):
-        raise SolverError(
-            f'solver "{name}": phi "acts" reads other taxels each frame; allowed: interpolation'
-        )
-    if issubclass(phi, AdaptivePhi) and not getattr(solver, "adaptive", False):
-        raise SolverError(
-            f'solver "{name}": phi "adaptive" reads other rows each frame; allowed: skin'
-        )
-    if not issubclass(phi, getattr(solver, "reads", object)):
-        raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: acts, subsample')
+    of_phi = phi_base.fact(phi, "solvers")
+    follows = name in of_phi or fact(solver, "follows_choice")
+    if phi_base.fact(phi, "choice") and not follows:
+        fault = f'phi "{kind}" reads other rows each frame'
+        raise SolverError(f'solver "{name}": {fault}; allowed: {", ".join(of_phi)}')
+    if fact(solver, "reads_taxels") and not phi_base.fact(phi, "samples"):
+        allowed = "a phi that reads single taxels, as subsample"
+        raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: {allowed}')
 
 
 def make_rotating_solver(

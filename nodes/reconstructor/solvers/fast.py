@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sparseskin.nodes.compressor.phi.base import BlockLayout
 from sparseskin.nodes.compressor.phi.hadamard import side_by_side
-from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.numerics.compiled import ready
 from sparseskin.nodes.numerics.kernels import fista, haar_image
@@ -19,26 +19,30 @@ class CompiledFista:
     of the image by y. Coefficients have the scale of the kernel `haar`: theta times weights.
     """
 
-    def __init__(self, phi: SbhePhi, basis: HaarBasis, mask: Mask, lambda_n: float) -> None:
+    def __init__(self, layout: BlockLayout, basis: HaarBasis, mask: Mask, lambda_n: float) -> None:
         ready(fista, haar_image)
-        self._phi, self._basis = phi, basis
+        self._basis = basis
+        sizes = layout.sizes
+        n = sum(sizes)
+        of_rows = np.repeat(sizes, sizes)[layout.rows].astype(np.float32)
+        self._scale = np.reciprocal(np.sqrt(of_rows))
         self._theta, self._before, self._z, self._half = np.zeros((4, mask.size), np.float32)
         #: A level of sums and differences without the factor 1 / sqrt(2) along each axis.
         weights = np.ones(mask.shape, dtype=np.float32)
         for rows, cols in level_sizes(*mask.shape):
             weights[:rows, :cols] *= 0.5
         self._weights: Floats = weights.reshape(-1)
-        columns, groups = side_by_side(phi.sizes)
-        self._kept = np.argsort(columns)[phi.rows]
+        columns, groups = side_by_side(sizes)
+        self._kept = np.argsort(columns)[layout.rows]
         # The transform is not scaled: there and back multiplies by the size of the block.
-        keep = np.reciprocal(np.repeat(phi.sizes, phi.sizes)[columns].astype(np.float32))
+        keep = np.reciprocal(np.repeat(sizes, sizes)[columns].astype(np.float32))
         keep[self._kept] = 0
-        self._measured = np.zeros(phi.n, dtype=np.float32)
+        self._measured = np.zeros(n, dtype=np.float32)
         self._grid = np.array(mask.shape, dtype=np.int64)
-        places = np.flatnonzero(mask)[phi.permutation[columns]]
+        places = np.flatnonzero(mask)[layout.permutation[columns]]
         self._tables = (
             *(self._weights * self._weights, np.float32(lambda_n) * self._weights),
-            *(self._z, np.zeros(phi.n, np.float32)),
+            *(self._z, np.zeros(n, np.float32)),
             places.astype(np.uint32),
             *(keep, self._measured, groups, self._grid, self._half),
         )
@@ -52,7 +56,7 @@ class CompiledFista:
         if warm is not None:
             np.multiply(self._basis.analysis(warm).reshape(-1), self._weights, self._theta)
         np.copyto(self._before, self._theta)
-        self._measured[self._kept] = y * self._phi.scale
+        self._measured[self._kept] = y * self._scale
 
     def advance(self, betas: Floats) -> None:
         """As in `Fista`."""

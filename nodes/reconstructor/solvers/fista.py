@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.compressor.phi.sbhe import is_sbhe
+from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
@@ -136,6 +137,16 @@ class FistaSolver(Solver):
     """
 
     name = "fista"
+    is_l1 = True
+    lambdas_n = (0.0006, 0.015)
+    least_iterations = 15
+    has_loops = True
+    calibrated = MappingProxyType(
+        {
+            SUMS: {FIXED: (1.58, 0.72), ROTATING: (1.87, 0.5)},
+            RANDOM: {FIXED: (1.55, 0.8), ROTATING: (1.55, 0.8)},
+        }
+    )
 
     def __init__(
         self,
@@ -154,10 +165,13 @@ class FistaSolver(Solver):
         self._momenta = np.array(momenta(self.iterations), dtype=np.float32)
         self._fista: Fista | CompiledFista
         # A subclass may have changed what the operators do.
-        if use_compiled(fast) and is_sbhe(phi) and type(basis) is HaarBasis:
+        layout = block_layout(phi)
+        is_of_blocks = layout is not None and layout.blocks is not None
+        if use_compiled(fast) and is_of_blocks and type(basis) is HaarBasis:
             from .fast import CompiledFista  # needs numba
 
-            self._fista = CompiledFista(phi, basis, self.mask, self.lambda_n)
+            assert layout is not None
+            self._fista = CompiledFista(layout, basis, self.mask, self.lambda_n)
         else:
             self._fista = Fista(phi, basis, self.mask, self.lambda_n)
 

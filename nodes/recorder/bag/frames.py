@@ -16,7 +16,6 @@ from sparseskin.messages import (
     Message,
     MessageError,
     Reconstruction,
-    Resultant,
     SkinState,
     Taxels,
     Truth,
@@ -24,7 +23,6 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.base import wire_fields
 from sparseskin.messages.frames import known_forces
-from sparseskin.messages.skin import Skin
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.messages.wire import SCHEMAS
 
@@ -33,7 +31,7 @@ from .reader import BagReader
 
 FRAMES = (Taxels, Truth, Measurements, Reconstruction)
 FRAME_SCHEMAS = tuple(cls.schema for cls in FRAMES)
-STREAM_SCHEMAS = (*FRAME_SCHEMAS, Resultant.schema, Contacts.schema)
+STREAM_SCHEMAS = (*FRAME_SCHEMAS, Contacts.schema)
 STATES = tuple(cls for cls in SCHEMAS.values() if cls.latched)
 
 
@@ -42,21 +40,6 @@ def array_names(schema: str) -> tuple[str, str]:
     if schema == Taxels.schema:
         return "forces", "stamp_ns"
     return schema, f"{schema}_stamp_ns"
-
-
-def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
-    """`f_max` and `unit` of a skin; `mask`, `points`, `point_rows`, `pitch_m` and `rate_hz` where
-    known.
-    """
-    optional = {
-        "mask": skin.mask,
-        "points": skin.points,
-        "point_rows": skin.point_rows,
-        "pitch_m": skin.pitch_m or None,
-        "rate_hz": rate_hz or None,
-    }
-    known = {name: value for name, value in optional.items() if value is not None}
-    return {"f_max": skin.f_max, "unit": skin.unit, **known}
 
 
 def frame_topics(
@@ -80,7 +63,7 @@ def frame_topics(
 
 
 def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
-    """As `frame_topics`, resultants and contacts included."""
+    """As `frame_topics`, contacts included."""
     return frame_topics(bag, topics, STREAM_SCHEMAS)
 
 

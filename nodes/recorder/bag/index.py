@@ -15,8 +15,9 @@ from typing import Any, BinaryIO, NamedTuple
 import mcap.records as mcap
 from mcap.opcode import Opcode
 
-from sparseskin.messages import MessageError, version_1
+from sparseskin.messages import MessageError
 from sparseskin.messages.ranges import INT64_MAX, is_whole
+from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
 
 from . import format as form
@@ -34,14 +35,11 @@ _NO_INDEX = "the index at its end is missing or damaged"
 
 
 class BagChannel(NamedTuple):
-    """Topic, schema and version of the messages of a channel, in the terms of today; `is_old` for
-    messages of version 1.
-    """
+    """Topic, schema and version of the messages of a channel."""
 
     topic: str
     schema: str
     version: int
-    is_old: bool
 
 
 class ChunkSpan(NamedTuple):
@@ -111,20 +109,18 @@ class BagIndex:
             expected = f"expected {form.ENCODING!r} and {form.SCHEMA_PREFIX}...{hint}"
             raise BagError(f"{whose}: topic {topic!r} holds {held}; {expected}")
         try:
-            today = version_1.topic_today(channel.topic)
+            split_topic(channel.topic)
         except MessageError as error:
             raise BagError(f"{self.name}: {error}") from error
-        version, place = channel.metadata.get(form.VERSION_KEY, ""), f"{self.name}: topic {topic}"
-        if kind in version_1.SCHEMAS and version == str(version_1.VERSION):
-            cls = version_1.SCHEMAS[kind]
-            return BagChannel(today, cls.schema, cls.version, True)
+        place = f"{self.name}: topic {topic}"
         if kind not in SCHEMAS:
             known = f"this program reads {', '.join(SCHEMAS)}"
             raise BagError(f"{place} holds messages of schema {kind[:40]!r}; {known}")
+        version = channel.metadata.get(form.VERSION_KEY, "")
         if version != str(SCHEMAS[kind].version):
-            found = f"recorded with {kind} version {version[:20] or 'unknown'}"
-            raise BagError(f"{place}: {found}; this program reads {SCHEMAS[kind].version}")
-        return BagChannel(today, kind, SCHEMAS[kind].version, today != channel.topic)
+            fault = f"recorded with {kind} version {version[:20] or 'unknown'}"
+            raise BagError(f"{place}: {fault}; this program reads {SCHEMAS[kind].version}")
+        return BagChannel(channel.topic, kind, SCHEMAS[kind].version)
 
     def add_chunk(self, record: Record) -> None:
         """Add the channels and count the messages of a chunk.
@@ -216,7 +212,7 @@ def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | No
 
 
 def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex | None:
-    """The index at start..stop of the file; None of another program, or of version 1."""
+    """The index at start..stop of the file; None of another program."""
     index = BagIndex(name)
     header = record_at(file, len(MAGIC), stop, Opcode.HEADER)
     index.library = header.parsed(mcap.Header.read).library
@@ -239,7 +235,7 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
     topics = json.loads(index.metadata[form.TOPICS_RECORD][form.JSON_KEY])
     index.topics = {topic: _topic_info(values) for topic, values in topics.items()}
     recorded = set(index.channels.values())
-    stated = {BagChannel(topic, i.schema, i.version, False) for topic, i in index.topics.items()}
+    stated = {BagChannel(topic, i.schema, i.version) for topic, i in index.topics.items()}
     if index.topics.keys() != {one.topic for one in recorded} or not stated <= recorded:
         return None
     return index

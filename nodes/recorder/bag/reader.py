@@ -12,7 +12,6 @@ from typing import Any, BinaryIO
 
 from mcap.opcode import Opcode
 
-from sparseskin.messages import MessageError, version_1
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.control import is_shallow
 
@@ -104,13 +103,7 @@ class BagReader(AbstractContextManager["BagReader"]):
                     continue
                 if stop_ns is not None and stamp_ns >= stop_ns:
                     continue
-                topic, schema, version, is_old = channel
-                try:
-                    payload = version_1.payload_today(bytes(data)) if is_old else bytes(data)
-                except MessageError as error:
-                    place = f"{self.path}: {topic}, stamp {stamp_ns}"
-                    raise BagError(f"{place}: {error}") from error
-                yield BagMessage(topic, schema, version, log_ns, stamp_ns, payload)
+                yield BagMessage(*channel, log_ns, stamp_ns, bytes(data))
 
     def _chunk(self, chunk: ChunkSpan) -> bytes:
         """A chunk, checked once more: time has passed since the file was opened."""

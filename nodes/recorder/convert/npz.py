@@ -17,11 +17,11 @@ import numpy.typing as npt
 from sparseskin.messages import Contacts, Measurements, Message
 from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
+from sparseskin.messages.state import described
 from sparseskin.nodes.files import os_errors, whole_file
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     array_names,
-    described,
     last_states,
     patch_of,
     skin_of,
@@ -55,7 +55,7 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
 
     All other numbers and texts of all messages are arrays SCHEMA_FIELD with one entry a message,
     e.g. `reconstruction_sd` (NaN in frames without one), `reconstruction_trusted`,
-    `resultant_total`, `phi_seed`; None is NaN. Other arrays (mask, calibration, tree) are those of
+    `phi_seed`; None is NaN. Other arrays (mask, calibration, tree) are those of
     the last states, in `states`, as the comment of `export_csv` has them. `states`, `patch`,
     `metadata` and `counts` are texts, JSON but for the patch.
 

@@ -113,7 +113,7 @@ class Chain:
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
             fault = f"{str(value)[:40]!r} is no number of frames"
             raise RefusedError(f"tare: {fault} (allowed: 1..{MAX_TARE_FRAMES})")
-        most = MAX_TARE_READINGS // (self.description.rows * self.description.cols)
+        most = MAX_TARE_READINGS // (self.description.n_rows * self.description.n_cols)
         if n_frames > most:
             raise RefusedError(f"tare: {n_frames} frames of this skin; at most {most}")
         self._taring, self._tare_left = [], n_frames

@@ -133,8 +133,8 @@ class SkinDescription:
     """
 
     name: str  # at most 64 printable characters
-    rows: int  # 1..4096, as cols; 2**20 cells at most
-    cols: int
+    n_rows: int  # 1..4096, as n_cols; 2**20 cells at most
+    n_cols: int
     f_max: float  # upper end of the range of a taxel, in `unit`, above 0
     unit: str = "N"  # of the calibrated readings, at most 32 printable characters
     pitch_mm: float | None = None  # between the centres of neighbouring taxels
@@ -161,7 +161,7 @@ class SkinDescription:
                 expected = f"expected 1..{longest} printable characters"
                 raise SkinFileError(f"{key}: {expected}, got {ascii(text)[:40]}")
         try:
-            for key in ("rows", "cols"):
+            for key in ("n_rows", "n_cols"):
                 Integer(1, MAX_SIDE).check(key, getattr(self, key))
             Real(1e-9, MAX_NUMBER).check("f_max", self.f_max)
             Real(-self.f_max, 0.0).check("f_min", self.f_min)
@@ -170,8 +170,10 @@ class SkinDescription:
                 Real(0.0, self.f_max, optional=True).check(key, getattr(self, key))
         except MessageError as error:
             raise SkinFileError(str(error)) from error
-        if self.rows * self.cols > MAX_ELEMENTS:
-            raise SkinFileError(f"rows: {self.rows} x {self.cols} cells; at most {MAX_ELEMENTS}")
+        if self.n_rows * self.n_cols > MAX_ELEMENTS:
+            raise SkinFileError(
+                f"n_rows: {self.n_rows} x {self.n_cols} cells; at most {MAX_ELEMENTS}"
+            )
         if self.noise is None and self.noise_mid is not None:
             raise SkinFileError("noise_mid: is stated without noise")
         for key, dtype, beyond in (
@@ -198,7 +200,7 @@ class SkinDescription:
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        return (self.rows, self.cols)
+        return (self.n_rows, self.n_cols)
 
     @property
     def skin(self) -> Skin:

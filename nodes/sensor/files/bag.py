@@ -36,7 +36,8 @@ class BagRecording(Recording):
         self._file = file
 
     def head(self) -> Head:
-        from sparseskin.nodes.recorder.bag.frames import described, patch_of, skin_of
+        from sparseskin.messages.state import described
+        from sparseskin.nodes.recorder.bag.frames import patch_of, skin_of
 
         with self._opened() as bag:
             topic = self._topic(bag)

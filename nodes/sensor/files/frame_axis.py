@@ -8,7 +8,13 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.layout.arrangement import CHANNELS, COLS, ROWS, XYZ, Axis
+from sparseskin.nodes.sensor.layout.arrangement import (
+    CHANNELS,
+    COLS,
+    ROWS,
+    Axis,
+    may_hold_channel,
+)
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 
 FRAME_LABELS = frozenset(
@@ -162,7 +168,8 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     if len(others) > 2 or layout.channel:
         # Several numbers per taxel stand last more often than first.
         extra = _DIRECT if layout.channel else _CHANNELS
-        channels = [at for at in reversed(others) if _has_channel(layout, array.sides[at])]
+        sizes = array.sides
+        channels = [at for at in reversed(others) if may_hold_channel(layout.channel, sizes[at])]
         grids = [(extra, at, [k for k in others if k != at]) for at in channels] + grids
     ways = [
         _Way(axis, extra + fit, channel if layout.n_stated else None)
@@ -175,13 +182,6 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     if not ways:
         return _Way(axis, _NO_FIT, None)
     return min(ways, key=lambda way: way.fit)
-
-
-def _has_channel(layout: Layout, side: int) -> bool:
-    """True if an axis with so many entries can be that of the channels."""
-    if layout.channel.isdecimal():
-        return int(layout.channel) < side
-    return layout.channel.lower() not in XYZ or side == len(XYZ)
 
 
 def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:

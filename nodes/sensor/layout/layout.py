@@ -32,11 +32,11 @@ CHANNEL = re.compile(r"\d{1,4}|[A-Za-z_]\w{0,31}")
 class UnstatedError(SourceError):
     """Something that a source does not state, and that can be read in more than one way.
 
-    `options` are the settings that may be meant, each a mapping of key to text. Whoever knows the
+    `options` are the settings that may be meant, each a mapping of key to value. Whoever knows the
     whole source tries them, and proposes the one that reads it.
     """
 
-    def __init__(self, text: str, *options: Mapping[str, str]) -> None:
+    def __init__(self, text: str, *options: Mapping[str, Any]) -> None:
         super().__init__(text)
         self.options = options
 
@@ -79,7 +79,8 @@ class Layout(GridLayout):
     axes: str = setting(
         "",
         "axes of an array in their order, as rows,cols,frames; of frames, rows, cols, taxels, "
-        "channel, and - for an axis of one entry",
+        "channel, and - for an axis of one entry; of a table with a line for each taxel: "
+        "taxels,frames",
     )
     columns: str = setting(
         "", "taxels of a table: names as s*, or numbers from 1 as 2-65, separated by commas"
@@ -95,6 +96,12 @@ class Layout(GridLayout):
     )
     time_unit: str = setting(
         "", "unit of the times; clock: time of day, as 10:15:02.120", choices=TIME_UNITS
+    )
+    time_wrap: int | None = setting(
+        None,
+        "units of time until the times are 0 again: 4294967296 of micros() and millis()",
+        low=2,
+        high=1 << 64,
     )
     rate_hz: float | None = setting(
         None, "frames per second, in place of the times of the file", low=1e-9, high=1e9
@@ -118,12 +125,19 @@ class Layout(GridLayout):
     topic: str = setting(
         "", "topic of a recording (ROS, sparseskin), or name or path of the array in a file"
     )
-    frame_id: str = setting("", "of the messages of a topic those whose header names this frame")
+    frame_id: str = setting(
+        "",
+        "of the messages of a topic those whose header names this frame; of a table the lines "
+        "whose column of sensors has it",
+    )
     skip: int = setting(
         0, "lines of a table, or messages, before the first that is read", low=0, high=2**31 - 1
     )
 
     def __post_init__(self) -> None:
+        if isinstance(self.time_wrap, str) and self.time_wrap.isdecimal():
+            # As it stands behind "add" in an error.
+            object.__setattr__(self, "time_wrap", int(self.time_wrap[:24]))
         for key in NUMBERS_AS_TEXTS:
             value = getattr(self, key)
             if is_real(value):

@@ -161,10 +161,11 @@ def _undecided(
         needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {layout.n_stated}"
         raise SourceError(f"{where}: {about}, but {needed}; state columns, or another shape")
     options = [{"columns": _as_text(names, columns)} for columns in ways]
-    raise UnstatedError(
-        f"{where}: {about}: which are taxels is not stated: state columns, or n_rows and n_cols",
-        *options,
-    )
+    hint = "columns, or n_rows and n_cols"
+    if layout.n_stated is not None:
+        hint = " or ".join(f"columns={option['columns']}" for option in options[:MAX_SHOWN])
+    fault = f"{where}: {about}: which are taxels is not stated"
+    raise UnstatedError(f"{fault}: state {hint}", *options)
 
 
 def _channels(indexed: dict[Family, list[int]]) -> dict[str, list[int]]:

@@ -55,7 +55,7 @@ class SceneAddress(Address):
 
     def _described(self) -> SkinDescription:
         """The skin of each patch of a body."""
-        stated: dict[str, Any] = dict(self.simulated or {"rows": 64, "cols": 64})
+        stated: dict[str, Any] = dict(self.simulated or {"n_rows": 64, "n_cols": 64})
         if "points" not in stated:
             stated.setdefault("pitch_mm", PITCH_MM)
         return parse_skin(

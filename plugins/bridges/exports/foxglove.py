@@ -13,8 +13,6 @@ from sparseskin.messages import (
     Contacts,
     Measurements,
     Message,
-    Reconstruction,
-    Resultant,
     SkinState,
 )
 from sparseskin.messages.fields import Flag, Integer, Real
@@ -134,7 +132,7 @@ def contents(
         yield f"{topic}/grid", "Grid", lambda: grid(message, layers, skin)
         if skin is not None and skin.points is not None:
             yield f"{topic}/points", "PointCloud", lambda: point_cloud(message, layers, skin)
-    if cls in (Reconstruction, Resultant) or "forces" in values:
+    if "forces" in values:
         schema, more = figures_schema(cls, more or {}), dict(more or {})
         yield f"{topic}/figures", schema, lambda: figures_of(message) | more
 

@@ -15,7 +15,6 @@ from sparseskin.messages import (
     Measurements,
     Message,
     Reconstruction,
-    Resultant,
     SkinState,
 )
 from sparseskin.messages.frames import values_alone
@@ -35,8 +34,6 @@ from sparseskin.plugins.bridges import cdr
 from sparseskin.plugins.bridges.base import check_installed
 
 _MAX_SECONDS = (1 << 31) - 1
-RESULTANT = ("total", "total_sd", "row", "col", "row_sd", "col_sd")
-"""Numbers of a resultant that are written."""
 BOOL, FLOAT, STRING = (f"std_msgs/msg/{name}" for name in ("Bool", "Float32", "String"))
 
 
@@ -45,9 +42,8 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
 
     A frame becomes a sensor_msgs/msg/Image, 32FC1, measurements 1 x M, with its stamp and the
     patch as frame_id; its numbers std_msgs/msg/Float32 and Bool on .../total_force, .../residual,
-    .../error, .../trusted, those of a resultant on .../NAME; contacts are WrenchStamped,
-    MarkerArray and Float32MultiArray on .../wrench, .../markers, .../array; skin, calibration, Phi
-    and solver JSON in a String.
+    .../error, .../trusted; contacts are WrenchStamped, MarkerArray and Float32MultiArray on
+    .../wrench, .../markers, .../array; skin, calibration, Phi and solver JSON in a String.
 
     Raises BagError if rosbags is not installed, the bag has no such frames, or a stamp
     does not fit into ROS's 31 bits of seconds; OutputError if the folder exists or cannot be
@@ -88,10 +84,6 @@ def _messages(
 
     if isinstance(message, STATES):
         yield topic, *one(STRING, json.dumps(state_json(message)))
-    elif isinstance(message, Resultant):
-        for name in RESULTANT:
-            if (value := getattr(message, name)) is not None:
-                yield f"{topic}/{name}", *one(FLOAT, value)
     elif isinstance(message, Contacts):
         yield f"{topic}/wrench", cdr.WRENCH, cdr.contact_wrench(stamp, message)
         yield f"{topic}/array", cdr.ARRAY, cdr.contact_array(message)

@@ -130,23 +130,6 @@ def test_a_result_of_anything_else_is_not_written_over(
     assert out.read_bytes() == before
 
 
-def test_recordings_at_addresses_are_read_and_written(recording, tmp_path, capsys):
-    store = pytest.importorskip("fsspec").filesystem("memory")
-    source, out, copy = "memory://in/a.mcap", "memory://out/b.mcap", tmp_path / "copy.mcap"
-    store.put_file(str(recording), source)
-    assert main(["recording", "info", source]) == 0
-    assert source in capsys.readouterr().out
-    assert main(["reprocess", source, "--out", out]) == 0
-    store.get_file(out, str(copy))
-    assert maps(copy, Reconstruction) == maps(recording, Reconstruction)
-    capsys.readouterr()
-    for target, text in ((out, "exists already"), ("s4://o/o.mcap", "protocol 's4'")):
-        assert main(["reprocess", source, "--out", target]) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert text in line
-    store.store.clear()
-
-
 def test_a_full_disk_is_one_line_that_names_the_output(recording, mount_disk, capsys):
     out = mount_disk("80k") / "q.mcap"
     assert main(["reprocess", str(recording), "--out", str(out)]) == 2

@@ -85,10 +85,15 @@ RECONSTRUCTOR = "f.toml:11: nodes.reconstructor: "
 
 @pytest.fixture
 def own_modules(tmp_path, monkeypatch):
-    """A driver that must not be imported, and a Phi."""
+    """A driver that must not be imported, a Phi, and a solver."""
     (tmp_path / "driver_of_check.py").write_text("def frames(): yield\nraise SystemExit\n")
     phi = "from sparseskin.nodes.compressor.phi.sbhe import SbhePhi\nclass Own(SbhePhi): pass\n"
     (tmp_path / "phi_of_check.py").write_text(phi)
+    solver = (
+        "from sparseskin.nodes.reconstructor.solvers.base import Solver\n"
+        "class OfTaxels(Solver): reads_taxels = True\n"
+    )
+    (tmp_path / "solver_of_check.py").write_text(solver)
     monkeypatch.syspath_prepend(tmp_path)
 
 
@@ -109,11 +114,12 @@ def own_modules(tmp_path, monkeypatch):
             ],
         ),
         (
-            ["reconstructor.solver=interpolation"],
+            ["reconstructor.solver=solver_of_check:OfTaxels"],
             [
-                "f.toml:13: nodes.reconstructor.iterations: solver interpolation has none; "
-                "allowed: to leave it out, or a solver that has it (preset paper)",
-                '{0}: solver "interpolation": phi "sbhe" mixes taxels; allowed: acts, subsample',
+                "f.toml:13: nodes.reconstructor.iterations: solver solver_of_check:OfTaxels has "
+                "none; allowed: to leave it out, or a solver that has it (preset paper)",
+                '{0}: solver "solver_of_check:OfTaxels": phi "sbhe" mixes taxels; '
+                "allowed: a phi that reads single taxels, as subsample",
             ],
         ),
     ],

@@ -14,7 +14,6 @@ from sparseskin.messages import (
     PhiState,
     Reason,
     Reconstruction,
-    Resultant,
     SolverState,
     Taxels,
     Truth,
@@ -381,15 +380,10 @@ def test_untouched_frames_of_a_noisy_recording_are_not_in_contact(stated, clippe
     assert relative == pytest.approx(expected, rel=0.02)
 
 
-def resultant(k):
-    return Resultant(
-        stamp_ns=k * bags.PERIOD_NS, patch="skin", total=float(k), total_sd=0.1, done_ns=0
-    )
-
-
 def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares():
     metrics = PatchMetrics(since_ns=0)
-    metrics.add(resultant(0).published("0" * 16, 0))  # of a frame whose taxels it has not received
+    # Of a frame whose taxels it has not received.
+    metrics.add(Truth(**HEAD, stamp_ns=0, forces=np.ones(SHAPE, np.float32)))
     metrics.add(skin(has_truth=False))
     frames = [frame(seq, None, 1.0, 1.0) for seq in range(40, 45)]
     for messages in frames[:2]:
@@ -402,17 +396,17 @@ def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares():
     assert found["lost"] == metrics.lost_so_far == found["unpaired"] == 0
 
 
-def test_a_monitor_reads_resultants_where_they_are_written():
+def test_a_monitor_reads_contacts_where_they_are_written():
     settings = Monitor.Settings()
     for told in (False, True):
         nodes = {
             "sensor": (Sensor, Sensor.Settings(source="scene:path_40")),
             "compressor": (Compressor, Compressor.Settings()),
-            "reconstructor": (Reconstructor, Reconstructor.Settings(resultant=told)),
+            "reconstructor": (Reconstructor, Reconstructor.Settings(contacts=told)),
             "monitor": (Monitor, settings),
         }
         read = {link.topic for link in join(nodes) if link.reader == "monitor"}
-        assert ("/skin/resultant" in read) == told
+        assert ("/skin/contacts" in read) == told
         assert set(Monitor.inputs(settings)) <= read
 
 

@@ -1,6 +1,8 @@
 """Compiled loops: used where numba is installed, else refused in one line; compiled once."""
 
 import importlib.util
+import subprocess
+import sys
 import tempfile
 
 import pytest
@@ -30,13 +32,12 @@ def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(monkeyp
     with pytest.raises(SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"):
         use_compiled("on")
     lines = []
-    compile_loops("skin", "auto", lines.append)
+    compile_loops("auto", lines.append)
     (line,) = lines
     assert line.endswith("pip install 'sparseskin[fast]'")
-    compile_loops("tv", "auto", pytest.fail)
-    compile_loops("skin", "off", pytest.fail)
+    compile_loops("off", pytest.fail)
     monkeypatch.setenv(fast.ENVIRONMENT, "off")
-    compile_loops("skin", "auto", pytest.fail)
+    compile_loops("auto", pytest.fail)
 
 
 def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(monkeypatch):
@@ -46,7 +47,7 @@ def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(mon
     monkeypatch.setattr(fast, "find_spec", lambda name: name)
     monkeypatch.setattr(fast, "import_module", fail)
     lines = []
-    compile_loops("skin", "auto", lines.append)
+    compile_loops("auto", lines.append)
     assert lines == ["compiled loops: numba cannot be imported; numpy is used"]
     with pytest.raises(SettingsError, match=r"fast: importing numba failed: .*Got NumPy 2\.9"):
         use_compiled("on")
@@ -88,11 +89,44 @@ def test_all_loops_are_compiled_for_their_types_at_once_and_take_no_others():
 
     from sparseskin.nodes.numerics import kernels as fast_kernels
 
-    compile_loops("skin", "on", print)
+    compile_loops("on", print)
     assert all(len(loop.signatures) == 1 for loop in fast_kernels.LOOPS)
     wrong = np.zeros(4)  # float64
     with pytest.raises(TypeError, match="No matching definition"):
         fast_kernels.orthonormal(wrong, np.zeros((1, 3), np.int64), wrong)
+
+
+def _run(code):
+    """What a program of its own prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@needs_numba
+def test_loops_that_call_blas_are_read_without_its_package_which_still_imports():
+    lines = _run("""if True:
+        import sys
+        from sparseskin.nodes.numerics.warm_up import compile_loops
+        compile_loops("skin", "on", print)
+        print("scipy.linalg" in sys.modules)
+        import scipy.linalg.cython_blas
+        from scipy.linalg import blas, cython_blas, inv
+        print(inv([[2.0]])[0, 0], cython_blas.__name__)
+    """)
+    assert lines == ["False", "0.5", "scipy.linalg.cython_blas"]
+
+
+def test_nodes_without_a_solver_import_neither_scipy_nor_numba():
+    assert _run("""if True:
+        import sys
+        from sparseskin.nodes.process import runner
+        from sparseskin.nodes.registry import NODE_TYPES, node_class
+        for name in NODE_TYPES:
+            if name != "reconstructor":
+                node_class(name)
+        print(len({"scipy", "numba", "pywt"} & set(sys.modules)))
+    """) == ["0"]
 
 
 @needs_numba

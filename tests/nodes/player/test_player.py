@@ -14,6 +14,7 @@ from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.player.node import Player, PlayerSettings
 from sparseskin.nodes.player.schedule import Schedule
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
+from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 
@@ -106,11 +107,21 @@ def test_a_wrong_setting_is_named(recording, settings, text):
         Player.Settings(**({"file": str(recording[0])} | settings)).check()
 
 
+class OfTaxels(FistaSolver):
+    """A solver of measurements that are single taxels."""
+
+    reads_taxels = True
+
+
 @pytest.mark.parametrize(
     ("name", "override", "text"),
     [
         ("replay_taxels", "compressor.ratio=2000", "leaves no measurement of 1600 taxels"),
-        ("replay_measurements", "reconstructor.solver=interpolation", 'phi "sbhe" mixes taxels'),
+        (
+            "replay_measurements",
+            f"reconstructor.solver={__name__}:OfTaxels",
+            'phi "sbhe" mixes taxels',
+        ),
     ],
 )
 def test_what_does_not_go_with_a_recording_is_refused(recording, name, override, text):

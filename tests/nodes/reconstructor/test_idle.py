@@ -26,7 +26,7 @@ BATCH = {"patch": "body", "patches": ("left", "right", "back", "hand")}
 @functools.cache
 def batches(skip_idle=True):
     """Reconstructions and true forces of a walking body, two patches of which are idle."""
-    skin = {"simulated": {"rows": SIDE, "cols": SIDE}, "source": "scene:walk", "active": 0.5}
+    skin = {"simulated": {"n_rows": SIDE, "n_cols": SIDE}, "source": "scene:walk", "active": 0.5}
     bus = chain(
         sensor=BATCH | skin, compressor=BATCH, reconstructor=BATCH | {"skip_idle": skip_idle}
     )

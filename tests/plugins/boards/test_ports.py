@@ -176,6 +176,14 @@ class TestUdp:
         np.testing.assert_array_equal(forces.ravel(), [0, np.nan, 4, np.nan, np.nan, 1])
         assert (source.clipped.n, source.clipped.highest) == (1, 9.0)
 
+    def test_a_count_that_is_stated_to_be_missing_is_no_reading(self, opened):
+        port = free_port(socket.SOCK_DGRAM)
+        source = opened(f"udp:{port}?{self.QUERY}", Layout(missing="-1"))
+        readings = np.array([0, -1, 3, 2, -1, 1], "<f4")
+        send_packets(port, self.NUMBERED.encode(readings.tobytes(), 1))
+        ((_, forces),) = taken(source, 1)
+        np.testing.assert_array_equal(forces.ravel(), [0, np.nan, 3, 2, np.nan, 1])
+
     def test_what_the_kernel_drops_is_counted(self, opened):
         port = free_port(socket.SOCK_DGRAM)
         source = opened(f"udp:{port}?n_rows=100&n_cols=100")

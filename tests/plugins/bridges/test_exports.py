@@ -8,7 +8,7 @@ import pytest
 from bags import LAG_NS, MASK, N_COLS, N_ROWS, frame, make_bag
 from exported import N_FRAMES, contacts, points_bag, rich_frames
 
-from sparseskin.messages import Contacts, Measurements, Reconstruction, Resultant, Taxels
+from sparseskin.messages import Contacts, Measurements, Reconstruction, Taxels
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges.exports.foxglove import export_foxglove, figures_of
@@ -90,12 +90,10 @@ def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove):
 
 def test_figures_and_states_of_a_foxglove_export_are_those_of_the_messages(foxglove):
     for message in rich_frames():
-        if isinstance(message, Reconstruction | Resultant):
+        if isinstance(message, Reconstruction):
             _, schema, figures = foxglove[f"{message.topic}/figures"].pop(0)
             assert (schema, figures) == ("sparseskin.Figures", figures_of(message))
-            assert ("row" in figures) == (getattr(message, "row", None) is not None)
-            if isinstance(message, Reconstruction):
-                assert {"iterations", "residual", "solve_ns", "trusted"} < figures.keys()
+            assert {"iterations", "residual", "solve_ns", "trusted"} < figures.keys()
     (_, _, phi), (_, _, skin) = foxglove["/skin/phi"][0], foxglove["/skin/skin"][0]
     assert (phi["kind"], phi["n"], phi["seed"], phi["rows"]) == ("sbhe", 34, 7, "fixed")
     assert np.array_equal([[cell == "1" for cell in row] for row in skin["mask"]], MASK)
@@ -171,9 +169,6 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich):
             expected["residual"] = np.float32(message.residual[0])
             if message.error[0] is not None:
                 expected |= {"error": message.error[0], "trusted": message.trusted[0]}
-        if isinstance(message, Resultant):
-            of = {name: getattr(message, name) for name in ("total", "total_sd", "row", "col_sd")}
-            expected = {name: np.float32(value) for name, value in of.items() if value is not None}
         for name, value in expected.items():
             assert held[f"{message.topic}/{name}"].pop(0)[2].data == value
         if isinstance(message, Contacts):

@@ -31,10 +31,12 @@ def test_ways_are_compared_with_echo_in_their_own_round(echo_ms, share, n):
 @pytest.mark.slow
 def test_each_way_delivers_ages(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "QUICK_ROUNDS", 1)
-    monkeypatch.setattr(study, "QUICK_S", 1)
+    monkeypatch.setattr(study, "QUICK_MESSAGES", 30)
+    monkeypatch.setattr(study, "N_WARM_UP", 10)
     lines = study.run(tmp_path, True, 0, "serial")
     assert any(line.startswith("`subscribe(newest=True)`: p50 ") for line in lines)
     assert any(line.startswith("`topic echo --json`") for line in lines)
     rows = pd.read_csv(tmp_path / "ages.csv")
     assert (rows["age_ms"] > 0).all()
+    assert set(rows["way"].value_counts()) == {20}
     assert "| way | p50, ms |" in (tmp_path / "control-loop.md").read_text()

@@ -16,7 +16,6 @@ from sparseskin.launch.commands.cli import main
 from sparseskin.messages import Taxels
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor, CompressorSettings
-from sparseskin.nodes.compressor.phi.base import RANDOM
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context
 from sparseskin.plugins.boards.framing import FrameParser
@@ -195,35 +194,17 @@ def test_a_cortex_m4_sends_the_expected_bytes_and_its_instructions_are_counted(t
     assert 20000 <= printed()["instructions mean"] < 20010  # both ends are read in whole ticks
 
 
-EDGE = """
-version = 1
-n_rows = 9
-n_cols = 11
-m = 30
-bits = 8
-rows = "rotating"
-block = 32
-seed = 7
-adc_bits = 12
-fingerprint = "443e07fb12311131"
-mask = ["00011111111", {eight}]
-"""
 MASK = np.array([[True, False, True], [True, True, True]])
 
 
 @pytest.mark.parametrize("mask", [None, MASK])
-def test_its_file_is_read_back_as_it_was_written_by_version_0_1_too(mask, tmp_path):
+def test_its_file_is_read_back_as_it_was_written(mask, tmp_path):
     made = EdgeDescription.chosen(2, 3, ratio=2, mask=mask, bits=11, block=4, seed=3, adc_bits=9)
     path = tmp_path / "edge.toml"
     path.write_text(made.to_toml())
     read = EdgeDescription.read(path)
     assert (read.to_toml(), read.phi.fingerprint) == (made.to_toml(), made.phi.fingerprint)
     assert read.tags == made.tags
-    path.write_text(EDGE.format(eight=", ".join(['"11111111111"'] * 8)), encoding="utf-8")
-    old = EdgeDescription.read(path)
-    assert (old.rule, len(old.subsets)) == (RANDOM, 4)
-    path.write_text(old.to_toml(), encoding="utf-8")
-    assert EdgeDescription.read(path).tags == old.tags
     for ratio, rows in ((1, None), (3, "fixed"), (3.5, None), (8, "rotating")):
         made = EdgeDescription.chosen(7, 9, ratio=ratio, rows=rows)
         assert (made.rows, made.m) == CompressorSettings(ratio=ratio, rows=rows).rows_and_m(63)
@@ -235,6 +216,7 @@ def test_its_file_is_read_back_as_it_was_written_by_version_0_1_too(mask, tmp_pa
         ({"n_rows": 0}, "n_rows: 0 is outside 1..4096"),
         ({"n_rows": 4096, "n_cols": 17}, "n_rows: 69632 cells; allowed: 65536 or fewer"),
         ({"block": 48}, "block: 48 is not a power of two (1, 2, 4 ...)"),
+        ({"rule": 2}, "rule: 2 is not allowed; allowed: 1, 3"),
         ({"m": 13}, "m: 13 is not allowed; allowed: 1..12"),
         ({"rows": "rotate"}, "rows: 'rotate' is not allowed (did you mean 'rotating'?)"),
         ({"mask": ["0000"] * 3}, "mask: leaves no taxel"),
@@ -252,6 +234,7 @@ def test_values_that_are_not_allowed_are_refused_by_name(values, line):
         ("n_rows = 6", "n_row = 6", "n_row: unknown key (did you mean 'n_rows'?)"),
         ("version = 1", "version = 2", "version: 2 is not allowed; allowed: 1"),
         ("seed = 0", "seed = 1", "fingerprint: "),
+        ("rule = 3\n", "", "rule: is missing"),
         (
             "seed = 0",
             "seed = 0\nmask = [" + '"1x1111",' * 6 + "]",
@@ -267,7 +250,7 @@ def test_a_file_that_was_changed_is_refused_with_its_place(old, new, line, tmp_p
     assert refusal(lambda: EdgeDescription.read(path), SettingsError).startswith(f"{path}: {line}")
 
 
-EXPORT = ["edge", "export", "--rows", "6", "--cols", "8"]
+EXPORT = ["edge", "export", "--n-rows", "6", "--n-cols", "8"]
 
 
 def test_it_writes_the_program_of_the_stated_matrix(tmp_path, capsys):
@@ -280,7 +263,7 @@ def test_it_writes_the_program_of_the_stated_matrix(tmp_path, capsys):
     assert "12 of 48 taxels, rows rotating, 10 bits, 30 bytes a frame" in capsys.readouterr().out
     assert "@" not in (out / "README.md").read_text()
     skin, out = tmp_path / "skin.toml", tmp_path / "of_skin"
-    skin.write_text('rows = 2\ncols = 3\nf_max = 2.5\nmask = ["101", "111"]\n')
+    skin.write_text('n_rows = 2\nn_cols = 3\nf_max = 2.5\nmask = ["101", "111"]\n')
     assert main(["edge", "export", "--skin", str(skin), "--m", "2", "--out", str(out)]) == 0
     made = EdgeDescription.read(out / "edge.toml")
     assert (made.n_rows, made.n_cols, made.mask, made.m) == (2, 3, ("101", "111"), 2)
@@ -292,7 +275,7 @@ def test_it_writes_the_program_of_the_stated_matrix(tmp_path, capsys):
         (["--bits", "3"], "--bits: 3 is outside 4..16"),
         (["--ratio", "50"], "--ratio: 50 leaves no measurement of 48 taxels; allowed: 1..48"),
         (["--m", "4", "--ratio", "2"], "--m: states the number of measurements; leave out --ratio"),
-        (["--skin", "s.toml"], "--skin: states rows and columns; leave out --rows and --cols"),
+        (["--skin", "s.toml"], "--skin: states rows and columns; leave out --n-rows and --n-cols"),
         (["--out", "."], ".: exists already, and is not written over"),
         (["--out", "no/folder"], "no/folder: its folder does not exist"),
     ],

@@ -108,7 +108,7 @@ def test_a_skin_file_with_points_is_calibrated_in_their_order(folder):
     assert loaded.points is not None
     assert np.array_equal(loaded.skin.points, run.state.points)
     for line, what in (
-        ('points = "six.csv"\nrows = 2', "rows: is stated beside points"),
+        ('points = "six.csv"\nn_rows = 2', "n_rows: is stated beside points"),
         ("points = 3", "points: expected the name of a file"),
         ('points = "six.csv"\nbaseline = [1, 2]', "baseline: six: a frame has 2 readings"),
     ):
@@ -163,8 +163,8 @@ def test_a_skin_of_points_is_recorded_exported_and_reprocessed(start, tmp_path):
 BODY = """
 [[patches]]
 name = "palm"
-rows = 8
-cols = 8
+n_rows = 8
+n_cols = 8
 f_max = 2.5
 [[patches]]
 name = "sole"

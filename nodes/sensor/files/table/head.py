@@ -33,14 +33,25 @@ from .text import COMMENTS, Dialect, dialect_of, pieces
 
 MAX_SAMPLE = 1000
 """Lines of the begin that are looked at; chosen: a thousand frames."""
-COUNTED = 8
-"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
+COUNTED = 4
+"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame of real readings is so."""
 MAX_SHOWN = 8
 RISING_LINES = 8
 """Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts")
 FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
+
+TAXEL_WORDS = ("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id")
+SOURCE_WORDS = (
+    *("side", "hand", "foot", "finger", "sensor", "sensor_id", "sensor_name", "device"),
+    *("device_id", "skin", "patch", "mat", "board", "module"),
+)
+"""Names of columns that state which skin a line is of."""
+SECONDS = re.compile(r"(.*?)(?:secs?|seconds)")
+NANOSECONDS = re.compile(r"(.*?)(?:nsecs?|nanosecs?|nanoseconds)")
+TIME_LIKE = re.compile(r"\d[:h]\d\d(?!\d)|\d[-/.]\d{1,2}[-/.]\d")
+"""In texts that are times of a day or dates."""
 
 LINES, GRID, LONG = "lines", "grid", "long"
 """Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
@@ -60,10 +71,12 @@ class TableHead:
     usable: tuple[int, ...] = ()  # columns of numbers that are no times
     numeric: tuple[int, ...] = ()  # columns of numbers
     time: int | None = None
+    nanoseconds: int | None = None  # column with those of a time in seconds
     time_unit: str = ""
     kind: str = LINES
     height: int = 1  # lines of a frame of a grid
     long: LongColumns | None = None
+    source: int | None = None  # column by which lines of one skin are chosen
     notes: tuple[str, ...] = ()
 
     def label(self, column: int) -> str:
@@ -75,8 +88,8 @@ class TableHead:
 class LongColumns:
     """Columns of a table with a line for each taxel, and the sides of a frame."""
 
-    frame: int
-    row: int
+    frame: int  # a number, or the time
+    row: int | None  # None: `col` counts all taxels
     col: int
     value: int
     first_row: int = 0
@@ -104,6 +117,8 @@ def read_head(file: File) -> TableHead:
     bodies = [(number, text) for number, text in raw[n_skipped:] if _is_body(text)]
     if not bodies:
         raise SourceError(f"{file.name}: the recording holds no frame")
+    if bodies[0][1].lstrip().startswith("{"):
+        raise SourceError(f"{file.name}: lines of JSON are not read; write a table, as .csv")
     dialect = dialect_of([text for _, text in bodies[len(bodies) // 3 :]])
     if separator:
         dialect = dialect._replace(separator=separator)
@@ -115,20 +130,37 @@ def read_head(file: File) -> TableHead:
     if not data:
         raise SourceError(f"{file.name}: the recording holds no frame")
     _count_before(head, raw, data[0].number, layout, bool(separator))
-    head.numeric = tuple(k for k in range(head.width) if _is_numeric(data, k, layout))
+    numeric = {k for k in range(head.width) if _is_numeric(data, k, layout)}
+    head.numeric = tuple(sorted(numeric | _without_readings(head, data, numeric)))
     if not head.numeric:
         place = f"{file.name}, line {data[0].number}"
         raise SourceError(f"{place}: no column holds numbers; state columns, or skip")
 
     _find_kind(head, file, raw, data)
     if head.kind == LINES:
+        head.source = _source_column(head, layout, data, file.name)
+    if head.source is not None:
+        data = [line for line in data if line.cells[head.source] == layout.frame_id]
+    if head.dialect.has_decimal_comma:
+        head.notes += ("commas are decimal points",)
+    if head.kind != GRID:
         head.time = _time_column(head, layout, data, file.name)
-    elif head.kind == LONG and head.long is not None:
-        head.time = head.long.frame if is_time_name(head.names[head.long.frame]) else None
-    if head.time is not None and not head.time_unit:
-        head.time_unit = layout.time_unit or _unit_of_column(head, data)
-    head.usable = tuple(k for k in head.numeric if k not in (head.time, *_counters(head, data)))
+    if head.time is not None:
+        head.nanoseconds = _nanoseconds_beside(head, head.time)
+        head.time_unit = _unit_of_column(head, data, layout)
+    no_taxels = (head.time, head.nanoseconds, head.source, *_counters(head, data))
+    head.usable = tuple(k for k in head.numeric if k not in no_taxels)
+    _note_texts(head)
     return head
+
+
+def _note_texts(head: TableHead) -> None:
+    """Note the columns that hold no numbers and no times."""
+    texts = [k for k in range(head.width) if k not in head.numeric and k != head.time]
+    if texts:
+        labels = ", ".join(head.label(k) for k in texts[:MAX_SHOWN])
+        further = ", ..." if len(texts) > MAX_SHOWN else ""
+        head.notes += (f"no numbers, and left out: column {labels}{further}",)
 
 
 def is_number(cell: str) -> bool:
@@ -201,7 +233,7 @@ def _headed(
         head.names = tuple(name.strip() for name in first.cells[: head.width])
         head.header = first.text
         head.dropped["header"] += 1
-        lines = later
+        lines = [line for line in later if line.text != first.text]
         units = lines[0].cells[: head.width]
         is_units = len(lines) > 1 and _is_header(units, lines[1:])
         if is_units and not any(map(is_number, units)):
@@ -211,6 +243,8 @@ def _headed(
         return []
     else:
         _named_by_comment(head, raw[n_skipped:], first.number)
+        if head.width > 1 and _counts_columns(first.cells[: head.width]):
+            head.notes += ("the first line counts: it is read as a frame; skip=1 if it is names",)
     if lines and not any(_is_value(cell) for cell in lines[0].cells):
         return []
     return lines
@@ -225,12 +259,12 @@ def _are_names(cells: Sequence[str]) -> bool:
 
 
 def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
-    """True if a line has texts in columns that hold numbers later; or all are 0, 1, 2, ..., as
-    pandas names columns.
+    """True if a line has texts in columns that hold numbers later; or it counts the columns, as
+    programs name them that know no names.
     """
-    by_name = [cell for cell in cells if cell]
-    if len(by_name) >= COUNTED and by_name == [*map(str, range(len(by_name)))]:
-        return True
+    if _counts_columns(cells) and len(cells) >= COUNTED:
+        # Frames of a test pattern count on.
+        return not _steps_by_one(later[0].cells[: len(cells)])
     for k, cell in enumerate(cells):
         if _is_value(cell):
             continue
@@ -239,6 +273,18 @@ def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
         if cell and 2 * n_values > len(below):
             return True
     return False
+
+
+def _steps_by_one(cells: Sequence[str]) -> bool:
+    numbers = [float(cell) for cell in cells if is_number(cell)]
+    return len(numbers) == len(cells) and bool((np.diff(numbers) == 1).all())
+
+
+def _counts_columns(cells: Sequence[str]) -> bool:
+    """True for 0, 1, 2, ... or 1, 2, 3, ..., perhaps behind an empty cell."""
+    counted = [cell for cell in cells if cell]
+    n = len(counted)
+    return counted in ([*map(str, range(n))], [*map(str, range(1, n + 1))])
 
 
 def _is_value(cell: str) -> bool:
@@ -287,12 +333,25 @@ def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
     return n_numbers > 0 and 2 * n_numbers >= len(texts)
 
 
+def _without_readings(head: TableHead, data: Sequence[_Line], numeric: set[int]) -> set[int]:
+    """Columns of missing numbers alone whose names are like those of columns of numbers: taxels
+    that are dead.
+    """
+    patterns = {re.sub(r"\d+", "#", head.names[k]) for k in numeric if _is_indexed(head, k)}
+    dead = set()
+    for k in range(head.width):
+        is_like_others = re.sub(r"\d+", "#", head.names[k]) in patterns
+        if is_like_others and k not in numeric and all(is_missing(row.cells[k]) for row in data):
+            dead.add(k)
+    return dead
+
+
 def _find_kind(
     head: TableHead, file: File, raw: list[tuple[int, str]], data: Sequence[_Line]
 ) -> None:
     """Find whether a frame is a line, a block of lines, or a line for each taxel."""
     layout = file.layout
-    head.long = _long_columns(head, data)
+    head.long = _long_columns(head, layout, data)
     if head.long is not None:
         head.kind = LONG
         head.notes += (f"a line for each taxel: {head.long.n_rows} x {head.long.n_cols}",)
@@ -332,24 +391,58 @@ def _block_heights(head: TableHead, raw: list[tuple[int, str]], first_number: in
     return heights
 
 
-def _long_columns(head: TableHead, data: Sequence[_Line]) -> LongColumns | None:
-    """Columns of frame, row, column and value, where the names state them."""
+def _long_columns(head: TableHead, layout: Layout, data: Sequence[_Line]) -> LongColumns | None:
+    """Columns of frame, row, column and value, or of frame, taxel and value, where the names state
+    them.
+    """
     names = [name.lower() for name in head.names]
-    words = ((*ROW_WORDS, "i"), (*COL_WORDS, "j"), VALUE_WORDS)
-    by_word = [[k for k, name in enumerate(names) if name in group] for group in words]
-    frames = [k for k, name in enumerate(names) if name in FRAME_WORDS or is_time_name(name)]
-    if any(len(columns) != 1 for columns in by_word) or not frames:
+
+    def only(words: Sequence[str]) -> int | None:
+        columns = [k for k in head.numeric if names[k] in words]
+        return columns[0] if len(columns) == 1 else None
+
+    row, col = only((*ROW_WORDS, "i")), only((*COL_WORDS, "j"))
+    if row is None and col is None:
+        col = only(TAXEL_WORDS)
+    elif row is None or col is None:
         return None
-    row, col, value = (columns[0] for columns in by_word)
+    value = only(VALUE_WORDS)
+    frames = [k for k in head.numeric if names[k] in FRAME_WORDS]
+    frames += [k for k in range(head.width) if is_time_name(names[k])]
+    if col is None or value is None or not frames:
+        return None
+
     key = data[0].cells[frames[0]]
     first = [line for line in data if line.cells[frames[0]] == key]
-    places = [(line.cells[row], line.cells[col]) for line in first]
+    places = [[line.cells[k] for k in (row, col) if k is not None] for line in first]
     if not all(cell.isdecimal() for place in places for cell in place):
         return None
     numbers = np.array(places, dtype=np.int64)
-    low, high = numbers.min(axis=0), numbers.max(axis=0)
-    n_rows, n_cols = (high - low + 1).tolist()
-    return LongColumns(frames[0], row, col, value, int(low[0]), int(low[1]), n_rows, n_cols)
+    low, high = numbers.min(axis=0).tolist(), numbers.max(axis=0).tolist()
+    sides = [end - begin + 1 for begin, end in zip(low, high, strict=True)]
+    if row is None:
+        return LongColumns(frames[0], None, col, value, 0, low[0], 1, sides[0])
+    n_rows, n_cols = layout.n_rows or sides[0], layout.n_cols or sides[1]
+    return LongColumns(frames[0], row, col, value, low[0], low[1], n_rows, n_cols)
+
+
+def _source_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> int | None:
+    """The column by which the lines of one skin are chosen, where a name states that there is one.
+    Raises UnstatedError if lines are of several skins, and none is stated.
+    """
+    columns = [k for k, label in enumerate(head.names) if label.lower() in SOURCE_WORDS]
+    for k in columns:
+        values = list(dict.fromkeys(line.cells[k] for line in data))
+        if layout.frame_id in values:
+            return k
+        if len(values) > 1:
+            listed = ", ".join(map(shown, values[:MAX_SHOWN]))
+            fault = f"column {head.label(k)} names {len(values)} skins, {listed}"
+            options = [{"frame_id": value} for value in values[:MAX_SHOWN]]
+            raise UnstatedError(f"{name}: {fault}: state frame_id", *options)
+    if layout.frame_id:
+        raise SourceError(f"{name}: frame_id: no column states {shown(layout.frame_id)}")
+    return None
 
 
 def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> int | None:
@@ -363,9 +456,11 @@ def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: s
     if head.dialect.has_prefix:
         return 0
     by_name = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
-    by_name = [k for k in by_name if all(_is_value(line.cells[k]) for line in data)]
+    by_name = [k for k in by_name if _holds_values(data, k)]
+    by_name = _without_nanoseconds(head, by_name)
     texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]
     dates = [k for k in head.numeric if not _is_indexed(head, k) and is_epoch(_column(data, k))]
+    dates = _without_nanoseconds(head, dates)
     for candidates, note in ((by_name, ""), (texts, ""), (dates, "holds dates")):
         if len(candidates) > 1:
             labels = " or ".join(f"time={head.label(k)}" for k in candidates)
@@ -376,10 +471,49 @@ def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: s
             if note:
                 head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
             return candidates[0]
+    if layout.rate_hz is None:
+        _ask_for_texts(head, data, name)
     column = _time_at_an_end(head, layout, data, name)
     if column is None and layout.rate_hz is None:
         _ask_for_times(head, layout, data, name)
     return column
+
+
+def _holds_values(data: Sequence[_Line], k: int) -> bool:
+    """True if most cells of a column are values; one that is none is refused where it stands."""
+    return 2 * sum(_is_value(line.cells[k]) for line in data) > len(data)
+
+
+def _without_nanoseconds(head: TableHead, columns: Sequence[int]) -> list[int]:
+    """Columns of times without those of nanoseconds beside one of seconds, which are one time."""
+    parts = {_nanoseconds_beside(head, k) for k in columns}
+    return [k for k in columns if k not in parts]
+
+
+def _nanoseconds_beside(head: TableHead, time: int) -> int | None:
+    """The column with the nanoseconds of a column of seconds, as sec and nsec of ROS."""
+    match = SECONDS.fullmatch(head.names[time].lower())
+    if match is None:
+        return None
+    for k, name in enumerate(head.names):
+        part = NANOSECONDS.fullmatch(name.lower())
+        if part is not None and part[1] == match[1]:
+            return k
+    return None
+
+
+def _ask_for_texts(head: TableHead, data: Sequence[_Line], name: str) -> None:
+    """Raise SourceError if a column holds texts that look like times, of a form that is not
+    read.
+    """
+    for k in range(head.width):
+        if k in head.numeric:
+            continue
+        if all(TIME_LIKE.search(line.cells[k]) for line in data):
+            fault = f"column {head.label(k)} holds {shown(data[0].cells[k])}, like a time"
+            forms = "2026-03-12T10:15:02.120, 12.03.2026 10:15:02.120 or 10:15:02.120"
+            ways = "write the times so, or state rate_hz, or time=none"
+            raise SourceError(f"{name}: {fault}; times that are read: {forms}; {ways}")
 
 
 def _stated_time(head: TableHead, text: str, name: str) -> int:
@@ -476,6 +610,10 @@ def _text_unit(data: Sequence[_Line], k: int) -> str:
     return CLOCK_UNIT if all(clock_ns(cell) is not None for cell in cells) else ""
 
 
-def _unit_of_column(head: TableHead, data: Sequence[_Line]) -> str:
+def _unit_of_column(head: TableHead, data: Sequence[_Line], layout: Layout) -> str:
     assert head.time is not None
+    if head.nanoseconds is not None:
+        return "ns"
+    if layout.time_unit:
+        return layout.time_unit
     return _text_unit(data, head.time) or named_unit(head.names[head.time])

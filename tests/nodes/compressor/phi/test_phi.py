@@ -103,7 +103,7 @@ def test_describe_is_enough_to_make_it_again(kind):
         (("sbhe", 64, 20, -1), "seed = -1 is not allowed"),
         (("sbhe", 64, 20, 0, 0), "block = 0 is not allowed"),
         (("sbhe", 64, 20.0, 0), "m = 20.0 is not allowed; allowed: a whole number"),
-        (("sbhe", 64, 20, 0, 32, 4), "phi: rule = 4 is not allowed; allowed: 1, 2, 3"),
+        (("sbhe", 64, 20, 0, 32, 2), "phi: rule = 2 is not allowed; allowed: 1, 3"),
         (("full", 64, 20, 0), "m = 20 is not allowed; allowed: 64"),
         (("gaussian", 4097, 20, 0), r"n = 4097 is not allowed; allowed: 1\.\.4096"),
         (("no_such_module:Phi", 64, 20, 0), "no_such_module"),

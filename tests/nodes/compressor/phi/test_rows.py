@@ -108,10 +108,10 @@ def test_fewer_rows_of_one_seed_are_among_the_more(n, data, block, rule):
     assert set(phis[0].rows) <= set(phis[1].rows)
 
 
-def test_rules_and_blocks_are_those_of_version_0_1_and_of_today():
+def test_rows_of_the_paper_and_default_blocks():
     for rows in ("fixed", "rotating"):
         first = row_subsets(sbhe(96, 30, 7, 32, RANDOM), rows)[0]
-        assert first.fingerprint == "443e07fb12311131"  # by the code of version 0.1
+        assert first.fingerprint == "443e07fb12311131"
     assert {block_of(kind, None) for kind in KINDS} == {256}
     assert (block_of("local:8", None), block_of("local:8", 64)) == (32, 64)
     phi = make_phi("sbhe", 1600, 533, 0)
@@ -142,7 +142,6 @@ def test_together_the_row_subsets_hold_each_row_of_w_once(kind, ratio):
         ({"m": 24}, ("fixed", 24)),
         # Their rows do not rotate.
         ({"phi": "gaussian"}, ("fixed", 533)),
-        ({"phi": "adaptive"}, ("fixed", 533)),
         ({"phi": f"{__name__}:Halves"}, ("rotating", 534)),
         ({"phi": f"{__name__}:Unmoved"}, ("fixed", 533)),
         ({"phi": f"{__name__}:by_function"}, ("fixed", 533)),
@@ -173,7 +172,7 @@ def by_function(n, m, seed, block):
 
 
 def test_what_cannot_rotate_is_named():
-    for kind in ("gaussian", "full", "acts"):
+    for kind in ("gaussian", "full"):
         with pytest.raises(PhiError, match=f'rows: "rotating" is not allowed for phi "{kind}"'):
             CompressorSettings(phi=kind, rows="rotating").check()
         with pytest.raises(PhiError, match="allowed: sbhe, subsample"):

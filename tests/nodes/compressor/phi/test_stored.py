@@ -221,7 +221,7 @@ def test_a_mask_is_laid_out_by_its_existing_taxels():
     phi = make_phi("local:4", 55, 20, 0)
     phi.lay_out(exists)
     check_phi(phi)
-    for kind in ("local:4", "adaptive", "row_local", "sbhe"):
+    for kind in ("local:4", "row_local", "sbhe"):
         with pytest.raises(PhiError, match="n = 55, but 64 taxels exist"):
             make_phi(kind, 55, 20, 0).lay_out(np.ones((8, 8), dtype=np.bool_))
     with pytest.raises(PhiError, match="without gaps"):

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from sparseskin.messages import Measurements, Reason, Reconstruction, Taxels, Truth
+from sparseskin.messages import Labels, Measurements, Reason, Reconstruction, Taxels, Truth
 from sparseskin.nodes.monitor.live.feed import UNTRUSTED_S
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import MOST, StreamReader, record
@@ -62,6 +62,26 @@ class Page:
 def only(records, kind):
     (found,) = [(header, arrays) for header, arrays in records if header["kind"] == kind]
     return found
+
+
+def test_the_state_has_the_newest_label_and_since_when_none_has_come(clock):
+    graph = Graph()
+    page = Page(graph, clock)
+
+    def stated():
+        return only(page.pull(), "state")[0]["patches"]["skin"].get("label")
+
+    graph.skin()
+    graph.frame()
+    assert stated() is None
+    label = Labels(stamp_ns=1, patch="skin", label="peg", share=0.75, age_s=2.0, done_ns=1)
+    graph.feed.frame("skin", label, None)
+    shown = stated()
+    assert shown.pop("silent_s") == pytest.approx(PULL_S)
+    assert shown == {"label": "peg", "share": 0.75, "age_s": 2.0, "trusted": True}
+    assert stated()["silent_s"] == pytest.approx(2 * PULL_S)
+    graph.skin()
+    assert stated() is None
 
 
 @pytest.mark.parametrize("reason", Reason)

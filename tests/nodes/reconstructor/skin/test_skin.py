@@ -28,6 +28,7 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 SHAPE, N = (24, 24), 576
 PAPER = NoiseModel()
 SIGMAS = (PAPER.sigma_mid, PAPER.sigma_end)
+COUNTED = {"frame_tiles": 90, "step_tiles": 5}
 SIDES_AND_RATIOS = [(side, ratio) for side in (8, 16, 24, 40) for ratio in (2, 3, 8)]
 SIDES_AND_RATIOS[2] = (8, 4)  # of N/8, 8 measurements are left
 
@@ -127,7 +128,7 @@ def test_repeats_of_fixed_rows_lower_the_estimated_error_as_independent_frames_a
 
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-@pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}])
+@pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}, COUNTED])
 def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings, rows):
     pytest.importorskip("numba")
     frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(rows)
@@ -137,6 +138,24 @@ def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings, rows):
     assert np.abs(found - plain).max() < 1e-4 * plain.max()
     np.testing.assert_allclose(more, errors, rtol=1e-3)
     assert compiled.common_error == pytest.approx(numpy_solver.common_error, rel=0.02)
+
+
+@pytest.mark.parametrize("fast", ["on", "off"])
+def test_counted_steps_take_their_time_at_most_wherever_a_contact_begins(fast):
+    if fast == "on":
+        pytest.importorskip("numba")
+    frames, phis = noisy(sliding_disc(SHAPE, 30)), phis_of(ROTATING)
+    frames[:10] = 0
+    solver = solver_of(phis, fast=fast, **COUNTED)
+    numbers = []
+    for k, frame in enumerate(frames):
+        solver.use(phis[k % len(phis)])
+        solver.solve(phis[k % len(phis)].forward(frame.reshape(-1)))
+        numbers.append(solver.n_done)
+        spent = solver.n_done * COUNTED["step_tiles"] + solver.n_tiles
+        assert spent <= COUNTED["frame_tiles"] or solver.n_done <= 4
+    assert max(numbers[:10]) == 18
+    assert 1 <= min(numbers) < 18
 
 
 def test_errors_are_relative_to_the_range():

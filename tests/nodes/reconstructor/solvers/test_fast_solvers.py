@@ -10,6 +10,7 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 
 if importlib.util.find_spec("numba") is None:
     pytest.skip("numba is not installed (extra fast)", allow_module_level=True)
@@ -67,9 +68,17 @@ def test_a_phi_of_ones_own_and_others_go_the_way_of_numpy(name):
         np.testing.assert_array_equal(solver.solve(y), off.solve(y))
 
 
+class WithoutLoops(FistaSolver):
+    """A solver of the user's own without the setting `fast`."""
+
+    def __init__(self, phi, basis, mask=None):
+        super().__init__(phi, basis, mask, fast="off")
+
+
 def test_a_solver_without_compiled_loops_takes_the_setting():
-    phi, basis = SbhePhi(64, 30, 0), make_basis("haar", 8, 8)
-    assert make_solver("tv", phi, basis, fast="on").solve(np.zeros(30, np.float32)).max() == 0
+    phi, basis = make_phi("sbhe", 64, 30, 0), make_basis("haar", 8, 8)
+    solver = make_solver(f"{__name__}:WithoutLoops", phi, basis, fast="on")
+    assert solver.solve(np.zeros(30, np.float32)).max() == 0
 
 
 @pytest.mark.parametrize("name", ["skin", "fista"])

@@ -199,7 +199,7 @@ def test_a_bag_that_another_tool_wrote_anew_can_be_read(whole, tmp_path):
 TAXELS = {"encoding": "msgpack", "schema": "sparseskin/taxels", "topic": "/skin/taxels"}
 
 
-def foreign(path, chunked=True, n=1, version="1", **changes):
+def foreign(path, chunked=True, n=1, version="2", **changes):
     """A file of another program with n messages, by default as of taxels."""
     of = TAXELS | changes
     with open(path, "wb") as file:
@@ -248,6 +248,14 @@ BAD = {
     "newer": (
         lambda path: foreign(path, version="3"),
         "recorded with taxels version 3; this program reads 2",
+    ),
+    "of 0.1.0": (
+        lambda path: foreign(path, version="1"),
+        "topic /skin/taxels: recorded with taxels version 1; this program reads 2",
+    ),
+    "several patches, of 0.1.0": (
+        lambda path: foreign(path, schema="sparseskin/taxels_batch", version="1"),
+        "topic /skin/taxels holds messages of schema 'taxels_batch'; this program reads skin, ",
     ),
     "unknown schema": (lambda path: foreign(path, schema="sparseskin/smell"), "schema 'smell'"),
     "topic": (lambda path: foreign(path, topic="/../../etc/passwd"), "expected /PATCH/SCHEMA"),

@@ -113,7 +113,7 @@ def test_what_cannot_be_recorded_is_refused_and_harms_nothing(tmp_path, change, 
     path = tmp_path / "a.mcap"
     with BagWriter(path, {}) as writer:
         good = record(writer, frame(0)[0])
-        message = BagMessage("/skin/taxels", "taxels", 1, 1, 1, b"x")
+        message = BagMessage("/skin/taxels", "taxels", 2, 1, 1, b"x")
         with pytest.raises(BagError, match=text):
             writer.write(message._replace(**change))
     with BagReader(path) as bag:

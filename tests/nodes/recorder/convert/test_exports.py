@@ -62,8 +62,6 @@ def test_an_npz_names_what_it_holds(rich):
         assert arrays["reconstruction_trusted"].tolist() == [k != 3 for k in range(N_FRAMES)]
         assert np.isnan(arrays["reconstruction_sd"][0]).all()
         assert np.isfinite(arrays["reconstruction_sd"][1]).all()
-        assert arrays["resultant_total"].tolist() == [float(k) for k in range(N_FRAMES)]
-        assert np.array_equal(np.isnan(arrays["resultant_row"]), np.arange(N_FRAMES) % 2 == 0)
         found = [m for m in rich_frames() if isinstance(m, Contacts)]
         for name in ("stamp_ns", "id", "total", "col", "x_mm", "trusted"):
             sent_columns = np.concatenate([m.columns()[name] for m in found])
@@ -86,7 +84,7 @@ def test_an_exported_csv_states_its_skin_and_is_a_recording(rich):
     with BagReader(rich) as bag:
         paths = export_csv(bag, rich.with_name("a_csv"))
     names = {path.name for path in paths}
-    assert {"skin_resultant.csv", "skin_reconstruction_sd.csv"} < names
+    assert {"skin_reconstruction.csv", "skin_reconstruction_sd.csv"} < names
     file = rich.with_name("a_csv") / "skin_taxels.csv"
     skin = json.loads(file.read_text().splitlines()[1].removeprefix("# "))["skin"]
     assert (skin["f_max"], skin["unit"], skin["pitch_m"], skin["rate_hz"]) == (2.5, "N", 0.005, 50)

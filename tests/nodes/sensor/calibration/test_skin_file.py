@@ -20,7 +20,7 @@ from sparseskin.nodes.sensor.calibration.skin_file import (
     save_skin,
 )
 
-HEAD = "rows = 2\ncols = 3\nf_max = 2.5\n"
+HEAD = "n_rows = 2\nn_cols = 3\nf_max = 2.5\n"
 
 
 def write(folder, text):
@@ -83,8 +83,8 @@ def skins(draw):
     chosen = {key: draw(st.none() | kind) for key, kind in grids.items()}
     return SkinDescription(
         name=draw(st.text(min_size=1, max_size=9).filter(lambda s: s.isprintable() and s.strip())),
-        rows=shape[0],
-        cols=shape[1],
+        n_rows=shape[0],
+        n_cols=shape[1],
         f_max=draw(st.floats(1.0, 1e3)),
         unit=draw(st.sampled_from(["N", "kPa", '"\\'])),
         pitch_mm=draw(st.none() | sizes),
@@ -131,15 +131,15 @@ def test_no_file_is_written_over(tmp_path):
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("rows = 2\ncols = 3\n", "f_max: is missing"),
+        ("n_rows = 2\nn_cols = 3\n", "f_max: is missing"),
         (HEAD + "gain = 1", "gain: unknown key (did you mean 'gains'?)"),
         (HEAD + "[response]\nreadings = [1]", "response.readings: unknown key (did you mean 'rea"),
         (HEAD + "[response]\nreading = [2, 1]\nforce = [1, 2]", "response.reading: must be above"),
         (HEAD + "[response]\nreading = [1e-300]\nforce = [1e30]", "response: a slope is outside"),
         (HEAD + f"[response]\nforce = {list(range(1, 34))}\nreading = [1]", "33 knots; allowed"),
         (HEAD + "response = 3", "response: expected a table"),
-        ("rows = true\ncols = 3\nf_max = 1", "rows: expected a whole number, got bool"),
-        ("rows = 4096\ncols = 4096\nf_max = 1", "4096 x 4096 cells; at most"),
+        ("n_rows = true\nn_cols = 3\nf_max = 1", "n_rows: expected a whole number, got bool"),
+        ("n_rows = 4096\nn_cols = 4096\nf_max = 1", "4096 x 4096 cells; at most"),
         (HEAD + "noise_mid = 1", "noise_mid: is stated without noise"),
         (HEAD + "unit = ''", "unit: expected 1..32 printable"),
         (HEAD + "mask = ['111', '112']", "mask: expected 2 texts of 3 characters 0 and 1"),
@@ -148,7 +148,7 @@ def test_no_file_is_written_over(tmp_path):
         (HEAD + "gains = [1, 2]", "gains: float64 of shape (2,); expected float64 of shape (2, 3)"),
         (HEAD + "arrays = 'b.npz'", "arrays: b.npz: "),
         (HEAD + "a = " + "[" * 900, "more than 8 tables or lists"),
-        ("rows = ", "not TOML"),
+        ("n_rows = ", "not TOML"),
         ("#" * (4 * MAX_FILE_CHARS + 1), "more than 1048576 bytes"),
     ],
 )

@@ -232,7 +232,8 @@ class TestChannels:
     @pytest.mark.parametrize(
         ("array", "stated"),
         [
-            (XYZ, {"channel": "z"}),
+            (XYZ, {"channel": "z", "axes": "rows,cols,channel"}),
+            (np.tile(XYZ, (1, 1, 2, 1))[:, :, :3], {"channel": "z", "n_rows": 2, "n_cols": 3}),
             (XYZ, {"channel": "2", "n_rows": 2, "n_cols": 3}),
             (np.moveaxis(XYZ, -1, 1), {"channel": "2", "axes": "frames,channel,rows,cols"}),
             (np.moveaxis(XYZ, -1, 1), {"channel": "z", "n_rows": 2, "n_cols": 3}),
@@ -246,6 +247,8 @@ class TestChannels:
     def test_none_is_chosen(self, tmp_path):
         with pytest.raises(SourceError, match="state axes, as rows,cols,channel, and channel"):
             open_bytes(tmp_path, "a.npy", npy(self.XYZ))
+        with pytest.raises(SourceError, match="axes=rows,channel,cols or axes=rows,cols,channel"):
+            open_bytes(tmp_path, "a.npy", npy(self.XYZ), channel="z")
         source = open_bytes(tmp_path, "a.npy", npy(self.XYZ), axes="rows,cols,channel", channel="z")
         np.testing.assert_array_equal(source.frames, (FORCES + 3).astype(np.float32))
 

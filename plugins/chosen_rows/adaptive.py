@@ -1,0 +1,313 @@
+"""Adaptive rows: in each frame those of W are measured that changed most since they were read.
+
+Method and symbols: docs/explanation/adaptive.md. `AdaptivePhi` is the measurement matrix of a
+frame's choice, which travels with the measurements as a few bits a node of the quad tree;
+`AdaptiveChoice` chooses at the edge, from what was measured; `HeldRows` is what both ends know: the
+last measurement of every row.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.messages.quantised import step_of
+from sparseskin.messages.skin import PAPER_F_MAX_N
+from sparseskin.messages.state import CLIP_SD
+from sparseskin.nodes.compressor.phi.base import BLOCK, Code, Phi, fingerprint_of
+from sparseskin.nodes.errors import PhiError
+from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Indices, Mask
+
+from .quadtree import N_DETAILS, Quadtree
+
+CLIP_MEAN = 0.399
+"""Mean of an untouched taxel's noise clipped at 0, in standard deviations of the noise. Derived: of
+max(0, z), z normal."""
+UNTOUCHED_SIGMAS = 3.0
+"""Standard deviations of its noise up to which the sum of a node is that of untouched taxels.
+Chosen: 2 to 4 make no difference on presses on 40 x 40 taxels."""
+UNTOUCHED_FRACTION = 1e-5
+"""The same in parts of f_max where no noise is stated. Chosen: above the rounding of float32."""
+MOST_SCALED = 1.5
+"""Largest factor by which details grow with the sum of their node. Chosen."""
+
+MOST_OVER, MOST_NOISE = 1.1, 8.0
+"""Largest measurement, in that of f_max on all taxels; noise beyond that, in standard deviations.
+Chosen."""
+
+N_ROUNDS = 6
+"""Rounds of reading a frame, each decided from those before it. Fitted on five recordings of real
+skins: 3 are worse, 12 hardly better."""
+SUM_CHANGE = 0.5
+"""Expected squared change of a node's details, in that of its sum. Fitted on the same recordings:
+0.25 is worse, 1 no better."""
+DRIFT_MEMORY = 0.5
+"""Weight of the past in a node's squared change a frame, when it is read. Chosen."""
+OLDEST_PART = 0.125
+"""Part of the measurements beyond the sums that goes to the nodes which were read longest ago, so
+that every row is read in a bounded number of frames. Fitted on the same recordings: without it the
+error is up to 1.9 % of the force larger."""
+UNTOUCHED_HASTE = 0.125
+"""Age of an untouched node in that of another one, where the oldest are read. Chosen."""
+
+Read = Callable[[Indices], npt.NDArray[np.floating]]
+
+
+class AdaptivePhi(Phi):
+    """Phi = Q W of this frame: m rows of a quad tree's W, set by `choose` for each frame; before
+    the first choice the first m. `lay_out` states the grid; before that, the taxels are in a line.
+    The fingerprint is of n, m and the grid: the choice has to travel with the measurements. Raises
+    PhiError also if m is less than 4, a sum and the details of a node.
+
+    `tree` is W, of which the `rows`, intp (m,), ascending, are measured: all details of the nodes
+    `chosen`, bool (n_nodes,). `bias` and `untouched` are the mean reading of an untouched taxel,
+    and the normalised sum up to which a node counts as untouched, in the unit of the forces.
+    """
+
+    kind = "adaptive"
+    choice = "nodes"
+    solvers = MappingProxyType({"skin": "sparseskin.plugins.chosen_rows.solver:AdaptiveSkinSolver"})
+
+    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
+        super().__init__(n, m, seed, block)
+        self.exists: Mask | None = None
+        self._edge: AdaptiveChoice | None = None
+        self._arrange(np.ones((1, n), dtype=np.bool_))
+        self.state_noise(0.0, PAPER_F_MAX_N)
+
+    @classmethod
+    def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
+        super().check_size(n, m, seed, block)
+        if m < (least := min(n, 1 + N_DETAILS)):
+            allowed = f"{least}..{n} (n = {n} taxels)"
+            raise PhiError(f'phi "adaptive": m = {m} is not allowed; allowed: {allowed}')
+
+    def _lay_out(self, exists: Mask) -> None:
+        if self.exists is None or not np.array_equal(self.exists, exists):
+            self.exists = exists.copy()
+            self._arrange(self.exists)
+
+    def _arrange(self, exists: Mask) -> None:
+        self.tree = Quadtree(exists, self.m)
+        arrays = np.array(exists.shape, dtype=np.intp), np.flatnonzero(exists)
+        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, *arrays)
+        self.rows: Indices = np.arange(self.m)
+        self.chosen: Mask = np.zeros(self.tree.n_nodes, dtype=np.bool_)
+        self.forget()
+
+    def state_noise(self, sigma_end: float, f_max: float, clipped: bool = True) -> None:
+        self.bias = CLIP_MEAN * sigma_end if clipped else 0.0
+        sd = CLIP_SD * sigma_end if clipped else sigma_end
+        self.variance, self._f_max = sd**2, f_max
+        self.untouched = max(UNTOUCHED_SIGMAS * sd, UNTOUCHED_FRACTION * f_max)
+        self.forget()
+
+    def measure(self, x: Floats) -> tuple[Floats, Code]:
+        if self._edge is None:
+            self._edge = AdaptiveChoice(self)
+        y = self._edge.measure(self.tree.analysis(x).take)
+        return y, self.tree.coded(self.chosen)
+
+    def follow(self, code: Code) -> None:
+        try:
+            chosen = self.tree.decoded(code)
+        except ValueError as cause:
+            raise PhiError(f"adaptive: the code of the nodes is malformed: {cause}") from cause
+        self.choose(chosen)
+
+    def forget(self) -> None:
+        self._edge = None
+
+    @property
+    def most_code_bytes(self) -> int:
+        return self.tree.most_code_bytes(self.m - self.tree.n_tiles)
+
+    def choose(self, chosen: Mask) -> None:
+        """Set the nodes of a frame, bool (n_nodes,). Measured are the sums of all tiles, the
+        details of these nodes, and the first rows of W that are not among them, up to m. Raises
+        PhiError if these nodes have more than m measurements, or more than two fewer.
+        """
+        tree = self.tree
+        measured = np.ones(self.n, dtype=np.bool_)
+        measured[tree.n_tiles :] = chosen[tree.node_of_row[tree.n_tiles :]]
+        left = self.m - int(np.count_nonzero(measured))
+        if not 0 <= left < N_DETAILS:
+            raise PhiError(
+                f"adaptive: nodes of {self.m - left} measurements are chosen; expected m = {self.m}"
+            )
+        measured[np.flatnonzero(~measured)[:left]] = True
+        self.chosen, self.rows = chosen, np.flatnonzero(measured)
+
+    def largest(self, y: Floats) -> Doubles:
+        """The magnitude, (m,), that measurements y, float32 (m,), of the rows chosen cannot
+        exceed, in the unit of the forces: taxels are in the range, and each force of a node, whose
+        details have rows of length 1, is part of its tile's sum.
+        """
+        tree, rows = self.tree, self.rows
+        node, tile = tree.node_of_row[rows], tree.tile_of_row[rows]
+        in_range = MOST_OVER * self._f_max * np.sqrt(tree.n_taxels[node])
+        sums = (np.abs(y[: tree.n_tiles]) + step_of(y)) * np.sqrt(tree.n_taxels[: tree.n_tiles])
+        of_tile = sums[tile] + MOST_NOISE * math.sqrt(self.variance)
+        most: Doubles = np.where(rows < tree.n_tiles, in_range, np.minimum(in_range, of_tile))
+        return most
+
+    def dense(self) -> npt.NDArray[np.float64]:
+        """As of `Phi`, in float64 throughout."""
+        return np.array([self.tree.synthesis(row) for row in np.eye(self.n)[self.rows]])
+
+    def _forward(self, x: Floats, out: Floats) -> None:
+        out[:] = self.tree.analysis(x)[self.rows]
+
+    def _adjoint(self, y: Floats, out: Floats) -> None:
+        rows = np.zeros(self.n)
+        rows[self.rows] = y
+        out[:] = self.tree.synthesis(rows)
+
+
+class HeldRows:
+    """The last measurement of every row of W, and the forces that they make.
+
+    Details that were not read again scale with the sum of their node: a contact that presses
+    harder keeps its shape. Those of an untouched node are 0, because forces are not negative.
+
+    `sums` and `sums_read`, float64 (n_nodes,), are the normalised sum of each node in this frame,
+    and when its details were read, 0 before that; `now` and `details`, (n_nodes, 3), its details in
+    this frame, and as they were read.
+    """
+
+    def __init__(self, phi: AdaptivePhi) -> None:
+        self._phi, self._tree = phi, phi.tree
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        n_nodes = self._tree.n_nodes
+        self._tiles = np.zeros(self._tree.n_tiles)
+        self.sums, self.sums_read = np.zeros((2, n_nodes))
+        self.now, self.details = np.zeros((2, n_nodes, N_DETAILS))
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a frame, of which no row is read."""
+        self._fresh = np.zeros((self._tree.n_nodes, N_DETAILS), dtype=np.bool_)
+        self._read = np.zeros((self._tree.n_nodes, N_DETAILS))
+
+    def read(self, rows: Indices, values: npt.NDArray[np.floating]) -> None:
+        """Process measurements of rows of W, (k,)."""
+        tree, tile = self._tree, rows < self._tree.n_tiles
+        bias = self._phi.bias
+        if tree.levels:
+            bias *= np.sqrt(tree.n_taxels[rows[tile]])
+        self._tiles[rows[tile]] = np.maximum(values[tile] - bias, 0)
+        places = tree.place_of_row[rows[~tile]]
+        self._read.reshape(-1)[places] = values[~tile]
+        self._fresh.reshape(-1)[places] = True
+
+    def update(self) -> Doubles:
+        """Return the forces of the taxels, float64 (n,), which may be negative."""
+        for level, sums, details in self._tree.descend(self._tiles):
+            own = slice(level.first, level.first + level.size)
+            self.sums[own] = sums
+            scale = np.clip(sums / np.maximum(self.sums_read[own], TINY), 0, MOST_SCALED)
+            held = self.details[own] * scale[:, None]
+            np.copyto(details, np.where(self._fresh[own], self._read[own], held))
+            self.now[own] = details
+        return self._tree.forces if self._tree.levels else self._tiles
+
+    def changed2(self) -> Doubles:
+        """Return the squared change of each node's details that its sum lets expect, (n_nodes,)."""
+        change2 = np.square(self.sums - self.sums_read) - 2 * self._phi.variance
+        expected: Doubles = SUM_CHANGE * np.maximum(change2, 0)
+        return expected
+
+    def end(self) -> Mask:
+        """End a frame, of which all rows are read; return which nodes are untouched. What was read
+        of a part of a node's details is not kept.
+        """
+        whole = np.count_nonzero(self._fresh, axis=1) == self._tree.n_details
+        self.details[whole] = self.now[whole]
+        self.sums_read[whole] = self.sums[whole]
+        untouched: Mask = (self.sums <= self._phi.untouched) & ~whole
+        self.details[untouched] = 0
+        self.sums_read[untouched] = 0
+        return untouched
+
+
+class AdaptiveChoice:
+    """Chooses and reads m rows of a frame, at the edge, from what it has measured. Phi, whose
+    `choose` is called in each frame, is laid out and its noise stated.
+    """
+
+    def __init__(self, phi: AdaptivePhi) -> None:
+        self._phi, self._held = phi, HeldRows(phi)
+        self._age, self._drift = np.zeros((2, phi.tree.n_nodes))
+        self._owed = 0.0
+        self._untouched = np.zeros(phi.tree.n_nodes, dtype=np.bool_)
+
+    def measure(self, read: Read) -> Floats:
+        """Choose and read a frame by `read`, of rows of W; return its measurements, float32 (m,),
+        in the order of `rows`.
+        """
+        phi, tree, held = self._phi, self._phi.tree, self._held
+        self._age += 1
+        self._values = np.zeros(phi.n)
+        chosen = np.zeros(tree.n_nodes, dtype=np.bool_)
+        held.begin()
+        self._take(np.arange(min(tree.n_tiles, phi.m)), read)
+        left = phi.m - tree.n_tiles
+        self._owed = min(self._owed + OLDEST_PART * left, left)
+        oldest = int(self._owed)
+        for n_rounds in range(N_ROUNDS, 0, -1):
+            held.update()
+            expected2 = held.changed2() + self._drift * self._age
+            left -= self._read_most(expected2, (left - oldest) // n_rounds, chosen, read)
+        waited = self._age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
+        while left >= N_DETAILS:
+            more = self._read_most(waited, left, chosen, read)
+            left -= more
+            self._owed = max(0.0, self._owed - more)
+        phi.choose(chosen)
+        details = phi.rows[phi.rows >= tree.n_tiles]
+        self._take(details[~chosen[tree.node_of_row[details]]], read)
+        held.update()
+        self._untouched = held.end()
+        self._drift[self._untouched] *= DRIFT_MEMORY
+        measurements: Floats = self._values[phi.rows].astype(np.float32)
+        return measurements
+
+    def _read_most(self, score: Doubles, n_most: int, chosen: Mask, read: Read) -> int:
+        """Read the unread nodes of highest score a measurement, above 0; return their rows."""
+        tree = self._phi.tree
+        each = np.where(chosen, 0, score) / np.maximum(tree.n_details, 1)
+        order = np.argsort(-each, kind="stable")
+        order = order[(each[order] > TINY) & (tree.n_details[order] > 0)]
+        ends = np.cumsum(tree.n_details[order])
+        nodes = order[: np.searchsorted(ends, n_most, "right")]
+        if not nodes.size:
+            return 0
+        chosen[nodes] = True
+        before = self._held.now[nodes].copy()
+        within = np.zeros_like(chosen)
+        within[nodes] = True
+        rows = tree.n_tiles + np.flatnonzero(within[tree.node_of_row[tree.n_tiles :]])
+        self._take(rows, read)
+        self._learn_drift(nodes, before)
+        return int(ends[nodes.size - 1])
+
+    def _learn_drift(self, nodes: Indices, before: Doubles) -> None:
+        details = self._held._read[nodes]
+        noise = 2 * self._phi.variance * self._phi.tree.n_details[nodes]
+        change2 = np.maximum(np.square(details - before).sum(axis=1) - noise, 0)
+        change2 /= self._age[nodes]
+        drift = self._drift[nodes]
+        self._drift[nodes] = DRIFT_MEMORY * drift + (1 - DRIFT_MEMORY) * change2
+        self._age[nodes] = 0
+
+    def _take(self, rows: Indices, read: Read) -> None:
+        if rows.size:
+            self._values[rows] = read(rows)
+            self._held.read(rows, self._values[rows])

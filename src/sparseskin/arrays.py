@@ -1,0 +1,484 @@
+"""Compression, reconstruction, scenes, launch files and recordings on arrays."""
+
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sparseskin.launch.launchfile.load import load
+from sparseskin.launch.launchfile.spec import LaunchFile
+from sparseskin.messages import (
+    Contacts,
+    Labels,
+    Measurements,
+    Message,
+    Reconstruction,
+    Taxels,
+    Truth,
+)
+from sparseskin.messages.frames import Frames, values_alone
+from sparseskin.messages.ranges import is_whole
+from sparseskin.messages.reasons import first_reason
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.arguments import checked
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.compressor.phi.base import Phi, fact
+from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
+from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
+from sparseskin.nodes.numerics.arrays import LARGEST, real_floats
+from sparseskin.nodes.reconstructor.bases.base import Basis
+from sparseskin.nodes.reconstructor.faults.watch import solve_watched, watch_of
+from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver, newtons
+from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.zero import Zero
+
+Floats = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+
+WITHIN = f"numbers within +-{LARGEST:g}"
+
+
+@checked(PhiError)
+def compress(
+    forces: Floats,
+    phi: Phi,
+    mask: Mask | None = None,
+    *,
+    rows: str | None = None,
+    tare: int | None = None,
+    invert: bool = False,
+) -> Floats:
+    """Measure frames of taxels: y = Phi x.
+
+    A level that nearly all taxels read at first, and readings that fall below rest, are warned of,
+    once a call, with the argument that answers it. What a solver of the same `phi` reconstructs is
+    then not trusted.
+
+    Parameters
+    ----------
+    forces : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+        Readings, newtons.
+    phi : Phi
+        Measurement matrix, for as many taxels as exist.
+    mask : ndarray of bool, shape (n_rows, n_cols), optional
+        True where a taxel exists; by default everywhere.
+    rows : str, optional
+        "fixed": `phi` measures all frames. "rotating": its row subsets measure them in turn, the
+        first one the first frame. By default rotating where they can (phi sbhe or subsample, m in
+        n / 64 .. n - 1), as in the nodes. Make the solver with the same `rows`.
+    tare, invert
+        As of `Stream`: `tare` first frames of the k give the reading at rest; 0: readings are
+        forces, whatever the untouched skin reads.
+
+    Returns
+    -------
+    ndarray of float32, shape (m,) or (k, m)
+        Measurements, newtons.
+
+    Raises
+    ------
+    PhiError
+        If forces or mask have another shape or type, a force is not finite, the number of existing
+        taxels is not `phi.n`, `phi` measured another grid before, `rows` is neither, the rows of
+        `phi` cannot rotate, `phi` chooses them in each frame, or there are fewer frames than those
+        of the tare.
+
+    Examples
+    --------
+    >>> import numpy as np, sparseskin
+    >>> phi = sparseskin.make_phi("sbhe", n=256, m=85, seed=0)
+    >>> sparseskin.compress(np.ones((16, 16), np.float32), phi).shape
+    (85,)
+    """
+    if not hasattr(phi, "forward"):
+        raise PhiError(f"phi: got {type(phi).__name__}; expected what make_phi returns")
+    if fact(phi, "choice"):
+        fault = f'phi "{phi.kind}" chooses rows by what it reads, and measurements alone do not '
+        raise PhiError(f"compress: {fault}state which; allowed: other kinds, or a graph")
+    if np.issubdtype(getattr(forces, "dtype", float), np.integer):
+        allowed = "newtons, as of float32 (counts become newtons by sparseskin calibrate)"
+        raise PhiError(f"compress: forces: type {forces.dtype}; allowed: {allowed}")
+    forces = real_floats(forces, "compress: forces", PhiError)
+    if forces.ndim not in (2, 3):
+        expected = "expected (n_rows, n_cols) or (k, n_rows, n_cols)"
+        raise PhiError(f"compress: forces: shape {forces.shape}; {expected}")
+    shape = forces.shape[-2:]
+    exists = np.ones(shape, dtype=np.bool_) if mask is None else np.asarray(mask)
+    if exists.shape != shape or exists.dtype != np.bool_:
+        given = f"{exists.dtype} of shape {exists.shape}"
+        raise PhiError(f"compress: the mask is {given}; expected bool of shape {shape}")
+    if (n := np.count_nonzero(exists)) != phi.n:
+        raise PhiError(f"compress: {n} taxels of {exists.shape} exist; {phi} is for {phi.n}")
+    _keep_grid(phi, exists.shape)
+    x = forces[..., exists]
+    is_number = np.abs(x) <= LARGEST
+    if not is_number.all():
+        place = tuple(np.argwhere(exists & ~(np.abs(forces) <= LARGEST))[0].tolist())
+        reads = f"forces{list(place)} is {forces[place]:g}"
+        raise PhiError(f"compress: {reads}; allowed: {WITHIN}")
+    frames = _zeroed(forces.reshape(-1, *shape), exists, phi, tare, invert)
+    x = frames.reshape(forces.shape)[..., exists]
+    subsets = row_subsets(phi, rows)
+    if x.ndim != 2:
+        return subsets[0].forward(x)
+    y = np.empty((len(x), phi.m), dtype=np.float32)
+    for first, subset in enumerate(subsets):
+        y[first :: len(subsets)] = subset.forward(x[first :: len(subsets)])
+    return y
+
+
+def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bool) -> Floats:
+    """Forces of readings, float32 (k, n_rows, n_cols), by tare and sign; warn of what is found of
+    them, and note on `phi` what is found of the last one.
+    """
+    if len(frames) < (tare or 0):
+        raise PhiError(f"compress: tare = {tare}: there are {len(frames)} frames")
+    largest = float(np.abs(frames[:, exists]).max(initial=0.0))
+    n_rows, n_cols = exists.shape
+    skin = Skin(n_rows, n_cols, largest or 1.0, mask=None if exists.all() else exists)
+    try:
+        zero = Zero(skin, tare, invert)
+    except SettingsError as error:
+        raise PhiError(f"compress: {error}") from error
+    forces = frames.copy() if zero.changes_readings else frames
+    can_fall = zero.changes_readings or bool((frames[:, exists] < 0).any())
+    for k, frame in enumerate(frames):
+        if zero.doubt.is_settled and not can_fall:
+            break
+        forces[k] = zero.forces(frame)
+    phi.sensed = str(zero.reason)
+    line = zero.doubt.line
+    # A frame alone may show a level, but not whether it stays.
+    if line and len(frames) > 1:
+        warnings.warn(f"compress: {line}", RuntimeWarning, stacklevel=4)
+    return forces
+
+
+def _keep_grid(phi: Phi, shape: tuple[int, ...]) -> None:
+    """Note the grid that a phi measures, or raise PhiError if it is another than before."""
+    grid = getattr(phi, "grid", None) or shape
+    if grid != shape:
+        raise PhiError(f"{phi} measures frames of {grid}, not of {shape}; make one for each grid")
+    phi.grid = (shape[0], shape[1])
+
+
+@checked(SolverError)
+def make_solver(
+    name: str,
+    phi: Phi,
+    basis: Basis,
+    mask: Mask | None = None,
+    *,
+    fast: str = "auto",
+    rows: str | None = None,
+    **settings: Any,
+) -> Solver:
+    """Make a solver by name.
+
+    Parameters
+    ----------
+    name : str
+        "skin", "fista", "interpolation"; or "module:Class" for your own, as `Solver`.
+    phi, basis, mask
+        As in `Solver`.
+    fast : str
+        Use of compiled loops: "auto" (where numba is installed), "on" or "off".
+    rows : str, optional
+        As in `compress`, with the same default.
+    **settings
+        The solver's own, e.g. iterations=20 for "fista".
+
+    Raises
+    ------
+    SolverError, SettingsError, PhiError
+        If the name or a setting is unknown or not allowed, phi, basis and mask do not fit, a class
+        of your own is not a solver; fast is "on" without numba; rows of phi cannot rotate.
+    """
+    made = make_rotating_solver(name, row_subsets(phi, rows), basis, mask, fast=fast, **settings)
+    _keep_grid(phi, (basis.n_rows, basis.n_cols))
+    made.measured_by = phi
+    return made
+
+
+@checked(SolverError)
+def reconstruct(measurements: Floats, solver: Solver) -> Floats:
+    """Reconstruct frames one after the other, each with what the solver kept of the last.
+
+    Parameters
+    ----------
+    measurements : ndarray of float32, shape (m,) or (k, m)
+        Measurements of one frame or of k frames in order, newtons.
+    solver : Solver
+        It starts from what its last frame left; `solver.reset()` makes it start anew. If its rows
+        rotate, the first of k frames is one of the first row subset; before a single frame,
+        `solver.use` states that of the frame. `Stream` does so by itself.
+
+    Returns
+    -------
+    ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+        Forces, newtons, 0 or more; 0 where no taxel exists. `solver.reason` states why the last
+        frame is not to be trusted, "" if it is, as in a graph, by what the last `compress` with
+        the same phi found of its readings, too; `solver.noise_sd` and `solver.noise_model`, a
+        `NoiseModel`, help it to see; set them before the first frame.
+
+    Raises
+    ------
+    SolverError
+        If the measurements have another shape, are not finite, or are a single frame of rotating
+        rows whose row subset is not stated.
+
+    Examples
+    --------
+    >>> import sparseskin
+    >>> truth, taxels = sparseskin.simulate("path_40", 330)
+    >>> phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    >>> basis = sparseskin.make_basis("haar", 40, 40)
+    >>> solver = sparseskin.make_solver("skin", phi, basis)
+    >>> forces = sparseskin.reconstruct(sparseskin.compress(taxels, phi), solver)
+    >>> forces.shape
+    (330, 40, 40)
+    >>> bool(sparseskin.psnr_db(forces, truth).min() > 30)
+    True
+    """
+    if getattr(solver, "name", "") == "skin":
+        warn_of_threads()
+    if not hasattr(solver, "solve"):
+        raise SolverError(f"solver: got {type(solver).__name__}; expected what make_solver returns")
+    newtons("solver", "noise_sd", getattr(solver, "noise_sd", 0.0))
+    model = getattr(solver, "noise_model", None)
+    if not (model is None or isinstance(model, NoiseModel)):
+        shown = f"{model!r:.60}"
+        raise SolverError(f"solver: noise_model = {shown} is not allowed; allowed: a NoiseModel")
+    y = real_floats(measurements, "measurements", SolverError)
+    if y.ndim not in (1, 2):
+        raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
+    # A single frame may be any of a stream.
+    subsets = getattr(solver, "subsets", ()) if y.ndim == 2 else ()
+    made: list[Floats] = []
+    for k, measured in enumerate(np.atleast_2d(y)):
+        if subsets:
+            solver.use(subsets[k % len(subsets)])
+        verdict = solve_watched(solver, watch_of(solver), solver.phi, measured)
+        sensed = getattr(getattr(solver, "measured_by", None), "sensed", "")
+        solver.reason = str(first_reason(verdict.reason, sensed))
+        solver.trusted = not solver.reason
+        made.append(verdict.forces)
+    if y.ndim == 1:
+        return made[0]
+    return np.stack(made) if made else np.zeros((0, *solver.mask.shape), dtype=np.float32)
+
+
+@cache
+def warn_of_threads() -> None:
+    """Warn, once, where threads of OpenBLAS slow down the small products of the solver."""
+    config: Any = np.show_config(mode="dicts")
+    is_openblas = "openblas" in config["Build Dependencies"]["blas"]["name"]
+    stated = any(name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"))
+    if is_openblas and not stated and (os.cpu_count() or 1) > 1:
+        warnings.warn(
+            "solver skin: threads of OpenBLAS wait for each other; set OPENBLAS_NUM_THREADS=1 "
+            "before Python starts",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+@checked(SparseskinError)
+def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
+    """Peak signal-to-noise ratio of each frame, 20 log10(f_max / RMSE), capped at 100 dB (paper,
+    section V-C).
+
+    Parameters
+    ----------
+    forces, truth : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
+        Estimate and reference, newtons; or both in the unit of f_max.
+    f_max : float
+        Upper end of the range of the reference; by default 2.5 N.
+
+    Returns
+    -------
+    float, or ndarray of float64, shape (k,)
+        Decibels.
+
+    Raises
+    ------
+    SparseskinError
+        If the shapes differ or are no frames, or the reference exceeds the range.
+    """
+    for name, frames in (("forces", forces), ("truth", truth)):
+        is_number = np.abs(real_floats(frames, f"psnr_db: {name}", SparseskinError)) <= LARGEST
+        if not is_number.all():
+            place = tuple(np.argwhere(~is_number)[0].tolist())
+            reads = f"{name}{list(place)} is {np.asarray(frames)[place]:g}"
+            raise SparseskinError(f"psnr_db: {reads}; allowed: {WITHIN}")
+    if not f_max > 0:
+        raise SparseskinError(f"psnr_db: f_max = {f_max:g} is not allowed; allowed: above 0")
+    forces, truth = np.asarray(forces), np.asarray(truth)
+    if forces.shape != truth.shape or forces.ndim not in (2, 3):
+        raise SparseskinError(
+            f"psnr_db: shapes {forces.shape} and {truth.shape}; "
+            "expected the same, (n_rows, n_cols) or (k, n_rows, n_cols)"
+        )
+    if truth.size and (most := float(truth.max())) > f_max:
+        what = f"the reference reaches {most:g}, above f_max = {f_max:g}"
+        raise SparseskinError(f"psnr_db: {what}; state f_max, the upper end of its range")
+    error = np.subtract(forces, truth, dtype=np.result_type(forces, truth, np.float32))
+    if error.ndim == 2:
+        return psnr_of_error(error, f_max)
+    return np.array([psnr_of_error(frame, f_max) for frame in error])
+
+
+@checked(SparseskinError)
+def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
+    """Simulate the first frames of a scene.
+
+    Parameters
+    ----------
+    scene : str
+        Name of a scene: "lift_box_40", "lift_wrench_40", "drag_wrench_40", "path_40",
+        "lift_box_64", "drag_wrench_64".
+    n_frames : int
+        Number of frames, 1 or more; a scene ends after its last frame, and delivers fewer then.
+    seed : int
+        Seed of the noise, and of what the scene draws at random.
+
+    Returns
+    -------
+    truth, taxels : ndarray of float32, shape (k, n_rows, n_cols), k at most n_frames
+        Forces that act, and what noisy taxels read, newtons, in [0, 2.5].
+
+    Raises
+    ------
+    SparseskinError
+        If there is no such scene, or `n_frames` or `seed` is not allowed.
+    """
+    # Imported here: other functions of this module need no scene.
+    from sparseskin.nodes.sensor.node import Sensor
+
+    _check_frames("simulate", n_frames)
+    bus = Bus({"sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}", seed=seed))})
+    made = [message for messages in bus.frames(n_frames) for message in messages]
+    bus.check()
+    truth = [message.forces[0] for message in made if isinstance(message, Truth)]
+    taxels = [message.forces[0] for message in made if isinstance(message, Taxels)]
+    return np.stack(truth), np.stack(taxels)
+
+
+def _check_frames(function: str, n_frames: object) -> None:
+    if not is_whole(n_frames, 1):
+        allowed = "allowed: a whole number, 1 or more"
+        raise SparseskinError(f"{function}: n_frames = {n_frames!r} is not allowed; {allowed}")
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame of one patch, as it passed through the nodes; None where no node makes a part."""
+
+    patch: str
+    stamp_ns: int
+    """Time of acquisition, nanoseconds."""
+    truth: Floats | None = None
+    """Forces that act, newtons, float32 (n_rows, n_cols), where a simulation knows them."""
+    taxels: Floats | None = None
+    """Readings, newtons, float32 (n_rows, n_cols)."""
+    measurements: Floats | None = None
+    """What the edge sent, newtons, float32 (m,)."""
+    forces: Floats | None = None
+    """Reconstructed forces, newtons, float32 (n_rows, n_cols)."""
+    error: float | None = None
+    """RMS error of a taxel of `forces` as the solver estimates it, newtons, where it does."""
+    trusted: bool = True
+    """False if the frame is not to be acted on, as `reason` states."""
+    reason: str = ""
+    """Word of the `messages.Reason` for that; "" if there is none."""
+    contacts: Contacts | None = None
+    """Contacts of `forces`, arrays with an entry each, with `reconstructor.contacts=true`."""
+    label: Labels | None = None
+    """What presses: label, share, age; with a node recogniser."""
+    missing: Mask | None = None
+    """Taxels whose reading is missing, and filled in, (n_rows, n_cols); None: there are none."""
+
+
+@checked(SparseskinError)
+def run_launch(
+    launch: LaunchFile | str, n_frames: int | None = None, settings: Sequence[str] = ()
+) -> Iterator[Frame]:
+    """Run the nodes of a launch file in this program, frame by frame, as fast as they go.
+
+    The results have the same bits as those of the processes that `sparseskin launch` starts.
+
+    Parameters
+    ----------
+    launch : LaunchFile or str
+        What `load_launch` returned, or the name or path of a launch file.
+    n_frames : int, optional
+        Number of frames, 1 or more; by default until the source ends.
+    settings : sequence of str
+        "NODE.KEY=VALUE" each; only with a name or path.
+
+    Yields
+    ------
+    Frame
+        For each patch of the graph and each of its frames.
+
+    Raises
+    ------
+    SparseskinError
+        If the launch file is refused (LaunchError), a node fails, or refuses a message; or
+        `n_frames` is not allowed.
+
+    Examples
+    --------
+    >>> import sparseskin
+    >>> for frame in sparseskin.run_launch("path_40", 2, ["compressor.ratio=4"]):
+    ...     print(frame.patch, frame.taxels.shape, frame.measurements.shape, frame.forces.shape)
+    skin (40, 40) (400,) (40, 40)
+    skin (40, 40) (400,) (40, 40)
+    """
+    if n_frames is not None:
+        _check_frames("run_launch", n_frames)
+    if isinstance(launch, str):
+        launch = load(launch, settings)
+    elif settings:
+        raise SparseskinError("run_launch: settings go to load_launch where the file is loaded")
+    bus = Bus({node.name: (node.cls, node.settings) for node in launch.nodes.values()})
+    held: dict[str, Floats] = {}
+    try:
+        for messages in bus.frames(n_frames):
+            bus.check()
+            yield from _frames_of(messages, held)
+    finally:
+        bus.close()
+    bus.check()
+
+
+_PARTS = {Truth: "truth", Taxels: "taxels", Measurements: "measurements", Reconstruction: "forces"}
+
+
+def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator[Frame]:
+    found: dict[tuple[str, int], dict[str, Any]] = {}
+    for message in messages:
+        if isinstance(message, Labels):
+            found.setdefault((message.patch, message.stamp_ns), {})["label"] = message
+        if not isinstance(message, Frames):
+            continue
+        for one in message.split(held):
+            parts = found.setdefault((one.patch, one.stamp_ns), {})
+            if isinstance(one, Contacts):
+                parts["contacts"] = one
+                continue
+            values = values_alone(one)
+            if isinstance(one, Taxels | Reconstruction):
+                parts["missing"] = one.missing_cells(one.forces.shape[1:])
+            parts[_PARTS[type(one)]] = values.get("y", values.get("forces"))
+            parts |= {
+                name: values[name] for name in ("error", "trusted", "reason") if name in values
+            }
+    for (patch, stamp_ns), parts in found.items():
+        yield Frame(patch, stamp_ns, **parts)
