@@ -245,7 +245,7 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
         alarms=int((is_right & ~is_trusted).sum()),
         residue=residue,
         estimated=len(quotients),
-        close=sum(1 / CLOSE < quotient < CLOSE for quotient in quotients),
+        close=sum(bool(1 / CLOSE < quotient < CLOSE) for quotient in quotients),
         reasons=dict(reasons),
     )
 

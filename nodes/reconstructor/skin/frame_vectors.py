@@ -318,7 +318,7 @@ class FrameVectors(Vectors):
         mean_weight = _total(weight) / self._rows.n
         s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + plan.floor
         s = np.float32(math.sqrt(s2))
-        correction = weight * off / np.float32(mean_weight)
+        correction: Any = weight * off / np.float32(mean_weight)
         u = z + self._rows.adjoint(correction)
 
         windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
