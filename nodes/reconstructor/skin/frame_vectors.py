@@ -318,8 +318,8 @@ class FrameVectors(Vectors):
         mean_weight = _total(weight) / self._rows.n
         s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + plan.floor
         s = np.float32(math.sqrt(s2))
-        correction: Any = weight * off / np.float32(mean_weight)
-        u = z + self._rows.adjoint(correction)
+        weighted: Any = weight * off
+        u = z + self._rows.adjoint(weighted) / np.float32(mean_weight)
 
         windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
         n_busy = int(np.count_nonzero(standing_out(windows, self._tiles.strictness)))
@@ -336,7 +336,7 @@ class FrameVectors(Vectors):
         free = (x - alpha * u) / (1 - alpha)
         damping = tuning.damping * min(1.0, tuning.damped_from / (k + 1))
         self._z = z + np.float32(damping) * (free - z)
-        own = alpha * correction[self._rows.read]
+        own = alpha / np.float32(mean_weight) * weighted[self._rows.read]
         return Step(x, expected * float(s) ** 2, residual2, plan, n_busy, own)
 
     def fade(self, part: float) -> None:
