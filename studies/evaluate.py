@@ -57,8 +57,8 @@ CLOSE = 1.5
 class Solved(NamedTuple):
     """A reconstructed frame: forces, float32, shape (n_rows, n_cols), newtons; duration of the
     solve by the clock, and processor time of its thread; iterations; bytes that the edge sends; and
-    where the solver estimates them, the RMS error of a taxel in newtons, and True if the frame is
-    not to be trusted.
+    where the solver estimates them, the RMS error of a taxel in newtons, True if the frame is not
+    to be trusted, and the relative error that all forces share.
     """
 
     forces: Floats
@@ -68,6 +68,7 @@ class Solved(NamedTuple):
     n_bytes: float = 0.0
     error: float | None = None
     flagged: bool | None = None
+    common_error: float = 0.0
 
 
 class Estimator(Protocol):
@@ -132,7 +133,8 @@ class Method:
         error, trusted = estimated_error(self.solver)
         flagged = None if error is None and trusted else not trusted
         n_bytes = VALUE_BYTES * phi.m + self._n_code_bytes
-        return Solved(forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged)
+        common = self.solver.common_error
+        return Solved(forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged, common)
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """Measure and reconstruct the next frame, rounded to `bits`; see `Estimator`."""

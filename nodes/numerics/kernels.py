@@ -75,6 +75,8 @@ class Measured(NamedTuple):
     doubt: A  # part of each value that no force explains, 0 to 1
     excess: A  # variance that this adds to that of its noise
     change: A  # values less those of the last estimate, without what is doubted
+    target_variance: A  # variance of the targets
+    own: A  # what each row has added to its own value in the estimate of the steps
 
 
 class Received(NamedTuple):
@@ -307,7 +309,7 @@ def group(kind: Any, *fields: Any) -> Any:
 
 
 TRANSFORM = group(Transform, G, V)
-MEASURED = group(Measured, L, *(8 * [V]))
+MEASURED = group(Measured, L, *(10 * [V]))
 RECEIVED = group(Received, L, V, V, L, int64, V)
 DOUBT_CONSTANTS = group(DoubtConstants, *(3 * [float64]))
 ESTIMATE = group(Estimate, V, V, V)
@@ -1053,6 +1055,8 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
     off_target = measured.off_target
     target = targets.value
     target_variance = targets.variance
+    of_read = measured.target_variance
+    own = measured.own
     noise_of_all = np.float32(variances.noise)
     floor = np.float32(variances.floor)
     total = 0.0
@@ -1063,6 +1067,8 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
         target[r] += gain * (values[i] - target[r])
         target_variance[r] = max(gain * noise, floor)
         off_target[i] = (_1 - doubt[i]) * (values[i] - target[r])
+        of_read[i] = target_variance[r]
+        own[i] = _0
         total += target_variance[r]
 
     mean = filters.mean
@@ -1154,7 +1160,7 @@ def target_residual(
     z: A, transform: A, measured: A, targets: A, off: A, v: A
 ) -> tuple[float, float]:
     """Set `off` to what the targets exceed W z by. Return the mean squares of it and of the
-    residual of z, of the rows read; v is scratch.
+    residual of z, of the rows read, which is kept; v is scratch.
     """
     target = targets.value
     scale = transform.scale
@@ -1167,19 +1173,23 @@ def target_residual(
 
     read = measured.read
     off_target = measured.off_target
+    residual = measured.residual
     off2 = 0.0
     residual2 = 0.0
     for i in range(read.size):
         off_read = off[read[i]]
+        residual[i] = off_read + off_target[i]
         off2 += np.float64(off_read) ** 2
         residual2 += np.float64(off_read + off_target[i]) ** 2
     return off2 / read.size, residual2 / read.size
 
 
 @compiled(sums_in_any_order=True)
-def linear_estimate(z: A, transform: A, targets: A, tau: Any, floor: float, u: A, v: A) -> Any:
+def linear_estimate(
+    z: A, transform: A, targets: A, tau: Any, floor: float, u: A, v: A
+) -> tuple[Any, Any]:
     """Replace u, which is what the targets exceed W z by, by the truth and noise; set v to u in
-    units of the deviation of this noise, which is returned.
+    units of the deviation of this noise. Return it, and the factor of the weights.
     """
     variance = targets.variance
     scale = transform.scale
@@ -1199,7 +1209,21 @@ def linear_estimate(z: A, transform: A, targets: A, tau: Any, floor: float, u: A
     for p in range(n):
         u[p] = z[p] + v[p] * per_weight
         v[p] = u[p] * per_s
-    return s
+    return s, per_weight
+
+
+@compiled(sums_in_any_order=True)
+def add_own(measured: A, tau: Any, factor: Any, part: Any) -> None:
+    """Move the mean of what the rows read add to their own values by a part towards that of a step:
+    `factor` times their weights times what their targets exceed W z by.
+    """
+    residual = measured.residual
+    off_target = measured.off_target
+    variance = measured.target_variance
+    own = measured.own
+    for i in range(own.size):
+        added = factor * (tau / (tau + variance[i])) * (residual[i] - off_target[i])
+        own[i] += part * (added - own[i])
 
 
 @compiled(sums_in_any_order=True)
@@ -1426,7 +1450,7 @@ def skin_step(
     # Error variance of z, seen by the rows read.
     least_tau = constants.least_tau * max(off2, plan.target_variance)
     tau = np.float32(max(off2 - plan.target_variance, least_tau) + plan.floor)
-    s = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, u, v)
+    s, per_weight = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, u, v)
 
     denoised = scratch.denoised
     for q in range(denoised.size):
@@ -1450,6 +1474,7 @@ def skin_step(
     alpha = np.float32(min(expected, constants.most_alpha))
     damping = constants.damping * min(1.0, constants.damped_from / (k + 1))
     move_iterate(iterates, v, alpha, np.float32(damping), np.float32(part))
+    add_own(measured, tau, alpha * per_weight, np.float32(part))
 
     error2 = expected * np.float64(s) ** 2
     means = StepMeans(
@@ -1535,7 +1560,7 @@ def skin_settle(
     estimate: A,
     blend: A,
     forces: A,
-) -> tuple[float, float, float, float, float]:
+) -> tuple[float, float, float, float, float, float, float, float]:
     """Settle a frame, as in `FrameVectors`; return what it does but for the forces."""
     x = estimate.x
     n = x.size
@@ -1566,8 +1591,24 @@ def skin_settle(
         residual[i] = (_1 - doubt[i]) * (values[i] - x_rows[read[i]])
         residual2 += residual[i] * residual[i]
         along_ones += ones[i] * residual[i]
+
+    # Residual of the steps in their part of x, without what each row added to its own value.
+    innovation = measured.innovation
+    own = measured.own
+    left_out2 = 0.0
+    along_x = 0.0
+    read2 = 0.0
+    for i in range(read.size):
+        x_read = x_rows[read[i]]
+        left_out = residual[i] + rest * ((_1 - doubt[i]) * own[i])
+        along_x += x_read * left_out
+        read2 += x_read * x_read
+        left_out -= part * innovation[i]
+        left_out2 += left_out * left_out
     unpressed, pressed = settle_forces(x, blend, forces)
-    return np.float64(power / n), residual2 / read.size, along_ones, unpressed, pressed
+    m = read.size
+    fits = residual2 / m, left_out2 / m, along_x, read2
+    return np.float64(power / n), *fits, along_ones, unpressed, pressed
 
 
 @compiled((V, NOISE_CURVE), sums_in_any_order=True)

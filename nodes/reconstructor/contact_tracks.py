@@ -122,12 +122,18 @@ class ContactTracker:
         self._n_early = EARLY * n_subsets
 
     def update(
-        self, forces: Floats, error: float | None, stamp_ns: int, sd: Floats | None = None
+        self,
+        forces: Floats,
+        error: float | None,
+        stamp_ns: int,
+        sd: Floats | None = None,
+        common: float = 0.0,
     ) -> Followed | None:
         """Find the contacts of the next frame; None: there are none, and nothing has ended.
 
         `forces`: float32 (n_rows, n_cols), 0 in masked cells; `error`: RMS error over all taxels as
-        the solver estimates it; `sd`: standard deviation of each force, where known.
+        the solver estimates it; `sd`: standard deviation of each force, where known; `common`:
+        relative error that all forces share.
         """
         before, limits = self._tracks, self.limits
         if self._n_early:
@@ -139,6 +145,7 @@ class ContactTracker:
             unit=max(self._floor, error or 0.0),
             is_mean=error is not None,
             sd=sd,
+            common=common,
         )
         elapsed_s, self._last_ns = 1e-9 * (stamp_ns - self._last_ns), stamp_ns
         if found is None:

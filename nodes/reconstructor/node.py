@@ -279,7 +279,8 @@ class Reconstructor(Node[ReconstructorSettings]):
     ) -> Reconstruction:
         """What the patches found, without the forces of those that are unchanged."""
         found = [patch.solved for patch in self._patches if patch.solved is not None]
-        all_forces, sds, iterations, residuals, solve_ns, errors, reasons = zip(*found, strict=True)
+        columns = zip(*found, strict=True)
+        all_forces, sds, iterations, residuals, solve_ns, errors, _, reasons = columns
         forces = [one for one, same in zip(all_forces, unchanged, strict=True) if not same]
         changes: dict[str, Any] = {
             "stamp_ns": measurements.stamp_ns,

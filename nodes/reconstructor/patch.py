@@ -57,6 +57,7 @@ class Solved(NamedTuple):
     residual: float
     solve_ns: int
     error: float | None
+    common_error: float
     reason: str
 
 
@@ -72,6 +73,7 @@ class Patch:
         #: Steps of a frame that the budget allows.
         self.most_steps = 0
         self._error: float | None = None
+        self._common_error = 0.0
         self._believed: Floats | None = None
         self._found = ""
         self._f_max = 0.0
@@ -221,6 +223,7 @@ class Patch:
         self._solve_ns = 0
         if self._believed is None:  # it holds nothing of the skin
             self._error = None
+            self._common_error = 0.0
             return
         begin_ns = time.perf_counter_ns()
         self.solver.setup(self._believed, self._warm)
@@ -232,6 +235,7 @@ class Patch:
         self._last = self.solver.finish()
         self._n_steps = self.solver.n_done if isinstance(self.solver, CountsTiles) else most
         self._error, _ = estimated_error(self.solver)
+        self._common_error = self.solver.common_error
         self._solve_ns = time.perf_counter_ns() - begin_ns
         self._warm = None
 
@@ -255,7 +259,7 @@ class Patch:
                 sd[self._missing] = self._f_max  # nothing is known of them
         self._found = verdict.reason
         reason = self._reason(verdict.reason)
-        numbers = self._n_steps, residual, self._solve_ns, self._error
+        numbers = self._n_steps, residual, self._solve_ns, self._error, self._common_error
         self.solved = Solved(verdict.forces, sd, *numbers, reason)
         return self.solved
 
@@ -274,7 +278,9 @@ class Patch:
         """Contacts of the frame that was published last; None: there are none."""
         if self._tracker is None or self.solved is None:
             return None
-        return self._tracker.update(self.solved.forces, self.solved.error, stamp_ns, self.solved.sd)
+        solved = self.solved
+        errors = solved.error, stamp_ns, solved.sd, solved.common_error
+        return self._tracker.update(solved.forces, *errors)
 
 
 def _noise_model(skin: SkinState) -> NoiseModel | None:

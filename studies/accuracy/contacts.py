@@ -43,6 +43,8 @@ CLASSES = ("below 0.2", "0.2 to 1", "1 to 5", "above 5")
 FRAMES, QUICK_FRAMES = 400, 60
 UNTOUCHED, QUICK_UNTOUCHED = 1000, 50
 FRAME_NS = 1_000_000
+BAND = 1.645
+"""Half width of the band that holds 90 % of normal errors, in their deviations. Derived."""
 TRUE = Limits(low=1.0, high=0.5)
 """Limits of true contacts: all taxels above 0.4 % of the range."""
 
@@ -123,7 +125,9 @@ class ContactScores:
             solved = estimator.reconstruct(taxels)
             self.n_bytes = solved.n_bytes or VALUE_BYTES * self._take.n
             stamp_ns = (k + 1) * FRAME_NS
-            found = joined([tracker.update(solved.forces, solved.error, stamp_ns)])
+            common = solved.common_error
+            tracked = tracker.update(solved.forces, solved.error, stamp_ns, common=common)
+            found = joined([tracked])
             known = joined([true.update(truth, None, stamp_ns)])
             if k < n_early:
                 part.seen |= set(known["id"].tolist())
@@ -225,10 +229,19 @@ class ContactScores:
             "force": None if force is None else 100 * force,
             "total_sds": None if in_sd[0] is None else in_sd[0] / 0.6745,
             "centre_sds": None if in_sd[1] is None else in_sd[1] / 0.6745,
+            "total_held": _share_within(self.in_sd[0]),
+            "centre_held": _share_within(self.in_sd[1]),
             "lost": part * self.n_lost if n_true else None,
             "swapped": part * self.n_swapped if n_true else None,
             "n_bytes": self.n_bytes,
         }
+
+
+def _share_within(errors: Sequence[float]) -> float | None:
+    """Part in % of errors, in stated deviations, within the band that holds 90 % of normal ones."""
+    if not errors:
+        return None
+    return 100 * float(np.mean(np.abs(errors) < BAND))
 
 
 def _median(values: Any) -> float | None:

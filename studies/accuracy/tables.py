@@ -262,6 +262,8 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         by_ratio(rows, keys, "{force:.1f}"),
         "True deviations of total and centre, by the median of the errors, in those stated:",
         by_ratio(rows, keys, "{total_sds:.1f}, {centre_sds:.1f}"),
+        "Errors of total and centre within 1.645 stated deviations, of 90, in %:",
+        by_ratio(rows, keys, "{total_held:.0f}, {centre_held:.0f}"),
         "Ids lost and swapped, in 1000 frames of a contact:",
         by_ratio(rows, keys, "{lost:.1f}, {swapped:.1f}"),
         least=contacts.LEAST,

@@ -130,15 +130,15 @@ class CompiledVectors(Vectors):
         rows = self._rows
         read = rows.read
         n_read = len(read)
-        vectors = np.empty((7, n_read), dtype=np.float32)
-        values, innovation, off_target, residual, doubt, excess, change = vectors
+        vectors = np.empty((9, n_read), dtype=np.float32)
+        values, innovation, off_target, residual, doubt, excess, change = vectors[:7]
         self.innovation = innovation
         self.residual = residual
         self.doubt = doubt
         self.change = change
         measured = kernels.Measured(
             *(read, values, innovation, subset.innovation),
-            *(off_target, residual, doubt, excess, change),
+            *(off_target, residual, doubt, excess, change, *vectors[7:]),
         )
         self._measured = measured
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from sparseskin.nodes.compressor.phi.base import UNREAD
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -14,7 +13,7 @@ from .prediction import PredictionError, motion_of
 from .row_subset import FrameNumbers, Level, RowSubset
 from .rows import Rows
 from .tiles import SHIFTS
-from .trust import Fit, StatedError, TaxelNoise, Trust, estimate_error2
+from .trust import CommonError, Fit, StatedError, TaxelNoise, Trust, estimate_error2
 from .tuning import SkinTuning
 from .vectors import (
     N_FORMULA,
@@ -87,7 +86,7 @@ class SkinEstimator:
         What the steps of a frame may take, where it chooses their number. The caller sets it.
     steps : Steps
         Those of the last frame.
-    vectors, noise_level, prediction_error, bias, stated_error, trust
+    vectors, noise_level, prediction_error, bias, stated_error, common_error, trust
         The state from frame to frame.
     error : float
         Estimated RMS error of a taxel of the last frame, by which the next one is predicted.
@@ -107,6 +106,7 @@ class SkinEstimator:
         self.prediction_error = PredictionError(tuning)
         self.bias = Bias(tuning)
         self.stated_error = StatedError(tuning)
+        self.common_error = CommonError(tuning)
         self.trust = Trust(tuning)
         self.noise_sd = 0.0
         self.noise_model: NoiseModel | None = None
@@ -122,6 +122,7 @@ class SkinEstimator:
         self.prediction_error.forget()
         self.bias.forget()
         self.stated_error.forget()
+        self.common_error.forget()
         self.trust.forget()
         self.error = 0.0
         self._level = Level()
@@ -247,13 +248,14 @@ class SkinEstimator:
         # What the noise of measurements left in the last estimate, the same measurements leave.
         inherited2 = frame.repeated * min(last_error2, self._noise)
         self.error = math.sqrt(max((1 - part) * error2, inherited2))
-        has_unread_rows = self._filtered.n_known < (1 - UNREAD) * self._rows.n
-        return Fit(steps, settled, part, inherited2, has_unread_rows)
+        known = self._filtered.n_known / self._rows.n
+        return Fit(steps, settled, part, inherited2, known, frame.n_read / self._rows.n)
 
     def _judge(self, fit: Fit, frame: FrameNumbers) -> None:
         """Set the stated error, and whether the estimate is trusted."""
         noise = self._taxel_noise(fit.settled)
         error2 = self.stated_error.follow(fit, noise, frame)
+        self.common_error.follow(fit.settled)
         self.trust.follow_silence(frame.silent)
 
         level = self.noise_level

@@ -45,6 +45,7 @@ class Step(NamedTuple):
     residual2: float  # mean squared residual of z before it, of the rows read
     plan: StepPlan  # the plan of the frame, which the first step chooses
     n_busy: int  # tiles in which something stands out of the noise
+    own: Floats  # what each row read has added to its own value in x, (n_read,)
 
 
 class FrameVectors(Vectors):
@@ -162,6 +163,7 @@ class FrameVectors(Vectors):
         self._predicted_rows = self._rows.forward(self._predicted)
         self.innovation = self._certain * (self._values - self._predicted_rows[read])
         self._estimate = self._predicted
+        self._own = np.zeros_like(self.innovation)
 
         self._expected = (self._variance + self._change)[read]
         self._is_known: Mask = self._expected < UNKNOWN
@@ -251,6 +253,7 @@ class FrameVectors(Vectors):
     def steps(self, plan: StepPlan) -> Steps:
         self._z = self._predicted
         estimates = []
+        own = []
         expected2 = []
         residual2 = []
         least = plan.n_formula + plan.n
@@ -268,6 +271,7 @@ class FrameVectors(Vectors):
             n_tiles += n_busy // FORMULA_SHARE if k < plan.n_formula else n_busy
             if k >= plan.n_formula:
                 estimates.append(step.x)
+                own.append(step.own)
                 expected2.append(step.error2)
                 residual2.append(step.residual2)
             k += 1
@@ -275,8 +279,9 @@ class FrameVectors(Vectors):
         # Errors of steps with other tiles differ: their mean has less.
         weights = self._weights_of(np.array(residual2), plan)
         self._estimate = np.zeros_like(self._z)
-        for weight, x in zip(weights.astype(np.float32), estimates, strict=True):
+        for weight, x, added in zip(weights.astype(np.float32), estimates, own, strict=True):
             self._estimate += weight * x
+            self._own += weight * added
         numbers = plan.n_formula, k - plan.n_formula, n_tiles
         return Steps(float(weights @ expected2), float(weights @ residual2), *numbers)
 
@@ -313,7 +318,8 @@ class FrameVectors(Vectors):
         mean_weight = _total(weight) / self._rows.n
         s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + plan.floor
         s = np.float32(math.sqrt(s2))
-        u = z + self._rows.adjoint(weight * off) / np.float32(mean_weight)
+        weighted: Any = weight * off
+        u = z + self._rows.adjoint(weighted) / np.float32(mean_weight)
 
         windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
         n_busy = int(np.count_nonzero(standing_out(windows, self._tiles.strictness)))
@@ -330,7 +336,8 @@ class FrameVectors(Vectors):
         free = (x - alpha * u) / (1 - alpha)
         damping = tuning.damping * min(1.0, tuning.damped_from / (k + 1))
         self._z = z + np.float32(damping) * (free - z)
-        return Step(x, expected * float(s) ** 2, residual2, plan, n_busy)
+        own = alpha / np.float32(mean_weight) * weighted[self._rows.read]
+        return Step(x, expected * float(s) ** 2, residual2, plan, n_busy, own)
 
     def fade(self, part: float) -> None:
         self._predicted = np.float32(1 - part) * self._predicted
@@ -342,6 +349,11 @@ class FrameVectors(Vectors):
         self._correction = self._x_rows - self._predicted_rows
         self.residual = self._certain * (self._values - self._x_rows[self._rows.read])
 
+        # Residual of the steps in their part of x, without what each row added to its own value.
+        own = (1 - part) * (self._certain * self._own)
+        left_out = self.residual - part * self.innovation + own
+        x_read = self._x_rows[self._rows.read]
+
         # A taxel within the noise counts as unpressed.
         x = self.x
         near = (x / np.float32(2 * blend.noise_sd + math.sqrt(TINY))).clip(None, 8)
@@ -350,6 +362,9 @@ class FrameVectors(Vectors):
             forces=_unclipped(x, blend),
             power=_dot(x, x) / len(x),
             residual2=_dot(self.residual, self.residual) / len(self.residual),
+            left_out2=_dot(left_out, left_out) / len(left_out),
+            along_x=_dot(x_read, self.residual + own),
+            read2=_dot(x_read, x_read),
             along_ones=_dot(ones, self.residual),
             unpressed=_dot(x, unpressed),
             pressed=_total((1 - unpressed) ** 2) / len(x),

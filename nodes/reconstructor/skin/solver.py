@@ -151,6 +151,7 @@ class SkinSolver(CountsTiles):
         self._steps_left = 0
         self.watch = None
         self.error = None
+        self.common_error = 0.0
         self.trusted = True
 
     def use(self, phi: Phi) -> None:
@@ -303,9 +304,11 @@ class SkinSolver(CountsTiles):
 
         # The residuals of single taxels show no error between them.
         self.error = None
+        self.common_error = 0.0
         self.trusted = True
         if not phi_fact(self.phi, "samples"):
             self.error = self._estimator.stated_error.value
+            self.common_error = self._estimator.common_error.value
             self.trusted = self._estimator.trust.holds
 
         image = forces.take(self._place, mode="clip")

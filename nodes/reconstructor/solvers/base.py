@@ -102,6 +102,8 @@ class Solver(ABC):
     #: Estimated RMS error of a taxel of the last frame, in the unit of the forces; None where the
     #: solver does not estimate it.
     error: float | None = None
+    #: Estimated relative error that all forces share, RMS; 0 where the solver does not estimate it.
+    common_error: float = 0.0
     #: False if the last frame is not to be trusted: its estimated error is a large part of its
     #: forces.
     trusted: bool = True

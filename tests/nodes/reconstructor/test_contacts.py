@@ -65,6 +65,16 @@ def test_total_centre_area_and_deviations_of_boxes_are_those_of_their_closed_for
     assert stated.total_sd == pytest.approx(0.1 * np.sqrt(24))
 
 
+def test_an_error_that_all_forces_share_adds_to_the_deviation_of_totals_alone():
+    forces = boxes((2, 3), (20, 30))
+    plain, shared = (
+        joined([ContactTracker(state()).update(forces, NOISE_N, DT_NS, common=common)])
+        for common in (0.0, 0.1)
+    )
+    assert shared["total_sd"] == pytest.approx(np.hypot(plain["total_sd"], 0.1 * plain["total"]))
+    np.testing.assert_array_equal(shared["centre_sd"], plain["centre_sd"])
+
+
 def test_thresholds_have_hysteresis_and_diagonal_neighbours_are_one_contact():
     forces = boxes((2, 3), force=3 * NOISE_N)
     assert not find_contacts(forces, NOISE_N).total.size

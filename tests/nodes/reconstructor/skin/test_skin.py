@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matrices import Stretched
 from pressed import noisy, psnr_db, sliding_disc
+from scipy.ndimage import gaussian_filter
 
 from sparseskin import Stream
 from sparseskin.nodes.compressor.phi.base import make_phi
@@ -17,6 +18,9 @@ from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.skin.rows import HadamardRows, WhitenedRows, rows_of
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
+from sparseskin.nodes.reconstructor.skin.trust import CommonError
+from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
+from sparseskin.nodes.reconstructor.skin.vectors import Settled
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -128,10 +132,12 @@ def test_repeats_of_fixed_rows_lower_the_estimated_error_as_independent_frames_a
 def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings, rows):
     pytest.importorskip("numba")
     frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(rows)
-    plain, errors = reconstructed(solver_of(phis, fast="off", **settings), phis, frames)
-    found, more = reconstructed(solver_of(phis, fast="on", **settings), phis, frames)
+    numpy_solver, compiled = (solver_of(phis, fast=fast, **settings) for fast in ("off", "on"))
+    plain, errors = reconstructed(numpy_solver, phis, frames)
+    found, more = reconstructed(compiled, phis, frames)
     assert np.abs(found - plain).max() < 1e-4 * plain.max()
     np.testing.assert_allclose(more, errors, rtol=1e-3)
+    assert compiled.common_error == pytest.approx(numpy_solver.common_error, rel=0.02)
 
 
 @pytest.mark.parametrize("fast", ["on", "off"])
@@ -172,6 +178,31 @@ def test_the_estimated_error_is_near_the_true_one(rows, noise_model):
     true = np.sqrt(np.mean(np.square(found - truth), axis=(1, 2)))
     off = np.abs(np.log(np.array(errors)[20:] / true[20:]))
     assert (np.mean(off[:, None] < np.log([1.5, 2.0]), axis=0) >= [0.8, 0.9]).all()
+
+
+def test_of_frames_without_a_past_the_error_is_that_of_rows_that_are_left_out():
+    """Dense loads at N/6, without noise: a fit leaves residuals far below the errors."""
+    quotients = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        load = gaussian_filter(rng.standard_normal(SHAPE), 1.5).clip(0, None).astype(np.float32)
+        phi = make_phi("sbhe", N, N // 6, seed=seed)
+        solver = SkinSolver(phi, HaarBasis(*SHAPE))
+        found = solver.solve(phi.forward(load.reshape(-1)))
+        true = np.sqrt(np.mean(np.square(found - load)))
+        assert np.sqrt(np.mean(np.square(solver.residual))) < true
+        quotients.append(solver.error / true)
+    assert np.median(np.abs(np.log(quotients))) < np.log(1.3)
+    assert np.mean(np.abs(np.log(quotients)) < np.log(1.6)) > 0.9
+
+
+@given(st.floats(-1, 1), st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=20))
+def test_an_error_that_all_forces_share_is_the_regression_of_residuals_on_them(part, powers):
+    common = CommonError(SkinTuning())
+    for power in powers:
+        settled = Settled(np.zeros(1, np.float32), power, 0, 0, part * power, power, 0, 0, 0)
+        common.follow(settled)
+    assert common.value == pytest.approx(abs(part), abs=1e-6)
 
 
 @pytest.mark.parametrize(("side", "ratio", "sd"), [(8, 4, 0.0), (32, 3, 0.02)])
