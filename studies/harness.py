@@ -82,7 +82,8 @@ class Candidate:
         """Make the estimator for the skin of a take; `seed`: of Phi. Raises SparseskinError if it
         cannot be.
         """
-        at, mask = replace(measurement, **self.changes), take.mask
+        at = replace(measurement, **self.changes)
+        mask = take.mask
         ratio = int(at.ratio)
         if self.of != "solver":
             makers: dict[str, Callable[[], Estimator]] = {
@@ -158,7 +159,8 @@ class Experiment:
         every = product(
             map(stated, self.frames), map(asdict, self.measurements), groups, self.seeds
         )
-        names, scores = ("frames", "measurement", "candidates", "seed"), list(self.scores)
+        names = ("frames", "measurement", "candidates", "seed")
+        scores = list(self.scores)
         return [{**dict(zip(names, one, strict=True)), "scores": scores} for one in every]
 
     def run(self, out: Path, executor: str) -> pd.DataFrame:
@@ -179,7 +181,8 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
     take = opened(point)
     measurement = Measurement(**point["measurement"])
     mask = None if take.mask.all() else take.mask
-    scores, estimators = {}, {}
+    scores = {}
+    estimators = {}
     for name, of in point["candidates"].items():
         scores[name] = Scores(take.f_max, mask, take.norm, take.total)
         try:

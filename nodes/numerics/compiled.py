@@ -45,7 +45,8 @@ def check_fast(fast: str) -> str:
     """
     name = "fast"
     if fast == "auto" and ENVIRONMENT in os.environ:
-        name, fast = ENVIRONMENT, os.environ[ENVIRONMENT]
+        name = ENVIRONMENT
+        fast = os.environ[ENVIRONMENT]
     if not isinstance(fast, str) or fast not in FAST:
         fault = f"{fast!r} is not known{did_you_mean(str(fast), FAST)}"
         raise SettingsError(f"{name}: {fault}; allowed: {', '.join(FAST)}")

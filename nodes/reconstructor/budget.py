@@ -18,7 +18,9 @@ LEAST_STEPS = 3
 SHARE = 0.5
 """Part of the time between frames that a frame may take. Derived: as much is left for the other
 nodes of the patch, and for a first frame after a pause."""
-N_FIRST, N_TIMED, ENOUGH_S = 2, 6, 0.2
+N_FIRST = 2
+N_TIMED = 6
+ENOUGH_S = 0.2
 """Frames that are not timed, for memory and caches; largest number of frames that are; and the time
 after which no other is, seconds."""
 N_OF_TILES = 16

@@ -37,7 +37,8 @@ class Tracks:
     """
 
     def __init__(self, ids: list[int], state: Doubles) -> None:
-        self.ids, self.state = ids, state
+        self.ids = ids
+        self.state = state
         self.age_s, self.over, self.sliding = state[:3]
         self.velocities, self.places = state[3:].reshape(2, len(state) // 2 - 1, len(ids))
 
@@ -99,7 +100,9 @@ class ContactTracker:
         self._tracks = _NO_TRACKS
         #: Of contacts that met: where they were before, by id, by the id of the one that goes on.
         self._apart: dict[int, dict[int, Doubles]] = {}
-        self._last_id, self._last_ns, self._n_early = 0, 0, 0
+        self._last_id = 0
+        self._last_ns = 0
+        self._n_early = 0
 
     @property
     def regions(self) -> npt.NDArray[np.int32]:
@@ -135,7 +138,8 @@ class ContactTracker:
         the solver estimates it; `sd`: standard deviation of each force, where known; `common`:
         relative error that all forces share.
         """
-        before, limits = self._tracks, self.limits
+        before = self._tracks
+        limits = self.limits
         if self._n_early:
             self._n_early, limits = self._n_early - 1, replace(limits, high=math.inf)
         found = self._finder.find(
@@ -151,7 +155,8 @@ class ContactTracker:
         if found is None:
             if not before.ids:
                 return None
-            self._tracks, self._apart = _NO_TRACKS, {}
+            self._tracks = _NO_TRACKS
+            self._apart = {}
             return Followed(NOTHING, [(number, END) for number in before.ids])
         places = found.sums[3 : min(8, len(found.sums) // 2 + 1)]
         ids = self._ids(found, places) if before.ids else [0] * places.shape[1]
@@ -178,7 +183,8 @@ class ContactTracker:
 
     def _ids(self, found: Found, places: Doubles) -> list[int]:
         """Ids of the contacts of a frame; 0: a new one."""
-        before, ids = self._tracks, [0] * places.shape[1]
+        before = self._tracks
+        ids = [0] * places.shape[1]
         rows = found.overlap.tolist()
         pairs = [(k, q) for k, row in enumerate(rows) for q, n in enumerate(row) if n]
         overlapped = {q for _, q in pairs}
@@ -229,7 +235,8 @@ class ContactTracker:
 
     def _fields(self, sums: Doubles) -> dict[str, Any]:
         """Fields of the message."""
-        k, j = len(sums) // 2 + 1, len(sums)
+        k = len(sums) // 2 + 1
+        j = len(sums)
         floats = np.concatenate([sums, self._tracks.state]).astype(np.float32)
         switches = floats[j + 1 : j + 3] > 0
         fields: dict[str, Any] = {
@@ -276,7 +283,8 @@ def _switch(state: Doubles, values: Doubles, limit: float) -> Iterator[int]:
 
 
 _NO_TRACKS = Tracks([], np.zeros((5, 0)))
-_EMPTY, _EMPTY_2 = np.zeros(0, dtype=np.float32), np.zeros((0, 2), dtype=np.float32)
+_EMPTY = np.zeros(0, dtype=np.float32)
+_EMPTY_2 = np.zeros((0, 2), dtype=np.float32)
 NOTHING: dict[str, Any] = {
     "id": np.zeros(0, dtype=np.int32),
     **dict.fromkeys(("total", "total_sd", "peak", "age_s"), _EMPTY),

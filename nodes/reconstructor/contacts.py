@@ -206,7 +206,8 @@ def components(
     index, labels = index[kept[labels]], (np.cumsum(kept) - 1)[labels[kept[labels]]]
     peak, n, p = peak[kept], np.count_nonzero(kept), n_regions + 1
     values = forces.reshape(-1)[index].astype(np.float64)
-    here, of_each = places[:, index], variances[index].astype(np.float64)
+    here = places[:, index]
+    of_each = variances[index].astype(np.float64)
 
     def summed(numbers: Doubles) -> Doubles:
         return np.array([np.bincount(labels, row, n) for row in numbers])

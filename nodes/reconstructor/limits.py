@@ -22,7 +22,8 @@ from .solvers.base import solver_class, solver_fact
 #: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
 MAX_STEP = 4.0 / 3.0
 N_POWER_STEPS = 30
-PAD_SIDE, N_PADS = 8, 256
+PAD_SIDE = 8
+N_PADS = 256
 OTHER_ROWS = (
     "preset = paper: the rows of Phi are not those of the paper; advised for its exact method: "
     "compressor.rows = paper"
@@ -123,8 +124,10 @@ def check_phi(phi: Phi, mask: Mask) -> list[str]:
     rng = np.random.default_rng(0)
     x = rng.standard_normal(phi.n).astype(np.float32)
     y = rng.standard_normal(phi.m).astype(np.float32)
-    measured, spread = phi.forward(x), phi.adjoint(y)
-    forth, back = float(measured @ y), float(x @ spread)
+    measured = phi.forward(x)
+    spread = phi.adjoint(y)
+    forth = float(measured @ y)
+    back = float(x @ spread)
     rounding = 1e-3 * float(np.linalg.norm(measured) * np.linalg.norm(y))
     if not abs(forth - back) <= rounding:
         raise SolverError(

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from .idle import IdleWatch
 
 
-EVERY_FRAME, NEWEST = 0, 1
+EVERY_FRAME = 0
+NEWEST = 1
 """Depths where the settings state none: of recorded frames, and of a live source."""
 
 
@@ -143,7 +144,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             raise
 
     def state(self) -> dict[str, Any]:
-        chosen, preset = self.settings.chosen(), self.settings.preset
+        chosen = self.settings.chosen()
+        preset = self.settings.preset
         state: dict[str, Any] = {
             "left_out": self._left_out,
             "depth": self.depth,
@@ -163,7 +165,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         basis = f" in {chosen['basis']}" if self._uses_basis else ""
         n = len(self._patches)
         several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
-        found, skin = self._touching, self._skin
+        found = self._touching
+        skin = self._skin
         n, total = (found.id.size, float(found.total.sum())) if found else (0, 0.0)
         touched = summary(n, total, skin.unit) if n and skin else ""
         solver = f"solver {chosen['solver']}{basis}"
@@ -239,7 +242,8 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def _reconstruct(self, measurements: Measurements) -> Iterator[Message]:
         phi = self._phi_of(measurements)
-        skin, patches = self._skin, self._patches
+        skin = self._skin
+        patches = self._patches
         assert skin is not None
         n = len(patches)
         unchanged = [False] * n

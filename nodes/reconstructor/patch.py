@@ -101,7 +101,8 @@ class Patch:
         each other; `alike` is the first patch of the node, which was set up for the same skin: its
         frames take as long.
         """
-        skin, phi = state.skin, subsets[0]
+        skin = state.skin
+        phi = subsets[0]
         chosen = dict(settings.chosen())
         options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
@@ -124,7 +125,8 @@ class Patch:
         follows = live and "iterations" not in options and bool(getattr(solver, "paces", ()))
         if budget_ms is None and follows and state.rate_hz:
             budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
-        most_steps, frame_ms = sys.maxsize, 0.0
+        most_steps = sys.maxsize
+        frame_ms = 0.0
         if alike is not None:
             most_steps = alike.most_steps
             if isinstance(solver, CountsTiles) and isinstance(alike.solver, CountsTiles):
@@ -135,7 +137,8 @@ class Patch:
             n_steps = solver.n_steps
             most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
             frame_ms = round(1e3 * frame_s, 3)
-            usual, where = most_steps, ""
+            usual = most_steps
+            where = ""
             if isinstance(solver, CountsTiles) and solver.times[0]:
                 usual = solver.steps_for(int(USUAL_PART * solver.most_tiles))[1]
                 where = f" where {USUAL_PART:.0%} of the skin is pressed"
@@ -145,7 +148,9 @@ class Patch:
                     "a sudden contact takes several frames; advised: a larger budget_ms, a lower "
                     "rate, or fewer taxels a node"
                 )
-        self.settings, self.solver, self._subsets = settings, solver, subsets
+        self.settings = settings
+        self.solver = solver
+        self._subsets = subsets
         self.most_steps = most_steps
         self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
@@ -202,7 +207,8 @@ class Patch:
 
     def set_missing(self, missing: Mask | None) -> None:
         """State the taxels whose readings are missing in the next frame, bool (n_rows, n_cols)."""
-        self._missing, self._blind = missing, False
+        self._missing = missing
+        self._blind = False
         if missing is not None and self.solver is not None:
             known = self.solver.mask & ~missing
             self._blind = bool((missing & ~of_nine(known, np.logical_or)).any())

@@ -40,8 +40,10 @@ LEAST = 0.2
 FORCES = (0.2, 1.0, 5.0)
 """Bounds of the classes of total force, in ranges of a taxel. Chosen."""
 CLASSES = ("below 0.2", "0.2 to 1", "1 to 5", "above 5")
-FRAMES, QUICK_FRAMES = 400, 60
-UNTOUCHED, QUICK_UNTOUCHED = 1000, 50
+FRAMES = 400
+QUICK_FRAMES = 60
+UNTOUCHED = 1000
+QUICK_UNTOUCHED = 50
 FRAME_NS = 1_000_000
 BAND = 1.645
 """Half width of the band that holds 90 % of normal errors, in their deviations. Derived."""
@@ -79,7 +81,8 @@ def rows(out: Path, executor: str, frames: Sequence[Frames], seeds: Sequence[int
 
 def followed(point: Mapping[str, Any]) -> dict[str, Any]:
     """Follow the contacts of a point's frames in the reconstruction; at ratio 1 in the reading."""
-    take, ratio = opened(point), point["ratio"]
+    take = opened(point)
+    ratio = point["ratio"]
     name = RAW if ratio == 1 else DEFAULT
     made = Candidate(of="reading") if ratio == 1 else Candidate(PRESETS["skin"])
     estimator = made.make(Measurement(ratio, ROTATING), take, point["seed"])
@@ -113,7 +116,8 @@ class ContactScores:
         shape = self._take.mask.shape
         sigma = self._take.sigma_end
         state = self._take.state(sigma, sigma)
-        tracker, true = ContactTracker(state), ContactTracker(self._take.state(0.0, 0.0))
+        tracker = ContactTracker(state)
+        true = ContactTracker(self._take.state(0.0, 0.0))
         true.limits = TRUE
         if isinstance(estimator, Method):
             estimator.reset()
@@ -211,9 +215,12 @@ class ContactScores:
         taxels, mm and %, and in stated deviations (1: as stated); ids lost and swapped in 1000
         frames of a contact; bytes a frame.
         """
-        off, pitch_mm = _median(self.off), self._take.pitch_mm
-        force, in_sd = _median(self.relative), [_median(np.abs(z)) for z in self.in_sd]
-        n_begins, n_true = len(self.delays) + self.n_never, int(self.n_true.sum())
+        off = _median(self.off)
+        pitch_mm = self._take.pitch_mm
+        force = _median(self.relative)
+        in_sd = [_median(np.abs(z)) for z in self.in_sd]
+        n_begins = len(self.delays) + self.n_never
+        n_true = int(self.n_true.sum())
         part = 1000 / max(1, self.n_followed)
         return {
             "refused": "",

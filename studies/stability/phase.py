@@ -19,9 +19,13 @@ from sparseskin.studies.report import Chart, Page
 
 from .sweeps import READINGS, own
 
-SIDE, N_STATIC, N_JUDGED = 40, 24, 8
-RHOS, QUICK_RHOS = (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75), (0.1, 0.3, 0.6)
-RATIOS, QUICK_RATIOS = (32, 16, 12, 8, 6, 4, 3, 2, 1.5), (16, 8, 4, 2)
+SIDE = 40
+N_STATIC = 24
+N_JUDGED = 8
+RHOS = (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75)
+QUICK_RHOS = (0.1, 0.3, 0.6)
+RATIOS = (32, 16, 12, 8, 6, 4, 3, 2, 1.5)
+QUICK_RATIOS = (16, 8, 4, 2)
 """K/M and N/M of the pads."""
 TITLES = {"skin": "skin, the default", "fista": "fista, the paper's solver"}
 LEAST_K = 13

@@ -97,7 +97,8 @@ def swept(one: Experiment, out: Path, executor: str) -> pd.DataFrame:
     value = rows[one.label] if one.label in rows else pd.to_numeric(split[1])
     rows = rows.assign(sweep=one.label, solver=split[0], value=value)
     rows["touched_db"] = -20 * np.log10((1e-3 * rows["touched_mn"]).clip(1e-6))
-    keys, names = ["sweep", "ratio", "solver", "value"], list(SHOWN)
+    keys = ["sweep", "ratio", "solver", "value"]
+    names = list(SHOWN)
     means = rows.groupby(keys, sort=False, dropna=False)[names].mean().reset_index()
     noisy = means[means["solver"].isin(READINGS)].rename(columns={s: f"noisy_{s}" for s in names})
     on = ["ratio", *(["value"] if noisy["value"].notna().all() else [])]
@@ -125,13 +126,15 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
 
 def _draw(out: Path, ratio: int, frame: pd.DataFrame) -> str:
     """Chart of the sweeps, a column each: PSNR, and below it the error where touched."""
-    n, caption = len(SETTINGS), f"Settings, M = N/{ratio}."
+    n = len(SETTINGS)
+    caption = f"Settings, M = N/{ratio}."
     size_in = (n * 2.9, 5.2)
     with Chart(out, f"settings_n{ratio}", caption, 2 * n, n, size_in=size_in) as chart:
         for k, (key, sweep) in enumerate(SETTINGS.items()):
             some = frame[frame["sweep"] == key].copy()
             for below, (score, (title, low, high)) in enumerate(SHOWN.items()):
-                axes, noisy = chart.panels[n * below + k], f"noisy_{score}"
+                axes = chart.panels[n * below + k]
+                noisy = f"noisy_{score}"
                 some[[score, noisy]] = some[[score, noisy]].clip(low, high)
                 readings = some.drop_duplicates("value").sort_values("value")
                 grey: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
@@ -151,7 +154,8 @@ def sweep_table(frame: pd.DataFrame) -> pd.DataFrame:
 
     lines = []
     for (key, solver), some in frame.reset_index().groupby(["sweep", "solver"], sort=False):
-        best, worst = some["mean_db"].idxmax(), some["mean_db"].idxmin()
+        best = some["mean_db"].idxmax()
+        worst = some["mean_db"].idxmin()
         ends = {"best, dB (where touched)": both(some.loc[best]), "worst": both(some.loc[worst])}
         fails = failing(some, SETTINGS[str(key)])
         lines.append({"swept": key, "solver": solver, **ends, "fails": fails})

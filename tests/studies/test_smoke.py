@@ -130,7 +130,8 @@ def recordings(tmp_path):
 def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, recordings, capsys):
     if name in PACKAGES:
         pytest.importorskip(PACKAGES[name])
-    out, options = tmp_path / "out", []
+    out = tmp_path / "out"
+    options = []
     if name == "accuracy":
         options = ["--recordings", str(recordings), "--seeds", "1", "--constants"]
     if name == "tasks":

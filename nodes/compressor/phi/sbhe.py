@@ -19,7 +19,9 @@ from .hadamard import BlockHadamard, CompiledHadamard, block_sizes, hadamard_mat
 from .rotation import RotatingPhi, split_evenly
 
 MAX_SIDE = 4096
-IDENTIFIED, PART, LEAST_M = 32, 4, 32
+IDENTIFIED = 32
+PART = 4
+LEAST_M = 32
 """Largest size of a block whose identifying rows frames hold, in which part of M, and the least M;
 twice as many where rows rotate (of fewer, each row waits longer for the others). Chosen on skins of
 25 to 900 taxels: without them a single force on a taxel of a small block may be put on another."""
@@ -177,7 +179,8 @@ def least_m(sizes: Sequence[int]) -> Indices:
     other blocks up to 64, of which few rows may be held, come first: n + 1, other rows n + 2.
     """
     n = end = sum(sizes)
-    least, number = np.full(n, n + 2), 0
+    least = np.full(n, n + 2)
+    number = 0
     for size in reversed(sizes):  # the smallest first
         end -= size
         number += size.bit_length()
@@ -199,7 +202,8 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
     or else there are more subsets; where these were more than 64, some have no sum. Rows in two
     subsets are half the subsets apart.
     """
-    n, sums = by_block.size, (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
+    n = by_block.size
+    sums = (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
     always = by_block[least_m(sizes)[by_block] <= (m if m >= 2 * LEAST_M else 0)]
     others = by_block[~np.isin(by_block, np.concatenate([sums, always]))]
     fewest, m = n / m, m - always.size
@@ -228,7 +232,9 @@ def in_proportion(numbers: Sequence[int]) -> Indices:
         for b, number in enumerate(numbers)
         for k in range(number)
     )
-    found, ready, at = np.empty(n, dtype=np.intp), list[tuple[int, int]](), 0
+    found = np.empty(n, dtype=np.intp)
+    ready = list[tuple[int, int]]()
+    at = 0
     for place in range(n):
         while at < n and waiting[at][0] <= place:
             heapq.heappush(ready, waiting[at][1:])

@@ -28,7 +28,8 @@ BEYOND = 0.1
 """Part of f_max by which the error of a reconstruction may exceed it: such forces are f_max."""
 SWAMPED = 0.25
 """Largest part of the measurements that may be faulty; with more, something else is wrong."""
-DOUBTED, DOUBT_RATE = 0.5, 0.2
+DOUBTED = 0.5
+DOUBT_RATE = 0.2
 """Mean doubt of a measurement from which on it is named, and its rate per frame."""
 MOST_NAMED = 8
 """Most measurements or taxels that a line names."""

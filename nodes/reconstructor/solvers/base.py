@@ -319,7 +319,8 @@ class RotatingSolver(Solver):
         if phi.fingerprint not in self._solvers:
             raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
         super().use(phi)
-        self.phi, self._chosen = phi, self._solvers[phi.fingerprint]
+        self.phi = phi
+        self._chosen = self._solvers[phi.fingerprint]
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         self._chosen.setup(y, self._last if warm is None else warm)
@@ -426,7 +427,8 @@ def estimated_error(solver: Solver) -> tuple[float | None, bool]:
     SolverError
         If one of them is no such value.
     """
-    error, trusted = getattr(solver, "error", None), getattr(solver, "trusted", True)
+    error = getattr(solver, "error", None)
+    trusted = getattr(solver, "trusted", True)
     if error is not None and not is_real(error, 0.0):
         allowed = "a finite number, 0 or more; or None"
         raise SolverError(f"{solver.name}: error = {error!r} is not allowed; allowed: {allowed}")

@@ -69,7 +69,8 @@ def test_the_environment_replaces_auto(monkeypatch):
 
 @needs_numba
 def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path):
-    loop, lines = _module_of(tmp_path).double, []
+    loop = _module_of(tmp_path).double
+    lines = []
 
     def log(line):
         lines.append((line, list(loop.signatures)))
@@ -78,7 +79,8 @@ def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path):
     (first, before), (last, after) = lines
     assert "compiling" in first
     assert "ready after" in last
-    assert (len(before), len(after)) == (0, 1)
+    assert len(before) == 0
+    assert len(after) == 1
     # From the disk it is read without a word.
     ready(_module_of(tmp_path).double, log=pytest.fail)
 
