@@ -112,8 +112,8 @@ def test_a_signal_ends_it_without_a_traceback_and_without_workers(tmp_path, numb
     os.killpg(run.process.pid, number)
     code, stderr = run.finish()
     assert code == 128 + number
-    assert not ("Traceback" in stderr)
-    assert not ("leaked" in stderr)
+    assert "Traceback" not in stderr
+    assert "leaked" not in stderr
     wait_until(lambda: not run.survivors(), "the workers to end")
     assert n_lines(points) == 4
 
