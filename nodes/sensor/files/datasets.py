@@ -151,16 +151,16 @@ def frames_key(arrays: ArrayFile, layout: Layout) -> str:
     topic = layout.topic.strip("/")
     if topic:
         return _stated_key(arrays, topic, candidates)
-    own = [key for key in arrays.datasets if arrays.last_part(key) == FORCES]
-    if len(own) == 1:
-        return own[0]
+    named_forces = [key for key in arrays.datasets if arrays.last_part(key) == FORCES]
+    if len(named_forces) == 1:
+        return named_forces[0]
     grids = [key for key in candidates if arrays.datasets[key].n_axes > 2]
     if len(grids) == 1:
         (grid,) = grids
         candidates = [grid, *_rivals(arrays, grid, candidates)]
     texts = {key: arrays.datasets[key].text for key in candidates}
-    what = "arrays of frames (frames, rows, columns)"
-    return choose(texts, "", arrays.name, what)
+    kind = "arrays of frames (frames, rows, columns)"
+    return choose(texts, "", arrays.name, kind)
 
 
 def _stated_key(arrays: ArrayFile, topic: str, candidates: Sequence[str]) -> str:
@@ -202,10 +202,10 @@ def _rivals(arrays: ArrayFile, grid: str, keys: Sequence[str]) -> list[str]:
     for key in keys:
         if key == grid:
             continue
-        others = [side for side in arrays.datasets[key].sides if side > 1]
-        shared = [side for side in others if side in sides]
-        n_frames = shared[0] if shared else max(others)
-        n_columns = math.prod(others) // n_frames
+        table_sides = [side for side in arrays.datasets[key].sides if side > 1]
+        shared = [side for side in table_sides if side in sides]
+        n_frames = shared[0] if shared else max(table_sides)
+        n_columns = math.prod(table_sides) // n_frames
         if n_columns > MAX_STATE or n_columns * n_frames >= math.prod(sides):
             rivals.append(key)
     return rivals
@@ -215,21 +215,21 @@ def times_keys(arrays: ArrayFile, layout: Layout) -> list[str]:
     """Arrays of one axis that hold times: the stated one, or those with a name of times, alone or
     behind another word. Raises SourceError if the stated one is none.
     """
-    stated = layout.time
-    if stated == NO_TIMES or has_time_column(layout):
+    time_name = layout.time
+    if time_name == NO_TIMES or has_time_column(layout):
         return []
     lists = [
         key
         for key, dataset in arrays.datasets.items()
         if dataset.dtype.kind in "iufMmUS" and dataset.n_axes <= 1 and math.prod(dataset.sides) > 1
     ]
-    if stated:
-        stated_keys = [key for key in lists if stated in (key, arrays.last_part(key))]
+    if time_name:
+        stated_keys = [key for key in lists if time_name in (key, arrays.last_part(key))]
         if not stated_keys:
             allowed = ", ".join(map(printable, lists[:MAX_SHOWN])) or "none"
-            fault = f"time: {shown(stated)} is no array of one axis; allowed: {allowed}, none"
+            fault = f"time: {shown(time_name)} is no array of one axis; allowed: {allowed}, none"
             raise SourceError(f"{arrays.name}: {fault}")
-        return [stated] if stated in stated_keys else stated_keys
+        return [time_name] if time_name in stated_keys else stated_keys
     exact = [key for key in lists if times.is_time_name(arrays.last_part(key))]
     return exact or [key for key in lists if times.is_time_name(_last_word(key))]
 
