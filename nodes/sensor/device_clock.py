@@ -29,7 +29,8 @@ Point = tuple[float, float]
 class ClockTuning:
     """Constants of the mapping; all chosen, but the last, which is fitted."""
 
-    # Time of which the least delayed frame is kept, at first and later: doubled once `n_periods` are.
+    # Time of which the least delayed frame is kept, at first and later: doubled once there are
+    # `n_periods` of them.
     first_ns: float = 62.5e6
     period_ns: float = 5e8
     n_periods: int = 64  # most periods that are kept: 32 s, in which a quartz hardly drifts
@@ -128,8 +129,8 @@ class DeviceClock:
         """Figures for the operator: `clock`, "source", or "arrival" while frames have the time of
         their arrival; `clock_restarts`, times that it was set or started again. Of a source also
         by how much its clock is fast, `clock_drift_ppm`, with its standard deviation
-        `clock_drift_sd_ppm`; and standard deviations from the line, over the last `n_periods` periods,
-        of arrivals (`clock_jitter_before_ms`) and times of frames (`clock_jitter_after_ms`).
+        `clock_drift_sd_ppm`; and standard deviations from the line, over the last `n_periods`, of
+        arrivals (`clock_jitter_before_ms`) and times of frames (`clock_jitter_after_ms`).
         """
         if not self._is_settled:
             return {"clock": "arrival", "clock_restarts": self._n_restarts}
