@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,16 +44,18 @@ class BagRecording(Recording):
         with self._opened() as bag:
             topic = self._topic(bag)
             message = next(self._taxels(bag, topic))
-            skin = skin_of(bag, patch_of(topic))
             n_rows, n_cols = message.forces.shape[1:]
-            return Head(
+            head = Head(
                 (Axis(n_rows, "rows"), Axis(n_cols, "cols")),
                 is_timed=True,
                 time_unit="ns",
                 n_items=bag.topics[topic].n_messages,
                 notes=(bag.recovered,) if bag.recovered else (),
-                **({} if skin is None else described(skin, skin.rate_hz)),
             )
+            skin = skin_of(bag, patch_of(topic))
+            if skin is not None:
+                head = replace(head, **described(skin, skin.rate_hz))
+            return head
 
     def blocks(self) -> Iterator[Block]:
         from sparseskin.messages.frames import known_forces

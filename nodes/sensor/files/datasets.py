@@ -245,24 +245,30 @@ def times_key(
         return "", ()
     if not keys and not layout.time:
         _ask_for_times(arrays, frames, n_frames)
+    if not keys:
+        return "", ()
+
     n_times = {key: math.prod(arrays.datasets[key].sides) for key in keys}
     as_long = [key for key, n in n_times.items() if n == n_frames]
     if not as_long:
-        listed = ", ".join(f"{printable(key)} ({n})" for key, n in n_times.items())
-        note = f"not read as times of {n_frames} frames: {listed}"
-        if keys and layout.time:
+        sizes = ", ".join(f"{printable(key)} ({n})" for key, n in n_times.items())
+        note = f"not read as times of {n_frames} frames: {sizes}"
+        if layout.time:
             raise SourceError(f"{arrays.name}: time: {note}")
-        return "", (note,) * bool(keys)
+        return "", (note,)
+
     # In the same group, or with the same word at its begin.
     nearness = {key: _common_words(key, frames) for key in as_long}
     nearest = [key for key in as_long if nearness[key] == max(nearness.values())]
     if len(nearest) > 1:
-        ways = [f"time={printable(key)}" for key in nearest[:MAX_SHOWN]]
-        listed = f"{', '.join(ways)} or time=none"
-        fault = f"{len(nearest)} arrays may be the times of the frames: state {listed}"
+        ways = ", ".join(f"time={printable(key)}" for key in nearest[:MAX_SHOWN])
+        fault = f"{len(nearest)} arrays may be the times of the frames: state {ways} or time=none"
         raise UnstatedError(f"{arrays.name}: {fault}", *({"time": key} for key in nearest))
+
     ignored = [printable(key) for key in as_long if key not in nearest]
-    return nearest[0], (f"not read as times: {', '.join(ignored)}",) * bool(ignored)
+    if not ignored:
+        return nearest[0], ()
+    return nearest[0], (f"not read as times: {', '.join(ignored)}",)
 
 
 def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
@@ -292,11 +298,11 @@ def _last_word(key: str) -> str:
     return _words(key)[-1]
 
 
-def _common_words(one: str, another: str) -> int:
+def _common_words(path: str, other_path: str) -> int:
     """Words with which two paths begin alike."""
     n = 0
-    for word, other in zip(_words(one), _words(another), strict=False):
-        if word != other:
+    for word, other_word in zip(_words(path), _words(other_path), strict=False):
+        if word != other_word:
             break
         n += 1
     return n
