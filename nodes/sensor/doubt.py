@@ -1,4 +1,4 @@
-"""Doubt: why the readings of a frame are not to be trusted, by rest, sign and range."""
+"""Doubt: why the readings of a frame are not to be trusted, by rest, sign, range and repetition."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 from .calibration.chain import TARE_FRAMES
 from .calibration.description import SkinDescription
 from .files.recording import ADD
+from .repeats import Repeats
 from .rest import Rest
 from .saturation import Clipped
 from .sign import Sign
@@ -29,6 +30,7 @@ class Doubt:
     def __init__(self, skin: Skin, *, has_level: bool, is_inverted: bool = False) -> None:
         self._skin = skin
         self._rest = Rest(skin) if has_level else None
+        self._repeats = Repeats(skin)
         self._is_inverted = is_inverted
         self._is_new = False
         self._sign_found = False
@@ -75,7 +77,8 @@ class Doubt:
             self._line = self._line_on(sign)
         self._sign_found = sign.is_found
 
-        return self.level or clipped.reason(self._skin.n_taxels)
+        repeats = self._repeats.reason(forces, clipped.margin)
+        return self.level or clipped.reason(self._skin.n_taxels) or repeats
 
     def _line_on(self, sign: Sign) -> str:
         depth = f"{-sign.lowest:.3g} {printable(self._skin.unit)}"

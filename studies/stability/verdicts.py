@@ -24,7 +24,9 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.reconstructor.solvers.base import estimated_error
+from sparseskin.nodes.sensor.doubt import Doubt
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.nodes.sensor.saturation import Clipped
 from sparseskin.studies.evaluate import CLOSE, WRONG
 
 from .worlds import Frame, World
@@ -98,7 +100,7 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
         if y is None:
             yield frame, None
             continue
-        forces = host.reconstruct(y, k)
+        forces = host.reconstruct(y, k, edge.sensed)
         yield frame, Answer(forces, host.trusted, host.reason, spoiler.is_empty, host.error)
 
 
@@ -148,8 +150,18 @@ def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | Non
     for message in (skin, *edge.step(skin)):
         list(host.step(message))
     spoiler = world.spoiler(of_taxels=False)
+    # As the sensor node does.
+    clipped = Clipped(mask=skin.mask)
+    doubt = Doubt(skin.skin, has_level=True)
     for k, frame in enumerate(world.frames()):
-        taxels = Taxels(stamp_ns=k * 10_000_000, patch="skin", forces=frame.readings[np.newaxis])
+        clipped.add(frame.readings, skin.f_min, skin.f_max, skin.sigma_end or None)
+        reason = doubt.look(np.where(world.exists, frame.readings, np.float32(0)), clipped)
+        taxels = Taxels(
+            stamp_ns=k * 10_000_000,
+            patch="skin",
+            forces=frame.readings[np.newaxis],
+            reason=(reason,),
+        )
         (measured,) = edge.step(taxels)
         assert isinstance(measured, Measurements)
         y = spoiler.spoil(np.asarray(measured.y)[0])

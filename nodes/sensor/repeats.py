@@ -1,0 +1,109 @@
+"""Repeats: taxels that read the same number again and again, where noise would change it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sparseskin.messages import Reason
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+
+CHANCE = 1e-12
+"""Probability at which the noise of a taxel repeats one reading so often. Chosen: at 1 kHz one in
+10 years on 4096 taxels."""
+QUIETER = 4.0
+"""Largest ratio of the probabilities of a repetition, of a pressed taxel and an untouched one.
+Chosen: its noise may be a quarter."""
+USUAL = 0.9
+"""Probability of a repetition from which on nothing is concluded. Chosen: readings of so coarse a
+converter stand still under a load that does."""
+SHOWN = 1 / 3
+"""Least part of the readings of untouched taxels that are not 0, where noise shows. Derived: of
+noise that is clipped at 0 one half is, of noise within a step of the converter none."""
+LEAST_RUN = 3
+"""Least number of repetitions. Chosen: a frame may be read twice."""
+LEAST_RUN_AT_END = 10
+"""The same at the upper end of the range, where readings repeat because they are clipped. Chosen:
+one in 1000 runs of a force that is just at the end."""
+SHARE = 0.25
+"""Part of the RMS force of a frame from which on it is not trusted, if it is that of such taxels.
+Derived: an error of that part is not trusted either."""
+
+
+class Repeats:
+    """Finds stuck taxels before their readings become sums, in which they hardly show.
+
+    Untouched taxels show how often noise repeats a reading: p, of those pairs of readings that are
+    not 0 and of which the first is no repetition itself, since a stuck taxel repeats once and for
+    all. A taxel is stuck where it has repeated its reading n times with (4 p)^n <= 10^-12.
+
+    Readings of 0 say nothing: noise below 0 is clipped there. Where untouched taxels read 0 in more
+    than two of three frames, the converter hides their noise, and nothing is concluded at all.
+    """
+
+    def __init__(self, skin: Skin) -> None:
+        self._f_max = np.float32(skin.f_max)
+        self._exists = skin.exists.reshape(-1)
+        self._last: Floats = np.zeros(0, np.float32)
+        self._runs: Indices = np.zeros(0, np.intp)
+        self._n_untouched = 0
+        self._n_shown = 0
+        self._n_pairs = 0
+        self._n_repeated = 0
+
+    def reason(self, forces: Floats, margin: float) -> str:
+        """Add a frame, float32 (n_rows, n_cols), 0 in masked cells; `margin` is what the noise of
+        an untouched taxel may exceed 0 by. Returns its `Reason`, "" where it has none.
+        """
+        readings = forces.reshape(-1)
+        if readings.size != self._last.size:
+            self._last = readings.copy()
+            self._runs = np.zeros(readings.size, np.intp)
+            return ""
+
+        repeats = (readings == self._last) & (readings != 0)
+        self._count(self._last, repeats, margin)
+        self._runs += 1
+        self._runs *= repeats
+        np.copyto(self._last, readings)
+
+        longest = int(self._runs.max(initial=0))
+        needed = self._needed()
+        if longest < needed:
+            return ""
+        at_end = readings >= self._f_max
+        stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
+        if not self._matters(readings, stuck):
+            return ""
+        if np.array_equal(stuck, readings != 0):
+            return Reason.FROZEN
+        return Reason.CLIPPED if at_end[stuck].all() else Reason.STUCK
+
+    def _count(self, before: Floats, repeats: Mask, margin: float) -> None:
+        """Add the pairs of readings of untouched taxels to the counts."""
+        untouched = (np.abs(before) <= margin) & self._exists
+        shown = untouched & (before != 0)
+        self._n_untouched += int(np.count_nonzero(untouched))
+        self._n_shown += int(np.count_nonzero(shown))
+
+        shown &= self._runs == 0
+        self._n_pairs += int(np.count_nonzero(shown))
+        self._n_repeated += int(np.count_nonzero(shown & repeats))
+
+    def _needed(self) -> float:
+        """Number of repetitions of a stuck taxel; infinite where none shows."""
+        if self._n_shown < SHOWN * self._n_untouched:
+            return math.inf
+        probability = QUIETER * (self._n_repeated + 1) / (self._n_pairs + 1)
+        if probability >= USUAL:
+            return math.inf
+        return max(LEAST_RUN, math.ceil(math.log(CHANCE) / math.log(probability)))
+
+    @staticmethod
+    def _matters(readings: Floats, stuck: Mask) -> bool:
+        """True if these taxels have a large part of the forces of a frame."""
+        energy = float(readings @ readings)
+        of_stuck = readings[stuck]
+        return float(of_stuck @ of_stuck) > SHARE**2 * energy

@@ -1,0 +1,93 @@
+"""Taxels that repeat their readings: found where noise shows, and nowhere else."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparseskin.messages import Reason
+from sparseskin.messages.skin import Skin
+from sparseskin.nodes.sensor.repeats import CHANCE, LEAST_RUN_AT_END, QUIETER, Repeats
+
+F_MAX = 2.5
+SIGMA = 0.014
+MARGIN = 6 * SIGMA
+N_BEFORE = 12
+PRESSED = slice(4, 10)
+SKIN = Skin(14, 14, F_MAX)
+
+
+def frames(seed, n_frames, step=0.0, force=1.0):
+    """Noisy readings of a press that rises and stays; `step`: that of a converter, 0 for none."""
+    rng = np.random.default_rng(seed)
+    for k in range(n_frames):
+        truth = np.zeros((14, 14))
+        truth[PRESSED, PRESSED] = force * min(1, max(0, k - 4) / 6)
+        readings = np.clip(truth + SIGMA * rng.standard_normal(truth.shape), 0, F_MAX)
+        if step:
+            readings = np.rint(readings / step) * step
+        yield readings.astype(np.float32)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_stuck=st.integers(4, 150),
+    value=st.floats(0.5, F_MAX),
+)
+def test_stuck_taxels_of_any_shape_are_found_and_no_others(seed, n_stuck, value):
+    places = np.random.default_rng(seed).choice(14 * 14, n_stuck, replace=False)
+    watch = Repeats(SKIN)
+    reasons = []
+    for k, readings in enumerate(frames(seed, N_BEFORE + 2 * LEAST_RUN_AT_END, force=0.3)):
+        if k >= N_BEFORE:
+            readings.flat[places] = value
+        reasons.append(watch.reason(readings, MARGIN))
+    assert set(reasons[:N_BEFORE]) == {""}
+    assert reasons[-1] in (Reason.STUCK, Reason.CLIPPED)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.05, 0.02]))
+def test_nothing_is_concluded_where_a_converter_hides_the_noise(seed, step):
+    watch = Repeats(SKIN)
+    assert {watch.reason(readings, MARGIN) for readings in frames(seed, 200, step)} == {""}
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_force_just_at_the_end_of_the_range_is_none_of_stuck_taxels(seed):
+    watch = Repeats(SKIN)
+    reasons = {watch.reason(readings, MARGIN) for readings in frames(seed, 60, force=F_MAX)}
+    assert reasons == {""}
+
+
+def test_forces_beyond_the_range_are_clipped():
+    watch = Repeats(SKIN)
+    reasons = [watch.reason(readings, MARGIN) for readings in frames(1, 60, force=F_MAX + 1)]
+    assert reasons[-1] == Reason.CLIPPED
+
+
+def test_a_frame_that_repeats_as_a_whole_is_frozen():
+    watch = Repeats(SKIN)
+    for readings in frames(2, 30):
+        assert watch.reason(readings, MARGIN) == ""
+    reasons = [watch.reason(readings, MARGIN) for _ in range(40)]
+    assert reasons[0] == ""
+    assert reasons[-1] == Reason.FROZEN
+
+
+@pytest.mark.parametrize("share", [0.001, 0.05])
+def test_the_number_of_repetitions_follows_from_the_noise_of_untouched_taxels(share):
+    """A share of the readings repeat; (4 p)^n is at most `CHANCE`."""
+    rng = np.random.default_rng(3)
+    watch = Repeats(Skin(100, 100, F_MAX))
+    readings = rng.uniform(0.01, MARGIN, (100, 100)).astype(np.float32)
+    n_repeats = -1  # the first reading of 2 is none
+    while not watch.reason(readings, MARGIN):
+        changes = rng.random(readings.shape) >= share
+        noise = rng.uniform(0.01, MARGIN, readings.shape).astype(np.float32)
+        readings = np.where(changes, noise, readings)
+        readings[0] = 2.0  # nearly all of the forces
+        n_repeats += 1
+    needed = math.log(CHANCE) / math.log(QUIETER * share)
+    assert n_repeats == pytest.approx(needed, rel=0.15, abs=1)
