@@ -225,19 +225,18 @@ class Fleet:
 
     def _start_again(self, dead: NodeProcess) -> None:
         """Start the nodes of a process that died, at their endpoints, and paused as they were."""
-        process = self._companions(dead)
-        for node in process:
-            self._close(node)
+        due = [node for node in self if self.restarts[node.name].due_s is not None]
+        nodes = [node for node in due if node.process is dead.process]
         specs = []
-        nodes = [node for node in process if not node.ended]
         for node in nodes:
+            self._close(node)
             restarts = self.restarts[node.name]
             self._log(f"[launch] {node.name} is started again (restart {restarts.total})")
             if node.state.get("paused"):
                 self._to_pause.add(node.name)
             specs.append(node.spec.with_live(node.settings).again(restarts.total))
         # Not before: what they have reported last is no further failure.
-        for node in process:
+        for node in nodes:
             self.restarts[node.name].due_s = None
         try:
             self._start_process(specs, late=True)
