@@ -47,9 +47,7 @@ def check_processes(specs: Mapping[str, NodeSpec], stated: Collection[str], faul
             fault(("nodes", first.name, "process"), what)
         for spec in others:
             if spec.host != first.host:
-                what = (
-                    f"{name!r} is on {first.host}, with {first.name}, and this node on {spec.host}"
-                )
+                what = f"{name!r} is on {first.host} ({first.name}), this node on {spec.host}"
                 fault(("nodes", spec.name, "process"), what)
                 continue
             of_first = _of_process(first)
