@@ -135,13 +135,10 @@ class Loop:
                 left_ns = min(left_ns, of_node_ns)
         timeout_ms = waiting_ms(left_ns) if caught_up else 0
 
-        if timeout_ms == 0 and caught_up and left_ns > 0:
-            # A node may have published to one before it.
-            ready = dict(self._poller.poll(0)) if len(self._runners) > 1 else {}
-            if ready:
-                return ready
+        ready: dict[Any, int] = dict(self._poller.poll(timeout_ms))
+        if timeout_ms == 0 and caught_up and left_ns > 0 and not ready:
             time.sleep(left_ns / 1e9)
-        ready = dict(self._poller.poll(timeout_ms))
+            return ready
 
         # No node waits for the frames of another.
         patience_s = min(runner.patience_s for runner in self._runners)
