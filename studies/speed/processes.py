@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.process.scheduling import Scheduling
+
 from . import latency
 from .beside import WARM_UP, ages_ms
 from .stopwatch import PROCESSOR, WATCH
@@ -29,20 +32,36 @@ SECONDS, SLICES = 3.0, 3
 STEPS = 1
 """Steps of the solver in a frame: the pace of 1 kHz on a small host; of more steps the solver,
 which is the same everywhere, would hide the difference."""
+PRIORITY = 5
+"""Real-time priority of the nodes where it is permitted: four processes get more of a busy host
+than one, which says nothing about either."""
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """One graph with a monitor, at 1 kHz, and if not quick at lower rates, too."""
-    common = {"scene": SCENE, "preset": "skin", "depth": 1, "iterations": STEPS, "monitor": True}
+    common: dict[str, Any] = {
+        "scene": SCENE,
+        "preset": "skin",
+        "depth": 1,
+        "iterations": STEPS,
+        "monitor": True,
+    }
     common |= {"seed": seed, "slices": SLICES, "seconds": SECONDS}
     rates_hz = QUICK_RATES_HZ if quick else RATES_HZ
+    try:
+        Scheduling(priority=PRIORITY).check_permitted()
+    except SettingsError:
+        common["priority"] = 0
+    else:
+        common["priority"] = PRIORITY
     return [{**common, "rate_hz": rate_hz} for rate_hz in rates_hz]
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Run the graph of a point with its nodes in each of `PROCESSES`, in turn.
 
-    `point`: scene, rate_hz, preset, depth, iterations, monitor, slices, seconds of each. Returns
+    `point`: scene, rate_hz, priority, preset, depth, iterations, monitor, slices, seconds of each.
+    Returns
     medians over the slices, by the kind of graph: "KIND cpu_us", processor time of all nodes for a
     frame of the sensor; "KIND p50_ms" and "KIND p99_ms" of the age of a frame when it is
     reconstructed; "KIND hz", the rate that the sensor reached; "KIND skipped", the part of its
@@ -65,7 +84,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
 
 def with_ratios(figures: dict[str, dict[str, float]]) -> dict[str, float]:
     """Figures of a slice by the kind of graph, and their ratios to those of four processes."""
-    flat = {}
+    flat: dict[str, float] = {}
     for kind, of_kind in figures.items():
         flat |= {f"{kind} {key}": value for key, value in of_kind.items()}
         for name, key in RATIOS.items():
