@@ -14,7 +14,7 @@ install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(PIP) $(
 # A test process that crashes ends the run with its test's name; where another was started in its
 # place, pytest-xdist 3.8 waited for ever.
 PARALLEL := -n $(WORKERS) --dist loadscope --no-loadscope-reorder --max-worker-restart=0
-ALL_TESTS = SPARSESKIN_EXAMPLES=100 $(ONE_THREAD) $(CURDIR)/$(BIN)/python -m pytest -q $(PARALLEL) --durations=20
+ALL_TESTS = SPARSESKIN_EXAMPLES=50 $(ONE_THREAD) $(CURDIR)/$(BIN)/python -m pytest -q $(PARALLEL) --durations=20
 
 .PHONY: dist demo shots gallery charts charts-quick stress stress-quick
 .PHONY: test test-all test-dist test-core coverage test-kernels check mutants docs hooks clean

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         VersionError,
     )
     from .frames import Measurements, Reconstruction, Taxels, Truth
+    from .labels import Labels
     from .reasons import Reason
     from .skin import Skin
     from .state import Calibration, End, PhiState, SkinState, SolverState
@@ -29,14 +30,17 @@ if TYPE_CHECKING:
     from .wire import MAX_MESSAGE_BYTES, decode, encode, size_bytes
 
 __all__ = [
-    "MAX_MESSAGE_BYTES", "Calibration", "Contacts", "End", "FieldError", "MalformedError",
+    "MAX_MESSAGE_BYTES", "Calibration", "Contacts", "End", "FieldError", "Labels", "MalformedError",
     "Measurements", "Message", "MessageError", "NotFiniteError", "OversizedError", "PhiState",
     "Reason", "Reconstruction", "ShapeError", "Skin", "SkinState",
     "SolverState", "Taxels", "TruncatedError", "Truth",
     "UnknownSchemaError", "VersionError", "decode", "encode", "size_bytes", "topic_of",
 ]  # fmt: skip
 
-_MODULES = ("topics", "errors", "reasons", "base", "frames", "contacts", "skin", "state", "wire")
+_MODULES = (
+    *("topics", "errors", "reasons", "base", "frames", "contacts", "labels"),
+    *("skin", "state", "wire"),
+)
 
 
 def __getattr__(name: str) -> Any:

@@ -107,7 +107,8 @@ def frame_pieces(message: Message) -> list[Any]:
     Raises MessageError if its description is too large to travel.
     """
     stream = _described(message)
-    form, values = stream.form, message.__dict__
+    form = stream.form
+    values = message.__dict__
     numbers = [values[name] for name, _ in form.numbers]
     for name, _ in form.each:
         numbers += values[name]
@@ -141,7 +142,8 @@ def frame_bytes(message: Message) -> int:
 
 def _described(message: Message) -> _Stream:
     """The stream of a message, which is described where it is new."""
-    form, values = _form(type(message)), message.__dict__
+    form = _form(type(message))
+    values = message.__dict__
     key: list[Any] = [form.cls, *(values[name] for name, _ in form.texts)]
     for name, kind in form.arrays:
         value = values[name]
@@ -164,7 +166,8 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
     if n_bytes != stream.n_bytes:
         text = f"{stream.form.cls.schema}: {n_bytes} bytes, expected {stream.n_bytes}"
         raise (TruncatedError if n_bytes < stream.n_bytes else OversizedError)(text)
-    values, form = stream.values.copy(), stream.form
+    values = stream.values.copy()
+    form = stream.form
     numbers = stream.numbers.unpack_from(payload, stream.numbers_at)
     for (name, check), number in zip(stream.checks, numbers, strict=False):
         values[name] = check(name, number)
@@ -215,7 +218,8 @@ def _remember(known: dict[Any, Any], key: Any, value: Any) -> None:
 
 def _describe(message: Message) -> _Stream:
     """The stream of a message that was checked."""
-    form, values = _form(type(message)), message.__dict__
+    form = _form(type(message))
+    values = message.__dict__
     arrays = {
         name: [kind.dtype_of(values[name]), list(values[name].shape)]
         for name, kind in form.arrays
@@ -266,7 +270,8 @@ def _learn(description: bytes) -> _Stream:
     form = _form(cls)
     if body.keys() != _DESCRIPTION or not is_frame(cls):
         raise MalformedError(f"{cls.schema}: not the description of a stream")
-    texts, described = body["texts"], body["arrays"]
+    texts = body["texts"]
+    described = body["arrays"]
     n_words = sum(isinstance(kind, Words) for _, kind in form.texts)
     if not isinstance(texts, list) or not 0 <= len(form.texts) - len(texts) <= n_words:
         raise MalformedError(f"{cls.schema}: expected {len(form.texts)} texts")
@@ -281,7 +286,8 @@ def _learn(description: bytes) -> _Stream:
             values[name] = values[name] or words.unstated * n_patches
             if len(values[name]) != n_patches:
                 raise MalformedError(f"{cls.schema}: {name}: expected {n_patches} words")
-    sent, codes = [], [kind.code for _, kind in form.numbers]
+    sent = []
+    codes = [kind.code for _, kind in form.numbers]
     codes += [each.kind.code * n_patches for _, each in form.each]
     for name, kind in form.arrays:
         if name in described:
@@ -294,7 +300,8 @@ def _learn(description: bytes) -> _Stream:
     topic = topic_of(values["patch"], cls.schema).encode()
     begin = topic + b"\0" + _BEGIN.pack(MARK, len(description)) + description
     n_numbers = struct.calcsize("<" + "".join(codes))
-    n_zeros, at = -(len(begin) + n_numbers) % ALIGNMENT, len(begin) - len(topic) - 1
+    n_zeros = -(len(begin) + n_numbers) % ALIGNMENT
+    at = len(begin) - len(topic) - 1
     end = at + n_numbers + n_zeros
     arrays: list[tuple[str, Array, str, tuple[int, ...], int, int]] = []
     for name, kind, dtype, shape, n_bytes in sent:

@@ -72,7 +72,8 @@ class Contacts(Frames):
 
     def validate(self) -> None:
         super().validate()
-        n, n_patches = self.id.size, len(self.patches)
+        n = self.id.size
+        n_patches = len(self.patches)
         for name, sides in _SIDES.items():
             value = self.__dict__[name]
             if value is not None and value.shape != (n, *sides):

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from .errors import FieldError, MalformedError, NotFiniteError, OversizedError, ShapeError
 from .quantised import MAX_BITS, MIN_BITS, Quantised, largest_code, n_bytes, packed, unpacked
 from .ranges import INT64_MAX, is_real, is_whole
-from .topics import MAX_NAMES, MAX_PATCHES, check_name
+from .topics import MAX_NAME, MAX_NAMES, MAX_PATCHES, check_name
 
 MAX_SIDE = 4096
 """Largest number of rows, or of columns, of a grid of taxels."""
@@ -207,9 +207,16 @@ class Text(FieldKind):
             raise FieldError(f"{name}: expected a text, got {type(value).__name__}")
         if len(value) > self.longest:
             raise OversizedError(f"{name}: {len(value)} characters, at most {self.longest}")
-        if re.fullmatch(self.pattern, value) is None:
+        # The same few words recur in every frame; long texts are not kept.
+        matches = _matches if len(value) <= MAX_NAME else re.fullmatch
+        if not matches(self.pattern, value):
             raise FieldError(f"{name}: {value!r} does not match {self.pattern}")
         return value
+
+
+@functools.lru_cache(maxsize=1024)
+def _matches(pattern: str, value: str) -> bool:
+    return re.fullmatch(pattern, value) is not None
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,8 @@ class Frames(Message):
         return self.names or (self.patch,)
 
     def validate(self) -> None:
-        values, n = self.__dict__, len(self.names) or 1
+        values = self.__dict__
+        n = len(self.names) or 1
         for name, kind in of_patches(type(self)).items():
             if isinstance(kind, Each) and not values[name]:
                 values[name] = kind.unstated * n
@@ -239,7 +240,8 @@ class Reconstruction(Sensed):
         if all_sent and not self.names:
             held[self.patch] = self.forces
             return [self]
-        row, parts = 0, []
+        row = 0
+        parts = []
         for k, name in enumerate(self.patches):
             if all_sent or not self.unchanged[k]:
                 held[name] = self.forces[row : row + 1]

@@ -5,7 +5,8 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-MIN_BITS, MAX_BITS = 2, 24
+MIN_BITS = 2
+MAX_BITS = 24
 
 
 class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
@@ -19,7 +20,8 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
 
     def __array_finalize__(self, of: Any) -> None:
         if isinstance(of, Quantised):  # a view, as of the samples of one patch
-            self.bits, self.step = of.bits, of.step
+            self.bits = of.bits
+            self.step = of.step
 
     def __array_wrap__(self, array: Any, *args: Any) -> Any:
         return np.asarray(array)
@@ -28,7 +30,8 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
     def of(cls, codes: npt.NDArray[np.int32], bits: int, step: float) -> Self:
         """Values of codes: int32, of any shape, each of at most `bits` bits."""
         made = (codes * np.float32(step)).astype(np.float32).view(cls)
-        made.bits, made.step = int(bits), float(np.float32(step))
+        made.bits = int(bits)
+        made.step = float(np.float32(step))
         return made
 
     def codes(self) -> npt.NDArray[np.int32]:

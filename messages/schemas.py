@@ -4,11 +4,12 @@ from .base import Message
 from .contacts import Contacts
 from .errors import UnknownSchemaError, VersionError
 from .frames import Measurements, Reconstruction, Taxels, Truth
+from .labels import Labels
 from .state import Calibration, End, PhiState, SkinState, SolverState
 
 _CLASSES: tuple[type[Message], ...] = (
     *(SkinState, Calibration, Truth, Taxels, PhiState, Measurements),
-    *(SolverState, Reconstruction, Contacts, End),
+    *(SolverState, Reconstruction, Contacts, Labels, End),
 )
 SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
 """Message classes by schema name."""
@@ -16,7 +17,8 @@ SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
 
 def class_of(body: dict[object, object]) -> type[Message]:
     """Class of a message, by the schema and version in its map, or MessageError."""
-    name, version = body.get("schema"), body.get("version")
+    name = body.get("schema")
+    version = body.get("version")
     if not isinstance(name, str) or name not in SCHEMAS:
         raise UnknownSchemaError(f"schema {str(name)[:64]!r} (known: {', '.join(SCHEMAS)})")
     cls = SCHEMAS[name]

@@ -1,7 +1,7 @@
 """State messages: descriptions of the nodes, latched so that late subscribers receive them."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +79,21 @@ class SkinState(Message):
         return min(self.sigma_mid, self.sigma_end) * (CLIP_SD if self.clips_noise else 1.0)
 
 
+def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
+    """`f_max` and `unit` of a skin; `mask`, `points`, `point_rows`, `pitch_m` and `rate_hz` where
+    known.
+    """
+    optional = {
+        "mask": skin.mask,
+        "points": skin.points,
+        "point_rows": skin.point_rows,
+        "pitch_m": skin.pitch_m or None,
+        "rate_hz": rate_hz or None,
+    }
+    known = {name: value for name, value in optional.items() if value is not None}
+    return {"f_max": skin.f_max, "unit": skin.unit, **known}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration(Message):
     """The calibration of a skin in use, with which raw readings became forces.
@@ -99,7 +114,8 @@ class Calibration(Message):
     response_force: Floats | None = wire(Array("<f4", 1, optional=True))
 
     def validate(self) -> None:
-        reading, force = self.response_reading, self.response_force
+        reading = self.response_reading
+        force = self.response_force
         if (reading is None) != (force is None):
             raise ShapeError("response_reading, response_force: expected both of them or none")
         if reading is not None and force is not None and len(reading) != len(force):
@@ -138,9 +154,10 @@ class PhiState(Message):
 class SolverState(Message):
     """The solver in use.
 
-    `basis` is "" where the solver has its own. `iterations` is the number a frame; `frame_ms` the
-    time that they take on this host where every taxel is pressed, milliseconds, 0 where it is not
-    known.
+    `basis` is "" where the solver has its own. `iterations` is the number a frame where every taxel
+    is pressed; `frame_ms` the time that they take on this host then, milliseconds, 0 where it is
+    not known. Where fewer are pressed, a frame has up to `max_iterations`; 0: none has more. Their
+    number follows from `frame_tiles` and `step_tiles`, as of `SkinSolver`.
     """
 
     schema: ClassVar[str] = "solver"
@@ -152,6 +169,9 @@ class SolverState(Message):
     iterations: int = wire(Integer(0, 1_000_000))
     lambda_n: float = wire(Real(0.0))
     frame_ms: float = wire(Real(0.0), default=0.0, omitted=True)
+    max_iterations: int = wire(Integer(0, 1_000_000), default=0, omitted=True)
+    frame_tiles: int = wire(Integer(), default=0, omitted=True)
+    step_tiles: int = wire(Integer(), default=0, omitted=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,5 +1,6 @@
 """Topic names: /PATCH/SCHEMA."""
 
+import functools
 import re
 
 from .errors import FieldError, OversizedError
@@ -31,6 +32,7 @@ def check_name(place: str, name: object) -> str:
     return name
 
 
+@functools.lru_cache(maxsize=1024)
 def split_topic(topic: str) -> tuple[str, str]:
     """Split "/PATCH/SCHEMA" into (patch, schema), or raise MessageError."""
     parts = topic.split("/")

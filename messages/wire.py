@@ -59,7 +59,8 @@ def received(buffer: bytes) -> tuple[bytes, Payload]:
 def encode(message: Message) -> tuple[bytes, bytes]:
     """Turn a message into topic and payload, one map: the form of recordings."""
     cls = type(message)
-    body, omitted = {"schema": message.schema, "version": message.version}, omitted_fields(cls)
+    body = {"schema": message.schema, "version": message.version}
+    omitted = omitted_fields(cls)
     for name, kind in wire_fields(cls).items():
         value = message.__dict__[name]
         # A default is never an array.
@@ -86,7 +87,8 @@ def decode(topic: bytes, payload: Payload) -> Message:
         return decode_frame(topic, payload)
     body: dict[object, object] = unpacked(payload, dict, n_bytes)
     cls = class_of(body)
-    fields, omitted = wire_fields(cls), omitted_fields(cls)
+    fields = wire_fields(cls)
+    omitted = omitted_fields(cls)
     held = body.keys() - {"schema", "version"}
     wrong = (held - fields.keys()) | (fields.keys() - omitted.keys() - held)
     if wrong:

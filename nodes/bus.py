@@ -32,7 +32,7 @@ class Bus:
         links = join(nodes)
         for name, (cls, settings) in nodes.items():
             log = partial(_log, self.lines, name)
-            node = cls(settings, Context(name, self.clock, log, live=False))
+            node = cls(settings, Context(name, self._clock_of(name), log, live=False))
             inputs = [link.topic for link in links if link.reader == name]
             self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, log, inputs)
         self._readers: dict[str, list[NodeHost]] = {}
@@ -95,8 +95,16 @@ class Bus:
                 message = self._queue.popleft()
                 delivered.append(message)
                 for reader in self._readers.get(message.topic, ()):
-                    self._queue.extend(reader.receive(message))
+                    self._queue.extend(self._hand(reader, message))
         return delivered
+
+    def _hand(self, reader: NodeHost, message: Message) -> Iterable[Message]:
+        """Let a node process a message; return what it publishes then."""
+        return reader.receive(message)
+
+    def _clock_of(self, name: str) -> Clock:
+        """The clock of a node."""
+        return self.clock
 
 
 def _log(lines: list[str], name: str, line: str) -> None:

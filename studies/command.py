@@ -60,6 +60,11 @@ STUDIES = {
         "sparseskin.studies.accuracy.tables:run",
         options=("recordings", "seeds", "constants", "alone"),
     ),
+    "tasks": Study(
+        "recognition of shapes from taxels, measurements and forces (extra tasks)",
+        "sparseskin.studies.tasks.tables:run",
+        options=("data",),
+    ),
     "speed": Study(
         "time of solvers, of bodies of many patches, and of a frame by stage",
         "sparseskin.studies.speed.tables:run",
@@ -109,6 +114,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     about = "accuracy: folder of recordings of real skins"
     more.add_argument("--recordings", metavar="DIR", type=Path, help=about)
+    about = "tasks: folder of frames with labels, STEMNIST or one .npz"
+    more.add_argument("--data", metavar="DIR", type=Path, help=about)
     more.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
     about = "seed of noise and Phi (default: 0)"
     more.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help=about)
@@ -139,7 +146,7 @@ def _study(arguments: argparse.Namespace) -> int:
         missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
         raise SettingsError(f"study {name}: {missing}: pip install 'sparseskin[charts]'")
     options = {}
-    for option in ("recordings", "seeds", "constants", "alone", "worlds"):
+    for option in ("recordings", "data", "seeds", "constants", "alone", "worlds"):
         value = getattr(arguments, option)
         if value is None:
             continue

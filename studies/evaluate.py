@@ -41,12 +41,17 @@ def settings_of(solver: str) -> Mapping[str, inspect.Parameter]:
 
 VALUE_BYTES = 2
 """Bytes of a value that is sent, measurement or reading. Chosen: sensors have 8 to 16 bits."""
-LOADED, UNTOUCHED, GHOST = 0.1, 0.01, 0.05
+LOADED = 0.1
+UNTOUCHED = 0.01
+GHOST = 0.05
 """Parts of the 95th percentiles of a recording. A frame is loaded whose norm is above the first
 part of that of norms; below it a relative error is one of the sensor's offset and noise. A frame is
 untouched whose total is below the second part of that of totals, and a reconstruction of it above
 the third is a ghost. Chosen."""
-VANISHED, WRONG, POOR, RIGHT = 0.9, 0.5, 0.25, 0.1
+VANISHED = 0.9
+WRONG = 0.5
+POOR = 0.25
+RIGHT = 0.1
 """Relative errors: from the first on a contact has vanished (1 is that of an estimate of 0); above
 the second a frame should be marked as not to be trusted, above the third it may be, below the last
 it should not. Chosen."""
@@ -57,8 +62,8 @@ CLOSE = 1.5
 class Solved(NamedTuple):
     """A reconstructed frame: forces, float32, shape (n_rows, n_cols), newtons; duration of the
     solve by the clock, and processor time of its thread; iterations; bytes that the edge sends; and
-    where the solver estimates them, the RMS error of a taxel in newtons, and True if the frame is
-    not to be trusted.
+    where the solver estimates them, the RMS error of a taxel in newtons, True if the frame is not
+    to be trusted, and the relative error that all forces share.
     """
 
     forces: Floats
@@ -68,6 +73,7 @@ class Solved(NamedTuple):
     n_bytes: float = 0.0
     error: float | None = None
     flagged: bool | None = None
+    common_error: float = 0.0
 
 
 class Estimator(Protocol):
@@ -115,7 +121,8 @@ class Method:
 
     def measure(self, taxels: Floats) -> Floats:
         """Measurements of the next frame: float32, shape (n_rows, n_cols) to (m,)."""
-        x, phi = taxels.reshape(-1)[self.solver.taxels], self.phi
+        x = taxels.reshape(-1)[self.solver.taxels]
+        phi = self.phi
         y, code = phi.measure(x)
         self._n_code_bytes = 0 if code is None else code.size
         return y
@@ -124,15 +131,18 @@ class Method:
         """Reconstruct the next frame from measurements, shape (m,); Raises as `Solver.solve`."""
         phi = self.phi
         self.n_frames += 1
-        begin_s, cpu_begin_s = time.perf_counter(), time.thread_time()
+        begin_s = time.perf_counter()
+        cpu_begin_s = time.thread_time()
         if len(self.phis) > 1:
             self.solver.use(phi)
         forces = self.solver.solve(y)
-        cpu_s, wall_s = time.thread_time() - cpu_begin_s, time.perf_counter() - begin_s
+        cpu_s = time.thread_time() - cpu_begin_s
+        wall_s = time.perf_counter() - begin_s
         error, trusted = estimated_error(self.solver)
         flagged = None if error is None and trusted else not trusted
         n_bytes = VALUE_BYTES * phi.m + self._n_code_bytes
-        return Solved(forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged)
+        common = self.solver.common_error
+        return Solved(forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged, common)
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """Measure and reconstruct the next frame, rounded to `bits`; see `Estimator`."""

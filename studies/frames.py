@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from sparseskin.arrays import read_recording
 from sparseskin.messages import SkinState
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SparseskinError
@@ -24,6 +23,7 @@ from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, open_scene
 from sparseskin.nodes.sensor.scenes.simulation import Scene
 from sparseskin.nodes.touch import in_contact
+from sparseskin.recordings import read_recording
 from sparseskin.studies.presses import press_frames, scattered_mask
 
 from .evaluate import LOADED
@@ -32,7 +32,8 @@ from .points import StudyError
 NOISE = NoiseModel.for_range(PAPER_F_MAX_N)
 MOST_KEPT = 500
 """Frames of a scene that a worker keeps in memory; more are simulated anew for each point."""
-MOST_PADS, MAX_PAD = 300, 12
+MOST_PADS = 300
+MAX_PAD = 12
 Pairs: TypeAlias = Iterable[tuple[Floats, Floats]]
 
 
@@ -242,8 +243,10 @@ class PadFrames:
 
     def open(self, seed: int) -> Take:
         """See `Frames`."""
-        shape, rng = (self.side, self.side), np.random.default_rng((seed, self.n_coefficients))
-        basis, truth = make_basis("haar", *shape), np.zeros(shape, np.float32)
+        shape = (self.side, self.side)
+        rng = np.random.default_rng((seed, self.n_coefficients))
+        basis = make_basis("haar", *shape)
+        truth = np.zeros(shape, np.float32)
         for _ in range(MOST_PADS):
             sides = rng.integers(1, MAX_PAD + 1, 2)
             row, col = rng.integers(0, np.array(shape) - sides + 1)
@@ -333,7 +336,8 @@ def part_of(path: str, n_most: int) -> Part:
         raise SparseskinError(f"{path}: {counts}")
     mask = read.get("mask", np.ones(frames.shape[1:], dtype=np.bool_))
     flat = truth[:, mask].astype(np.float64)
-    norms, totals = np.linalg.norm(flat, axis=1), flat.sum(axis=1)
+    norms = np.linalg.norm(flat, axis=1)
+    totals = flat.sum(axis=1)
     touched = norms > 0
     if not touched.any():
         raise SparseskinError(f"{path}: nothing touches the skin, all readings are 0")

@@ -14,13 +14,14 @@ import pandas as pd
 
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import Phi, fact, phi_class
+from sparseskin.nodes.compressor.phi.base import Phi, phi_class, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import FIXED, PAPER, m_of
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.sensor.noise import NoiseModel
 
+from .baselines.larger import LargerTaxels
 from .baselines.libraries import Bpdn, Library, TotalVariation
 from .baselines.sampling import CODECS, Codec, Filtered, Hold, Lattice
 from .evaluate import (
@@ -68,8 +69,8 @@ class Candidate:
     range, and scaled with that of the skin; `tuning`: fields of `SkinTuning` that are not its own;
     of "reading": dead_zone_n; of "tv": weight, for the paper's range, and iterations; of "library":
     name in `PEERS`, lambda_n and iterations. `of`: "solver", "reading", "filtered", "lattice",
-    "hold", "tv", "library", or one of `CODECS`. `changes`: fields of the measurement that
-    differ. `alone`: True to forget all earlier frames before each one.
+    "hold", "larger", "tv", "library", or one of `CODECS`. `changes`: fields of the
+    measurement that differ. `alone`: True to forget all earlier frames before each one.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -81,7 +82,8 @@ class Candidate:
         """Make the estimator for the skin of a take; `seed`: of Phi. Raises SparseskinError if it
         cannot be.
         """
-        at, mask = replace(measurement, **self.changes), take.mask
+        at = replace(measurement, **self.changes)
+        mask = take.mask
         ratio = int(at.ratio)
         if self.of != "solver":
             makers: dict[str, Callable[[], Estimator]] = {
@@ -89,6 +91,7 @@ class Candidate:
                 "filtered": lambda: Filtered(NoiseModel.for_range(take.f_max)),
                 "lattice": lambda: Lattice(mask, ratio),
                 "hold": lambda: Hold(mask, ratio),
+                "larger": lambda: LargerTaxels(mask, max(1, m_of(take.n, at.ratio))),
                 "tv": lambda: self._variation(at, take, seed),
                 "library": lambda: self._library(at, take, seed),
                 **{kind: lambda: Codec(mask, take.f_max, self.of) for kind in CODECS},
@@ -99,7 +102,7 @@ class Candidate:
             settings["lambda_n"] *= take.f_max / PAPER_F_MAX_N
         if "tuning" in settings:
             settings["tuning"] = SkinTuning(**settings["tuning"])
-        if fact(phi_class(at.phi), "choice"):
+        if phi_fact(phi_class(at.phi), "choice"):
             # As many rows as fit, with the code of their choice, into the bytes of M; M is rounded
             # down, and a half keeps it from rounding errors.
             rows = values_that_fit(at.phi, mask, m_of(take.n, at.ratio))
@@ -120,6 +123,10 @@ class Candidate:
         basis = make_basis("haar", *take.mask.shape)
         problem = Bpdn(_first_phi(at, take, seed), basis, lambda_n, take.sigma_end)
         return Library(self.settings["name"], problem, self.settings["iterations"])
+
+
+LARGER = {"larger taxels": Candidate(of="larger")}
+"""Fewer, larger taxels, the simplest thing that a maker can do: a row of every comparison."""
 
 
 def _first_phi(at: Measurement, take: Take, seed: int) -> Phi:
@@ -152,7 +159,8 @@ class Experiment:
         every = product(
             map(stated, self.frames), map(asdict, self.measurements), groups, self.seeds
         )
-        names, scores = ("frames", "measurement", "candidates", "seed"), list(self.scores)
+        names = ("frames", "measurement", "candidates", "seed")
+        scores = list(self.scores)
         return [{**dict(zip(names, one, strict=True)), "scores": scores} for one in every]
 
     def run(self, out: Path, executor: str) -> pd.DataFrame:
@@ -173,7 +181,8 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
     take = opened(point)
     measurement = Measurement(**point["measurement"])
     mask = None if take.mask.all() else take.mask
-    scores, estimators = {}, {}
+    scores = {}
+    estimators = {}
     for name, of in point["candidates"].items():
         scores[name] = Scores(take.f_max, mask, take.norm, take.total)
         try:

@@ -67,11 +67,13 @@ class Variant:
 
 def variants(scene: Scene) -> dict[str, Variant]:
     """All variants of a scene, by name."""
-    surface, dof = scene.surface, scene.dof
+    surface = scene.surface
+    dof = scene.dof
     grounded = surface.ground_drop_m is not None
     needles = next(body(0.0) for body in BODIES if body(TAXEL_RADIUS_M) is scene.body)
     other_ground = replace(surface, ground_drop_m=None) if grounded else SKIN_ON_GROUND
-    steps, step_ns = FINER * scene.n_steps, scene.dt_ns // FINER
+    steps = FINER * scene.n_steps
+    step_ns = scene.dt_ns // FINER
     finer = Variant(False, replace(scene, n_steps=steps, dt_ns=step_ns), finer=FINER)
     found = {
         "damping of the skin": Variant(True, replace(scene, surface=replace(surface, damping=0.0))),
@@ -104,12 +106,14 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     log10(f_max^2 / mean squared difference) over the frames in contact; worst_db: of the frame that
     changes most; above_noise: share of the contact frames that change by more than the noise.
     """
-    scene, n_steps = SCENES[point["scene"]](), point["n_steps"]
+    scene = SCENES[point["scene"]]()
+    n_steps = point["n_steps"]
     scene = replace(scene, n_steps=min(n_steps or scene.n_steps, scene.n_steps))
     variant = variants(scene)[point["variant"]]
     noise_model = NoiseModel.for_range(scene.f_max_n)
     rng = np.random.default_rng(point["seed"])
-    changes, noises = [], []
+    changes = []
+    noises = []
     for ours, theirs in zip(Variant(True, scene).frames(), variant.frames(), strict=True):
         if any(in_contact(frame, scene.f_max_n) for frame in (ours, theirs)):
             noise = noise_model.apply(ours, rng) - ours
@@ -169,8 +173,10 @@ def verdict(row: Any) -> str:
 def conclusion(rows: pd.DataFrame) -> list[str]:
     """What the verdicts amount to."""
     n = rows["verdict"].value_counts()
-    n_carried, needed = int(rows["carried"].sum()), rows[rows["verdict"] == "needed"]["variant"]
-    n_added, n_missing = len(rows) - n_carried, n.get("missing", 0)
+    n_carried = int(rows["carried"].sum())
+    needed = rows[rows["verdict"] == "needed"]["variant"]
+    n_added = len(rows) - n_carried
+    n_missing = n.get("missing", 0)
     return [
         f"Of {n_carried} terms that the scenes carry, {n.get('needed', 0)} change the frames by "
         f"more than the noise and are needed; {n.get('kept', 0)} are kept for a stated reason.",
@@ -227,7 +233,8 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
             ):
                 some = mine[mine["carried"] == carried]
                 heights = [names.index(name) for name in some["variant"]]
-                changes, worst = some["change_db"], some["worst_db"]
+                changes = some["change_db"]
+                worst = some["worst_db"]
                 axes.hlines(heights, worst, changes, color=colour, lw=1.0)
                 axes.plot(changes, heights, marker, color=colour, label=label)
                 axes.plot(worst, heights, "|", color=colour, ms=9, label=f"{label}: worst frame")

@@ -31,7 +31,8 @@ Function: TypeAlias = Callable[[dict[str, Any]], Figures]
 @cache
 def code_fingerprint() -> str:
     """16 hexadecimal characters that change with the code of the nodes."""
-    digest, (root,) = hashlib.sha256(), nodes.__path__
+    digest = hashlib.sha256()
+    (root,) = nodes.__path__
     for path in sorted(Path(root).rglob("*.py")):
         digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return digest.hexdigest()[:16]

@@ -120,10 +120,14 @@ class _Press:
         timing: Timing,
     ) -> None:
         rng = np.random.default_rng([seed, 0])
-        self._mask, self._course, self._f_max, self._timing = mask, course, f_max, timing
+        self._mask = mask
+        self._course = course
+        self._f_max = f_max
+        self._timing = timing
         self._sides = np.array(mask.shape, dtype=np.float64)
         cells: Doubles = np.indices(mask.shape).astype(np.float64)
-        self._i, self._j = cells[:1], cells[1:]
+        self._i = cells[:1]
+        self._j = cells[1:]
         self._fields, self._beside = _make(body, rng)
         n = len(self._fields)
         self._peaks = f_max * rng.uniform(0.2, 0.9, n)
@@ -165,12 +169,14 @@ class _Press:
 
     def _strength(self, k: Indices) -> Doubles:
         """Part of the full force in frames k."""
-        timing, since = self._timing, k - self._timing.before
+        timing = self._timing
+        since = k - self._timing.before
         if self._course == "moving":
             part = np.clip((since + 1) / timing.ramp, 0, 1)
         elif self._course == "ramped":
             phase = since % (2 * timing.ramp + timing.pause)
-            rising, falling = phase + 1, 2 * timing.ramp - phase - 1
+            rising = phase + 1
+            falling = 2 * timing.ramp - phase - 1
             part = np.clip(np.minimum(rising, falling) / timing.ramp, 0, 1)
         else:
             part = np.where(since % (timing.held + timing.pause) < timing.held, 1.0, 0.0)
@@ -187,7 +193,8 @@ class _Press:
             bent = np.abs((way + self._reach) % period - 2 * self._reach)
             moved: Doubles = middle + bent - self._reach
             return moved
-        timing, turn = self._timing, 0 * k
+        timing = self._timing
+        turn = 0 * k
         if self._course == "sudden":
             turn = np.maximum(k - timing.before, 0) // (timing.held + timing.pause)
         places = middle + self._jumps[turn % len(self._jumps)]
@@ -207,7 +214,8 @@ class _Press:
             place = places[:, path] + self._anchors[path]
             i = self._i - place[:, 0, None, None]
             j = self._j - place[:, 1, None, None]
-            u, v = cos * j + sin * i, cos * i - sin * j
+            u = cos * j + sin * i
+            v = cos * i - sin * j
             u, v = (u / self._size - self._beside[part, 0], v / self._size - self._beside[part, 1])
             np.maximum(force, peak * field(u * self._size, v * self._size, self._size), out=force)
         force *= strength[:, None, None]
@@ -216,7 +224,8 @@ class _Press:
     def _fitted(self, active: float) -> float:
         """Return the size in taxels at which the body touches a part of the existing taxels."""
         wanted = max(1.0, active * np.count_nonzero(self._mask))
-        low, high = _LEAST_SIZE, 2.0 * float(self._sides.max())
+        low = _LEAST_SIZE
+        high = 2.0 * float(self._sides.max())
         for _ in range(14):
             self._size = math.sqrt(low * high)
             if np.count_nonzero(self._at_middle() > 0) < wanted:
@@ -279,7 +288,8 @@ def _dome(radius: float) -> Field:
 
 def _gaussian(a: float, b: float) -> Field:
     def field(u: Doubles, v: Doubles, size: float) -> Doubles:
-        wide, high = max(a * size, 0.3), max(b * size, 0.3)
+        wide = max(a * size, 0.3)
+        high = max(b * size, 0.3)
         bell = np.exp(-0.5 * ((u / wide) ** 2 + (v / high) ** 2))
         return np.asarray(np.maximum(0, bell - _LEAST_GAUSSIAN) / (1 - _LEAST_GAUSSIAN))
 

@@ -69,8 +69,11 @@ class Chart:
         legend_columns: int = 4,
         **subplots: Any,
     ) -> None:
-        self._path, self.name, self.caption = out / name, name, caption
-        self._n_columns, self._legend_columns = n_columns, legend_columns
+        self._path = out / name
+        self.name = name
+        self.caption = caption
+        self._n_columns = n_columns
+        self._legend_columns = legend_columns
         self.markdown = f"![{caption}]({name}.png)\n\n*{caption}* ([SVG]({name}.svg))"
         self._style = matplotlib.rc_context(_STYLE)
         with matplotlib.rc_context(_STYLE):
@@ -174,7 +177,9 @@ class Page:
     """
 
     def __init__(self, out: Path, name: str, notes: Path, quick: bool, command: str = "") -> None:
-        self.out, self._name, self._quick = out, name, quick
+        self.out = out
+        self._name = name
+        self._quick = quick
         self._command = command or f"study {name}{' --quick' if quick else ''}"
         first, *parts = notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
         self._title, _, opening = first.partition("\n")

@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 NO_NAMES, NUMBERED, GRID_NAMES = "none", "s{k}", "r{r}c{c}"
+TIMES = ["none", "time_s", "time_ms", "t [us]", "stamp", "clock", "epoch", "ts", "micros"]
 START = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
 
 
@@ -22,7 +23,7 @@ class DrawnTable:
 
 def _times(draw, n):
     """Texts of the times, the header of their column, and seconds."""
-    kind = draw(st.sampled_from(["none", "time_s", "time_ms", "t [us]", "stamp", "clock", "epoch"]))
+    kind = draw(st.sampled_from(TIMES))
     steps_ms = draw(st.lists(st.integers(8, 40), min_size=n - 1, max_size=n - 1))
     ms = np.concatenate([[0], np.cumsum(steps_ms)]).astype(int)
     moments = [START + timedelta(milliseconds=int(each)) for each in ms]
@@ -34,8 +35,14 @@ def _times(draw, n):
         "stamp": [moment.isoformat() for moment in moments],
         "clock": [moment.strftime("%H:%M:%S.%f") for moment in moments],
         "epoch": [f"{moment.timestamp():.3f}" for moment in moments],
+        "ts": [moment.strftime("%d.%m.%Y %H:%M:%S.%f") for moment in moments],
+        "micros": [str((1000 * each - 50_000) % 2**32) for each in ms],
     }
     return texts[kind], kind, None if kind == "none" else ms / 1000
+
+
+def _end(place):
+    return "last" if place else "first"
 
 
 @st.composite
@@ -74,7 +81,8 @@ def tables(draw):
         columns.insert(place, texts)
         header.insert(place, time_name)
 
-    separator = draw(st.sampled_from([",", ";", "\t", " "]))
+    separators = [",", ";", "\t"] if time_name == "ts" else [",", ";", "\t", " "]
+    separator = draw(st.sampled_from(separators))
     if separator == " ":
         header = [name.replace(" ", "_") for name in header]
     has_comma = separator == ";" and draw(st.booleans())
@@ -100,5 +108,33 @@ def tables(draw):
     if not is_named and time_name in units:
         # A step of 8 ms could be one of 8 s: without a name the unit is asked for.
         stated["time_unit"] = units[time_name]
+    if time_name == "micros":
+        # Microcontrollers count 32 bits.
+        stated |= {"time": time_name if is_named else _end(place), "time_wrap": 2**32}
+        stated |= {"time_unit": "us"}
     frames = values.reshape(n, n_rows, n_cols).astype(np.float32)
     return DrawnTable(end.join(lines) + end, frames, seconds, stated)
+
+
+@st.composite
+def transposed_tables(draw):
+    """A `DrawnTable` with a line for each taxel, and perhaps one of the times."""
+    n_rows, n_cols = draw(st.integers(1, 4)), draw(st.integers(2, 5))
+    n = draw(st.integers(2, 12))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    readings = rng.integers(0, 1000, (n, n_rows * n_cols))
+    readings[0, 0] = 1
+    lines = [list(map(str, taxel)) for taxel in readings.T]
+    if draw(st.booleans()):
+        lines = [[f"s{k}", *cells] for k, cells in enumerate(lines)]
+    seconds = None
+    stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": "counts", "axes": "taxels,frames"}
+    if draw(st.booleans()):
+        seconds = 0.02 * np.arange(n)
+        place = draw(st.sampled_from([0, len(lines)]))
+        name = ["t"] if len(lines[0]) > n else []
+        lines.insert(place, name + [str(20 * k) for k in range(n)])
+        stated |= {"time": _end(place), "time_unit": "ms"}
+    separator = draw(st.sampled_from([",", ";", "\t", " "]))
+    text = "\n".join(separator.join(cells) for cells in lines) + "\n"
+    return DrawnTable(text, readings.reshape(n, n_rows, n_cols).astype("f4"), seconds, stated)

@@ -82,7 +82,8 @@ def test_arrays_give_the_bits_of_the_nodes_by_default(solver):
     settings = ["sensor.first=310", f"reconstructor.{stated}"]  # touched from frame 320 on
     launch = sparseskin.load_launch("lift_box_40", settings)
     frames = list(sparseskin.run_launch(launch, 30))
-    assert (frames[0].patch, frames[0].truth.shape) == ("skin", (40, 40))
+    assert frames[0].patch == "skin"
+    assert frames[0].truth.shape == (40, 40)
     taxels = np.stack([frame.taxels for frame in frames])
     phi = make_phi("sbhe", n=1600, m=534, seed=0)
     y = compress(taxels, phi)
@@ -97,7 +98,8 @@ def test_arrays_give_the_bits_of_the_nodes_by_default(solver):
 
 
 def test_a_single_frame_of_rotating_rows_is_refused_unless_its_row_subset_is_stated():
-    phi, basis = make_phi("sbhe", 64, 22, 0), make_basis("haar", 8, 8)
+    phi = make_phi("sbhe", 64, 22, 0)
+    basis = make_basis("haar", 8, 8)
     y = compress(np.ones((4, 8, 8), np.float32), phi, rows="rotating")
     solver = make_solver("skin", phi, basis)
     with pytest.raises(SolverError, match=r"call solver\.use\(solver\.subsets\[k % "):
@@ -168,7 +170,8 @@ def test_arguments_of_a_run_are_named(n_frames):
         next(sparseskin.run_launch("path_40", 3, "compressor.ratio=4"))
 
 
-PHI, BASIS = make_phi("sbhe", 64, 22, 0), make_basis("haar", 8, 8)
+PHI = make_phi("sbhe", 64, 22, 0)
+BASIS = make_basis("haar", 8, 8)
 OTHER = make_phi("gaussian", 64, 22, 0)
 
 
@@ -180,7 +183,8 @@ class Choosing(SubsamplePhi):
 
 
 CHOOSING = Choosing(64, 22, 0)
-X, Y = np.ones((2, 8, 8), np.float32), np.ones((2, 22), np.float32)
+X = np.ones((2, 8, 8), np.float32)
+Y = np.ones((2, 22), np.float32)
 
 
 MASKED = np.ma.array(X, mask=X > 0)

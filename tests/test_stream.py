@@ -47,18 +47,24 @@ def test_a_stream_has_the_bits_and_defaults_of_a_graph(settings, chosen, tmp_pat
     if chosen:
         f_max = chosen.get("f_max", 2.5)
         np.save(tmp_path / "log.npy", FRAMES * (f_max / 2.5))
-        name, shape, sigmas = "replay", (8, 8), None
+        name = "replay"
+        shape = (8, 8)
+        sigmas = None
         settings = [*settings, f"sensor.source=file:{tmp_path}/log.npy", "sensor.unit=N"]
         settings += ["sensor.rate_hz=100", f"sensor.f_max={f_max}"]
     else:
-        name, shape, sigmas = "lift_box_40", (40, 40), (PAPER_SIGMA_MID_N, PAPER_SIGMA_END_N)
+        name = "lift_box_40"
+        shape = (40, 40)
+        sigmas = (PAPER_SIGMA_MID_N, PAPER_SIGMA_END_N)
     stream = Stream(shape, sigmas=sigmas, **chosen)
     for frame in sparseskin.run_launch(name, 30, settings):
         y = stream.compress(frame.taxels)
         np.testing.assert_array_equal(y, frame.measurements)
         np.testing.assert_array_equal(stream.reconstruct(y), frame.forces)
-        assert (stream.error, stream.trusted) == (frame.error, frame.trusted)
-    assert (stream.n, stream.m) == (shape[0] * shape[1], y.size)
+        assert stream.error == frame.error
+        assert stream.trusted == frame.trusted
+    assert stream.n == shape[0] * shape[1]
+    assert stream.m == y.size
 
 
 def test_a_masked_skin_is_that_of_the_arrays():
@@ -83,10 +89,12 @@ def test_a_masked_skin_is_that_of_the_arrays():
 @pytest.mark.parametrize("preset", ["skin", "paper"])
 def test_frames_that_are_lost_do_not_mix_up_row_subsets(preset):
     """An edge and a host, which lose frames 2, 3 and 5."""
-    edge, host = Stream((8, 8), preset=preset), Stream((8, 8), preset=preset)
+    edge = Stream((8, 8), preset=preset)
+    host = Stream((8, 8), preset=preset)
     y = [edge.compress(frame) for frame in FRAMES]
     kept = (0, 1, 4, 6)
-    phi, basis = sparseskin.make_phi("sbhe", 64, 22, 0), sparseskin.make_basis("haar", 8, 8)
+    phi = sparseskin.make_phi("sbhe", 64, 22, 0)
+    basis = sparseskin.make_basis("haar", 8, 8)
     name, stated = {
         "skin": ("skin", {}),
         "paper": ("fista", {"iterations": 30, "lambda_n": 0.003125}),
@@ -107,7 +115,8 @@ def test_frames_that_are_lost_do_not_mix_up_row_subsets(preset):
 
 
 def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does_not():
-    stream, other = Stream((8, 8)), Stream((8, 8))
+    stream = Stream((8, 8))
+    other = Stream((8, 8))
     y = [other.compress(frame) for frame in FRAMES]
     with pytest.raises(SparseskinError, match=r"^stream: the frame has shape \(7, 8, 8\); exp"):
         stream.compress(FRAMES)
@@ -166,7 +175,8 @@ def phi(**methods):
 
 
 def solver(**methods):
-    basis, measured = make_basis("haar", 8, 8), make_phi("sbhe", 64, 30, seed=0)
+    basis = make_basis("haar", 8, 8)
+    measured = make_phi("sbhe", 64, 30, seed=0)
     return changed(make_solver("fista", measured, basis), **methods)
 
 

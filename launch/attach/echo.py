@@ -87,7 +87,8 @@ class FieldPath:
         match = _FIELD.fullmatch(path)
         if match is None:
             raise SettingsError(f"--field {path}: expected FIELD or FIELD[I,J]")
-        self._path, self._name = path, match[1]
+        self._path = path
+        self._name = match[1]
         self._index = tuple(int(k) for k in match[2].split(",")) if match[2] else None
         if self._name not in wire_fields(cls):
             hint = did_you_mean(self._name, wire_fields(cls))
@@ -121,10 +122,13 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
     names = message.names
     for k, number in enumerate(message.id.tolist()):
         of = "" if message.patch_of is None else f" of {names[message.patch_of[k]]}"
-        at, sd, length = message.centre[k], message.centre_sd[k], "taxels"
+        at = message.centre[k]
+        sd = message.centre_sd[k]
+        length = "taxels"
         if message.place_mm is not None and message.place_sd_mm is not None:
             sides = 2 if message.normal is None else 3  # of a flat skin z is 0
-            at, sd = message.place_mm[k][:sides], message.place_sd_mm[k][:sides]
+            at = message.place_mm[k][:sides]
+            sd = message.place_sd_mm[k][:sides]
             length = "mm"
         place = ", ".join(f"{x:.4g} ± {s:.2g}" for x, s in zip(at, sd, strict=True))
         marks = [name for name in ("over", "sliding") if getattr(message, name)[k]]
@@ -170,8 +174,12 @@ class Echo(Display):
     ) -> None:
         if max_hz is None:
             max_hz = 0.0 if in_json or n is not None else MAX_HZ
-        self._topic, self._field, self._n = topic, field, n
-        self._in_json, self._full, self._unit = in_json, full, unit
+        self._topic = topic
+        self._field = field
+        self._n = n
+        self._in_json = in_json
+        self._full = full
+        self._unit = unit
         self._period_ns = round(1e9 / max_hz) if max_hz else 0
         self.patience_s = min(PATIENCE_S, self._period_ns / 1e9 or PATIENCE_S)
         self._losses = Losses()
@@ -209,7 +217,8 @@ class Echo(Display):
     def text(self, message: Message) -> str:
         """A message as it is printed."""
         if self._field is not None:
-            value, full = self._field.of(message), self._full
+            value = self._field.of(message)
+            full = self._full
             return json.dumps(plain(value, full)) if self._in_json else text(value, full)
         values = values_of(message)
         if self._in_json:

@@ -49,7 +49,8 @@ def _levels(places: Floats, top: float, n: int) -> list[list[int]]:
 
 
 def _line(upper: list[int], lower: list[int]) -> str:
-    parts, last = [], (-1, -1)
+    parts = []
+    last = (-1, -1)
     for pair in zip(upper, lower, strict=True):
         if pair != last:
             parts.append(f"\x1b[38;5;{COLOURS[pair[0]]};48;5;{COLOURS[pair[1]]}m")

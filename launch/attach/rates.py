@@ -62,7 +62,8 @@ def figures_of(samples: Longs) -> dict[str, Any]:
     distributions mean, min, max and std, of the delay p50 and p99 too. None where too few came.
     """
     at_ns, stamp_ns, seq, n_bytes, fresh = samples.T
-    steps, delays_ms = np.diff(seq), (at_ns - stamp_ns)[fresh > 0] / 1e6
+    steps = np.diff(seq)
+    delays_ms = (at_ns - stamp_ns)[fresh > 0] / 1e6
     delay = _extent(delays_ms)
     if delay is not None:
         p50, p99 = np.quantile(delays_ms, [0.5, 0.99])
@@ -105,9 +106,12 @@ class Meter(Display):
     """Prints the figures of a topic, a line a second."""
 
     def __init__(self, graph: RunningGraph, topic: str, in_json: bool) -> None:
-        self._graph, self._topic, self._in_json = graph, topic, in_json
+        self._graph = graph
+        self._topic = topic
+        self._in_json = in_json
         self._samples = Samples()
-        self._reported_n, self._heard_s = 0, time.monotonic()
+        self._reported_n = 0
+        self._heard_s = time.monotonic()
         self._report_at_s = self._heard_s + REPORT_S
 
     def take(self, arrival: Arrival) -> bool:
@@ -138,7 +142,8 @@ class Meter(Display):
         """The figures of the last `window` messages, or of all (None), as text or JSON."""
         samples = self._samples.last(window or MAX_KEPT)
         figures = figures_of(samples)
-        n, lost = self._samples.n, self._samples.lost
+        n = self._samples.n
+        lost = self._samples.lost
         if self._in_json:
             head = {"topic": self._topic, "messages": n, "lost": lost}
             over = {"over": len(samples), "final": window is None}

@@ -81,7 +81,8 @@ class Losses:
         same = arrival.run_id == self._run_id and arrival.seq >= self._expected
         if same:
             self.n += arrival.seq - self._expected
-        self._run_id, self._expected = arrival.run_id, arrival.seq + (not arrival.ends)
+        self._run_id = arrival.run_id
+        self._expected = arrival.seq + (not arrival.ends)
         return same
 
 
@@ -175,7 +176,8 @@ class TopicStream:
                 return
             left_s = math.inf if duration_s is None else began_s + duration_s - now_s
             timeout_ms = max(1, round(min(POLL_MS, 1e3 * left_s)))
-            came_ns, is_idle = None, self._drained and not self._reader.socket.poll(0)
+            came_ns = None
+            is_idle = self._drained and not self._reader.socket.poll(0)
             if self._reader.socket.poll(timeout_ms) and self._patience_s:
                 came_ns = self._clock.now_ns() if is_idle else None
                 time.sleep(min(self._patience_s, left_s))
@@ -184,7 +186,8 @@ class TopicStream:
     def _read(self, came_ns: int | None = None) -> list[Arrival]:
         """The messages that are there; `came_ns` is when the first came, where that is known."""
         found: list[Arrival] = []
-        self._drained, woken = False, came_ns is not None
+        self._drained = False
+        woken = came_ns is not None
         for _ in range(BATCH):
             while (parts := self._reader.receive()) is None:
                 if not (
@@ -236,7 +239,8 @@ def observe(
     """Show the messages of a topic until `n` counted, `duration_s` seconds are over or its stream
     ends; return the exit code.
     """
-    n_counted, ended = 0, False
+    n_counted = 0
+    ended = False
     # Of a stated number of messages, the last ones are not to wait for more.
     patience_s = display.patience_s if n is None else 0.0
     with TopicStream(graph, topic, patience_s=patience_s) as stream:

@@ -152,7 +152,8 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
 
 
 def _range_text(entry: Mapping[str, Any]) -> str:
-    low, high = entry["low"], entry["high"]
+    low = entry["low"]
+    high = entry["high"]
     if low is not None and high is not None:
         return f" {_number(low)}..{_number(high)}"
     if low is not None:

@@ -236,7 +236,7 @@ def report(found: Fit) -> list[str]:
     if skin.response is not None:
         own = "each taxel" if skin.response.reading.ndim == 3 else "all taxels"
         named["response"] = f"{len(skin.response.force)} knots for {own}"
-    size = f"{skin.rows} x {skin.cols} taxels, {skin.f_min:g}..{skin.f_max:g} {skin.unit}"
+    size = f"{skin.n_rows} x {skin.n_cols} taxels, {skin.f_min:g}..{skin.f_max:g} {skin.unit}"
     lines = [f"{skin.name}: {size}", *facts(named)]
     if found.presses:
         head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")
@@ -295,7 +295,8 @@ def _calibrated(graph: RunningGraph) -> list[str]:
 
 def _wait_for_tare(graph: RunningGraph, name: str) -> str:
     """Wait for the end of a tare; return its result."""
-    heard_s, before = time.monotonic(), None
+    heard_s = time.monotonic()
+    before = None
     while time.monotonic() - heard_s < PATIENCE_S:
         state = describe_node(graph, name)["state"]
         left = state.get("tare_left")
@@ -304,6 +305,7 @@ def _wait_for_tare(graph: RunningGraph, name: str) -> str:
         if left is None:
             raise GraphError(f"{name}: has no calibration")
         if left != before:
-            heard_s, before = time.monotonic(), left
+            heard_s = time.monotonic()
+            before = left
         time.sleep(POLL_S)
     raise GraphError(f"{name}: no frame for {PATIENCE_S:g} s; {before} frames are missing")

@@ -17,7 +17,12 @@ from .options import RARE
 
 EXIT_USAGE = 2
 
-RUN, LOOK, DATA, BUILD, MORE, OTHERS = "Run", "Look", "Data", "Build a skin", "More", "Plug-ins"
+RUN = "Run"
+LOOK = "Look"
+DATA = "Data"
+BUILD = "Build a skin"
+MORE = "More"
+OTHERS = "Plug-ins"
 """Groups of commands; `MORE` are rarely used, `OTHERS` of plug-ins that state no `GROUP`."""
 COMMANDS = {
     "launch": (RUN, ".launch", "start a graph of nodes, watch it, print what was measured"),
@@ -194,7 +199,8 @@ def complete() -> NoReturn:
 
     from .completion import candidates
 
-    line, point = os.environ.get("COMP_LINE", ""), os.environ.get("COMP_POINT", "")
+    line = os.environ.get("COMP_LINE", "")
+    point = os.environ.get("COMP_POINT", "")
     typed = line[: int(point)] if point.isdecimal() else line
     parser = make_parser(typed.split()[1:])
     argcomplete.autocomplete(

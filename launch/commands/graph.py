@@ -196,12 +196,14 @@ def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
 
 def _get(arguments: argparse.Namespace) -> int:
     """Print the value of one setting, and the one in force where none is stated."""
-    node, key = arguments.node, arguments.key
+    node = arguments.node
+    key = arguments.key
     settings = describe_node(choose_graph(arguments.graph), node)["settings"]
     entries = {entry["key"]: entry for entry in settings}
     if key not in entries:
         raise GraphError(f"{node}: {key}: no such setting{did_you_mean(key, entries)}")
-    value, in_force = entries[key]["value"], in_force_text(entries[key], preset_of(settings))
+    value = entries[key]["value"]
+    in_force = in_force_text(entries[key], preset_of(settings))
     text = value if isinstance(value, str) else shown_value(value) + in_force
     document = {"node": node, **entries[key]}
     return show(arguments, "param-get", document, map(printable, text.split("\n")))

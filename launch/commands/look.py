@@ -22,7 +22,8 @@ from sparseskin.nodes.sensor.layout.layout import EMPTY, KEYS, Layout, UnstatedE
 
 from .options import add_layout, as_options, layout_of
 
-MAP_LINES, MAP_WIDTH = 16, 72
+MAP_LINES = 16
+MAP_WIDTH = 72
 MAX_NAMES = 3
 MAX_NUMBERS = 8
 MAX_STEPS = 1000

@@ -244,7 +244,8 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
     """
     for name, node in nodes.items():
         if n := node.get("restarts", 0):
-            times, last = "time" if n == 1 else "times", printable(node["failures"][-1])
+            times = "time" if n == 1 else "times"
+            last = printable(node["failures"][-1])
             print(f"{name}: restarted {n} {times} after a failure; the last: {last}")
         for line in node.get("lines", ()):
             print(f"{name}: {line}")

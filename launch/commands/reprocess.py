@@ -85,7 +85,8 @@ def _jobs(arguments: argparse.Namespace) -> "list[Job]":
             raise SettingsError(f"--set {text}: unknown node '{node}'{hint}")
     names = [Path(file).name.removesuffix(PART_SUFFIX) for file in arguments.files]
     outs = bag_names(names, arguments.out)
-    changes, start_from = tuple(arguments.set), arguments.start_from
+    changes = tuple(arguments.set)
+    start_from = arguments.start_from
     pairs = zip(arguments.files, outs, strict=True)
     return [Job(file, out, changes, start_from) for file, out in pairs]
 

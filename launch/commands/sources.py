@@ -158,10 +158,12 @@ class View:
         self._source = source
         self.n_frames = 0
         self.forces: Floats | None = None
-        self.lowest, self.highest = np.inf, -np.inf
+        self.lowest = np.inf
+        self.highest = -np.inf
         self._times: deque[float] = deque()
         self._begin_s = time.monotonic()
-        self._peak, self._peak_s = 0.0, self._begin_s
+        self._peak = 0.0
+        self._peak_s = self._begin_s
         self._last_line = ""
 
     def add(self, forces: Floats, now_s: float) -> None:
@@ -169,7 +171,8 @@ class View:
         self.forces = forces
         self.n_frames += 1
         self._times.append(now_s)
-        low, high = float(forces.min()), float(forces.max())
+        low = float(forces.min())
+        high = float(forces.max())
         self.lowest, self.highest = min(self.lowest, low), max(self.highest, high)
         self._peak = max(high, self._peak * float(np.exp((self._peak_s - now_s) / PEAK_S)))
         self._peak_s = now_s
@@ -193,7 +196,8 @@ class View:
 
     def head(self, now_s: float) -> list[str]:
         """Name, figures, what was dropped, and the last line of the source."""
-        skin, forces = self._source.skin, self.forces
+        skin = self._source.skin
+        forces = self.forces
         self.take_lines()
         title = f"{printable(self._source.name)}   {skin.n_rows} x {skin.n_cols} taxels, "
         title += f"0..{skin.f_max:g} {printable(skin.unit)}   (q: quit)"
@@ -202,7 +206,8 @@ class View:
 
     def text(self, now_s: float) -> str:
         """Figures of the last frame."""
-        since, forces = f"{now_s - self._begin_s:.0f} s: ", self.forces
+        since = f"{now_s - self._begin_s:.0f} s: "
+        forces = self.forces
         if forces is None:
             return f"{since}no frame yet"
         while self._times and self._times[0] < now_s - RATE_S:

@@ -31,7 +31,7 @@ SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
 """Most patches of a body."""
-_OF_SKIN = ("rows", "cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
+_OF_SKIN = ("n_rows", "n_cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class SkinTable(Settings):
 
     body: str = setting("", "name of a body file, in place of patches")
     patches: int | None = setting(None, "number of equal patches", low=1, high=MAX_BODY)
-    rows: int = setting(64, "rows of taxels of a patch")
-    cols: int = setting(64, "columns of taxels of a patch")
+    n_rows: int = setting(64, "rows of taxels of a patch")
+    n_cols: int = setting(64, "columns of taxels of a patch")
     pitch_mm: float = setting(PITCH_MM, "distance of neighbouring taxels, mm")
     f_max: float = setting(PAPER_F_MAX_N, "upper end of the range of a taxel, N")
     batch: int = setting(MAX_PATCHES, "most patches of one batch", low=1, high=MAX_PATCHES)
@@ -85,7 +85,8 @@ class Patch:
         if s.placement is not None:
             values["points"] = s.placement.layout
         else:
-            values |= {"rows": s.rows, "cols": s.cols, "pitch_mm": s.pitch_mm or PITCH_MM}
+            values |= {"n_rows": s.n_rows, "n_cols": s.n_cols}
+            values["pitch_mm"] = s.pitch_mm or PITCH_MM
             if s.mask is not None and not s.mask.all():
                 values["mask"] = ["".join("01"[cell] for cell in row) for row in s.mask.astype(int)]
         return {key: value for key, value in values.items() if value is not None}
@@ -121,7 +122,7 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
         if not n_faults:
             note((SKIN, "patches"), f"is missing, and body too; allowed: 1..{MAX_BODY}")
     else:
-        values = {key: getattr(stated, key) for key in ("rows", "cols", "pitch_mm", "f_max")}
+        values = {key: getattr(stated, key) for key in ("n_rows", "n_cols", "pitch_mm", "f_max")}
         try:
             skin = SkinDescription(name=SKIN, **values)
         except SparseskinError as error:
@@ -137,9 +138,9 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
     """Read a body file and check it whole; `fault` receives each error as one line that begins with
     the file and the place in it.
 
-    It is a TOML file of tables [[patches]]: name, and either the keys of a skin.toml (rows and cols
-    are required, f_max is by default 2.5, pitch_mm 5) or skin = "FILE.toml"; host, and compressor,
-    a table of settings.
+    It is a TOML file of tables [[patches]]: name, and either the keys of a skin.toml (n_rows and
+    n_cols are required, f_max is by default 2.5, pitch_mm 5) or skin = "FILE.toml"; host, and
+    compressor, a table of settings.
     """
     try:
         with path.open(encoding="utf-8") as file:
@@ -215,7 +216,7 @@ def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
         kinds.setdefault(patch.kind, []).append(patch)
     parts: list[list[Patch]] = []
     for alike in kinds.values():
-        cells = alike[0].skin.rows * alike[0].skin.cols
+        cells = alike[0].skin.n_rows * alike[0].skin.n_cols
         room = max(1, min(most, MAX_ELEMENTS // cells))
         part: list[Patch] = []
         for patch in alike:

@@ -20,8 +20,6 @@ from sparseskin.messages import (
     Truth,
 )
 from sparseskin.messages.topics import split_topic, topic_of
-from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.recorder.bag.format import BagError
@@ -30,6 +28,8 @@ from sparseskin.nodes.recorder.bag.patches import names_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import removing
 from sparseskin.nodes.recorder.node import metadata_of
+
+from .pipeline import Pipeline
 
 
 @dataclass(frozen=True)
@@ -113,16 +113,14 @@ def origin_of(job: Job, bag: BagReader) -> str:
 
 def _run(job: Job, source: Path, out: Path, progress: bool) -> dict[str, Any]:
     """Write the result of a job; return the monitor's summary by patch, without latencies."""
-    clock = ManualClock()  # offline a frame is done when it was acquired
     with BagReader(source, whole=False) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
         launch = make_graph(job, bag, out)
-    bus = Bus({n.name: (n.cls, n.settings) for n in launch.nodes.values()}, clock)
+    # Offline a frame is done when it was acquired.
+    bus = Pipeline({n.name: (n.cls, n.settings) for n in launch.nodes.values()})
     bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
     with bar, closing(bus):
-        for messages in bus.frames():
-            newest_ns = max((message.stamp_ns for message in messages), default=0)
-            clock.advance(max(0, newest_ns - clock.now_ns()))
+        for _ in bus.frames():
             bar.update()
     bus.check()
     patches = bus.reports()["monitor"]["patches"]
@@ -160,9 +158,18 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
         tables[name] = {"type": name, "patch": patch}
     states = last_messages(bag, [topic_of(patch, SolverState.schema)])
     recorded = next(iter(states.values()), None)
-    if isinstance(recorded, SolverState) and recorded.frame_ms and not job.changes("reconstructor"):
-        # Its number of iterations followed from the speed of the host that recorded it.
-        tables["reconstructor"]["iterations"] = recorded.iterations
+    if isinstance(recorded, SolverState) and not job.changes("reconstructor"):
+        tables["reconstructor"] |= iterations_of(recorded)
     tables["monitor"] = {"type": "monitor", "patches": [patch]}
     tables["recorder"] = {"type": "recorder", "out": str(out), "launch": origin_of(job, bag)}
     return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
+
+
+def iterations_of(recorded: SolverState) -> dict[str, Any]:
+    """Settings of the reconstructor that give each frame the iterations that it had, where their
+    number followed from the speed of the host that recorded it.
+    """
+    if recorded.frame_tiles:
+        times = {"frame_tiles": recorded.frame_tiles, "step_tiles": recorded.step_tiles}
+        return {"iterations": recorded.max_iterations, "options": times}
+    return {"iterations": recorded.iterations} if recorded.frame_ms else {}

@@ -18,8 +18,8 @@ from sparseskin.nodes.compressor.phi.base import (
     Phi,
     block_of,
     check_parameters,
-    fact,
     phi_class,
+    phi_fact,
 )
 from sparseskin.nodes.compressor.phi.rotation import (
     FIXED,
@@ -109,7 +109,7 @@ class CompressorSettings(PatchesSettings):
             raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
         with naming("phi"):
             made_by = phi_class(self.phi)
-        if self.n_patches > 1 and fact(made_by, "choice"):
+        if self.n_patches > 1 and phi_fact(made_by, "choice"):
             allowed = "allowed for several patches: a Phi that all patches share, as sbhe"
             raise SettingsError(f"phi: {self.phi} chooses other rows for each patch; {allowed}")
         if self.rows == ROTATING and isinstance(made_by, type):
@@ -309,7 +309,7 @@ class Compressor(Node[CompressorSettings]):
         x = self._existing(taxels)
         phi = self._subsets[self._subset]
         self._subset = (self._subset + 1) % len(self._subsets)
-        choice = fact(phi, "choice")
+        choice = phi_fact(phi, "choice")
         if choice:
             y, code = phi.measure(x[0])
         else:

@@ -80,7 +80,8 @@ def _trust_summary(trusted: Extent) -> dict[str, Any] | None:
     """Number of frames, of those not to be trusted, and the share of the others; None of none."""
     if not trusted.count:
         return None
-    untrusted, share = int(trusted.count - trusted.total), trusted.total / trusted.count
+    untrusted = int(trusted.count - trusted.total)
+    share = trusted.total / trusted.count
     return {"frames": trusted.count, "untrusted": untrusted, "trusted_share": share}
 
 
@@ -129,10 +130,14 @@ class PatchMetrics:
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
         self.changes: list[dict[str, Any]] = []
-        self.noisy, self.reconstruction, self.trust = Quality(), Quality(), Quality()
+        self.noisy = Quality()
+        self.reconstruction = Quality()
+        self.trust = Quality()
         self.relative_error = Extent()
-        self.latency, self.solve = Quantiles(), Quantiles()
-        self._sensed, self._reconstructed = TopicCount(late), TopicCount(late)
+        self.latency = Quantiles()
+        self.solve = Quantiles()
+        self._sensed = TopicCount(late)
+        self._reconstructed = TopicCount(late)
         self._late = late
         self._n_before = 0  # frames sensed before the first that a late subscriber can compare
         self.bytes_in = self.bytes_out = 0
@@ -206,7 +211,8 @@ class PatchMetrics:
 
     def _add_reconstruction(self, message: Reconstruction) -> None:
         self.latency_ns = self._latency_ns(message)
-        (self.idle,), (solve_ns,) = message.unchanged, message.solve_ns
+        (self.idle,) = message.unchanged
+        (solve_ns,) = message.solve_ns
         self.unchanged += self.idle
         self.solve.add(solve_ns)
         if self.reconstructed or not self._late:
@@ -263,7 +269,8 @@ class PatchMetrics:
 
     def _evaluate(self, stamp_ns: int) -> FrameMetrics | None:
         """Evaluate a frame once all its messages have arrived."""
-        frame, skin = self._pending.get(stamp_ns), self.skin
+        frame = self._pending.get(stamp_ns)
+        skin = self.skin
         if frame is None or skin is None or not frame.n_sensed or frame.reconstruction is None:
             return None
         if skin.has_truth and frame.truth is None:
@@ -288,7 +295,8 @@ class PatchMetrics:
         noise = 0.0 if frame.truth else skin.sigma_end or self._noise.update(judged)
         is_contact = in_contact(judged, skin.f_max, noise)
         self.load = float(forces.sum()) if is_contact else 0.0
-        (estimate,), (trusted,) = frame.reconstruction.error, frame.reconstruction.trusted
+        (estimate,) = frame.reconstruction.error
+        (trusted,) = frame.reconstruction.trusted
         if estimate is not None or not trusted:  # else the solver estimates no error
             self.trust.add(float(trusted), is_contact)
         if not trusted:
@@ -308,7 +316,8 @@ class PatchMetrics:
 
     def summary(self) -> dict[str, Any]:
         """The patch's part of the summary; unknown figures are None."""
-        skin, phi = self.skin, self.phi
+        skin = self.skin
+        phi = self.phi
         n, m = (phi.n, phi.m) if phi else (0, 0)
         begun = self.compared > 0 or not self._late
         reference = None
@@ -317,7 +326,8 @@ class PatchMetrics:
         return {
             "scene": skin.source if skin else None,
             "phi": phi.kind if phi else None,
-            **_fields(self.solver, "basis", "solver", "preset", "iterations", "frame_ms"),
+            **_fields(self.solver, "basis", "solver", "preset", "iterations", "max_iterations"),
+            **_fields(self.solver, "frame_ms"),
             **_fields(phi, "rows", "n", "m"),
             **_fields(skin, "f_min", "f_max", "unit"),
             "ratio": n / m if m else None,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from sparseskin.messages import (
     Contacts,
+    Labels,
     Measurements,
     Message,
     PhiState,
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 SUMMARY_EVERY_NS = 500_000_000
 """Period in which the live page gets a new summary."""
 REQUIRED = (SkinState, PhiState, Measurements, SolverState, Reconstruction)
-OPTIONAL = (Taxels, Truth, Contacts)
+OPTIONAL = (Taxels, Truth, Contacts, Labels)
 """A compressor outside the graph publishes no taxels."""
 WATCHED = (*REQUIRED, *OPTIONAL)
 
@@ -248,7 +249,8 @@ class Monitor(Node[MonitorSettings]):
         earlier, self._status_ns = self._status_ns, self.context.clock.now_ns()
         seconds = max(self._status_ns - earlier, 1) / 1e9
         each = [{name: metrics} for name, metrics in self._patches.items()]
-        before, lines = self._status_frames, []
+        before = self._status_frames
+        lines = []
         for patches in [self._patches] if len(each) > FEW else each:
             new = sum(m.reconstructed - before[name] for name, m in patches.items())
             lines.append(status_line(patches, new / seconds / len(patches)))

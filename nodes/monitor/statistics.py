@@ -84,7 +84,8 @@ class History:
 
     def add(self, *row: float) -> None:
         """Add one row with the values of the columns; time must not decrease."""
-        rows, capacity = self._rows, len(self._rows)
+        rows = self._rows
+        capacity = len(self._rows)
         while self.n - self._first >= MIN_CAPACITY and (
             self.n - self._first >= MAX_CAPACITY
             or row[0] - rows[(self._first + 1) % capacity, 0] >= SPAN_S

@@ -3,7 +3,7 @@
 import textwrap
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from sparseskin.messages.contacts import sum_unit, summary
@@ -35,61 +35,89 @@ def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     when. Of several, frames, skips and losses are those of the worst patch, PSNR is the mean,
     latency that of the slowest; `rate_hz` is the mean of their rates.
     """
-    every = list(patches.values())
-    n, lost = min(m.reconstructed for m in every), max(m.lost_so_far for m in every)
-    rate, idle = f"{rate_hz:.0f} Hz", []
-    name = next(iter(patches))
-    if len(every) > 1:
-        name, idle = f"{len(every)} patches", [f"idle {sum(m.idle for m in every)}"]
-        asked = max((m.skin.rate_hz for m in every if m.skin is not None), default=0.0)
-        rate = f"{rate_hz:.0f} of {asked:g} Hz" if asked else rate
-        rate += f", skipped {max(m.skipped for m in every)}"
-    psnr = [m.reconstruction.contact.mean for m in every if m.reconstruction.contact.count]
-    noisy = [m.noisy.contact.mean for m in every if m.noisy.contact.count]
-    trust = [m.trust.contact for m in every if m.trust.contact.count]
-    share = sum(t.total for t in trust) / sum(t.count for t in trust) if trust else 0.0
-    to_taxels = "" if noisy else " to taxels"
-    latency, p50_ms = _latency(every)
+    metrics = list(patches.values())
+    latency, p50_ms = _latency(metrics)
     is_late = p50_ms >= LATE_MS
+
+    parts = [_progress(patches, rate_hz)]
+    if is_late:
+        parts += latency
+    parts += _contacts(metrics)
+    if len(metrics) > 1:
+        parts.append(f"idle {sum(m.idle for m in metrics)}")
+    noisy_db = [m.noisy.contact.mean for m in metrics if m.noisy.contact.count]
+    parts += _accuracy(metrics, "" if noisy_db else " to taxels")
+    if not is_late:
+        parts += latency
+    if noisy_db:
+        parts.append(f"taxels {sum(noisy_db) / len(noisy_db):.1f} dB")
+    since = _since(metrics[0].since_ns).strip()
+    if since:
+        parts.append(since)
+    return " | ".join(parts)
+
+
+def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
+    """Frames, their rate, losses, and the age of the newest one where it waits in a queue."""
+    metrics = list(patches.values())
+    n_frames = min(m.reconstructed for m in metrics)
+    n_lost = max(m.lost_so_far for m in metrics)
+
+    name = next(iter(patches))
+    rate = f"{rate_hz:.0f} Hz"
+    if len(metrics) > 1:
+        name = f"{len(metrics)} patches"
+        asked_hz = max((m.skin.rate_hz for m in metrics if m.skin is not None), default=0.0)
+        if asked_hz:
+            rate = f"{rate_hz:.0f} of {asked_hz:g} Hz"
+        rate += f", skipped {max(m.skipped for m in metrics)}"
+    text = f"{name}: {n_frames} frames, {rate}, lost {n_lost}"
+
     # No frame is lost in a queue, but it ages there.
-    age_ms = max((m.latency_ns or 0) for m in every) / 1e6
-    queued = f", newest {age_ms / 1e3:.1f} s old" if age_ms >= QUEUED_MS else ""
-    parts = [
-        f"{name}: {n} frames, {rate}, lost {lost}{queued}",
-        *(latency if is_late else ()),
-        *_contacts(every),
-        *idle,
-        *([f"PSNR{to_taxels} {sum(psnr) / len(psnr):.1f} dB"] if psnr else ()),
-        *([f"trusted {share_of(share)}"] if trust else ()),
-        *(() if is_late else latency),
-        *([f"taxels {sum(noisy) / len(noisy):.1f} dB"] if noisy else ()),
-    ]
-    since = _since(every[0].since_ns).strip()
-    return " | ".join([*parts, since] if since else parts)
+    age_ms = max((m.latency_ns or 0) for m in metrics) / 1e6
+    if age_ms >= QUEUED_MS:
+        text += f", newest {age_ms / 1e3:.1f} s old"
+    return text
+
+
+def _accuracy(patches: Sequence[PatchMetrics], to_what: str) -> Iterator[str]:
+    """Mean PSNR of contact frames and the share that the solver trusts, where there are any."""
+    psnr_db = [m.reconstruction.contact.mean for m in patches if m.reconstruction.contact.count]
+    if psnr_db:
+        yield f"PSNR{to_what} {sum(psnr_db) / len(psnr_db):.1f} dB"
+    trust = [m.trust.contact for m in patches if m.trust.contact.count]
+    if trust:
+        share = sum(t.total for t in trust) / sum(t.count for t in trust)
+        yield f"trusted {share_of(share)}"
 
 
 def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
     """Contacts of the newest frames and their force; where they are not published, the force."""
     units = [m.skin.unit for m in patches if m.skin is not None]
-    known = [m.contacts for m in patches if m.contacts is not None]
+    contacts = [m.contacts for m in patches if m.contacts is not None]
     loads = [m.load for m in patches if m.load is not None]
-    if known and units:
-        n, total = sum(c.id.size for c in known), sum(float(c.total.sum()) for c in known)
-        return [summary(n, total, units[0])]
+    if contacts and units:
+        n_contacts = sum(c.id.size for c in contacts)
+        total = sum(float(c.total.sum()) for c in contacts)
+        return [summary(n_contacts, total, units[0])]
     if any(loads):
         return [f"{sum(loads):.3g} {sum_unit(units[0])}"]
-    return ["no contact"] if loads else []
+    if loads:
+        return ["no contact"]
+    return []
 
 
 def _latency(patches: Sequence[PatchMetrics]) -> tuple[list[str], float]:
     """Latency of the slowest patch as text and its median; none where it is unknown."""
-    known = [(q["p50"], q["p99"], m) for m in patches if (q := m.latency.summary())]
-    if not known:
+    quantiles = [(m.latency.summary(), m.latency_uncertainty_ns) for m in patches]
+    stated = [(q["p50"], q["p99"], within_ns) for q, within_ns in quantiles if q]
+    if not stated:
         return [], 0.0
-    p50, p99, slowest = max(known, key=lambda found: found[:2])
-    within = slowest.latency_uncertainty_ns / 1e6
-    text = f"latency p50 {p50:.1f}, p99 {p99:.1f} ms" + (f" ± {within:.1f}" if within else "")
-    return [text], p50
+    p50_ms, p99_ms, within_ns = max(stated, key=lambda latency: latency[:2])
+    text = f"latency p50 {p50_ms:.1f}, p99 {p99_ms:.1f} ms"
+    if within_ns:
+        text += f" ± {within_ns / 1e6:.1f}"
+    return [text], p50_ms
 
 
 def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
@@ -103,17 +131,20 @@ def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
 
 def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     """Number of frames that are not to be trusted, their reasons, and what may help; "" of none."""
-    every = [patch for patch in patches if patch["trust"]["all"]]
-    n, total = (sum(p["trust"]["all"][key] for p in every) for key in ("untrusted", "frames"))
-    if not n:
+    judged = [patch for patch in patches if patch["trust"]["all"]]
+    n_untrusted = sum(patch["trust"]["all"]["untrusted"] for patch in judged)
+    n_frames = sum(patch["trust"]["all"]["frames"] for patch in judged)
+    if not n_untrusted:
         return ""
+
     counts: Counter[str] = Counter()
-    for patch in every:
+    for patch in judged:
         counts.update(patch["doubts"])
-    are = "is" if n == 1 else "are"
-    text = f"{n} of {total} frames {are} in doubt{_reasons(counts)}."
+    are = "is" if n_untrusted == 1 else "are"
+    text = f"{n_untrusted} of {n_frames} frames {are} in doubt{_reasons(counts)}."
     if counts[Reason.ERROR]:
-        rotate = "" if all(p["rows"] == "rotating" for p in every) else " or rotating rows"
+        all_rotate = all(patch["rows"] == "rotating" for patch in judged)
+        rotate = "" if all_rotate else " or rotating rows"
         text += f" If the error lasts, more measurements{rotate} may help."
     return textwrap.fill(text, WIDTH)
 
@@ -130,59 +161,112 @@ def _reasons(counts: Counter[str]) -> str:
 
 def patch_table(name: str, patch: Mapping[str, Any]) -> str:
     """The summary of one patch as text, `WIDTH` characters wide."""
-    patch = {
-        key: NONE if value is None else printable(value) if isinstance(value, str) else value
-        for key, value in patch.items()
-    }
-    frames, n_in, n_out = patch["frames"], patch["bytes_in"], patch["bytes_out"]
+    patch = {key: _cell(value) for key, value in patch.items()}
+    frames = patch["frames"]
     if not frames["sensed"] and not frames["reconstructed"]:
         scene = "" if patch["scene"] == NONE else f"{patch['scene']}: "
         return f"{printable(name)}: {scene}ended before the first frame"
-    skipped = f"skipped {frames['skipped']}, " if frames["skipped"] else ""
-    rotating = ", rotating rows" if patch["rows"] == "rotating" else ""
-    bits = f", {patch['bits']} bits" if patch["bits"] not in (NONE, FLOAT_BITS) else ""
-    basis = f" in {patch['basis']}" if patch["basis"] else ""
-    preset = f" (preset {patch['preset']})" if patch["preset"] not in ("", NONE) else ""
-    within = f" (± {ms:.2f})" if (ms := patch["latency_uncertainty_ms"]) else ""
-    full_ms, compared = patch["frame_ms"], ""
-    full = "" if full_ms in (NONE, 0) else f" ({full_ms:.2g} ms on a full skin)"
-    if patch["compared"] < frames["reconstructed"]:
-        why = _since(patch["since_ns"]) or " (the others came too late)"
-        compared = f";\n            figures of {patch['compared']}{why}"
+
     rows = [f" {printable(name)}: {patch['scene']} ".center(WIDTH, "=")]
     if patch["changes"]:
         rows.append(_changes(patch["changes"]))
     rows += [
-        f"frames      sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
-        f"{skipped}lost {frames['lost']}{compared}",
-        f"measured    {patch['phi']}{rotating}: "
-        f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
-        f"range {shown(patch['f_min'], 'g')}..{shown(patch['f_max'], 'g')} {patch['unit']}{bits}",
-        f"solver      {patch['solver']}{basis}, {patch['iterations']} iterations{full}{preset}",
-        f"bytes       {f'taxels {n_in:,}, ' if n_in else ''}measurements {n_out:,}"
-        f"{f' (1/{n_in / n_out:.2f})' if n_in and n_out else ''}",
-        f"time        latency {_times(patch['latency_ms'])}{within}; "
-        f"solve {_times(patch['solve_ms'])}",
+        f"frames      {_frames_text(patch)}",
+        f"measured    {_measured_text(patch)}",
+        f"solver      {_solver_text(patch)}",
+        f"bytes       {_bytes_text(patch)}",
+        f"time        {_time_text(patch)}",
+        *_score_rows(patch),
     ]
+    return "\n".join([*rows, "=" * WIDTH])
+
+
+def _cell(value: Any) -> Any:
+    """A value of the summary as the table holds it: "-" for None, texts without control codes."""
+    if value is None:
+        return NONE
+    return printable(value) if isinstance(value, str) else value
+
+
+def _frames_text(patch: Mapping[str, Any]) -> str:
+    frames = patch["frames"]
+    text = f"sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
+    if frames["skipped"]:
+        text += f"skipped {frames['skipped']}, "
+    text += f"lost {frames['lost']}"
+    if patch["compared"] < frames["reconstructed"]:
+        why = _since(patch["since_ns"]) or " (the others came too late)"
+        text += f";\n            figures of {patch['compared']}{why}"
+    return text
+
+
+def _measured_text(patch: Mapping[str, Any]) -> str:
+    rotating = ", rotating rows" if patch["rows"] == "rotating" else ""
+    text = (
+        f"{patch['phi']}{rotating}: "
+        f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
+        f"range {shown(patch['f_min'], 'g')}..{shown(patch['f_max'], 'g')} {patch['unit']}"
+    )
+    if patch["bits"] not in (NONE, FLOAT_BITS):
+        text += f", {patch['bits']} bits"
+    return text
+
+
+def _solver_text(patch: Mapping[str, Any]) -> str:
+    text = str(patch["solver"])
+    if patch["basis"]:
+        text += f" in {patch['basis']}"
+    text += f", {patch['iterations']}"
+    if patch["max_iterations"] not in (NONE, 0):
+        text += f" to {patch['max_iterations']}"
+    text += " iterations"
+    if patch["frame_ms"] not in (NONE, 0):
+        text += f" ({patch['frame_ms']:.2g} ms on a full skin)"
+    if patch["preset"] not in ("", NONE):
+        text += f" (preset {patch['preset']})"
+    return text
+
+
+def _bytes_text(patch: Mapping[str, Any]) -> str:
+    n_in = patch["bytes_in"]
+    n_out = patch["bytes_out"]
+    text = f"measurements {n_out:,}"
+    if n_in:
+        text = f"taxels {n_in:,}, {text}"
+    if n_in and n_out:
+        text += f" (1/{n_in / n_out:.2f})"
+    return text
+
+
+def _time_text(patch: Mapping[str, Any]) -> str:
+    text = f"latency {_times(patch['latency_ms'])}"
+    if patch["latency_uncertainty_ms"]:
+        text += f" (± {patch['latency_uncertainty_ms']:.2f})"
+    return f"{text}; solve {_times(patch['solve_ms'])}"
+
+
+def _score_rows(patch: Mapping[str, Any]) -> Iterator[str]:
+    """PSNR or relative error, and trust: of all frames and of contact frames."""
     against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
     if patch["reference"] in against:
         head = f"PSNR in dB {against[patch['reference']]}"
-        rows += ["", f"{head:<41}{'mean':>8}{'min':>8}{'max':>8}"]
-    psnr, trust = patch["psnr_db"], patch["trust"]
+        yield ""
+        yield f"{head:<41}{'mean':>8}{'min':>8}{'max':>8}"
+
+    scores = {
+        "  noisy taxels": patch["psnr_db"]["noisy"],
+        "  reconstruction": patch["psnr_db"]["reconstruction"],
+    }
+    if patch["reference"] == "taxels":  # then PSNR has no noise beside it
+        scores["relative error"] = {"contact": patch["relative_error"]}
+    scores["trusted by the solver"] = patch["trust"]
+
     frames_of = {"all": "all frames", "contact": "contact frames"}
-    for label, extents in (
-        ("  noisy taxels", psnr["noisy"]),
-        ("  reconstruction", psnr["reconstruction"]),
-        # Where PSNR has no noise beside it.
-        ("relative error", {"contact": patch["relative_error"]}
-         if patch["reference"] == "taxels" else {}),
-        ("trusted by the solver", trust),
-    ):  # fmt: skip
+    for label, extents in scores.items():
+        form = ".3f" if label == "relative error" else ".1f"
         for which, extent in extents.items():
             if extent not in (None, NONE):
-                form = ".3f" if label == "relative error" else ".1f"
-                rows.append(f"{label:<24}{frames_of[which]:<17}{_figures(extent, form)}")
-    return "\n".join([*rows, "=" * WIDTH])
+                yield f"{label:<24}{frames_of[which]:<17}{_figures(extent, form)}"
 
 
 def _since(stamp_ns: Any) -> str:
@@ -201,20 +285,24 @@ def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
         f"{'PSNR dB':>10}{'contact':>8}{'latency p50':>12}{'p99 ms':>7}",
     ]
     for name, patch in patches.items():
-        frames, psnr = patch["frames"], patch["psnr_db"]["reconstruction"]
-        n = frames["reconstructed"]
-        means = [psnr[k] and psnr[k]["mean"] for k in ("all", "contact")]
+        frames = patch["frames"]
+        psnr_db = patch["psnr_db"]["reconstruction"]
+        n_frames = frames["reconstructed"]
+        means = [psnr_db[k] and psnr_db[k]["mean"] for k in ("all", "contact")]
         times = [patch["latency_ms"] and patch["latency_ms"][k] for k in ("p50", "p99")]
-        idle = f"{100 * patch['unchanged'] / n:.0f} %" if n else NONE
+        idle = f"{100 * patch['unchanged'] / n_frames:.0f} %" if n_frames else NONE
         rows.append(
-            f"{printable(name)[:12]:<12}{n:>8}{frames['skipped']:>8}{frames['lost']:>6}{idle:>7}"
+            f"{printable(name)[:12]:<12}{n_frames:>8}{frames['skipped']:>8}{frames['lost']:>6}"
+            f"{idle:>7}"
             f"{shown(means[0], '.1f'):>10}{shown(means[1], '.1f'):>8}"
             f"{shown(times[0], '.4g'):>12}{shown(times[1], '.4g'):>7}"
         )
+
     total = {
         key: sum(patch["frames"][key] for patch in patches.values())
         for key in ("sensed", "reconstructed", "skipped", "lost")
-    } | {"unchanged": sum(patch["unchanged"] for patch in patches.values())}
+    }
+    total["unchanged"] = sum(patch["unchanged"] for patch in patches.values())
     rows.append(f"{'all':<12}" + ", ".join(f"{key} {n}" for key, n in total.items()))
     rows.append("=" * WIDTH)
     return "\n".join(rows)
@@ -257,7 +345,6 @@ def shown(value: float | str | None, form: str) -> str:
 
 
 def _times(quantiles: Mapping[str, float] | str) -> str:
-    return ", ".join(
-        f"{key} {quantiles if isinstance(quantiles, str) else f'{quantiles[key]:.2f} ms'}"
-        for key in ("p50", "p99")
-    )
+    if isinstance(quantiles, str):
+        return f"p50 {quantiles}, p99 {quantiles}"
+    return f"p50 {quantiles['p50']:.2f} ms, p99 {quantiles['p99']:.2f} ms"

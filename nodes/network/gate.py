@@ -30,7 +30,8 @@ MAX_REFUSALS = 256
 """Largest number of pairs of address and reason whose refusals are counted, and logged, one by one.
 All further ones are counted together: many addresses or keys fill neither memory nor log.
 """
-UNKNOWN, LOCAL = "unknown address", "this host"
+UNKNOWN = "unknown address"
+LOCAL = "this host"
 OTHERS = ("", "")
 
 _OTHER_SERVER_KEY = zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC

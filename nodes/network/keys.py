@@ -18,7 +18,8 @@ from sparseskin.messages.topics import check_name
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import TAKEN
 
-SECRET_SUFFIX, PUBLIC_SUFFIX = ".key", ".pub"
+SECRET_SUFFIX = ".key"
+PUBLIC_SUFFIX = ".pub"
 SECRET_MODE = 0o600
 KEY_CHARACTERS = 40
 """Length of a CURVE key as text (Z85)."""

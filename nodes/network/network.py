@@ -26,7 +26,8 @@ END_RECEIVED_NS = 30_000_000_000
 
 ASK_NS = 250_000_000
 """Period of the questions for the time of other hosts."""
-FIRST_NS, N_FIRST = 30_000_000, 10
+FIRST_NS = 30_000_000
+N_FIRST = 10
 """Period and number of the first questions: a single exchange may be a slow one."""
 RETRY_NS = 2_000_000_000
 """Time after which a refused handshake is tried again."""
@@ -80,7 +81,8 @@ class Network:
         self._next_ask_ns = self._n_times = 0
         security = config.get("security")
         self._keys = KeyPair(**security["own"]) if security else None
-        public, endpoint = config.get("public", ""), config["endpoint"]
+        public = config.get("public", "")
+        endpoint = config["endpoint"]
         self._first = first or self
         self._companions = frozenset(config.get("companions", ()))
         self._gate: Gate | None = first._gate if first is not None else None
@@ -110,7 +112,8 @@ class Network:
         """Make the reader of the node's input topics; `connect` connects it. No source waits for
         one that observes.
         """
-        name, keys = self._name, self._keys
+        name = self._name
+        keys = self._keys
         self._reader = Reader(self._context, name, (), topics, keys=keys, observes=observes)
         self.poller.register(self._reader.socket, zmq.POLLIN)
         if keys is not None or self._distant_inputs:

@@ -67,7 +67,9 @@ OVER_NETWORK_MS = {
 }
 """Options of sockets whose links can break silently, for all later binds and connections."""
 
-_NOBLOCK, _EVENTS, _POLLIN = int(zmq.NOBLOCK), int(zmq.EVENTS), int(zmq.POLLIN)
+_NOBLOCK = int(zmq.NOBLOCK)
+_EVENTS = int(zmq.EVENTS)
+_POLLIN = int(zmq.POLLIN)
 
 
 def make_context() -> zmq.Context[zmq.Socket[bytes]]:
@@ -184,7 +186,8 @@ class Writer:
             if self._gate is not None:
                 with contextlib.suppress(zmq.ZMQError):  # by no connection, in a process
                     self._gate.subscribed(frame.get(zmq.SRCFD))
-            joins, topic = frame.bytes[:1] == JOINS, frame.bytes[1:]
+            joins = frame.bytes[:1] == JOINS
+            topic = frame.bytes[1:]
             self._n_subscriptions = max(0, self._n_subscriptions + (1 if joins else -1))
             if self._n_subscriptions > MAX_SUBSCRIPTIONS:
                 text = f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves"

@@ -66,7 +66,8 @@ class StoredArray:
         self, stream: IO[bytes], sides: tuple[int, ...], at: int, size: int
     ) -> Iterator[npt.NDArray[Any]]:
         """Parts along an axis whose entries are gathered from all over the stream."""
-        n_outer, n_inner = math.prod(sides[:at]), math.prod(sides[at + 1 :])
+        n_outer = math.prod(sides[:at])
+        n_inner = math.prod(sides[at + 1 :])
         entry_bytes = n_inner * self.dtype.itemsize
         # Longer runs cost fewer reads, and more memory.
         wanted = max(size, MIN_RUN_BYTES // max(1, entry_bytes))

@@ -76,7 +76,8 @@ def read_npz(
     """
     file = io.BytesIO(file) if isinstance(file, bytes) else file
     with opened_npz(file) as (archive, members):
-        names, n_bytes = wanted(list(members)), file.seek(0, io.SEEK_END)
+        names = wanted(list(members))
+        n_bytes = file.seek(0, io.SEEK_END)
         size = sum(members[name].file_size for name in names)
         most = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
         if size > most:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
 from weakref import WeakValueDictionary
@@ -29,6 +30,9 @@ LARGEST = 1e30
 
 def has_masked(given: object) -> bool:
     """True for a masked array of NumPy of which some entries are masked."""
+    # Whoever has one has imported its module; NumPy itself imports it late, since it takes long.
+    if "numpy.ma" not in sys.modules:
+        return False
     return isinstance(given, np.ma.MaskedArray) and bool(np.ma.is_masked(given))
 
 

@@ -75,6 +75,8 @@ class Measured(NamedTuple):
     doubt: A  # part of each value that no force explains, 0 to 1
     excess: A  # variance that this adds to that of its noise
     change: A  # values less those of the last estimate, without what is doubted
+    target_variance: A  # variance of the targets
+    own: A  # what each row has added to its own value in the estimate of the steps
 
 
 class Received(NamedTuple):
@@ -240,11 +242,14 @@ class FilterConstants(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Steps of a frame: by the formula, then by the weights."""
+    """Steps of a frame, as of `StepPlan`: by the formula, then by the weights."""
 
     n_formula: int
     n: int
     first_shift: int
+    frame_tiles: int
+    step_tiles: int
+    most: int
     target_variance: float  # mean variance of the targets of the rows read
     floor: float  # least variance
 
@@ -259,6 +264,9 @@ class StepConstants(NamedTuple):
     residual_power: float
     rise_power: float
     fully_averaged: float
+    converged: int
+    n_formula: int
+    formula_share: int
 
 
 class StepInputs(NamedTuple):
@@ -301,7 +309,7 @@ def group(kind: Any, *fields: Any) -> Any:
 
 
 TRANSFORM = group(Transform, G, V)
-MEASURED = group(Measured, L, *(8 * [V]))
+MEASURED = group(Measured, L, *(10 * [V]))
 RECEIVED = group(Received, L, V, V, L, int64, V)
 DOUBT_CONSTANTS = group(DoubtConstants, *(3 * [float64]))
 ESTIMATE = group(Estimate, V, V, V)
@@ -317,8 +325,8 @@ DENOISER = group(Denoiser, WEIGHTS, LIMITS, V, int64)
 MOTION_WEIGHTS = group(MotionWeights, *(4 * [float64]))
 VARIANCES = group(Variances, *(4 * [float64]))
 FILTER_CONSTANTS = group(FilterConstants, *(8 * [float64]))
-PLAN = group(Plan, int64, int64, int64, float64, float64)
-STEP_CONSTANTS = group(StepConstants, *(7 * [float64]))
+PLAN = group(Plan, *(6 * [int64]), float64, float64)
+STEP_CONSTANTS = group(StepConstants, *(7 * [float64]), *(3 * [int64]))
 STEP_INPUTS = group(
     *(StepInputs, TRANSFORM, PREDICTION, TARGETS, ITERATES),
     *(TILE_MAPS, DENOISER, STEP_CONSTANTS),
@@ -482,25 +490,35 @@ def haar_image(v: A, grid: A, half: A) -> None:
 
 
 @compiled()
-def standing_out(image: A, begin: int, width: int, limits: A, sums: A, peaks: A) -> Any:
-    """Part of the window of 12 x 12 that begins at a place of a flat image, as in `gates`; sums and
-    peaks are scratch, 12 columns each.
+def sum_bands(image: A, begin: Any, width: int, n_columns: Any, bands: A) -> None:
+    """Set the first four rows of bands, each of n_columns, to the sums of three rows each of a flat
+    image from its place `begin` on, and the last one to the peaks of all twelve: what windows that
+    lie beside each other share.
     """
+    peaks = bands[4 * n_columns :][:n_columns]
+    for j in range(n_columns):
+        peaks[j] = _0
+    for band in range(4):
+        at = begin + 3 * band * width
+        upper = image[at:][:n_columns]
+        middle = image[at + width :][:n_columns]
+        lower = image[at + 2 * width :][:n_columns]
+        sums = bands[band * n_columns :][:n_columns]
+        for j in range(n_columns):
+            sums[j] = upper[j] + middle[j] + lower[j]
+            peaks[j] = max(peaks[j], max(upper[j], max(middle[j], lower[j])))
+
+
+@compiled()
+def standing_out(bands: A, n_columns: Any, column: Any, limits: A) -> Any:
+    """Part of the window of 12 x 12 that begins at a column of `sum_bands`, as in `gates`."""
     of_thirds = _0
     of_sixths = _0
     whole = _0
     left_half = _0
     right_half = _0
-    for j in range(12):
-        peaks[j] = _0
     for band in range(4):
-        at = begin + 3 * band * width
-        upper = image[at:][:12]
-        middle = image[at + width :][:12]
-        lower = image[at + 2 * width :][:12]
-        for j in range(12):
-            sums[j] = upper[j] + middle[j] + lower[j]
-            peaks[j] = max(peaks[j], max(upper[j], max(middle[j], lower[j])))
+        sums = bands[band * n_columns + column :][:12]
 
         # Squares of 3 x 3.
         a = sums[0] + sums[1] + sums[2]
@@ -519,6 +537,7 @@ def standing_out(image: A, begin: int, width: int, limits: A, sums: A, peaks: A)
             right_half = _0
 
     highest = _0
+    peaks = bands[4 * n_columns + column :][:12]
     for j in range(12):
         highest = max(highest, peaks[j])
     excess = max(highest / limits.single, of_thirds / (3 * limits.by_3))
@@ -1036,6 +1055,8 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
     off_target = measured.off_target
     target = targets.value
     target_variance = targets.variance
+    of_read = measured.target_variance
+    own = measured.own
     noise_of_all = np.float32(variances.noise)
     floor = np.float32(variances.floor)
     total = 0.0
@@ -1046,6 +1067,8 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
         target[r] += gain * (values[i] - target[r])
         target_variance[r] = max(gain * noise, floor)
         off_target[i] = (_1 - doubt[i]) * (values[i] - target[r])
+        of_read[i] = target_variance[r]
+        own[i] = _0
         total += target_variance[r]
 
     mean = filters.mean
@@ -1137,7 +1160,7 @@ def target_residual(
     z: A, transform: A, measured: A, targets: A, off: A, v: A
 ) -> tuple[float, float]:
     """Set `off` to what the targets exceed W z by. Return the mean squares of it and of the
-    residual of z, of the rows read; v is scratch.
+    residual of z, of the rows read, which is kept; v is scratch.
     """
     target = targets.value
     scale = transform.scale
@@ -1150,19 +1173,23 @@ def target_residual(
 
     read = measured.read
     off_target = measured.off_target
+    residual = measured.residual
     off2 = 0.0
     residual2 = 0.0
     for i in range(read.size):
         off_read = off[read[i]]
+        residual[i] = off_read + off_target[i]
         off2 += np.float64(off_read) ** 2
         residual2 += np.float64(off_read + off_target[i]) ** 2
     return off2 / read.size, residual2 / read.size
 
 
 @compiled(sums_in_any_order=True)
-def linear_estimate(z: A, transform: A, targets: A, tau: Any, floor: float, u: A, v: A) -> Any:
+def linear_estimate(
+    z: A, transform: A, targets: A, tau: Any, floor: float, u: A, v: A
+) -> tuple[Any, Any]:
     """Replace u, which is what the targets exceed W z by, by the truth and noise; set v to u in
-    units of the deviation of this noise, which is returned.
+    units of the deviation of this noise. Return it, and the factor of the weights.
     """
     variance = targets.variance
     scale = transform.scale
@@ -1182,7 +1209,21 @@ def linear_estimate(z: A, transform: A, targets: A, tau: Any, floor: float, u: A
     for p in range(n):
         u[p] = z[p] + v[p] * per_weight
         v[p] = u[p] * per_s
-    return s
+    return s, per_weight
+
+
+@compiled(sums_in_any_order=True)
+def add_own(measured: A, tau: Any, factor: Any, part: Any) -> None:
+    """Move the mean of what the rows read add to their own values by a part towards that of a step:
+    `factor` times their weights times what their targets exceed W z by.
+    """
+    residual = measured.residual
+    off_target = measured.off_target
+    variance = measured.target_variance
+    own = measured.own
+    for i in range(own.size):
+        added = factor * (tau / (tau + variance[i])) * (residual[i] - off_target[i])
+        own[i] += part * (added - own[i])
 
 
 @compiled(sums_in_any_order=True)
@@ -1203,23 +1244,32 @@ def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, floa
     begins = tiles.begins[shift]
     shares = tiles.shares[shift]
     width = tiles.width
-    sums = w[-1][:12]  # the last window is written at last, and then read no more
-    peaks = w[-1][12:24]
+    bands = scratch.sums.reshape(-1)  # not in use yet
+    n_tiles = tiles.counts[shift]
     n_busy = 0
     expected = 0.0
-    for tile in range(tiles.counts[shift]):
-        begin = begins[tile]
-        part = standing_out(image, begin, width, limits, sums, peaks)
-        if part > 0:
-            window = w[n_busy]
-            for i in range(12):
-                for j in range(12):
-                    window[12 * i + j] = image[begin + i * width + j]
-            busy[n_busy] = tile
-            parts[n_busy] = part
-            n_busy += 1
-        else:
-            expected += shares[tile] * limits.quiet
+    first = 0
+    while first < n_tiles:
+        row = np.int64(begins[first])
+        stop = first + 1
+        while stop < n_tiles and np.int64(begins[stop]) - np.int64(begins[stop - 1]) == 8:
+            stop += 1
+        n_columns = np.int64(begins[stop - 1]) - row + 12
+        sum_bands(image, row, width, n_columns, bands)
+        for tile in range(first, stop):
+            begin = np.int64(begins[tile])
+            part = standing_out(bands, n_columns, begin - row, limits)
+            if part > 0:
+                window = w[n_busy]
+                for i in range(12):
+                    for j in range(12):
+                        window[12 * i + j] = image[begin + i * width + j]
+                busy[n_busy] = tile
+                parts[n_busy] = part
+                n_busy += 1
+            else:
+                expected += shares[tile] * limits.quiet
+        first = stop
     return n_busy, expected
 
 
@@ -1344,6 +1394,33 @@ def weight_of(k: int, residual2: float, plan: A, constants: A) -> float:
     return weight
 
 
+@compiled()
+def steps_for(plan: A, n_busy: int, constants: A) -> Any:
+    """As `vectors.steps_for`."""
+    if plan.frame_tiles == 0:
+        return plan
+    per_step = plan.step_tiles + n_busy
+    n_formula = 0
+    n = min(plan.frame_tiles // per_step, plan.most)
+    if n < constants.converged:
+        n_formula = constants.n_formula
+        by_formula = plan.step_tiles + n_busy // constants.formula_share
+        n = (plan.frame_tiles - n_formula * by_formula) // per_step
+        n = min(n, constants.converged - 1, plan.most)
+    if n < plan.n:
+        return plan
+    return Plan(
+        n_formula,
+        n,
+        plan.first_shift,
+        plan.frame_tiles,
+        plan.step_tiles,
+        plan.most,
+        plan.target_variance,
+        plan.floor,
+    )
+
+
 class StepMeans(NamedTuple):
     """Means over the steps so far, weighted as their estimates are."""
 
@@ -1353,9 +1430,12 @@ class StepMeans(NamedTuple):
 
 
 @compiled(sums_in_any_order=True)
-def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMeans) -> StepMeans:
+def skin_step(
+    inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMeans
+) -> tuple[StepMeans, Any, int]:
     """Step k, as in `FrameVectors`: z becomes the next, and its estimate is added to their mean.
-    Return the means with this step.
+    Return the means with this step, the plan, which the first one chooses, and the number of tiles
+    in which something stands out.
     """
     iterates = inputs.iterates
     z = iterates.z
@@ -1370,12 +1450,14 @@ def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMe
     # Error variance of z, seen by the rows read.
     least_tau = constants.least_tau * max(off2, plan.target_variance)
     tau = np.float32(max(off2 - plan.target_variance, least_tau) + plan.floor)
-    s = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, u, v)
+    s, per_weight = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, u, v)
 
     denoised = scratch.denoised
     for q in range(denoised.size):
         denoised[q] = _0
     n_busy, expected = busy_windows(tiles, shift, limits, scratch)
+    if k == 0:
+        plan = steps_for(plan, n_busy, constants)
     if n_busy and (k < plan.n_formula or not inputs.denoiser.has_gates):
         expected += shrink_tiles(tiles, shift, limits, scratch, n_busy, s)
     elif n_busy:
@@ -1392,19 +1474,22 @@ def skin_step(inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMe
     alpha = np.float32(min(expected, constants.most_alpha))
     damping = constants.damping * min(1.0, constants.damped_from / (k + 1))
     move_iterate(iterates, v, alpha, np.float32(damping), np.float32(part))
+    add_own(measured, tau, alpha * per_weight, np.float32(part))
 
     error2 = expected * np.float64(s) ** 2
-    return StepMeans(
+    means = StepMeans(
         total,
         means.expected2 + part * (error2 - means.expected2),
         means.residual2 + part * (residual2 - means.residual2),
     )
+    return means, plan, n_busy
 
 
 @compiled((STEP_INPUTS, MEASURED, PLAN), sums_in_any_order=True)
-def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float]:
+def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float, int, int, int]:
     """The steps of a frame from its prediction, which set the mean of the estimates. Return the
-    same means of the expected squared error and of the squared residual before the step.
+    same means of the expected squared error and of the squared residual before the step; the
+    numbers of steps by the formula and by the weights, and of tiles that counted in all of them.
     """
     iterates = inputs.iterates
     scratch = step_scratch(inputs.denoiser, inputs.tiles, iterates.z.size)
@@ -1415,9 +1500,20 @@ def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float]:
         z[p] = predicted[p]
         mean[p] = _0
     means = StepMeans(0.0, 0.0, 0.0)
-    for k in range(plan.n_formula + plan.n):
-        means = skin_step(inputs, measured, plan, scratch, k, means)
-    return means.expected2, means.residual2
+    least = plan.n_formula + plan.n
+    k = 0
+    n_busy = 0
+    n_tiles = 0
+    while k < plan.n_formula + plan.n:
+        # Forces of a sudden contact stand out step by step: what it takes is counted.
+        spent = (k + 1) * plan.step_tiles + n_tiles + n_busy
+        if k >= least and spent > plan.frame_tiles:
+            break
+        means, plan, n_busy = skin_step(inputs, measured, plan, scratch, k, means)
+        is_by_formula = k < plan.n_formula
+        n_tiles += n_busy // inputs.constants.formula_share if is_by_formula else n_busy
+        k += 1
+    return means.expected2, means.residual2, plan.n_formula, k - plan.n_formula, n_tiles
 
 
 @compiled(sums_in_any_order=True)
@@ -1464,7 +1560,7 @@ def skin_settle(
     estimate: A,
     blend: A,
     forces: A,
-) -> tuple[float, float, float, float, float]:
+) -> tuple[float, float, float, float, float, float, float, float]:
     """Settle a frame, as in `FrameVectors`; return what it does but for the forces."""
     x = estimate.x
     n = x.size
@@ -1495,8 +1591,24 @@ def skin_settle(
         residual[i] = (_1 - doubt[i]) * (values[i] - x_rows[read[i]])
         residual2 += residual[i] * residual[i]
         along_ones += ones[i] * residual[i]
+
+    # Residual of the steps in their part of x, without what each row added to its own value.
+    innovation = measured.innovation
+    own = measured.own
+    left_out2 = 0.0
+    along_x = 0.0
+    read2 = 0.0
+    for i in range(read.size):
+        x_read = x_rows[read[i]]
+        left_out = residual[i] + rest * ((_1 - doubt[i]) * own[i])
+        along_x += x_read * left_out
+        read2 += x_read * x_read
+        left_out -= part * innovation[i]
+        left_out2 += left_out * left_out
     unpressed, pressed = settle_forces(x, blend, forces)
-    return np.float64(power / n), residual2 / read.size, along_ones, unpressed, pressed
+    m = read.size
+    fits = residual2 / m, left_out2 / m, along_x, read2
+    return np.float64(power / n), *fits, along_ones, unpressed, pressed
 
 
 @compiled((V, NOISE_CURVE), sums_in_any_order=True)

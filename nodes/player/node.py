@@ -21,7 +21,8 @@ from sparseskin.nodes.settings import Settings, setting
 
 from .schedule import Schedule
 
-LOWEST_RATE, HIGHEST_RATE = 0.001, 1000.0
+LOWEST_RATE = 0.001
+HIGHEST_RATE = 1000.0
 MAX_STAMPS = 4096
 """Frames in flight whose new stamps are kept; a later message counts as a frame of its own."""
 
@@ -177,7 +178,8 @@ class Player(SourceNode[PlayerSettings]):
         """The messages of the frames played that were recorded after a later frame, as measurements
         and reconstructions are; they are looked for until each stream has passed the last frame.
         """
-        frame_ns, behind = self._frame_ns, {self._names[topic] for topic in self._streams}
+        frame_ns = self._frame_ns
+        behind = {self._names[topic] for topic in self._streams}
         for _ in range(MAX_STAMPS):
             message = self._next
             if message is None or frame_ns is None or not behind:
@@ -229,14 +231,16 @@ class Player(SourceNode[PlayerSettings]):
         """Continue from another position of the recording."""
         if self.exhausted:
             raise RefusedError("seek: the recording has been played to its end")
-        shift_ns, messages = self._shift_ns, self._read(stamp_ns)
+        shift_ns = self._shift_ns
+        messages = self._read(stamp_ns)
         if (first := next(messages, None)) is None:
             self._shift_ns = shift_ns
             raise RefusedError("seek: no frame follows there")
         if self._has_changes:
             states = [s.moved(stamp_ns - s.stamp_ns) for s in self._states_at(stamp_ns)]
             messages, first = chain(states[1:], [first], messages), states[0]
-        self._messages, self._next = messages, first
+        self._messages = messages
+        self._next = first
         self._stamps.clear()
         self._schedule.seek(stamp_ns, now_ns)
 

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import NamedTuple
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi
-from sparseskin.nodes.reconstructor.solvers.base import Solver
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.reconstructor.skin.vectors import CONVERGED, N_FORMULA
+from sparseskin.nodes.reconstructor.solvers.base import CountsTiles, Solver
 
 LEAST_STEPS = 3
 """Steps that are done in any case by a solver without paces. Chosen."""
 SHARE = 0.5
 """Part of the time between frames that a frame may take. Derived: as much is left for the other
 nodes of the patch, and for a first frame after a pause."""
-N_FIRST, N_TIMED, ENOUGH_S = 2, 6, 0.2
+N_FIRST = 2
+N_TIMED = 6
+ENOUGH_S = 0.2
 """Frames that are not timed, for memory and caches; largest number of frames that are; and the time
 after which no other is, seconds."""
+N_OF_TILES = 16
+"""The same number where three kinds of frames are compared: least times of few differ by more than
+what a step takes. Chosen."""
+LEAST_S = 1e-6
+"""Least time that the tiles of a frame take: a clock that shows none states no time. Chosen."""
 
 
 class Costs(NamedTuple):
@@ -36,13 +46,35 @@ class Costs(NamedTuple):
         return min(max(fit, LEAST_STEPS), most)
 
 
+class TileCosts(NamedTuple):
+    """Time of a frame of a solver that counts tiles: of all but its steps, of each step without any
+    tile, and of each tile in a step; seconds.
+    """
+
+    frame_s: float
+    step_s: float
+    tile_s: float
+
+    def times(self, budget_s: float) -> tuple[int, int]:
+        """Times of the steps of a frame and of a step, in that of a tile, as of `use_times`."""
+        left_s = max(budget_s - self.frame_s, self.tile_s)
+        return int(left_s / self.tile_s), math.ceil(self.step_s / self.tile_s)
+
+    def of(self, n_steps: int, n_tiles: int) -> float:
+        """Time of a frame of so many steps and, in all of them, tiles; seconds."""
+        return self.frame_s + n_steps * self.step_s + n_tiles * self.tile_s
+
+
 def steps_within(solver: Solver, phi: Phi, f_max: float, budget_s: float) -> tuple[int, float]:
-    """Number of steps of a frame that fit into a budget on this host, and its time, seconds.
+    """Number of steps of a frame that fit into a budget on this host, and its time, seconds; where
+    every taxel is pressed.
 
     A solver that has paces uses the largest one that fits: of few, hosts that differ a little
-    choose the same one.
+    choose the same one. A solver that counts tiles does more where few are pressed.
     """
     paces = getattr(solver, "paces", ())
+    if isinstance(solver, CountsTiles):
+        return _steps_of_tiles(solver, phi, f_max, budget_s)
     costs = measured_costs(solver, phi, f_max)
     fewer = [pace for pace in paces if pace < solver.n_steps]
     while fewer and costs.of(solver.n_steps) > budget_s:
@@ -50,6 +82,64 @@ def steps_within(solver: Solver, phi: Phi, f_max: float, budget_s: float) -> tup
         costs = measured_costs(solver, phi, f_max, 1)
     steps = solver.n_steps if paces else costs.steps_in(budget_s, solver.n_steps)
     return steps, costs.of(steps)
+
+
+def _steps_of_tiles(
+    solver: CountsTiles, phi: Phi, f_max: float, budget_s: float
+) -> tuple[int, float]:
+    """As `steps_within`, of a solver that counts tiles."""
+    solver.use_times(0, 0)
+    costs = tile_costs(solver, phi, f_max)
+    most = solver.n_steps
+    frame_s = costs.of(most, most * solver.most_tiles)
+    if frame_s <= budget_s:
+        return most, frame_s
+    solver.use_times(*costs.times(budget_s))
+    n_formula, n = solver.steps_for(solver.most_tiles)
+    return n, costs.of(n_formula + n, n * solver.most_tiles)
+
+
+def tile_costs(solver: CountsTiles, phi: Phi, f_max: float) -> TileCosts:
+    """Time frames in which every taxel is pressed by up to f_max, newtons, and none; the solver is
+    reset, and does its largest number of steps in each frame.
+    """
+    rng = np.random.default_rng(0)
+    most = solver.n_steps
+    fewer = max(most // 3, 1)
+    pressed = phi.forward(rng.uniform(0, f_max, (N_OF_TILES, phi.n)).astype(np.float32))
+    untouched = np.zeros(phi.m, dtype=np.float32)
+
+    # In turn: what else runs on the host slows down all of them.
+    least_s = [math.inf, math.inf, math.inf]
+    n_tiles = 0
+    begin_s = time.perf_counter()
+    for k, y in enumerate(pressed):
+        cases = (untouched, fewer), (untouched, most), (y, most)
+        times_s = [_time_of(solver, phi, y, n_steps) for y, n_steps in cases]
+        if times_s[2] < least_s[2]:
+            n_tiles = solver.n_tiles
+        least_s = [min(pair) for pair in zip(least_s, times_s, strict=True)]
+        if k >= N_FIRST and time.perf_counter() > begin_s + ENOUGH_S:
+            break
+    solver.reset()
+
+    # Frames of fewer steps have some others, by a formula, before them.
+    fewer_s, untouched_s, pressed_s = least_s
+    n_more = most - fewer - (N_FORMULA if fewer < CONVERGED <= most else 0)
+    step_s = max(untouched_s - fewer_s, 0.0) / max(n_more, 1)
+    tile_s = max(pressed_s - untouched_s, LEAST_S) / max(n_tiles, 1)
+    return TileCosts(max(untouched_s - most * step_s, 0.0), step_s, tile_s)
+
+
+def _time_of(solver: CountsTiles, phi: Phi, y: Floats, n_steps: int) -> float:
+    """Time of a first frame of measurements y of so many steps, seconds."""
+    solver.use_pace(n_steps)
+    solver.reset()
+    if solver.subsets:
+        solver.use(phi)
+    begin_s = time.perf_counter()
+    solver.solve(y)
+    return time.perf_counter() - begin_s
 
 
 def measured_costs(solver: Solver, phi: Phi, f_max: float, n_first: int = N_FIRST) -> Costs:

@@ -37,7 +37,8 @@ class Tracks:
     """
 
     def __init__(self, ids: list[int], state: Doubles) -> None:
-        self.ids, self.state = ids, state
+        self.ids = ids
+        self.state = state
         self.age_s, self.over, self.sliding = state[:3]
         self.velocities, self.places = state[3:].reshape(2, len(state) // 2 - 1, len(ids))
 
@@ -45,12 +46,12 @@ class Tracks:
         """Contacts of other ids; those that are not among these begin now, at some places."""
         if ids == self.ids:
             return self
-        made = Tracks(ids, np.zeros((3 + 2 * len(places), len(ids))))
-        made.places[:] = places
-        for k, one in enumerate(ids):
-            if one in self.ids:
-                made.state[:, k] = self.state[:, self.ids.index(one)]
-        return made
+        tracks = Tracks(ids, np.zeros((3 + 2 * len(places), len(ids))))
+        tracks.places[:] = places
+        for k, contact_id in enumerate(ids):
+            if contact_id in self.ids:
+                tracks.state[:, k] = self.state[:, self.ids.index(contact_id)]
+        return tracks
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,9 @@ class ContactTracker:
         self._tracks = _NO_TRACKS
         #: Of contacts that met: where they were before, by id, by the id of the one that goes on.
         self._apart: dict[int, dict[int, Doubles]] = {}
-        self._last_id, self._last_ns, self._n_early = 0, 0, 0
+        self._last_id = 0
+        self._last_ns = 0
+        self._n_early = 0
 
     @property
     def regions(self) -> npt.NDArray[np.int32]:
@@ -108,8 +111,8 @@ class ContactTracker:
 
     def fits(self, skin: SkinState) -> bool:
         """True if it follows contacts on the taxels of that skin."""
-        other = vars(skin.skin)
-        return all(np.array_equal(value, other[name]) for name, value in vars(self._skin).items())
+        theirs = vars(skin.skin)
+        return all(np.array_equal(value, theirs[name]) for name, value in vars(self._skin).items())
 
     def set_noise(self, skin: SkinState) -> None:
         """Take the stated noise of a skin as the least unit of the thresholds."""
@@ -122,69 +125,95 @@ class ContactTracker:
         self._n_early = EARLY * n_subsets
 
     def update(
-        self, forces: Floats, error: float | None, stamp_ns: int, sd: Floats | None = None
+        self,
+        forces: Floats,
+        error: float | None,
+        stamp_ns: int,
+        sd: Floats | None = None,
+        common: float = 0.0,
     ) -> Followed | None:
         """Find the contacts of the next frame; None: there are none, and nothing has ended.
 
         `forces`: float32 (n_rows, n_cols), 0 in masked cells; `error`: RMS error over all taxels as
-        the solver estimates it; `sd`: standard deviation of each force, where known.
+        the solver estimates it; `sd`: standard deviation of each force, where known; `common`:
+        relative error that all forces share.
         """
-        before, limits = self._tracks, self.limits
+        elapsed_s = 1e-9 * (stamp_ns - self._last_ns)
+        self._last_ns = stamp_ns
+        limits = self.limits
         if self._n_early:
-            self._n_early, limits = self._n_early - 1, replace(limits, high=math.inf)
-        found = self._finder.find(
+            self._n_early -= 1
+            limits = replace(limits, high=math.inf)
+        regions = self._finder.find(
             forces,
             self._floor if error is None else error,
             limits,
             unit=max(self._floor, error or 0.0),
             is_mean=error is not None,
             sd=sd,
+            common=common,
         )
-        elapsed_s, self._last_ns = 1e-9 * (stamp_ns - self._last_ns), stamp_ns
-        if found is None:
-            if not before.ids:
-                return None
-            self._tracks, self._apart = _NO_TRACKS, {}
-            return Followed(NOTHING, [(number, END) for number in before.ids])
-        places = found.sums[3 : min(8, len(found.sums) // 2 + 1)]
-        ids = self._ids(found, places) if before.ids else [0] * places.shape[1]
-        for k in [k for k, one in enumerate(ids) if not one]:
-            self._last_id += 1
-            ids[k] = self._last_id
-        events = [(one, BEGIN) for one in ids if one not in before.ids]
-        events += [(one, END) for one in before.ids if one not in ids]
+        if regions is None:
+            return self._end()
+
+        before = self._tracks
+        # Sums are total, area, peak; then row, column, and x, y, z where the skin has places.
+        places = regions.sums[3 : min(8, len(regions.sums) // 2 + 1)]
+        ids = self._ids(regions, places) if before.ids else [0] * places.shape[1]
+        for k, contact_id in enumerate(ids):
+            if not contact_id:
+                self._last_id += 1
+                ids[k] = self._last_id
+        events = [(contact_id, BEGIN) for contact_id in ids if contact_id not in before.ids]
+        events += [(contact_id, END) for contact_id in before.ids if contact_id not in ids]
+
         before.age_s += max(0.0, elapsed_s)
-        tracks = self._tracks = before.of(ids, places)
-        if elapsed_s > 0:
-            gain = 1 - math.exp(-elapsed_s / SMOOTHING_S)
-            tracks.velocities *= 1 - gain
-            tracks.velocities += (gain / elapsed_s) * (places - tracks.places)
-        tracks.places[:] = places
+        tracks = before.of(ids, places)
+        self._tracks = tracks
+        _move(tracks, places, elapsed_s)
+
         if not math.isinf(limits.over):
-            events += [(ids[k], OVER) for k in _switch(tracks.over, found.sums[0], limits.over)]
+            begins = _switch(tracks.over, regions.sums[0], limits.over)
+            events += [(ids[k], OVER) for k in begins]
         if not math.isinf(limits.slide):
             speeds = np.linalg.norm(tracks.velocities[-3:], axis=0)
-            events += [(ids[k], SLIDE) for k in _switch(tracks.sliding, speeds, limits.slide)]
-        if self._apart:
-            self._apart = {one: apart for one, apart in self._apart.items() if one in ids}
-        return Followed(self._fields(found.sums), events)
+            begins = _switch(tracks.sliding, speeds, limits.slide)
+            events += [(ids[k], SLIDE) for k in begins]
 
-    def _ids(self, found: Found, places: Doubles) -> list[int]:
+        self._apart = {merged: parts for merged, parts in self._apart.items() if merged in ids}
+        return Followed(self._fields(regions.sums), events)
+
+    def _end(self) -> Followed | None:
+        """The end of all contacts; None if there were none."""
+        ended = self._tracks.ids
+        if not ended:
+            return None
+        self._tracks = _NO_TRACKS
+        self._apart = {}
+        return Followed(NOTHING, [(contact_id, END) for contact_id in ended])
+
+    def _ids(self, regions: Found, places: Doubles) -> list[int]:
         """Ids of the contacts of a frame; 0: a new one."""
-        before, ids = self._tracks, [0] * places.shape[1]
-        rows = found.overlap.tolist()
-        pairs = [(k, q) for k, row in enumerate(rows) for q, n in enumerate(row) if n]
+        before = self._tracks
+        ids = [0] * places.shape[1]
+
+        # Contacts and earlier ones that overlap, which is one to one in nearly all frames.
+        rows = regions.overlap.tolist()
+        pairs = [(k, q) for k, row in enumerate(rows) for q, n_cells in enumerate(row) if n_cells]
+        overlapping = {k for k, _ in pairs}
         overlapped = {q for _, q in pairs}
-        if len({k for k, _ in pairs}) == len(overlapped) == len(pairs):
+        if len(overlapping) == len(overlapped) == len(pairs):
             for k, q in pairs:
                 ids[k] = before.ids[q]
         else:
-            self._meet_and_part(found.overlap, ids, places)
-        new = [k for k, row in enumerate(rows) if not (ids[k] or any(row))]
-        left = [q for q in range(len(before.ids)) if q not in overlapped]
-        for k, q, distance in _nearest(new, places, [before.places[:2, q] for q in left]):
-            if distance <= GATE + math.sqrt(found.sums[1, k]):
-                ids[k] = before.ids[left[q]]
+            self._meet_and_part(regions.overlap, ids, places)
+
+        # Fast ones overlap with none: the nearest ones are the same contact.
+        alone = [k for k, row in enumerate(rows) if not (ids[k] or any(row))]
+        gone = [q for q in range(len(before.ids)) if q not in overlapped]
+        for k, q, distance in _nearest(alone, places, [before.places[:2, q] for q in gone]):
+            if distance <= GATE + math.sqrt(regions.sums[1, k]):
+                ids[k] = before.ids[gone[q]]
         return ids
 
     def _meet_and_part(self, overlap: Indices, ids: list[int], places: Doubles) -> None:
@@ -192,37 +221,40 @@ class ContactTracker:
         before = self._tracks
         for k, q in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
             ids[k] = before.ids[q] if overlap[k, q] else 0
-        for q, one in enumerate(before.ids):
-            if one in self._apart:
-                parts = [
-                    k for k in range(len(ids)) if ids[k] == one or (not ids[k] and overlap[k, q])
-                ]
-                if len(parts) > 1:
-                    self._part(one, parts, ids, places)
-        for q, one in enumerate(before.ids):
-            into = int(overlap[:, q].argmax())
-            if one not in ids and overlap[into, q] and ids[into] in before.ids:
-                kept = ids[into]
-                apart = self._apart.setdefault(kept, {})
-                apart.setdefault(kept, before.places[:2, before.ids.index(kept)])
-                apart |= {one: before.places[:2, q], **self._apart.get(one, {})}
 
-    def _part(self, one: int, parts: Sequence[int], ids: list[int], places: Doubles) -> None:
+        for q, merged in enumerate(before.ids):
+            if merged in self._apart:
+                parts = [k for k, contact_id in enumerate(ids) if contact_id == merged]
+                parts += [k for k, contact_id in enumerate(ids) if not contact_id and overlap[k, q]]
+                if len(parts) > 1:
+                    self._part(merged, sorted(parts), ids, places)
+
+        for q, met in enumerate(before.ids):
+            into = int(overlap[:, q].argmax())
+            if met not in ids and overlap[into, q] and ids[into] in before.ids:
+                merged = ids[into]
+                apart = self._apart.setdefault(merged, {})
+                apart.setdefault(merged, before.places[:2, before.ids.index(merged)])
+                apart[met] = before.places[:2, q]
+                apart.update(self._apart.get(met, {}))
+
+    def _part(self, merged: int, parts: Sequence[int], ids: list[int], places: Doubles) -> None:
         """Give the parts of merged contacts the ids that were nearest to them before."""
-        apart = self._apart[one]
-        known = list(apart)
+        apart = self._apart[merged]
+        ids_before = list(apart)
         nearest = _nearest(parts, places, [*apart.values()])
         for k in parts:
             ids[k] = 0
         for k, j, _ in nearest:
-            ids[k] = known[j]
-            del apart[known[j]]
-        if one in apart or len(apart) < 2:
-            del self._apart[one]
+            ids[k] = ids_before[j]
+            del apart[ids_before[j]]
+        if merged in apart or len(apart) < 2:
+            del self._apart[merged]
 
     def _fields(self, sums: Doubles) -> dict[str, Any]:
         """Fields of the message."""
-        k, j = len(sums) // 2 + 1, len(sums)
+        k = len(sums) // 2 + 1  # standard deviations begin
+        j = len(sums)  # the state begins
         floats = np.concatenate([sums, self._tracks.state]).astype(np.float32)
         switches = floats[j + 1 : j + 3] > 0
         fields: dict[str, Any] = {
@@ -249,13 +281,22 @@ class ContactTracker:
         return fields
 
 
+def _move(tracks: Tracks, places: Doubles, elapsed_s: float) -> None:
+    """Set the places of contacts, and let their velocities follow by a first-order filter."""
+    if elapsed_s > 0:
+        gain = 1 - math.exp(-elapsed_s / SMOOTHING_S)
+        tracks.velocities *= 1 - gain
+        tracks.velocities += (gain / elapsed_s) * (places - tracks.places)
+    tracks.places[:] = places
+
+
 def _nearest(
-    contacts: Sequence[int], places: Doubles, others: Sequence[Doubles]
+    contacts: Sequence[int], places: Doubles, spots: Sequence[Doubles]
 ) -> Iterator[tuple[int, int, float]]:
-    """Pairs of contacts and other places that are nearest in sum, and each distance, in taxels."""
-    if contacts and others:
-        spots = [place.tolist() for place in others]
-        distances = [[math.dist(places[:2, k], one) for one in spots] for k in contacts]
+    """Pairs of contacts and spots that are nearest in sum, and each distance, in taxels."""
+    if contacts and spots:
+        targets = [spot.tolist() for spot in spots]
+        distances = [[math.dist(places[:2, k], target) for target in targets] for k in contacts]
         for k, q in zip(*linear_sum_assignment(distances), strict=True):
             yield contacts[k], q, distances[k][q]
 
@@ -269,7 +310,8 @@ def _switch(state: Doubles, values: Doubles, limit: float) -> Iterator[int]:
 
 
 _NO_TRACKS = Tracks([], np.zeros((5, 0)))
-_EMPTY, _EMPTY_2 = np.zeros(0, dtype=np.float32), np.zeros((0, 2), dtype=np.float32)
+_EMPTY = np.zeros(0, dtype=np.float32)
+_EMPTY_2 = np.zeros((0, 2), dtype=np.float32)
 NOTHING: dict[str, Any] = {
     "id": np.zeros(0, dtype=np.int32),
     **dict.fromkeys(("total", "total_sd", "peak", "age_s"), _EMPTY),
@@ -282,15 +324,19 @@ NOTHING: dict[str, Any] = {
 
 def joined(followed: Sequence[Followed | None]) -> dict[str, Any]:
     """Fields of a `Contacts` of several patches, by their contacts, in the order of the patches."""
-    found = [(k, one) for k, one in enumerate(followed) if one is not None]
-    touched = [(k, one) for k, one in found if one.fields["id"].size]
-    fields = dict(touched[0][1].fields if touched else NOTHING)
-    if len(touched) > 1:
-        fields = {n: np.concatenate([one.fields[n] for _, one in touched]) for n in fields}
+    numbered = [(k, patch) for k, patch in enumerate(followed) if patch is not None]
+    touched = [(k, patch) for k, patch in numbered if patch.fields["id"].size]
+    fields = dict(NOTHING)
+    if len(touched) == 1:
+        fields = dict(touched[0][1].fields)
+    elif touched:
+        for name in touched[0][1].fields:
+            fields[name] = np.concatenate([patch.fields[name] for _, patch in touched])
+
     if len(followed) > 1:
-        rows = [np.full(one.fields["id"].size, k, dtype=np.int32) for k, one in touched]
-        fields["patch_of"] = np.concatenate([*rows, np.zeros(0, dtype=np.int32)])
-    events = [(k, *event) for k, one in found for event in one.events]
+        numbers = [np.full(patch.fields["id"].size, k, dtype=np.int32) for k, patch in touched]
+        fields["patch_of"] = np.concatenate([*numbers, np.zeros(0, dtype=np.int32)])
+    events = [(k, *event) for k, patch in numbered for event in patch.events]
     if events:
         fields["events"] = np.array(events, dtype=np.int32)
     return fields

@@ -127,14 +127,16 @@ class ContactFinder:
         unit: float | None = None,
         is_mean: bool = False,
         sd: Floats | None = None,
+        common: float = 0.0,
     ) -> Found | None:
         """Contacts of the next frame, float32 (n_rows, n_cols), 0 in masked cells; None: none.
 
         `error`: RMS error of a taxel, in the unit of the forces; `is_mean`: it is that over all
         taxels of the skin, of which those that are 0 have none. `unit`: that of the thresholds, by
-        default the error. `sd`: standard deviation of each force, in place of the error. What
-        overlaps most with a contact of the frame before stays one above the low threshold, with
-        half of the least force.
+        default the error. `sd`: standard deviation of each force, in place of the error. `common`:
+        relative error that all forces share, which totals have beside that. What overlaps most with
+        a contact of the frame before stays one above the low threshold, with half of the least
+        force.
         """
         unit = error if unit is None else unit
         high, n_before, waiting, self._waiting = limits.high * unit, self._n, self._waiting, None
@@ -169,6 +171,7 @@ class ContactFinder:
         k = 3 + len(self._places)
         scale = SD_SCALE**2 * share * error**2 if sd is None else 1.0
         np.sqrt(scale * sums[k:], out=sums[k:])
+        np.hypot(sums[k], common * sums[0], out=sums[k])
         if k > 8:
             sums[8:k] /= np.maximum(np.linalg.norm(sums[8:k], axis=0), 1e-12)
         return Found(sums, overlap)
@@ -203,7 +206,8 @@ def components(
     index, labels = index[kept[labels]], (np.cumsum(kept) - 1)[labels[kept[labels]]]
     peak, n, p = peak[kept], np.count_nonzero(kept), n_regions + 1
     values = forces.reshape(-1)[index].astype(np.float64)
-    here, of_each = places[:, index], variances[index].astype(np.float64)
+    here = places[:, index]
+    of_each = variances[index].astype(np.float64)
 
     def summed(numbers: Doubles) -> Doubles:
         return np.array([np.bincount(labels, row, n) for row in numbers])

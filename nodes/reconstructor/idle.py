@@ -70,7 +70,8 @@ class IdleWatch:
         self._subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}
         self._tile_of, n_tiles = _tiles(self._exists)
         self._sizes = np.bincount(self._tile_of, minlength=n_tiles)
-        self._projections, self._energy = [], []
+        self._projections = []
+        self._energy = []
         for phi in phis:
             columns = [phi.forward((self._tile_of == k).astype(np.float32)) for k in range(n_tiles)]
             matrix = np.stack(columns, axis=1)
@@ -81,14 +82,16 @@ class IdleWatch:
         one = NormalDist().inv_cdf
         self._z_total = one(1 - false_alarms / 3)
         self._z_tile = one(1 - false_alarms / 6 / n_tiles)
-        s, m = len(phis), phis[0].m
+        s = len(phis)
+        m = phis[0].m
         self._reference = np.zeros((s, n_patches, m), np.float32)
         self._n = np.zeros((s, n_patches), np.intp)
         self._slow = np.zeros((n_patches, n_tiles))
         self._n_slow = np.zeros(n_patches, np.intp)
         self._forces: list[Floats | None] = [None] * n_patches
         self._known = np.zeros(n_patches, np.bool_)
-        self._mean, self._spread = np.ones(n_patches), np.ones(n_patches)
+        self._mean = np.ones(n_patches)
+        self._spread = np.ones(n_patches)
         self._local = np.ones((n_patches, n_tiles))
         self._struck = np.zeros(n_patches, np.bool_)
         self._age = np.arange(n_patches) % REFRESH  # they are solved in different frames
@@ -196,6 +199,7 @@ def _tiles(exists: Mask) -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], int
     """Number of the tile of each existing taxel, and the number of tiles."""
     n_rows, n_cols = exists.shape
     rows, cols = np.nonzero(exists)
-    high, wide = min(TILES, n_rows), min(TILES, n_cols)
+    high = min(TILES, n_rows)
+    wide = min(TILES, n_cols)
     found = rows * high // n_rows * wide + cols * wide // n_cols
     return found, high * wide

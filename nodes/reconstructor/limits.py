@@ -17,12 +17,13 @@ from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import TINY, Mask
 
-from .solvers.base import fact, solver_class
+from .solvers.base import solver_class, solver_fact
 
 #: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
 MAX_STEP = 4.0 / 3.0
 N_POWER_STEPS = 30
-PAD_SIDE, N_PADS = 8, 256
+PAD_SIDE = 8
+N_PADS = 256
 OTHER_ROWS = (
     "preset = paper: the rows of Phi are not those of the paper; advised for its exact method: "
     "compressor.rows = paper"
@@ -41,7 +42,7 @@ def reconstruction_warnings(
     warnings = []
     cls = solver_class(solver)
     lambda_n = options.get("lambda_n")
-    advised_range = fact(cls, "lambdas_n")
+    advised_range = solver_fact(cls, "lambdas_n")
     if advised_range is not None and lambda_n is not None:
         low, high = advised_range
         advised = f"advised: {low:g} to {high:g}"
@@ -53,15 +54,16 @@ def reconstruction_warnings(
         elif lambda_n < low:
             warnings.append(f"lambda_n = {lambda_n:g}: the noise is fitted; {advised}")
     iterations = options.get("iterations")
-    least = fact(cls, "least_iterations")
+    least = solver_fact(cls, "least_iterations")
     if iterations is not None and iterations < least:
         warnings.append(
             f"iterations = {iterations}: {solver} takes several frames to follow a sudden contact; "
             f"advised: {least} or more"
         )
-    if not fact(cls, "uses_basis") and basis != "haar":
-        warnings.append(f"basis = {basis}: {solver} does not use it; advised: haar, or fista")
-    if fact(cls, "is_l1") and basis == "identity" and m < n:
+    if not solver_fact(cls, "uses_basis") and basis != "haar":
+        advised = "haar, or a solver that uses it"
+        warnings.append(f"basis = {basis}: {solver} does not use it; advised: {advised}")
+    if solver_fact(cls, "is_l1") and basis == "identity" and m < n:
         warnings.append(
             f"basis = identity with m = {m} of n = {n}: reconstructs no more than {m // 4} pressed "
             "taxels or so; advised: haar"
@@ -91,7 +93,7 @@ def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:
         If lambda_n is that or more.
     """
     largest = phi.lipschitz * f_max * math.sqrt(phi.n)
-    if fact(solver_class(solver), "is_l1") and lambda_n >= largest:
+    if solver_fact(solver_class(solver), "is_l1") and lambda_n >= largest:
         raise SolverError(
             f"lambda_n = {lambda_n:g}: every frame would be 0; allowed: below {largest:g}"
         )
@@ -122,8 +124,10 @@ def check_phi(phi: Phi, mask: Mask) -> list[str]:
     rng = np.random.default_rng(0)
     x = rng.standard_normal(phi.n).astype(np.float32)
     y = rng.standard_normal(phi.m).astype(np.float32)
-    measured, spread = phi.forward(x), phi.adjoint(y)
-    forth, back = float(measured @ y), float(x @ spread)
+    measured = phi.forward(x)
+    spread = phi.adjoint(y)
+    forth = float(measured @ y)
+    back = float(x @ spread)
     rounding = 1e-3 * float(np.linalg.norm(measured) * np.linalg.norm(y))
     if not abs(forth - back) <= rounding:
         raise SolverError(

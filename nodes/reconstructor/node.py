@@ -20,8 +20,7 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.messages.contacts import summary
-from sparseskin.nodes.compressor.phi import base as phi_base
-from sparseskin.nodes.compressor.phi.base import Phi, follow, make_phi
+from sparseskin.nodes.compressor.phi.base import Phi, follow, make_phi, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import phis_for
 from sparseskin.nodes.errors import (
     PhiError,
@@ -34,7 +33,7 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import fact, make_solver, solver_class
+from sparseskin.nodes.reconstructor.solvers.base import make_solver, solver_class, solver_fact
 
 from .patch import Patch
 from .patch_log import PatchLog
@@ -44,7 +43,8 @@ if TYPE_CHECKING:
     from .idle import IdleWatch
 
 
-EVERY_FRAME, NEWEST = 0, 1
+EVERY_FRAME = 0
+NEWEST = 1
 """Depths where the settings state none: of recorded frames, and of a live source."""
 
 
@@ -61,7 +61,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        has_loops = fact(solver_class(settings.chosen()["solver"]), "has_loops")
+        has_loops = solver_fact(solver_class(settings.chosen()["solver"]), "has_loops")
         if has_loops or settings.contacts:
             compile_loops(settings.fast, context.log, context.count)
         _rehearse(settings)
@@ -91,9 +91,10 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     @classmethod
     def outputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
-        written: list[type[Message]] = [SolverState, Reconstruction]
-        written += [Contacts] if settings.contacts else []
-        return tuple(topic_of(settings.patch, cls.schema) for cls in written)
+        classes: list[type[Message]] = [SolverState, Reconstruction]
+        if settings.contacts:
+            classes.append(Contacts)
+        return tuple(topic_of(settings.patch, cls.schema) for cls in classes)
 
     @classmethod
     def check_inputs(cls, settings: ReconstructorSettings, facts: Mapping[str, Any]) -> None:
@@ -111,26 +112,32 @@ class Reconstructor(Node[ReconstructorSettings]):
         if isinstance(message, Measurements):
             yield from self._reconstruct(message)
             return
-        known: Message | None = None
+
+        before: Message | None = None
         if isinstance(message, SkinState):
-            known, self._skin = self._skin, message
+            before = self._skin
+            self._skin = message
         elif isinstance(message, PhiState):
-            known, self._announced = self._announced, message
-        if self._subsets and known is not None and _is_alike(message, known):
+            before = self._announced
+            self._announced = message
+
+        if self._subsets and before is not None and _is_alike(message, before):
             self._state_noise()
             return
-        if self._skin is not None and self._announced is not None:
-            if self._subsets and self._announced.n != self._skin.skin.n_taxels:
-                return  # a skin that has changed: its Phi is on its way, or the reverse
-            self._subsets = {}
-            stamp_ns = max(self._skin.stamp_ns, self._announced.stamp_ns)
-            yield self._set_up(self._skin, self._announced, stamp_ns)
+        if self._skin is None or self._announced is None:
+            return
+        if self._subsets and self._announced.n != self._skin.skin.n_taxels:
+            return  # a skin that has changed: its Phi is on its way, or the reverse
+        self._subsets = {}
+        stamp_ns = max(self._skin.stamp_ns, self._announced.stamp_ns)
+        yield self._set_up(self._skin, self._announced, stamp_ns)
 
     def overtaken(self, message: Message) -> None:
         self._skipped += isinstance(message, Measurements)
 
     def change(self, settings: ReconstructorSettings) -> Iterable[Message]:
-        before, self.settings = self.settings, settings
+        before = self.settings
+        self.settings = settings
         if alike_but_for_contacts(before, settings):
             for patch in self._patches:
                 patch.set_limits(settings)
@@ -144,7 +151,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             raise
 
     def state(self) -> dict[str, Any]:
-        chosen, preset = self.settings.chosen(), self.settings.preset
+        chosen = self.settings.chosen()
+        preset = self.settings.preset
         state: dict[str, Any] = {
             "left_out": self._left_out,
             "depth": self.depth,
@@ -161,20 +169,27 @@ class Reconstructor(Node[ReconstructorSettings]):
         chosen = self.settings.chosen()
         if not self._subsets:
             return ""
-        basis = f" in {chosen['basis']}" if self._uses_basis else ""
-        n = len(self._patches)
-        several = f"{n} patches" + (f", {self._n_idle} idle" if self._n_idle else "")
-        found, skin = self._touching, self._skin
-        n, total = (found.id.size, float(found.total.sum())) if found else (0, 0.0)
-        touched = summary(n, total, skin.unit) if n and skin else ""
-        solver = f"solver {chosen['solver']}{basis}"
-        parts = solver, self._left_out, several if n > 1 else "", touched
-        return "; ".join(filter(None, parts))
+        solver = f"solver {chosen['solver']}"
+        if self._uses_basis:
+            solver += f" in {chosen['basis']}"
+        patches = ""
+        if len(self._patches) > 1:
+            patches = f"{len(self._patches)} patches"
+            if self._n_idle:
+                patches += f", {self._n_idle} idle"
+        return "; ".join(filter(None, (solver, self._left_out, patches, self._touched())))
+
+    def _touched(self) -> str:
+        """Contacts of the newest frame in words; "" if there are none."""
+        contacts = self._touching
+        if contacts is None or self._skin is None or not contacts.id.size:
+            return ""
+        return summary(contacts.id.size, float(contacts.total.sum()), self._skin.unit)
 
     @property
     def _uses_basis(self) -> bool:
         """True if the solver uses the basis."""
-        return bool(fact(solver_class(self.settings.chosen()["solver"]), "uses_basis"))
+        return bool(solver_fact(solver_class(self.settings.chosen()["solver"]), "uses_basis"))
 
     @property
     def _left_out(self) -> str:
@@ -192,6 +207,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         """Make Phi and solvers for a skin; return the message that announces them."""
         chosen = self.settings.chosen()
         subsets = phis_to_invert(self.settings, state, announced)
+
+        # The patches share what does not depend on their frames with the first one.
         self._log.setting_up = True
         try:
             first, *others = self._patches
@@ -201,15 +218,17 @@ class Reconstructor(Node[ReconstructorSettings]):
                 patch.set_up(*of_skin, alike=first)
         finally:
             self._log.setting_up = False
-        self._subsets = {one.fingerprint: one for one in subsets}
+        self._subsets = {phi.fingerprint: phi for phi in subsets}
         self._first = None
         self._state_noise()
+
         self._idle = None
-        chooses = bool(phi_base.fact(subsets[0], "choice"))
+        chooses = bool(phi_fact(subsets[0], "choice"))
         if self.settings.skip_idle and state.sigma_end > 0 and not chooses:
             from .idle import IdleWatch  # with it the sensor's noise
 
             self._idle = IdleWatch(len(self._patches), state, subsets)
+
         solver = {"solver": chosen["solver"], **solver}
         if not self._uses_basis:
             solver["basis"] = ""
@@ -240,58 +259,78 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def _reconstruct(self, measurements: Measurements) -> Iterator[Message]:
         phi = self._phi_of(measurements)
-        skin, patches = self._skin, self._patches
-        assert skin is not None
-        n = len(patches)
-        unchanged = [False] * n
         try:
-            patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
-            for patch, reason in zip(patches, measurements.reason, strict=True):
-                patch.sensed = reason
-            follow(phi, places=measurements.places, nodes=measurements.nodes)
-            all_y = measurements.y
-            if all_y.flags.writeable:  # of a sender in this process, which may write to it again
-                all_y = all_y.copy()
-            if self._idle is not None:
-                wanted = self._idle.to_solve(phi.fingerprint, all_y)
-                unchanged = [not wanted[k] and patches[k].solved is not None for k in range(n)]
-            for patch, same, y in zip(patches, unchanged, all_y, strict=True):
-                if same:
-                    patch.keep(phi, y)
-                else:
-                    patch.read(phi, y)
-            solving = [k for k in range(n) if not unchanged[k]]
+            unchanged = self._read(measurements, phi)
+            solving = [k for k, same in enumerate(unchanged) if not same]
             for k in solving:
-                patches[k].solve()
+                self._patches[k].solve()
         except (PhiError, ShapeError, SolverError) as error:
             raise RefusedError(f"{measurements.topic}: {error}") from error
         done_ns = self.context.clock.now_ns()
+
         for k in solving:
-            solved = patches[k].check()
+            solved = self._patches[k].check()
             if self._idle is not None:
                 self._idle.solved(k, solved.forces)
+
         yield self._reconstruction(measurements, unchanged, done_ns)
         self._skipped = 0
         if self.settings.contacts:
             yield self._contacts(measurements)
 
+    def _read(self, measurements: Measurements, phi: Phi) -> list[bool]:
+        """Hand the patches their measurements; True for each that keeps its last forces."""
+        skin = self._skin
+        assert skin is not None
+        patches = self._patches
+        patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
+        for patch, reason in zip(patches, measurements.reason, strict=True):
+            patch.sensed = reason
+        follow(phi, places=measurements.places, nodes=measurements.nodes)
+
+        all_y = measurements.y
+        if all_y.flags.writeable:  # of a sender in this process, which may write to it again
+            all_y = all_y.copy()
+
+        unchanged = [False] * len(patches)
+        if self._idle is not None:
+            to_solve = self._idle.to_solve(phi.fingerprint, all_y)
+            for k, patch in enumerate(patches):
+                unchanged[k] = not to_solve[k] and patch.solved is not None
+
+        for patch, same, y in zip(patches, unchanged, all_y, strict=True):
+            if same:
+                patch.keep(phi, y)
+            else:
+                patch.read(phi, y)
+        return unchanged
+
     def _reconstruction(
         self, measurements: Measurements, unchanged: list[bool], done_ns: int
     ) -> Reconstruction:
-        """What the patches found, without the forces of those that are unchanged."""
-        found = [patch.solved for patch in self._patches if patch.solved is not None]
-        all_forces, sds, iterations, residuals, solve_ns, errors, reasons = zip(*found, strict=True)
-        forces = [one for one, same in zip(all_forces, unchanged, strict=True) if not same]
-        changes: dict[str, Any] = {
+        """Solutions of the patches, without the forces of those that are unchanged."""
+        solutions = [patch.solved for patch in self._patches if patch.solved is not None]
+        columns = zip(*solutions, strict=True)
+        all_forces, sds, iterations, residuals, solve_ns, errors, _, reasons = columns
+
+        changed = [forces for forces, same in zip(all_forces, unchanged, strict=True) if not same]
+        forces = all_forces[0][np.newaxis][:0]
+        if changed:
+            forces = _stacked(changed)
+        sd = None
+        if sds[0] is not None:
+            sd = _stacked(sds)
+
+        fields: dict[str, Any] = {
             "stamp_ns": measurements.stamp_ns,
-            "forces": _stacked(forces) if forces else all_forces[0][np.newaxis][:0],
+            "forces": forces,
             "phi": measurements.phi,
             "missing": measurements.missing,
             "iterations": iterations,
             "residual": residuals,
             "solve_ns": solve_ns,
             "done_ns": done_ns,
-            "sd": None if sds[0] is None else _stacked(sds),
+            "sd": sd,
             "skipped": self._skipped,
             "error": errors,
             "trusted": tuple([not reason for reason in reasons]),
@@ -300,8 +339,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         }
         if self._first is None:
             of_node: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
-            self._first = Reconstruction(**of_node, **changes)
-        return self._first.following(**changes)
+            self._first = Reconstruction(**of_node, **fields)
+        return self._first.following(**fields)
 
     def _contacts(self, measurements: Measurements) -> Contacts:
         """Contacts of the frame that was reconstructed, of all patches."""
@@ -319,10 +358,10 @@ def _stacked(arrays: Sequence[Floats]) -> Floats:
     return arrays[0][np.newaxis] if len(arrays) == 1 else np.stack(arrays)
 
 
-def _is_alike(message: Message, known: Message) -> bool:
+def _is_alike(message: Message, before: Message) -> bool:
     """True if a state differs from the one of the same run before in its rate or time at most."""
     return all(
-        name in ("stamp_ns", "seq", "rate_hz") or np.array_equal(value, getattr(known, name))
+        name in ("stamp_ns", "seq", "rate_hz") or np.array_equal(value, getattr(before, name))
         for name, value in vars(message).items()
     )
 

@@ -12,19 +12,19 @@ import numpy as np
 
 from sparseskin.messages import PhiState, Reason, SkinState
 from sparseskin.messages.reasons import first_reason
-from sparseskin.nodes.compressor.phi import base as phi_base
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.faults.watch import FaultWatch, Noise
 from sparseskin.nodes.reconstructor.solvers.base import (
+    CountsTiles,
     Solver,
     estimated_error,
-    fact,
     make_rotating_solver,
     measured,
     solver_class,
+    solver_fact,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -42,6 +42,10 @@ if TYPE_CHECKING:
     from .contact_tracks import ContactTracker, Followed
 
 
+USUAL_PART = 0.25
+"""Part of a skin that is pressed, for a warning: 10 to 25 % in scenes, more in recordings."""
+
+
 class Solved(NamedTuple):
     """What a `Reconstruction` states of one patch; forces and sd are float32 (n_rows, n_cols).
     `reason` is why the frame is not to be trusted, "" if it is.
@@ -53,6 +57,7 @@ class Solved(NamedTuple):
     residual: float
     solve_ns: int
     error: float | None
+    common_error: float
     reason: str
 
 
@@ -68,6 +73,7 @@ class Patch:
         #: Steps of a frame that the budget allows.
         self.most_steps = 0
         self._error: float | None = None
+        self._common_error = 0.0
         self._believed: Floats | None = None
         self._found = ""
         self._f_max = 0.0
@@ -95,7 +101,8 @@ class Patch:
         each other; `alike` is the first patch of the node, which was set up for the same skin: its
         frames take as long.
         """
-        skin, phi = state.skin, subsets[0]
+        skin = state.skin
+        phi = subsets[0]
         chosen = dict(settings.chosen())
         options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
         warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
@@ -107,8 +114,8 @@ class Patch:
         )
         if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
-        if phi_base.fact(phi, "samples") and fact(cls, "warning_of_samples"):
-            warnings.append(fact(cls, "warning_of_samples"))
+        if phi_fact(phi, "samples") and solver_fact(cls, "warning_of_samples"):
+            warnings.append(solver_fact(cls, "warning_of_samples"))
         if ":" in settings.phi:
             for one in subsets:
                 warnings += check_phi(one, solver.mask)
@@ -118,26 +125,36 @@ class Patch:
         follows = live and "iterations" not in options and bool(getattr(solver, "paces", ()))
         if budget_ms is None and follows and state.rate_hz:
             budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
-        most_steps, frame_ms = sys.maxsize, 0.0
+        most_steps = sys.maxsize
+        frame_ms = 0.0
         if alike is not None:
             most_steps = alike.most_steps
-            if most_steps in getattr(solver, "paces", ()):
+            if isinstance(solver, CountsTiles) and isinstance(alike.solver, CountsTiles):
+                solver.use_times(*alike.solver.times)
+            elif most_steps in getattr(solver, "paces", ()):
                 solver.use_pace(most_steps)
         elif budget_ms is not None:
             n_steps = solver.n_steps
             most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
             frame_ms = round(1e3 * frame_s, 3)
-            if most_steps < fact(cls, "least_iterations"):
+            usual = most_steps
+            where = ""
+            if isinstance(solver, CountsTiles) and solver.times[0]:
+                usual = solver.steps_for(int(USUAL_PART * solver.most_tiles))[1]
+                where = f" where {USUAL_PART:.0%} of the skin is pressed"
+            if usual < solver_fact(cls, "least_iterations"):
                 self.log(
-                    f"{most_steps} of {n_steps} iterations, {frame_ms:.2g} ms, for a budget of "
-                    f"{budget_ms:.2g} ms: a sudden contact takes several frames; advised: a larger "
-                    "budget_ms, a lower rate, or fewer taxels a node"
+                    f"{usual} of {n_steps} iterations{where}, for a budget of {budget_ms:.2g} ms: "
+                    "a sudden contact takes several frames; advised: a larger budget_ms, a lower "
+                    "rate, or fewer taxels a node"
                 )
-        self.settings, self.solver, self._subsets = settings, solver, subsets
+        self.settings = settings
+        self.solver = solver
+        self._subsets = subsets
         self.most_steps = most_steps
         self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
-            table = fact(cls, "calibrated")
+            table = solver_fact(cls, "calibrated")
             self._uncertainty = Uncertainty(solver.mask, phi.ratio, table, announced.rows, phi.rule)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
@@ -150,12 +167,18 @@ class Patch:
         if self._last is not None and self._last.shape != skin.shape:
             self._last = None
         self._warm = self._last
-        return {
+        stated = {
             "basis": getattr(basis, "label", chosen["basis"]),
             "iterations": min(options.get("iterations", solver.n_steps), most_steps),
             "lambda_n": options.get("lambda_n", 0.0),
             "frame_ms": frame_ms,
         }
+        if isinstance(solver, CountsTiles) and solver.times[0]:
+            frame_tiles, step_tiles = solver.times
+            _, stated["iterations"] = solver.steps_for(solver.most_tiles)
+            stated["max_iterations"] = solver.n_steps
+            stated |= {"frame_tiles": frame_tiles, "step_tiles": step_tiles}
+        return stated
 
     def _watch_faults(self, settings: ReconstructorSettings, skin: SkinState, mask: Mask) -> None:
         """Watch the frames of a skin from now on."""
@@ -184,7 +207,8 @@ class Patch:
 
     def set_missing(self, missing: Mask | None) -> None:
         """State the taxels whose readings are missing in the next frame, bool (n_rows, n_cols)."""
-        self._missing, self._blind = missing, False
+        self._missing = missing
+        self._blind = False
         if missing is not None and self.solver is not None:
             known = self.solver.mask & ~missing
             self._blind = bool((missing & ~of_nine(known, np.logical_or)).any())
@@ -205,14 +229,19 @@ class Patch:
         self._solve_ns = 0
         if self._believed is None:  # it holds nothing of the skin
             self._error = None
+            self._common_error = 0.0
             return
         begin_ns = time.perf_counter_ns()
         self.solver.setup(self._believed, self._warm)
-        self._n_steps = min(self.most_steps, self.solver.n_steps)
-        for _ in range(self._n_steps):
+        most = self.solver.n_steps
+        if not isinstance(self.solver, CountsTiles):
+            most = min(self.most_steps, most)
+        for _ in range(most):
             self.solver.step()
         self._last = self.solver.finish()
+        self._n_steps = self.solver.n_done if isinstance(self.solver, CountsTiles) else most
         self._error, _ = estimated_error(self.solver)
+        self._common_error = self.solver.common_error
         self._solve_ns = time.perf_counter_ns() - begin_ns
         self._warm = None
 
@@ -236,7 +265,7 @@ class Patch:
                 sd[self._missing] = self._f_max  # nothing is known of them
         self._found = verdict.reason
         reason = self._reason(verdict.reason)
-        numbers = self._n_steps, residual, self._solve_ns, self._error
+        numbers = self._n_steps, residual, self._solve_ns, self._error, self._common_error
         self.solved = Solved(verdict.forces, sd, *numbers, reason)
         return self.solved
 
@@ -255,7 +284,9 @@ class Patch:
         """Contacts of the frame that was published last; None: there are none."""
         if self._tracker is None or self.solved is None:
             return None
-        return self._tracker.update(self.solved.forces, self.solved.error, stamp_ns, self.solved.sd)
+        solved = self.solved
+        errors = solved.error, stamp_ns, solved.sd, solved.common_error
+        return self._tracker.update(solved.forces, *errors)
 
 
 def _noise_model(skin: SkinState) -> NoiseModel | None:

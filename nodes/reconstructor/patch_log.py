@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 from sparseskin.nodes.node_host import is_due
 
-LOGGED, LOGGED_ALONE = 3, 10
+LOGGED = 3
+LOGGED_ALONE = 10
 """Lines of one kind that are logged for single patches, and where there is one patch; then the
 10th, 100th ... of them."""
 
@@ -18,7 +19,8 @@ class PatchLog:
 
     def __init__(self, names: tuple[str, ...], log: Callable[[str], None]) -> None:
         self.setting_up = False
-        self._names, self._log = names, log
+        self._names = names
+        self._log = log
         self._logged: Counter[str] = Counter()
 
     def of(self, name: str) -> Callable[[str], None]:

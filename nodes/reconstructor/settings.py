@@ -9,13 +9,17 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from sparseskin.messages.ranges import is_real
-from sparseskin.nodes.compressor.phi import base as phi_base
-from sparseskin.nodes.compressor.phi.base import is_built_in, phi_class
+from sparseskin.nodes.compressor.phi.base import is_built_in, phi_class, phi_fact
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.compiled import FAST, check_fast
 from sparseskin.nodes.reconstructor.bases.base import BASES, find_basis
-from sparseskin.nodes.reconstructor.solvers.base import SOLVERS, check_reads, fact, solver_class
+from sparseskin.nodes.reconstructor.solvers.base import (
+    SOLVERS,
+    check_reads,
+    solver_class,
+    solver_fact,
+)
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .contacts import Limits
@@ -89,8 +93,8 @@ class ReconstructorSettings(PatchesSettings):
     )
     budget_ms: float | None = setting(
         None,
-        "time of a frame, in milliseconds, that the number of iterations is chosen for when the "
-        "graph begins; default: half the time between frames, for solver skin alone",
+        "time of a frame, in milliseconds, that the number of iterations is chosen for: more where "
+        "fewer taxels are pressed; default: half the time between frames, for solver skin alone",
         low=0.05,
         high=60_000.0,
         live=True,
@@ -210,8 +214,8 @@ class ReconstructorSettings(PatchesSettings):
         with naming("solver"):
             solver = solver_class(name)
         self._check_known_to(name, solver)
-        if self.uncertainty and fact(solver, "calibrated") is None:
-            calibrated = [one for one in SOLVERS if fact(solver_class(one), "calibrated")]
+        if self.uncertainty and solver_fact(solver, "calibrated") is None:
+            calibrated = [one for one in SOLVERS if solver_fact(solver_class(one), "calibrated")]
             fault = f"is not available with solver {name}, whose error is not known"
             raise SettingsError(f"uncertainty: {fault}; allowed: {', '.join(calibrated)}")
 
@@ -264,7 +268,7 @@ class ReconstructorSettings(PatchesSettings):
         if isinstance(phi, type):
             with naming("solver"):
                 check_reads(chosen, solver, kind, phi)
-            if self.uncertainty and phi_base.fact(phi, "choice"):
+            if self.uncertainty and phi_fact(phi, "choice"):
                 fault = f"is not available with phi {kind}, whose rows change each frame"
                 raise SettingsError(f"uncertainty: {fault}; allowed: sbhe")
 

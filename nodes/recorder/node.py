@@ -57,7 +57,8 @@ class Recorder(Node[RecorderSettings]):
     def __init__(self, settings: RecorderSettings, context: Context) -> None:
         super().__init__(settings, context)
         self._writer: BagWriter | None = None
-        self._error, self._closed = "", False
+        self._error = ""
+        self._closed = False
 
     @classmethod
     def inputs(cls, settings: RecorderSettings) -> tuple[str, ...]:

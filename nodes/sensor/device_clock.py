@@ -86,8 +86,12 @@ class DeviceClock:
     def __init__(
         self, name: str, log: Callable[[str], object], tick_ns: float = 1.0, wrap: int | None = None
     ) -> None:
-        self._name, self._log, self._tick_ns, self._wrap = name, log, tick_ns, wrap
-        self._n_restarts, self._is_doubted = 0, False
+        self._name = name
+        self._log = log
+        self._tick_ns = tick_ns
+        self._wrap = wrap
+        self._n_restarts = 0
+        self._is_doubted = False
         self._last_ns: int | None = None
         self._begin(0, 0, 0)
 
@@ -96,7 +100,8 @@ class DeviceClock:
         arrival, which does not decrease: after that of the one before, and never later than its
         arrival, but for a nanosecond between frames that arrive at once.
         """
-        time_ns, was_settled = arrived_ns, False
+        time_ns = arrived_ns
+        was_settled = False
         if self._advance(stamp, arrived_ns):
             late_ns = self._y - self._x - self._line(self._x)
             was_settled = self._is_settled
@@ -136,7 +141,9 @@ class DeviceClock:
 
     def _begin(self, stamp: int, arrived_ns: int, n: int = 1) -> None:
         """Forget all before a frame; it is the first of the line."""
-        self._stamp, self._origin_ns, self._n = stamp, arrived_ns, n
+        self._stamp = stamp
+        self._origin_ns = arrived_ns
+        self._n = n
         self._ticks = 0
         self._x = self._y = self._begun = self._in_time = self._slope = 0.0
         self._period_ns = TUNING.first_ns
@@ -167,7 +174,8 @@ class DeviceClock:
             self._restart(stamp, arrived_ns)
             return False
         self._stamp, self._ticks, self._n = stamp, self._ticks + ahead, self._n + 1
-        self._x, self._y = self._ticks * self._tick_ns, y
+        self._x = self._ticks * self._tick_ns
+        self._y = y
         return True
 
     def _line(self, x: float) -> float:
@@ -191,7 +199,8 @@ class DeviceClock:
             return
         points = self._points
         points.append(self._least)
-        self._least, self._begun = point, self._y
+        self._least = point
+        self._begun = self._y
         if len(points) == TUNING.kept and self._period_ns < TUNING.period_ns:
             points[:] = map(self._lower, points[::2], points[1::2])
             self._period_ns *= 2

@@ -40,7 +40,9 @@ class DriverSource(LiveSource):
         super().__init__()
         target = address.source
         layout = address.layout
-        f_max, unit, raw = layout.f_max, layout.unit, address.raw
+        f_max = layout.f_max
+        unit = layout.unit
+        raw = address.raw
         self._target = target
         self._driver = driver
         self._layout = layout
@@ -115,7 +117,8 @@ class DriverSource(LiveSource):
             iterator = iter(self._driver)
         self._is_one_shot = iterator is self._driver
         end = object()
-        passed_ns, last_ns = 0, None
+        passed_ns = 0
+        last_ns = None
         try:
             for n in itertools.count():
                 with _running(target):

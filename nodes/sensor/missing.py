@@ -32,10 +32,13 @@ class MissingReadings:
     """
 
     def __init__(self, way: str, skin: Skin, learns: bool) -> None:
-        self.skin, self.is_news, self.learns = skin, False, learns
+        self.skin = skin
+        self.is_news = False
+        self.learns = learns
         #: Missing readings so far, in the newest frame, and frames without any reading.
         self.n_cells = self.n_now = self.n_empty = 0
-        self._way, self._whole = way, skin
+        self._way = way
+        self._whole = skin
         self._silent: Mask = skin.exists
         self._renewed_ns: int | None = None
         self._held: Floats = np.zeros(skin.shape, np.float32)
@@ -106,5 +109,6 @@ class MissingReadings:
             self._lines.append(f"{n_masked - n_left} masked taxels give numbers now: used")
         else:
             return
-        self._renewed_ns, self.is_news = stamp_ns, True
+        self._renewed_ns = stamp_ns
+        self.is_news = True
         self.skin = self._whole.without(self._silent) if n_left else self._whole

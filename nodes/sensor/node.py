@@ -177,7 +177,8 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _describe(self) -> SkinState:
         self._readings.is_news = False
-        has_truth, noise = self._source.delivers == "truth", self._noise
+        has_truth = self._source.delivers == "truth"
+        noise = self._noise
         sigmas = (noise.sigma_mid, noise.sigma_end) if has_truth else None
         if self._stage is not None:
             sigmas = self._stage.description.sigmas
@@ -199,7 +200,8 @@ class Sensor(SourceNode[SensorSettings]):
     def _calibration(self) -> Iterable[Message]:
         if self._stage is not None:
             self._stage.is_news = False
-            found, now_ns = self._stage.description, self.context.clock.now_ns()
+            found = self._stage.description
+            now_ns = self.context.clock.now_ns()
             yield found.message(now_ns, self.settings.patch)
 
     def command(self, name: str, value: Any) -> str:
@@ -211,7 +213,8 @@ class Sensor(SourceNode[SensorSettings]):
         return self._stage.start_tare(value)
 
     def tick(self, tick: Tick) -> Iterable[Message]:
-        source, stamp_ns = self._source, tick.stamp_ns
+        source = self._source
+        stamp_ns = tick.stamp_ns
         if source.is_live:
             self._prepare()
             stamp_ns = self._stamp_ns
@@ -292,7 +295,8 @@ class Sensor(SourceNode[SensorSettings]):
         now_ns = self.context.clock.now_ns()
         is_time = not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000
         if n > 2 * self._n_logged and is_time:
-            self._n_logged, self._logged_ns = n, now_ns
+            self._n_logged = n
+            self._logged_ns = now_ns
             self.context.log(clipped_text(clipped))
 
     def _chosen_noise(self) -> NoiseModel:
@@ -382,7 +386,8 @@ class Sensor(SourceNode[SensorSettings]):
         self._log_lines()
 
     def _made_stage(self) -> Chain | None:
-        s, source = self.settings, self._source
+        s = self.settings
+        source = self._source
         if not s.is_calibrated:
             return None
         where = s.skin or source.name

@@ -27,7 +27,8 @@ PAPER_SIGMA_END_N = 0.0141
 """Standard deviation at 0 and at f_max, newtons. Fitted: the noisy PSNR of an untouched skin then
 reaches at most 48.5 to 49.1 dB, as the paper's tables report."""
 
-CLIPPED, CLIPPED_BELOW = 0.5 - 0.5 / math.pi, 1.6
+CLIPPED = 0.5 - 0.5 / math.pi
+CLIPPED_BELOW = 1.6
 """Variance of max(0, z), z ~ N(0, 1): 1/2 - 1/(2 pi) = 0.3408; mean of z up to which it grows to 1.
 Derived: as a line, to 0.07."""
 

@@ -54,7 +54,8 @@ class Rest:
         """What was found, and the settings that answer it, behind `ADD`; "" if nothing was."""
         if not self.reason:
             return ""
-        lowest, highest = self._levels.min(), self._levels.max()
+        lowest = self._levels.min()
+        highest = self._levels.max()
         levels = f"{lowest:.2g} to {highest:.2g} {printable(self._skin.unit)}"
         part = f"{self._levels.size} of {self._skin.n_taxels}"
         found = f"{part} taxels read {levels} at first, and may do so at rest"

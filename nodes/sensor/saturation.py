@@ -81,7 +81,8 @@ def clipped_text(report: Mapping[str, Any]) -> str:
     """A sensor's report in words: how many readings were above and below its range, and by how
     much.
     """
-    unit, parts = printable(report["unit"]), []
+    unit = printable(report["unit"])
+    parts = []
     if n := report["clipped_above"]:
         parts.append(f"{n} above {report['f_max']:g} {unit} (highest {report['highest']:g})")
     if n := report["clipped_below"]:

@@ -66,7 +66,7 @@ class SensorSettings(Layout, PatchesSettings):
     )
     simulated: dict[str, Any] | None = setting(
         None,
-        "table of rows, cols, points, pitch_mm, f_max, mask, noise and noise_mid, as in a file "
+        "table of n_rows, n_cols, points, pitch_mm, f_max, mask, noise and noise_mid, as in a file "
         "skin.toml, of each patch that a scene of a body presses",
     )
     active: float | None = setting(

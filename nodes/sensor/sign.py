@@ -18,7 +18,8 @@ SIGMAS = 6.0
 UNKNOWN = 0.01
 """Least fall in parts of f_max where the noise is not known. Chosen: a count of a converter of 7
 bits, whose noise may hide between its steps."""
-WHOLE, MOST_WHOLE = 2.5, 0.03
+WHOLE = 2.5
+MOST_WHOLE = 0.03
 """The same of readings that are whole numbers, in these, and the most in parts of f_max. Chosen:
 noise of less than a step of the converter moves a reading by 2."""
 N_SPREADS = 9

@@ -18,7 +18,7 @@ class BoardAddress(Address):
     """A board."""
 
     delivers = "taxels"
-    keys = ("n_rows", "n_cols", "unit", "f_max", "nan")
+    keys = ("n_rows", "n_cols", "unit", "f_max", "missing", "nan")
 
     def check(self) -> None:
         check_board(self._board())
@@ -27,7 +27,7 @@ class BoardAddress(Address):
         return self._board().skin.n_taxels
 
     def open(self) -> BoardSource:
-        return BoardSource(self._board(), self.raw, self.layout.nan)
+        return BoardSource(self._board(), self.raw, self.layout)
 
     def _board(self) -> Board:
         layout = self.layout

@@ -201,7 +201,8 @@ class CanPort(Port):
 
     def open(self) -> None:
         can = needed_module("can", "python-can", "can")
-        settings, ids = self._settings, self._chunks.ids
+        settings = self._settings
+        ids = self._chunks.ids
         self.check(self.address, settings)
         self._assembler.reset()
         self._parser.reset()

@@ -110,7 +110,8 @@ class Framing:
 
     def size(self, raw: Raw) -> int:
         """Length of the frame that these bytes begin; the least, where they state none allowed."""
-        n, least = self.n_bytes, self.payload_bytes + self.after
+        n = self.n_bytes
+        least = self.payload_bytes + self.after
         if self.length is None or len(raw) < n:
             return n
         more = _value(raw, self.length, self.byte_order) - least
@@ -162,7 +163,8 @@ class Framing:
 
     def is_whole(self, raw: bytes) -> bool:
         """True if `size` bytes are a frame: start, length, checksum and end are right."""
-        n_check, start = self._check.n_bytes, self.start
+        n_check = self._check.n_bytes
+        start = self.start
         at = len(raw) - len(self.end) - n_check
         if not (raw.startswith(self.prefix) and raw.endswith(self.end)):
             return False
@@ -261,8 +263,10 @@ class FrameParser:
 
     def _take(self, frames: list[Frame]) -> bool:
         """Accept or refuse the frame at the begin; False if more bytes must come first."""
-        framing, buffer = self.framing, self._buffer
-        n, n_start = framing.size(buffer), len(framing.prefix)
+        framing = self.framing
+        buffer = self._buffer
+        n = framing.size(buffer)
+        n_start = len(framing.prefix)
         confirmed = framing.is_strong or not framing.confirm
         if len(buffer) < (n if confirmed else n + n_start):
             return False
@@ -297,8 +301,10 @@ class FrameParser:
 
     def _search_two(self) -> bool:
         """Drop what is before the next two frames in a row, where no other two fit as well."""
-        framing, buffer = self.framing, self._buffer
-        n, start = framing.n_bytes, framing.prefix
+        framing = self.framing
+        buffer = self._buffer
+        n = framing.n_bytes
+        start = framing.prefix
         if not self._find_start() or len(buffer) < 2 * n + len(start):
             return False
         fitting: list[int] = []
@@ -346,9 +352,12 @@ class PacketParser:
 
     def feed(self, packet: bytes) -> list[Frame]:
         """Return the frames of a packet that are accepted, in order."""
-        framing, counts = self._framing, self.counts
+        framing = self._framing
+        counts = self.counts
         self._n_bytes += len(packet)
-        raws, rest, n = [], memoryview(packet), 0
+        raws = []
+        rest = memoryview(packet)
+        n = 0
         while rest:
             n = framing.size(rest)
             raws.append(bytes(rest[:n]))

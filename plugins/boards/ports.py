@@ -23,7 +23,8 @@ class Port(ABC):
     """A port with the parser of its frames; `n_bytes` received so far, `lines` for the log."""
 
     def __init__(self, address: str, settings: Any, framing: Framing, counts: Counts) -> None:
-        self.address, self._settings = address, settings
+        self.address = address
+        self._settings = settings
         self.n_bytes = 0
         self.lines: list[str] = []
 

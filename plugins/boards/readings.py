@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.sensor.layout.arrangement import Arrangement
@@ -38,10 +41,18 @@ class Decoder:
         """Length of a payload."""
         return self._shape[0] * self._shape[1] * self._dtype.itemsize
 
-    def __call__(self, payload: bytes) -> Floats:
-        """Readings, float32 (n_rows, n_cols); neither clipped nor checked for NaN."""
+    def __call__(self, payload: bytes, missing: Sequence[float] = ()) -> Floats:
+        """Readings, float32 (n_rows, n_cols), NaN where the count is one of `missing`; neither
+        clipped nor checked for other NaN.
+        """
         counts = np.frombuffer(payload, self._dtype)
         counts = counts.reshape(self._shape) if self._places is None else counts[self._places]
+        readings = self._readings(counts)
+        for number in missing:
+            readings[counts == number] = np.nan
+        return readings
+
+    def _readings(self, counts: npt.NDArray[Any]) -> Floats:
         with np.errstate(all="ignore"):  # a float64 beyond float32 becomes infinite
             if self._zero == 0 and self._scale == 1:
                 return counts.astype(np.float32)
@@ -58,7 +69,10 @@ class Pieces:
     """
 
     def __init__(self, n_readings: int, n_bytes: int, modulus: int, counts: Counts) -> None:
-        self._n, self._size, self._modulus, self._counts = n_readings, n_bytes, modulus, counts
+        self._n = n_readings
+        self._size = n_bytes
+        self._modulus = modulus
+        self._counts = counts
         self._begun = bytearray()
         self._number = 0
 
@@ -70,7 +84,9 @@ class Pieces:
 
     def add(self, piece: Frame) -> Frame | None:
         """Add a piece; return the frame that it completes, with its stamp and end."""
-        counts, at, whole = self._counts, piece.first * self._size, self._n * self._size
+        counts = self._counts
+        at = piece.first * self._size
+        whole = self._n * self._size
         counts.frames -= 1
         in_turn = not self._modulus or piece.sequence == self._number
         if piece.sequence is not None:

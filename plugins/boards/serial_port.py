@@ -109,7 +109,8 @@ class SerialPort(Port):
         return {"port_errors": self._overruns}
 
     def hint(self) -> str:
-        framing, recent = self.parser.framing, b"".join(self._recent)
+        framing = self.parser.framing
+        recent = b"".join(self._recent)
         start = framing.prefix.hex(" ").upper()
         places = [found.start() for found in re.finditer(re.escape(framing.prefix), recent)]
         if len(places) < 2:

@@ -95,7 +95,8 @@ class BoardSettings(GridLayout):
 
     def skin(self) -> Skin:
         """The skin, of stated rows and columns; SourceError if its range is not known."""
-        f_max, dtype = self.f_max, np.dtype(self.dtype)
+        f_max = self.f_max
+        dtype = np.dtype(self.dtype)
         if f_max is None and dtype.kind == "f":
             raise SourceError(f"f_max is not stated, and {self.dtype} has no largest value")
         if f_max is None:
@@ -150,7 +151,8 @@ class BoardSettings(GridLayout):
             raise SourceError(f"{key}: frames have no number; add sequence=u16")
         if kind in ("none", "sequence"):
             return framing.sequence if kind == "sequence" else None
-        n, begin = n_bytes_of(kind), framing.payload_at
+        n = n_bytes_of(kind)
+        begin = framing.payload_at
         end = begin + framing.payload_bytes
         if at is None or not (at + n <= begin or end <= at <= end + framing.after - n):
             raise SourceError(
@@ -279,7 +281,8 @@ def split_source(source: str) -> tuple[str, str, dict[str, str]]:
 
 def read_settings(kind: str, query: Mapping[str, str]) -> BoardSettings:
     """Settings of a kind of board, by query and profile; SparseskinError if not allowed."""
-    cls, own = KINDS[kind], dict(query)
+    cls = KINDS[kind]
+    own = dict(query)
     profile = own.pop("profile", None)
     stated = {} if profile is None else read_profile(profile, cls)
     return cls.from_mapping(stated | typed(cls, own, "profile"))

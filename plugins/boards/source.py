@@ -18,7 +18,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.device_clock import DeviceClock
 from sparseskin.nodes.sensor.files.recording import NAN_HINT
 from sparseskin.nodes.sensor.layout.arrangement import check_stated_shape
-from sparseskin.nodes.sensor.layout.layout import REFUSE
+from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
 from sparseskin.nodes.sensor.source import LiveSource
 
 from .can_port import CanPort, chunks_of
@@ -57,7 +57,7 @@ class Board:
     kind: str
     address: str
     settings: BoardSettings
-    decode: Callable[[bytes], Floats]
+    decode: Callable[..., Floats]
     framing: Framing
     skin: Skin
 
@@ -124,18 +124,19 @@ _FORMS = {
 class BoardSource(LiveSource):
     """The frames of a board. Its attributes are those of a `Source`.
 
-    What comes is checked: a frame that is not whole, or that `nan` "refuse" refuses for a reading
-    that is no number, is counted and dropped; readings outside [0, f_max] are clipped and counted
+    What comes is checked: a frame that is not whole, or that the layout refuses for a reading that
+    is no number, is counted and dropped; readings outside [0, f_max] are clipped and counted
     (`clipped`), but for `raw`, as a calibration converts them. A device that goes away is waited
     for. Raises SourceError if its device is missing or cannot be opened.
     """
 
     arrives = True
 
-    def __init__(self, board: Board, raw: bool = False, nan: str = REFUSE) -> None:
+    def __init__(self, board: Board, raw: bool = False, layout: Layout = EMPTY) -> None:
         check_board(board)
         super().__init__()
-        self._raw, self._nan = raw, nan
+        self._raw = raw
+        self._layout = layout
         self.name = board.name
         self.skin = board.skin
         self.counts = Counts()
@@ -177,7 +178,7 @@ class BoardSource(LiveSource):
         while self._waiting:
             arrived_ns, frame = self._waiting.popleft()
             self.stamp = frame.stamp
-            forces = self._checked(self._board.decode(frame.payload))
+            forces = self._checked(self._board.decode(frame.payload, self._layout.missing_numbers))
             if forces is not None:
                 self._last_ns = max(arrived_ns, self._last_ns + 1)
                 return self._last_ns, forces
@@ -240,7 +241,8 @@ class BoardSource(LiveSource):
     def _pieces_of(self, board: Board) -> Pieces | None:
         if not (isinstance(board.settings, StreamSettings) and board.settings.piece):
             return None
-        n, sequence = board.skin.n_rows * board.skin.n_cols, board.framing.sequence
+        n = board.skin.n_rows * board.skin.n_cols
+        sequence = board.framing.sequence
         size = board.framing.payload_bytes // board.settings.piece
         return Pieces(n, size, 1 << 8 * sequence.n_bytes if sequence else 0, self.counts)
 
@@ -254,7 +256,8 @@ class BoardSource(LiveSource):
     def _why_silent(self) -> str:
         n_bytes = self._port.n_bytes - self._bytes_before
         self._bytes_before = self._port.n_bytes
-        n, settings = self._board.framing.n_bytes, self._board.settings
+        n = self._board.framing.n_bytes
+        settings = self._board.settings
         if n_bytes > n:  # one may wait for the start bytes of the next
             baud = ", baud" if isinstance(settings, SerialSettings) else ""
             return (
@@ -275,7 +278,7 @@ class BoardSource(LiveSource):
             return forces
         missing = ~np.isfinite(forces)
         if missing.any():
-            if self._nan == REFUSE:
+            if not self._layout.accepts_missing:
                 if not self.n_not_finite:
                     line = f"{self.name}: a frame is dropped, as a reading is no number"
                     self._lines.append(f"{line}; {NAN_HINT}")

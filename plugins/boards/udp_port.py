@@ -92,7 +92,9 @@ class UdpPort(Port):
             if found:
                 if is_new and self._sender is not None:
                     self.lines.append(f"{_text(sender)} is the sender now")
-                self._parser, self._sender, self._heard_s = parser, sender, now_ns / 1e9
+                self._parser = parser
+                self._sender = sender
+                self._heard_s = now_ns / 1e9
             frames += [(now_ns, frame) for frame in found]
         return frames
 

@@ -148,7 +148,8 @@ class Bridge(Node[S]):
         if isinstance(message, SkinState):
             self.skins[message.patch] = message
         elif isinstance(message, Taxels | Truth | Reconstruction | Contacts):
-            topic, skin = message.topic, self.skins.get(message.patch)
+            topic = message.topic
+            skin = self.skins.get(message.patch)
             if message.seq != self._next.get(topic):
                 self._held[topic] = {}  # a frame that a later one refers to may be dropped
             self._next[topic] = message.seq + 1

@@ -17,12 +17,19 @@ from sparseskin.nodes.numerics.arrays import Floats
 from .base import ROW
 from .contacts import COLOURS, numbers, shapes, wrench
 
-IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
+IMAGE = "sensor_msgs/msg/Image"
+CLOUD = "sensor_msgs/msg/PointCloud2"
 ARRAY = "std_msgs/msg/Float32MultiArray"
-WRENCH, MARKERS = "geometry_msgs/msg/WrenchStamped", "visualization_msgs/msg/MarkerArray"
-UINT32, FLOAT32 = 6, 7
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+MARKERS = "visualization_msgs/msg/MarkerArray"
+UINT32 = 6
+FLOAT32 = 7
 """Numbers of the types of a field in sensor_msgs/PointField."""
-ARROW, SPHERE, TEXT, ADD, DELETE_ALL = 0, 2, 9, 0, 3
+ARROW = 0
+SPHERE = 2
+TEXT = 9
+ADD = 0
+DELETE_ALL = 3
 """Numbers of the types and actions of a visualization_msgs/Marker."""
 ORIGIN = np.zeros(3)
 
@@ -89,7 +96,8 @@ def cloud(stamp: tuple[int, int], frame_id: str, columns: Mapping[str, Floats]) 
 
 def array(values: Floats, labels: tuple[str, str] = ("rows", "cols")) -> bytes:
     """A std_msgs/Float32MultiArray of values (n_rows, n_cols), row after row."""
-    made, (n_rows, n_cols) = types().types, values.shape
+    made = types().types
+    (n_rows, n_cols) = values.shape
     dimension = made["std_msgs/msg/MultiArrayDimension"]
     sides = [dimension(labels[0], n_rows, n_rows * n_cols), dimension(labels[1], n_cols, n_cols)]
     layout = made["std_msgs/msg/MultiArrayLayout"](dim=sides, data_offset=0)
@@ -120,8 +128,10 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
     """A visualization_msgs/MarkerArray, which replaces the one before: of each contact a sphere, an
     arrow and a text, in the namespaces of these names, with its id.
     """
-    made, header = types().types, _header(stamp, contacts.patch)
-    point, vector = made["geometry_msgs/msg/Point"], made["geometry_msgs/msg/Vector3"]
+    made = types().types
+    header = _header(stamp, contacts.patch)
+    point = made["geometry_msgs/msg/Point"]
+    vector = made["geometry_msgs/msg/Vector3"]
     upright = made["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
     never = made["builtin_interfaces/msg/Duration"](0, 0)
     none = np.zeros(0, np.uint8)
@@ -131,7 +141,10 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
 
     rows: list[tuple[Any, ...]] = [("", SPHERE, DELETE_ALL, 0, (0.0, 0.0, 0.0), ORIGIN, (), "")]
     for one in shapes(contacts, skin):
-        n, d, tail, tip = one.id, one.diameter, one.tail, one.centre
+        n = one.id
+        d = one.diameter
+        tail = one.tail
+        tip = one.centre
         rows += [
             ("sphere", SPHERE, ADD, n, (d, d, d / 4), tip, (), ""),
             ("arrow", ARROW, ADD, n, (d / 4, d / 2, 0.0), ORIGIN, (tail, tip), ""),

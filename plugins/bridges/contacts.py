@@ -132,7 +132,9 @@ def state(contacts: Contacts, k: int) -> Floats:
     """1 if the frame is trusted, then the numbers `STATE` of each of the k contacts of the largest
     forces, the largest first; zeros where there are fewer. float32 (1 + k * len(STATE),).
     """
-    place, velocity, area = contacts.place_mm, contacts.velocity_mm_s, contacts.area_mm2
+    place = contacts.place_mm
+    velocity = contacts.velocity_mm_s
+    area = contacts.area_mm2
     table = np.column_stack(
         [
             *(contacts.total, contacts.total_sd),

@@ -122,7 +122,9 @@ class Member:
         topic = Topic(self.participant, "ros_discovery_info", message_type(NODES))
         qos = Qos(Policy.Durability.TransientLocal, _hash_of(NODES), base=quality(1))
         self._nodes = DataWriter(self.participant, topic, qos=qos)
-        self._writers, self._readers, self._left = list[UUID](), list[UUID](), Event()
+        self._writers = list[UUID]()
+        self._readers = list[UUID]()
+        self._left = Event()
         self._announcing = Thread(target=self._announce, args=(name,), daemon=True)
         self._announcing.start()
 
@@ -160,7 +162,8 @@ class Member:
     def publications(self) -> dict[str, tuple[str, bool]]:
         """Type of the messages on each topic, and True if they are sent reliably."""
         for found in self._discovered.take(N=BATCH):
-            name, of = getattr(found, "topic_name", ""), getattr(found, "type_name", "")
+            name = getattr(found, "topic_name", "")
+            of = getattr(found, "type_name", "")
             if name.startswith(f"{TOPIC_PREFIX}/"):
                 reliable = Policy.Reliability.BestEffort not in found.qos
                 kind = of.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
@@ -180,7 +183,9 @@ class Member:
         """State the node and its endpoints to nodes of Jazzy and later, each time that these or
         those change. In Humble, whose readers state no hash, that message has another form.
         """
-        types, writer, stated = cdr.types().types, self._nodes, None
+        types = cdr.types().types
+        writer = self._nodes
+        stated = None
 
         def gids(guids: list[UUID]) -> list[Any]:
             gid = types["rmw_dds_common/msg/Gid"]

@@ -20,9 +20,15 @@ class OtherFrameError(SourceError):
     """A message of another frame than the stated one."""
 
 
-LOG, NONE = "log", "none"
+LOG = "log"
+NONE = "none"
 """Values of `Layout.time`: the times at which messages were recorded; no times."""
 STAMP = "header.stamp"
+SOURCES = (
+    *("sensor_id", "sensor_name", "device_id", "board_id", "module_id", "skin_id"),
+    *("side", "hand"),
+)
+"""Members of messages that state which skin they are of."""
 
 
 class Received(NamedTuple):
@@ -80,7 +86,12 @@ class MessageReader:
         return Received(numbers, self.time_of(message), self.frame_of(message))
 
     def frame_of(self, message: Message) -> str:
-        """The frame that the header of a message names, "" where there is none."""
+        """The skin that a member of a message names, or else the frame that its header does; ""
+        where there is none.
+        """
+        for name in SOURCES:
+            if isinstance(message.get(name), int | str):
+                return str(message[name])
         return str(message["header"]["frame_id"]) if self._has_header else ""
 
     def check_frame(self, message: Message) -> None:

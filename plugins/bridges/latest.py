@@ -46,10 +46,12 @@ class LatestFrames:
 
     def __init__(self, graph: str | None, patch: str, with_contacts: bool) -> None:
         found = choose_graph(graph)
-        self._label, self._with_contacts = found.label, with_contacts
+        self._label = found.label
+        self._with_contacts = with_contacts
         patch, _, self._part = patch.partition("/")
         schemas = [SkinState.schema, Reconstruction.schema, *[Contacts.schema] * with_contacts]
-        topics, writers = [topic_of(patch, schema) for schema in schemas], found.writers()
+        topics = [topic_of(patch, schema) for schema in schemas]
+        writers = found.writers()
         for topic in topics:
             if topic not in writers:
                 asked = topic.endswith(Contacts.schema)
@@ -59,7 +61,8 @@ class LatestFrames:
         self._stream = TopicStream(found, *topics)
         self._news = Condition()
         self._latest: Latest | None = None
-        self._number, self._why_ended = 0, ""
+        self._number = 0
+        self._why_ended = ""
         self._skin: SkinState | None = None
         self._frame: Reconstruction | None = None
         self._held: dict[str, Floats] = {}

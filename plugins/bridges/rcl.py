@@ -56,7 +56,8 @@ class Member:
 
     def reader(self, topic: str, kind: str, depth: int, reliable: bool) -> Reader:
         """A reader of these messages."""
-        held, lost = deque[bytes](maxlen=depth), deque[Any](maxlen=1)
+        held = deque[bytes](maxlen=depth)
+        lost = deque[Any](maxlen=1)
         events = SubscriptionEventCallbacks(message_lost=lambda event: lost.append(event))
         self._node.create_subscription(
             _message_type(kind),

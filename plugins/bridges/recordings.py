@@ -64,8 +64,11 @@ WINDOW_BYTES = 1 << 24
 MAX_TRIES = 100
 """Messages of a topic after which it holds no frames, if none of them does; chosen."""
 MAX_FRAME_IDS = 8
-EMPTY, OTHER_FRAME, SKIPPED = "empty messages", "messages of another frame_id", "skipped"
-MALFORMED, OTHER_TYPE = "malformed messages", "messages of another type"
+EMPTY = "empty messages"
+OTHER_FRAME = "messages of another frame_id"
+SKIPPED = "skipped"
+MALFORMED = "malformed messages"
+OTHER_TYPE = "messages of another type"
 OTHER_SHAPE = "messages of another shape"
 IN_ORDER = "ros2 bag convert, or mcap sort, writes it in order"
 
@@ -227,8 +230,8 @@ class RosRecording(Recording):
                 firsts[topic] = self._first(readers[topic], plain_message(message.data))
             except (EmptyMessageError, OtherFrameError) as error:
                 faults.setdefault(topic, str(error))
-            except UnstatedError:
-                raise
+            except UnstatedError as error:
+                raise UnstatedError(f"{self._name}: {topic}: {error}", *error.options) from error
             except SourceError as error:
                 faults[topic] = str(error)
                 tries[topic] += 1

@@ -112,7 +112,8 @@ class ActsSearch:
         n = int(np.count_nonzero(exists))
         if not 1 <= m <= n:
             raise PhiError(f"acts: m = {m} is not allowed; allowed: 1..{n} (n = {n} taxels)")
-        self.m, self._threshold = m, threshold
+        self.m = m
+        self._threshold = threshold
         self._taxel_of_cell = np.full(exists.shape, -1, dtype=np.intp)
         self._taxel_of_cell[exists] = np.arange(n)
         self._numbers = np.arange(exists.size).reshape(exists.shape)

@@ -8,14 +8,12 @@ last measurement of every row.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages.quantised import step_of
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.compressor.phi.base import BLOCK, Code, Phi, fingerprint_of
@@ -34,10 +32,6 @@ UNTOUCHED_FRACTION = 1e-5
 """The same in parts of f_max where no noise is stated. Chosen: above the rounding of float32."""
 MOST_SCALED = 1.5
 """Largest factor by which details grow with the sum of their node. Chosen."""
-
-MOST_OVER, MOST_NOISE = 1.1, 8.0
-"""Largest measurement, in that of f_max on all taxels; noise beyond that, in standard deviations.
-Chosen."""
 
 N_ROUNDS = 6
 """Rounds of reading a frame, each decided from those before it. Fitted on five recordings of real
@@ -102,7 +96,7 @@ class AdaptivePhi(Phi):
     def state_noise(self, sigma_end: float, f_max: float, clipped: bool = True) -> None:
         self.bias = CLIP_MEAN * sigma_end if clipped else 0.0
         sd = CLIP_SD * sigma_end if clipped else sigma_end
-        self.variance, self._f_max = sd**2, f_max
+        self.variance = sd**2
         self.untouched = max(UNTOUCHED_SIGMAS * sd, UNTOUCHED_FRACTION * f_max)
         self.forget()
 
@@ -134,26 +128,15 @@ class AdaptivePhi(Phi):
         tree = self.tree
         measured = np.ones(self.n, dtype=np.bool_)
         measured[tree.n_tiles :] = chosen[tree.node_of_row[tree.n_tiles :]]
-        left = self.m - int(np.count_nonzero(measured))
-        if not 0 <= left < N_DETAILS:
-            raise PhiError(
-                f"adaptive: nodes of {self.m - left} measurements are chosen; expected m = {self.m}"
-            )
-        measured[np.flatnonzero(~measured)[:left]] = True
-        self.chosen, self.rows = chosen, np.flatnonzero(measured)
+        n_measured = int(np.count_nonzero(measured))
+        n_more = self.m - n_measured
+        if not 0 <= n_more < N_DETAILS:
+            fault = f"nodes of {n_measured} measurements are chosen"
+            raise PhiError(f"adaptive: {fault}; expected m = {self.m}")
 
-    def largest(self, y: Floats) -> Doubles:
-        """The magnitude, (m,), that measurements y, float32 (m,), of the rows chosen cannot
-        exceed, in the unit of the forces: taxels are in the range, and each force of a node, whose
-        details have rows of length 1, is part of its tile's sum.
-        """
-        tree, rows = self.tree, self.rows
-        node, tile = tree.node_of_row[rows], tree.tile_of_row[rows]
-        in_range = MOST_OVER * self._f_max * np.sqrt(tree.n_taxels[node])
-        sums = (np.abs(y[: tree.n_tiles]) + step_of(y)) * np.sqrt(tree.n_taxels[: tree.n_tiles])
-        of_tile = sums[tile] + MOST_NOISE * math.sqrt(self.variance)
-        most: Doubles = np.where(rows < tree.n_tiles, in_range, np.minimum(in_range, of_tile))
-        return most
+        measured[np.flatnonzero(~measured)[:n_more]] = True
+        self.chosen = chosen
+        self.rows = np.flatnonzero(measured)
 
     def dense(self) -> npt.NDArray[np.float64]:
         """As of `Phi`, in float64 throughout."""
@@ -180,15 +163,18 @@ class HeldRows:
     """
 
     def __init__(self, phi: AdaptivePhi) -> None:
-        self._phi, self._tree = phi, phi.tree
+        self._phi = phi
+        self._tree = phi.tree
         self.reset()
 
     def reset(self) -> None:
         """Forget all frames."""
         n_nodes = self._tree.n_nodes
         self._tiles = np.zeros(self._tree.n_tiles)
-        self.sums, self.sums_read = np.zeros((2, n_nodes))
-        self.now, self.details = np.zeros((2, n_nodes, N_DETAILS))
+        self.sums = np.zeros(n_nodes)
+        self.sums_read = np.zeros(n_nodes)
+        self.now = np.zeros((n_nodes, N_DETAILS))
+        self.details = np.zeros((n_nodes, N_DETAILS))
         self.begin()
 
     def begin(self) -> None:
@@ -198,11 +184,13 @@ class HeldRows:
 
     def read(self, rows: Indices, values: npt.NDArray[np.floating]) -> None:
         """Process measurements of rows of W, (k,)."""
-        tree, tile = self._tree, rows < self._tree.n_tiles
+        tree = self._tree
+        tile = rows < tree.n_tiles
         bias = self._phi.bias
         if tree.levels:
             bias *= np.sqrt(tree.n_taxels[rows[tile]])
         self._tiles[rows[tile]] = np.maximum(values[tile] - bias, 0)
+
         places = tree.place_of_row[rows[~tile]]
         self._read.reshape(-1)[places] = values[~tile]
         self._fresh.reshape(-1)[places] = True
@@ -210,12 +198,14 @@ class HeldRows:
     def update(self) -> Doubles:
         """Return the forces of the taxels, float64 (n,), which may be negative."""
         for level, sums, details in self._tree.descend(self._tiles):
-            own = slice(level.first, level.first + level.size)
-            self.sums[own] = sums
-            scale = np.clip(sums / np.maximum(self.sums_read[own], TINY), 0, MOST_SCALED)
-            held = self.details[own] * scale[:, None]
-            np.copyto(details, np.where(self._fresh[own], self._read[own], held))
-            self.now[own] = details
+            nodes = slice(level.first, level.first + level.size)
+            self.sums[nodes] = sums
+
+            # Details that are not read again grow with the sum of their node.
+            scale = np.clip(sums / np.maximum(self.sums_read[nodes], TINY), 0, MOST_SCALED)
+            scaled = self.details[nodes] * scale[:, None]
+            np.copyto(details, np.where(self._fresh[nodes], self._read[nodes], scaled))
+            self.now[nodes] = details
         return self._tree.forces if self._tree.levels else self._tiles
 
     def changed2(self) -> Doubles:
@@ -231,6 +221,8 @@ class HeldRows:
         whole = np.count_nonzero(self._fresh, axis=1) == self._tree.n_details
         self.details[whole] = self.now[whole]
         self.sums_read[whole] = self.sums[whole]
+
+        # Forces are not negative: all details of an untouched node are 0.
         untouched: Mask = (self.sums <= self._phi.untouched) & ~whole
         self.details[untouched] = 0
         self.sums_read[untouched] = 0
@@ -243,38 +235,54 @@ class AdaptiveChoice:
     """
 
     def __init__(self, phi: AdaptivePhi) -> None:
-        self._phi, self._held = phi, HeldRows(phi)
-        self._age, self._drift = np.zeros((2, phi.tree.n_nodes))
+        n_nodes = phi.tree.n_nodes
+        self._phi = phi
+        self._held = HeldRows(phi)
+        #: Frames since the details of each node were read, and their squared change a frame.
+        self._age = np.zeros(n_nodes)
+        self._drift = np.zeros(n_nodes)
+        #: Measurements that are due to the nodes which were read longest ago.
         self._owed = 0.0
-        self._untouched = np.zeros(phi.tree.n_nodes, dtype=np.bool_)
+        self._untouched = np.zeros(n_nodes, dtype=np.bool_)
 
     def measure(self, read: Read) -> Floats:
         """Choose and read a frame by `read`, of rows of W; return its measurements, float32 (m,),
         in the order of `rows`.
         """
-        phi, tree, held = self._phi, self._phi.tree, self._held
+        phi = self._phi
+        tree = phi.tree
+        rows = self._held
         self._age += 1
         self._values = np.zeros(phi.n)
         chosen = np.zeros(tree.n_nodes, dtype=np.bool_)
-        held.begin()
+
+        # The sums of all tiles.
+        rows.begin()
         self._take(np.arange(min(tree.n_tiles, phi.m)), read)
-        left = phi.m - tree.n_tiles
-        self._owed = min(self._owed + OLDEST_PART * left, left)
-        oldest = int(self._owed)
+        n_left = phi.m - tree.n_tiles
+
+        # The nodes that are expected to have changed most, in rounds.
+        self._owed = min(self._owed + OLDEST_PART * n_left, n_left)
+        n_oldest = int(self._owed)
         for n_rounds in range(N_ROUNDS, 0, -1):
-            held.update()
-            expected2 = held.changed2() + self._drift * self._age
-            left -= self._read_most(expected2, (left - oldest) // n_rounds, chosen, read)
+            rows.update()
+            expected2 = rows.changed2() + self._drift * self._age
+            n_left -= self._read_most(expected2, (n_left - n_oldest) // n_rounds, chosen, read)
+
+        # Those that were read longest ago.
         waited = self._age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
-        while left >= N_DETAILS:
-            more = self._read_most(waited, left, chosen, read)
-            left -= more
-            self._owed = max(0.0, self._owed - more)
+        while n_left >= N_DETAILS:
+            n_read = self._read_most(waited, n_left, chosen, read)
+            n_left -= n_read
+            self._owed = max(0.0, self._owed - n_read)
+
+        # One or two rows of other nodes, up to m.
         phi.choose(chosen)
         details = phi.rows[phi.rows >= tree.n_tiles]
         self._take(details[~chosen[tree.node_of_row[details]]], read)
-        held.update()
-        self._untouched = held.end()
+        rows.update()
+
+        self._untouched = rows.end()
         self._drift[self._untouched] *= DRIFT_MEMORY
         measurements: Floats = self._values[phi.rows].astype(np.float32)
         return measurements
@@ -282,13 +290,14 @@ class AdaptiveChoice:
     def _read_most(self, score: Doubles, n_most: int, chosen: Mask, read: Read) -> int:
         """Read the unread nodes of highest score a measurement, above 0; return their rows."""
         tree = self._phi.tree
-        each = np.where(chosen, 0, score) / np.maximum(tree.n_details, 1)
-        order = np.argsort(-each, kind="stable")
-        order = order[(each[order] > TINY) & (tree.n_details[order] > 0)]
+        of_measurement = np.where(chosen, 0, score) / np.maximum(tree.n_details, 1)
+        order = np.argsort(-of_measurement, kind="stable")
+        order = order[(of_measurement[order] > TINY) & (tree.n_details[order] > 0)]
         ends = np.cumsum(tree.n_details[order])
         nodes = order[: np.searchsorted(ends, n_most, "right")]
         if not nodes.size:
             return 0
+
         chosen[nodes] = True
         before = self._held.now[nodes].copy()
         within = np.zeros_like(chosen)

@@ -57,7 +57,8 @@ class InterpolationSolver(Solver):
         self._wanted = np.delete(np.arange(phi.n), phi.rows)
         along_lines = bool(phi.choice)
         if not along_lines:
-            known, wanted = self._cells[phi.rows], self._cells[self._wanted]
+            known = self._cells[phi.rows]
+            wanted = self._cells[self._wanted]
             try:
                 self._corners, self._weights = interpolated_from(known, wanted)
             except QhullError:  # no area between them
@@ -107,7 +108,7 @@ class LineInterpolation:
         self._wanted = wanted.reshape(-1)
         self._places = np.argwhere(np.ones_like(wanted))
         i, j = self._places.T
-        n = i.size
+        n = len(i)
         self._cells = np.empty((4, n), dtype=np.intp)
         #: Begin and end of the line that each step is on; steps are numbered through all lines.
         self._first = np.empty((4, n), dtype=np.intp)
@@ -133,14 +134,14 @@ class LineInterpolation:
         is_known = np.zeros(self._wanted.size, dtype=np.bool_)
         is_known[known] = True
         while not is_known[self._wanted].all():
-            found, between = self._between(is_known, filled)
-            if not found.size:
+            cells, between = self._between(is_known, filled)
+            if not cells.size:
                 missing = np.flatnonzero(self._wanted & ~is_known)
                 nearest = cKDTree(self._places[known]).query(self._places[missing])[1]
                 filled[missing] = values[nearest]
                 break
-            filled[found] = between
-            is_known[found] = True
+            filled[cells] = between
+            is_known[cells] = True
         return filled
 
     def _between(self, is_known: Mask, filled: Floats) -> tuple[Indices, Doubles]:
@@ -150,16 +151,23 @@ class LineInterpolation:
         beyond = np.where(known, self._steps, self._steps.size)[:, ::-1]
         after = np.minimum.accumulate(beyond, axis=1)[:, ::-1]
         steps = np.flatnonzero((before >= self._first) & (after <= self._last) & ~known)
-        before, after = before.take(steps), after.take(steps)
-        back, ahead = steps - before, after - steps
-        cells = self._cells.take(steps)
-        low, high = (filled.take(self._cells.take(ends)) for ends in (before, after))
-        weights = 1 / (back * ahead * self._step2.take(steps))
+        before = before.take(steps)
+        after = after.take(steps)
+
+        # Linear between the two known cells on the line of each step.
+        back = steps - before
+        ahead = after - steps
+        low = filled.take(self._cells.take(before))
+        high = filled.take(self._cells.take(after))
         on_line = (low * ahead + high * back) / (back + ahead)
+
+        # The weighted mean of the lines through each cell.
+        cells = self._cells.take(steps)
+        weights = 1 / (back * ahead * self._step2.take(steps))
         totals = np.bincount(cells, weights, is_known.size)
         sums = np.bincount(cells, weights * on_line, is_known.size)
-        found = np.flatnonzero(totals)
-        return found, sums[found] / totals[found]
+        between = np.flatnonzero(totals)
+        return between, sums[between] / totals[between]
 
 
 def interpolated_from(known: Doubles, wanted: Doubles) -> tuple[Indices, Floats]:
@@ -178,14 +186,18 @@ def interpolated_from(known: Doubles, wanted: Doubles) -> tuple[Indices, Floats]
         If the known points have no area between them.
     """
     triangles = Delaunay(known)
-    found = triangles.find_simplex(wanted)
-    inside = found >= 0
+    triangle = triangles.find_simplex(wanted)
+    inside = triangle >= 0
     corners = np.zeros((len(wanted), 3), dtype=np.intp)
     weights = np.zeros((len(wanted), 3), dtype=np.float32)
-    corners[inside] = triangles.simplices[found[inside]]
-    transform = triangles.transform[found[inside]]
+    corners[inside] = triangles.simplices[triangle[inside]]
+
+    # Barycentric coordinates.
+    transform = triangles.transform[triangle[inside]]
     first_two = np.einsum("ijk,ik->ij", transform[:, :2], wanted[inside] - transform[:, 2])
     weights[inside, :2] = first_two
     weights[inside, 2] = 1 - first_two.sum(axis=1)
-    corners[~inside, 0], weights[~inside, 0] = cKDTree(known).query(wanted[~inside])[1], 1
+
+    corners[~inside, 0] = cKDTree(known).query(wanted[~inside])[1]
+    weights[~inside, 0] = 1
     return corners, np.clip(weights, 0, 1)

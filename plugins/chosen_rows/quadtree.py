@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -16,7 +15,8 @@ LEAST_DEPTH = 3
 recordings of real skins, tiles of 4 x 4 are worse at N/8, and 16 x 16 at N/3 and N/4."""
 COARSE_PART = 0.25
 """Largest part of the measurements that the sums of all tiles take. Chosen."""
-N_PARTS, N_DETAILS = 4, 3
+N_PARTS = 4
+N_DETAILS = 3
 _HAAR = 0.5 * np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]], dtype=np.float64)
 
 
@@ -63,7 +63,8 @@ class Quadtree:
         while numbers.size > 1 and (
             len(found) < LEAST_DEPTH or np.count_nonzero(counts) > max(1, COARSE_PART * m)
         ):
-            parts, taxels = _quarters(numbers, -1), _quarters(counts, 0)
+            parts = _quarters(numbers, -1)
+            taxels = _quarters(counts, 0)
             counts = taxels.sum(axis=2)
             some = counts > 0
             found.append((parts[some], taxels[some]))
@@ -89,16 +90,9 @@ class Quadtree:
         places = np.flatnonzero(used)
         tiles = np.arange(self.n_tiles)
         # Node of each row, and its place in a flat array of three details a node; those of a tile's
-        # sum are the tile and -1. Then the tile that the node is in.
+        # sum are the tile and -1.
         self.node_of_row = np.concatenate([tiles, places // N_DETAILS])
         self.place_of_row = np.concatenate([np.full_like(tiles, -1), places])
-        tile_of_node = np.arange(max(self.n_nodes, 1))
-        for upper, lower in itertools.pairwise(self.levels):
-            inside = upper.parts < lower.size
-            own = tile_of_node[upper.first : upper.first + upper.size, None]
-            below = lower.first + upper.parts[inside]
-            tile_of_node[below] = np.broadcast_to(own, inside.shape)[inside]
-        self.tile_of_row = tile_of_node[self.node_of_row]
 
     def analysis(self, x: npt.NDArray[np.floating]) -> Doubles:
         """Return W x, float64 (n,), of forces (n,)."""
@@ -159,7 +153,8 @@ class Quadtree:
 
     def decoded(self, code: npt.NDArray[np.uint8]) -> Mask:
         """Return the nodes that `coded` stated, bool (n_nodes,); ValueError if it stated none."""
-        bits, at = np.unpackbits(code).astype(np.bool_), 0
+        bits = np.unpackbits(code).astype(np.bool_)
+        at = 0
         chosen, some = np.zeros((2, self.n_nodes), dtype=np.bool_)
 
         def taken(nodes: Indices) -> Mask:

@@ -66,6 +66,7 @@ class AdaptiveSkinSolver(Solver):
 
     name = "skin"
     uses_basis = False
+    uses_blas = True
     least_iterations = SkinSolver.least_iterations
     paces = SkinSolver.paces
     y_max = SkinSolver.y_max

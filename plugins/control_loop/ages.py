@@ -23,7 +23,8 @@ from sparseskin.nodes.clock import SystemClock
 CONTACTS = "/skin/contacts"
 RATE_HZ = 200
 """Frames per second of the graph, and of `stream`."""
-DOMAIN, LOOPBACK = 77, "lo"
+DOMAIN = 77
+LOOPBACK = "lo"
 """Domain of DDS and interface that the bridge of the study uses."""
 _STAMP = struct.Struct("<4xiI")
 """Begin of a message with a header, in CDR: seconds and nanoseconds of its stamp."""

@@ -10,7 +10,7 @@ from sparseskin.plugins.edge.description import CRC_BYTES, HEADER_BYTES
 
 from .models import HOP_S, LARGEST, cost
 from .spec import Design
-from .strategies import ANALOG, DIGITAL, STRATEGIES, Strategy
+from .strategies import ANALOG, DIGITAL, LARGER, STRATEGIES, Strategy
 
 STAGES = ("ADC", "edge", "bus", "host")
 """Stages that a frame passes; each works on a frame while the one before it has the next."""
@@ -144,7 +144,7 @@ def row_of(strategy: Strategy, design: Design) -> Row:
 def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:
     """Wires that leave the skin or end in an amplifier on it, and conversions of a frame. An array
     has a wire a row and column, analog sums of SBHE one a taxel. Of points, the array is the
-    smallest near square.
+    smallest near square; so is that of larger taxels in the shape of the skin.
     """
     n = design.n_taxels
     sums = design.sums if strategy.phi == "sbhe" else strategy.sums
@@ -152,7 +152,14 @@ def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:
     conversions = n if is_every else strategy.m(n, design.n_rows)
     if sums == ANALOG and strategy.phi != "row_local":
         return n, conversions
-    n_rows, n_cols = design.n_rows, design.n_cols
+    n_rows = design.n_rows
+    n_cols = design.n_cols
+    if strategy.phi == LARGER and n_rows is not None and n_cols is not None:
+        # As many along both sides as their number and the shape of the skin allow.
+        n_rows = min(conversions, max(1, round(math.sqrt(conversions * n_rows / n_cols))))
+        return n_rows + -(-conversions // n_rows), conversions
+    if strategy.phi == LARGER:
+        n = conversions
     if n_rows is None or n_cols is None:
         n_rows = math.isqrt(n - 1) + 1
         n_cols = -(-n // n_rows)

@@ -31,7 +31,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     for name, key in KEYS.items():
         default = "" if key.default is None else f" (default: {key.default})"
         place = more if name in RARE_KEYS else parser
-        place.add_argument(f"--{name}", metavar=key.form, help=f"{key.about}{default}")
+        place.add_argument(
+            f"--{name.replace('_', '-')}", metavar=key.form, help=f"{key.about}{default}"
+        )
     about = "write all figures to this file too, with all digits"
     parser.add_argument("--csv", metavar="FILE", type=Path, help=about)
     about = "rates, bytes and wires alone, at once: nothing is simulated"
@@ -49,7 +51,8 @@ def _design(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         draft = arguments.csv and stack.enter_context(whole_file(arguments.csv))
         if not arguments.no_accuracy:
-            n, few = len(STRATEGIES), arguments.scenes
+            n = len(STRATEGIES)
+            few = arguments.scenes
             begun = f"{design.size}, {n} ways to read them in {few} simulated scenes each ..."
             print(begun, file=sys.stderr, flush=True)
         # Imported here, where all that is stated has been checked and reported.
@@ -80,7 +83,7 @@ def design_of(arguments: argparse.Namespace) -> Design:
 
     def place(key: str) -> str:
         if key in options or key not in stated:
-            return f"--{key}: "
+            return f"--{key.replace('_', '-')}: "
         return f"{arguments.file}: {key if key in KEYS else shown(key)}: "
 
     return make_design({**stated, **options}, place)

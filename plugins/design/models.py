@@ -97,7 +97,8 @@ def read_adc(text: object) -> Adc:
     return Adc(bits, rate_hz)
 
 
-LOWEST_BIT_S, HIGHEST_BIT_S = 1e3, 1e11
+LOWEST_BIT_S = 1e3
+HIGHEST_BIT_S = 1e11
 FD_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Lengths of the data field of a CAN FD frame. Source: ISO 11898-1:2015."""
 
@@ -116,7 +117,8 @@ def _can_s(n: int, bit_s: float) -> float:
 def _can_fd_s(n: int, bit_s: float, data_bit_s: float) -> float:
     """CAN FD: 34 bits at the slow rate, the others at the fast one. Source: ISO 11898-1:2015."""
     n = next(length for length in FD_LENGTHS if length >= n)
-    stuff, crc = (21 + 8 * n) // 4, 27 if n <= 16 else 32
+    stuff = (21 + 8 * n) // 4
+    crc = 27 if n <= 16 else 32
     return (17 + 4 + 13) / bit_s + (5 + 8 * n + (stuff - 4) + crc) / data_bit_s
 
 
@@ -246,8 +248,12 @@ def stored() -> dict[str, Any]:
     return tomllib.loads((Path(__file__).parent / "costs.toml").read_text(encoding="utf-8"))
 
 
-CORTEX_M4, LINUX = "cortex-m4", "linux"
-A_READING, A_MEASUREMENT, A_BYTE, A_FRAME = 24, 72, 16, 550
+CORTEX_M4 = "cortex-m4"
+LINUX = "linux"
+A_READING = 24
+A_MEASUREMENT = 72
+A_BYTE = 16
+A_FRAME = 550
 """Instructions of `edge.c` for each reading that enters the Hadamard transform, each measurement
 that is scaled and rounded, each byte that is sent, and each frame. Fitted to the largest number of
 instructions that `make cortex-m4` counts, of 40 exported edges (12 x 32 to 64 x 64 taxels, N/3 to

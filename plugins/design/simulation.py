@@ -32,18 +32,22 @@ from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.tasks import computed
 from sparseskin.nodes.touch import in_contact
+from sparseskin.studies.baselines.larger import LargerTaxels
 from sparseskin.studies.evaluate import make_method
 from sparseskin.studies.presses import BODIES, COURSES, Timing, press_frames
 
 from .budget import Accuracy, Row
 from .spec import Design
-from .strategies import FEW_SCENES, N_SCENES, Strategy
+from .strategies import FEW_SCENES, LARGER, N_SCENES, Strategy
 
 F_MAX_N = PAPER_F_MAX_N
 SPEED = 20.0
 """Speed of moving bodies, taxels a second: 0.1 m/s at a pitch of 5 mm. Chosen: twice the speed at
 which the paper drags."""
-RAMP_S, HELD_S, PAUSE_S, SCENE_S = 0.05, 0.1, 0.05, 0.5
+RAMP_S = 0.05
+HELD_S = 0.1
+PAUSE_S = 0.05
+SCENE_S = 0.5
 """Chosen: those of a quick tap with a finger or a tool."""
 MOST_FRAMES = 100
 """Most frames of a scene, untouched ones not counted. Chosen: at 1 kHz the ramp, and some slide."""
@@ -77,6 +81,18 @@ def raster(mask: Mask, bits: int, phis: list[Phi] | None = None) -> Reader:
     return read
 
 
+def larger_raster(mask: Mask, bits: int, m: int) -> Reader:
+    """Reader of m larger taxels, each of the range of all that it sums, rounded to `bits`."""
+    larger = LargerTaxels(mask, m)
+    steps = (F_MAX_N * larger.sizes / (2**bits - 1)).astype(np.float32)
+
+    def read(readings: Floats) -> Floats:
+        sums = np.rint(larger.sums(readings) / steps) * steps
+        return larger.spread(sums)
+
+    return read
+
+
 def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int) -> Reader:
     """Make the reader of a strategy on a skin, `mask` True where a taxel exists; `noise` of a taxel
     as a part of the range; `bits` of a value that is read or sent; `seed` of Phi. Raises PhiError
@@ -85,6 +101,8 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     how: dict[str, Any] = {"rows": strategy.rows, "phi": strategy.phi}
     shape = (mask.shape[0], mask.shape[1])
     n = int(np.count_nonzero(mask))
+    if strategy.phi == LARGER:
+        return larger_raster(mask, bits, strategy.m(n))
     if strategy.reads_single:
         settings = CompressorSettings(ratio=strategy.ratio, seed=seed, **how)
         phis = settings.phis(Skin(*shape, F_MAX_N, mask=mask))
@@ -127,12 +145,16 @@ def contact_db(reader: Reader, frames: Iterable[tuple[Floats, Floats]]) -> list[
     ]
 
 
-TOUCH_SIDE, TOUCH_FRAMES, GAP_FRAMES = 3, 8, 4
+TOUCH_SIDE = 3
+TOUCH_FRAMES = 8
+GAP_FRAMES = 4
 """Side of a light touch in taxels, frames in which it has to be found, and untouched ones before
 the next. Chosen: rotating rows of N/8 have read all rows in as many frames."""
-SETTLING_FRAMES, FALSE_FRAMES = 24, 60
+SETTLING_FRAMES = 24
+FALSE_FRAMES = 60
 """Untouched frames before the threshold of detection is learnt, and in which it is."""
-TRIALS, MISSES = 10, 1
+TRIALS = 10
+MISSES = 1
 """Touches of one force, and how many may be missed: 10 %."""
 LADDER = 1.25
 """Factor from one tested force to the next."""
@@ -147,7 +169,8 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
     taxels in 60 untouched frames, and within 50 % of the true one. Forces rise from half the noise
     in steps of 25 %, 10 touches each.
     """
-    model, rng = NoiseModel(F_MAX_N, *2 * [noise * F_MAX_N]), np.random.default_rng([seed, 5])
+    model = NoiseModel(F_MAX_N, *2 * [noise * F_MAX_N])
+    rng = np.random.default_rng([seed, 5])
     nothing = np.zeros(mask.shape, dtype=np.float32)
     sides = tuple(min(TOUCH_SIDE, side) for side in mask.shape)
     inside = np.lib.stride_tricks.sliding_window_view(mask, sides).all(axis=(-2, -1))
@@ -268,5 +291,6 @@ def band(db: Doubles) -> tuple[float, float]:
     """
     n = len(db)
     factor = float(stdtrit(n - 1, (1 + WITHIN) / 2)) * math.sqrt(1 + 1 / n)
-    mean, half = float(db.mean()), factor * float(db.std(ddof=1))
+    mean = float(db.mean())
+    half = factor * float(db.std(ddof=1))
     return mean - half, mean + half

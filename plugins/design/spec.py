@@ -34,7 +34,8 @@ from .strategies import ANALOG, DIGITAL
 if TYPE_CHECKING:
     from sparseskin.plugins.points.placing import Placement
 
-MAX_SIDE, MAX_TAXELS = 1024, 65536
+MAX_SIDE = 1024
+MAX_TAXELS = 65536
 MOST_CORES = 4096
 Place: TypeAlias = "Callable[[str], str]"
 Reads: TypeAlias = "Callable[[object], Any]"
@@ -108,14 +109,14 @@ def _quantity(
     return Key(default, about, form, read)
 
 
-_TAXELS = "number of taxels of a skin that is no grid, in place of rows, cols"
+_TAXELS = "number of taxels of a skin that is no grid, in place of n_rows, n_cols"
 _POINTS = "layout of such a skin: .csv, .txt of an iCub, or example:torso"
 _SETTLING = "time that the multiplexer settles before a conversion"
 _SUMS = "where sums of SBHE are made: digital (edge) or analog (wires)"
 _BUS = "serial:BAUD, can:RATE, can-fd[:SLOW/FAST], spi:CLOCK, udp"
 KEYS = {
-    "rows": _whole(None, "rows of taxels", "R", 1, MAX_SIDE),
-    "cols": _whole(None, "columns of taxels", "C", 1, MAX_SIDE),
+    "n_rows": _whole(None, "rows of taxels", "R", 1, MAX_SIDE),
+    "n_cols": _whole(None, "columns of taxels", "C", 1, MAX_SIDE),
     "taxels": _whole(None, _TAXELS, "N", 16, MAX_TAXELS),
     "points": Key(None, _POINTS, "FILE", _placement),
     "pitch": _quantity("4mm", "distance of neighbouring taxels", "LENGTH", LENGTH, 1e-5, 1.0),
@@ -132,7 +133,7 @@ KEYS = {
     "host": Key("4cores", "cores of the host", "CORES", _cores),
 }
 """Keys of `design.toml`, and options."""
-SIZE_KEYS = ("rows", "cols", "taxels", "points")
+SIZE_KEYS = ("n_rows", "n_cols", "taxels", "points")
 """Keys that state the size: options that do replace all of them."""
 
 
@@ -207,7 +208,7 @@ def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: "
         faults.append(f"{place(fault[0])}{fault[1]}")
     if faults:
         raise SettingsError(*faults)
-    n_rows, n_cols, placement = (found[key] for key in ("rows", "cols", "points"))
+    n_rows, n_cols, placement = (found[key] for key in ("n_rows", "n_cols", "points"))
     n_taxels = placement.points.n if placement else found["taxels"] or n_rows * n_cols
     from_points = placement is not None and "pitch" not in stated
     return Design(
@@ -230,17 +231,18 @@ def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: "
 
 def _contradiction(found: Mapping[str, Any]) -> tuple[str, str] | None:
     """A key that is missing or does not go with others, and the fault; None if there is none."""
-    grid = ["rows", "cols"]
+    grid = ["n_rows", "n_cols"]
     size = [key for key in SIZE_KEYS if found[key] is not None]
     if not size:
-        return "rows", "is missing; state rows and cols, taxels, or points"
-    if size in (["rows"], ["cols"]):
-        return "cols" if size == ["rows"] else "rows", "is missing; state rows and cols"
+        return "n_rows", "is missing; state n_rows and n_cols, taxels, or points"
+    if size in (["n_rows"], ["n_cols"]):
+        missing = "n_cols" if size == ["n_rows"] else "n_rows"
+        return missing, "is missing; state n_rows and n_cols"
     if size != grid and len(size) > 1:
         return size[-1], f"states the size once more; leave out {size[0]}"
-    if size == grid and not 16 <= (n := found["rows"] * found["cols"]) <= MAX_TAXELS:
-        sides = f"{found['rows']} x {found['cols']}"
-        return "rows", f"{sides} are {n} taxels; allowed: 16..{MAX_TAXELS}"
+    if size == grid and not 16 <= (n := found["n_rows"] * found["n_cols"]) <= MAX_TAXELS:
+        sides = f"{found['n_rows']} x {found['n_cols']}"
+        return "n_rows", f"{sides} are {n} taxels; allowed: 16..{MAX_TAXELS}"
     if not 1e-6 * found["range"] <= found["noise"] <= 0.3 * found["range"]:
         of = f"{found['noise']:g} N is not allowed for a range of {found['range']:g} N"
         return "noise", f"{of}; allowed: 0.0001 to 30 % of it"

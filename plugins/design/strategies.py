@@ -6,9 +6,13 @@ from dataclasses import dataclass
 
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of
 
-ANALOG, DIGITAL, SINGLE = "analog", "digital", "single"
+ANALOG = "analog"
+DIGITAL = "digital"
+SINGLE = "single"
 """Where the sums of a measurement are made: by amplifiers before the converter, M conversions a
 frame; by the edge, from all N taxels; or nowhere, as each measurement is one taxel."""
+LARGER = "larger"
+"""Kind in place of a measurement matrix: fewer taxels, each as large as N / M of the others."""
 COMMON_RATIO = 4.0
 """N / M of all kinds that are compared at one ratio. Chosen: the middle of those of SBHE."""
 
@@ -16,8 +20,9 @@ COMMON_RATIO = 4.0
 @dataclass(frozen=True)
 class Strategy:
     """A way to read a skin: its name in words, as in tables and `STRATEGIES`; kind of the
-    measurement matrix, as `make_phi` takes it; N / M, 1 or more; rows as of the compressor, "fixed"
-    or "rotating"; where sums are made, if a design does not state it: see `ANALOG`.
+    measurement matrix, as `make_phi` takes it, or `LARGER`; N / M, 1 or more; rows as of the
+    compressor, "fixed" or "rotating"; where sums are made, if a design does not state it: see
+    `ANALOG`.
     """
 
     name: str
@@ -46,6 +51,8 @@ _ALL = (
     Strategy("all taxels", "full", 1.0, FIXED, SINGLE),
     # Single taxels, others in each frame.
     Strategy("N/4 taxels in turn", "subsample", COMMON_RATIO, ROTATING, SINGLE),
+    # Fewer, larger taxels: each sums its neighbours by itself.
+    Strategy("N/4 larger taxels", LARGER, COMMON_RATIO, FIXED, SINGLE),
     # Scrambled block Hadamard sums of all taxels.
     *(
         Strategy(f"N/{ratio} sums", "sbhe", float(ratio), ROTATING, DIGITAL)
@@ -59,6 +66,7 @@ _ALL = (
 )
 STRATEGIES: dict[str, Strategy] = {strategy.name: strategy for strategy in _ALL}
 """Strategies by name, in the order of tables."""
-FEW_SCENES, N_SCENES = 5, 15
+FEW_SCENES = 5
+N_SCENES = 15
 """Scenes that are simulated where their number is not stated, each body once; and all of them, each
 body in each course. Chosen: all strategies in some 15 s on two cores."""

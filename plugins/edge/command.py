@@ -9,8 +9,8 @@ from typing import Any
 from sparseskin.launch.commands.options import add_commands, naming_options, rare
 
 _OPTIONS = {
-    "n_rows": "--rows",
-    "n_cols": "--cols",
+    "n_rows": "--n-rows",
+    "n_cols": "--n-cols",
     "m": "--m",
     "ratio": "--ratio",
     "bits": "--bits",
@@ -29,8 +29,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add = add_commands(parser, "A compressor in C99 for the board beside the skin.")
     make = add("export", _export, "write its program")
     more = rare(make)
-    make.add_argument("--rows", metavar="R", type=int, help="rows of taxels")
-    make.add_argument("--cols", metavar="C", type=int, help="columns of taxels")
+    make.add_argument("--n-rows", metavar="R", type=int, help="rows of taxels")
+    make.add_argument("--n-cols", metavar="C", type=int, help="columns of taxels")
     about = f"taxels a measurement (default: {RATIO:g})"
     make.add_argument("--ratio", type=float, help=about)
     more.add_argument("--m", metavar="M", type=int, help="number of measurements, for --ratio")
@@ -64,17 +64,20 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.m is not None and arguments.ratio is not None:
         raise SettingsError("--m: states the number of measurements; leave out --ratio")
     mask: Any = None
-    n_rows, n_cols = arguments.rows, arguments.cols
+    n_rows = arguments.n_rows
+    n_cols = arguments.n_cols
     if arguments.skin is not None:
         if n_rows is not None or n_cols is not None:
-            raise SettingsError("--skin: states rows and columns; leave out --rows and --cols")
+            raise SettingsError("--skin: states rows and columns; leave out --n-rows and --n-cols")
         from sparseskin.nodes.sensor.calibration.skin_file import load_skin
 
         skin = load_skin(arguments.skin).skin
-        n_rows, n_cols, mask = skin.n_rows, skin.n_cols, skin.mask
+        n_rows = skin.n_rows
+        n_cols = skin.n_cols
+        mask = skin.mask
     elif n_rows is None or n_cols is None:
-        missing = "--rows" if n_rows is None else "--cols"
-        raise SettingsError(f"{missing}: is missing; state --rows and --cols, or --skin")
+        missing = "--n-rows" if n_rows is None else "--n-cols"
+        raise SettingsError(f"{missing}: is missing; state --n-rows and --n-cols, or --skin")
     with naming_options(_OPTIONS):
         described = EdgeDescription.chosen(
             n_rows,

@@ -126,7 +126,8 @@ def _groups(description: EdgeDescription) -> list[tuple[int, int]]:
 
 def _array(items: Iterable[str]) -> str:
     """Items as the braces of a C array, lines of at most about 100 characters."""
-    lines, line = [], "    "
+    lines = []
+    line = "    "
     for item in items:
         if len(line) + len(item) > 98:
             lines.append(line.rstrip())

@@ -50,7 +50,7 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
             UdpPort.check(address, settings)
     framing = framing_of(description)
     # A payload is taken whole: nothing is decoded.
-    return Board(name, kind, address, settings, lambda _: np.empty(0, np.float32), framing, skin)
+    return Board(name, kind, address, settings, lambda *_: np.empty(0, np.float32), framing, skin)
 
 
 class EdgeWire(BoardSource):
@@ -135,7 +135,8 @@ class Edge(SourceNode[EdgeSettings]):
         }
 
     def start(self) -> Iterable[Message]:
-        d, s = self._described, self.settings
+        d = self._described
+        s = self.settings
         stamp_ns = self.context.clock.now_ns()
         yield SkinState(
             stamp_ns=stamp_ns,
@@ -196,7 +197,8 @@ class Edge(SourceNode[EdgeSettings]):
         self._log_lines()
 
     def status(self) -> str:
-        d, dropped = self._described, self._wire.dropped()
+        d = self._described
+        dropped = self._wire.dropped()
         text = f"{self._wire.name}: frame {self._n_frames}, {d.m} of {d.bits} bits"
         if self._n_other:
             text += f"; {self._n_other} of another matrix"

@@ -27,7 +27,9 @@ _TORSO = np.array(
 """Elliptic sections of the torso, chosen: about those of an adult."""
 _AROUND = np.linspace(-np.pi, np.pi, 721)
 """Angles at which the way around a ring is summed."""
-GRIP_RADIUS_M, GRIP_LENGTH_M, GRIP_PITCH_M = 0.035, 0.1, 0.005
+GRIP_RADIUS_M = 0.035
+GRIP_LENGTH_M = 0.1
+GRIP_PITCH_M = 0.005
 
 
 def torso(n: int = TORSO_POINTS) -> Layout:
@@ -36,7 +38,8 @@ def torso(n: int = TORSO_POINTS) -> Layout:
     All taxels are about equally far apart, so that rings have different numbers of them, as many
     as their length holds: where it changes, the lattice has dislocations.
     """
-    low, high = 0.002, 0.1
+    low = 0.002
+    high = 0.1
     for _ in range(30):  # the largest pitch at which there are n, to a nanometre
         pitch = 0.5 * (low + high)
         low, high = (pitch, high) if _rings(pitch)[1].sum() >= n else (low, pitch)
@@ -46,10 +49,13 @@ def torso(n: int = TORSO_POINTS) -> Layout:
         for count, way in zip(counts, along, strict=True)
     ]
     # The last rings, at the neck, lose what is too much.
-    angles, z = np.concatenate(rings)[:n], np.repeat(heights, counts)[:n]
+    angles = np.concatenate(rings)[:n]
+    z = np.repeat(heights, counts)[:n]
     widths, depths = _sections()
-    a, b = widths(z), depths(z)
-    cos, sin = np.cos(angles), np.sin(angles)
+    a = widths(z)
+    b = depths(z)
+    cos = np.cos(angles)
+    sin = np.sin(angles)
     places = np.stack([b * cos, a * sin, z], axis=1)
     around = np.stack([-b * sin, a * cos, np.zeros(n)], axis=1)
     upward = np.stack([depths(z, 1) * cos, widths(z, 1) * sin, np.ones(n)], axis=1)
@@ -70,7 +76,8 @@ def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
     steps = np.mean([np.hypot(np.diff(line(z)), np.diff(z)) for line in (widths, depths)], axis=0)
     way = np.concatenate([[0.0], np.cumsum(steps)])
     heights = np.interp(np.arange(0, way[-1], pitch), way, z)
-    a, b = widths(heights)[:, None], depths(heights)[:, None]
+    a = widths(heights)[:, None]
+    b = depths(heights)[:, None]
     parts = np.hypot(np.diff(b * np.cos(_AROUND)), np.diff(a * np.sin(_AROUND)))
     along = np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
     return heights, np.maximum(3, (along[:, -1] / pitch).astype(np.intp)), along

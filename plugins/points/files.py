@@ -150,7 +150,8 @@ def load_points(layout: str) -> Points:
 
 
 def _read_csv(lines: Sequence[str], name: str) -> Points:
-    header, rows = None, []
+    header = None
+    rows = []
     for number, line in enumerate(lines, start=1):
         where = f"{name}, line {number}"
         if line.startswith("#") or not line.strip():
@@ -183,7 +184,9 @@ def _row(cells: list[str], n: int, where: str) -> list[float]:
 
 
 def _read_icub(lines: Sequence[str], name: str) -> Points:
-    values, used, in_calibration = [], None, False
+    values = []
+    used = None
+    in_calibration = False
     for number, line in enumerate(lines, start=1):
         where = f"{name}, line {number}"
         if not line.strip():

@@ -34,7 +34,8 @@ from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
 from .files import Points, load_points
 from .surface import Edges, Joined, flattened, neighbours, parts
 
-SQUARE, HEXAGONAL = 4, 6
+SQUARE = 4
+HEXAGONAL = 6
 _AXES = {SQUARE: np.eye(2), HEXAGONAL: np.array([[1.0, 0.5], [0.0, math.sqrt(0.75)]])}
 """Axes of a lattice of spacing 1, as columns."""
 ORDERED = 0.3
@@ -141,7 +142,8 @@ def place(points: Points) -> Placement:
     """
     # Several taxels may stand at one place; of these the first is a neighbour of others.
     _, first, of_place = np.unique(points.places, axis=0, return_index=True, return_inverse=True)
-    places, normals = points.places[first], points.normals[first]
+    places = points.places[first]
+    normals = points.normals[first]
     edges = neighbours(places, normals)
     grids = []
     for part in parts(edges, len(places)):
@@ -183,7 +185,8 @@ def _lattice_of_part(places: Doubles, normals: Doubles, edges: Edges) -> Doubles
         steps = _turned(steps, -mean) / (0.5 * (spacing[edges.a] + spacing[edges.b]))[:, None]
         lattice = _joined(steps @ np.linalg.inv(axes).T, edges, n)
     else:
-        lattice, order = _squarest(plane) / _cell_size(plane), SQUARE
+        lattice = _squarest(plane) / _cell_size(plane)
+        order = SQUARE
     return _upright(lattice, places, order)
 
 
@@ -222,7 +225,8 @@ def _orientation(plane: Doubles, edges: Edges) -> tuple[int, Doubles]:
     spacing = _spacing(plane, edges)[edges.a]
     near = length < 1.25 * spacing
     direction = np.arctan2(step[near, 1], step[near, 0])
-    a, b = edges.a[near], edges.b[near]
+    a = edges.a[near]
+    b = edges.b[near]
     best = 0, np.zeros(n), ORDERED
     count = np.bincount(a, minlength=n)
     pairs = (count * (count - 1)).sum()
@@ -263,7 +267,8 @@ def _wrapped(angle: Doubles, order: int) -> Doubles:
 
 
 def _turned(steps: Doubles, angle: Doubles) -> Doubles:
-    cos, sin = np.cos(angle), np.sin(angle)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     x, y = steps.T
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
 
@@ -348,6 +353,7 @@ def _packed(
         n_rows, n_cols = (cells.max(axis=0) + 1).tolist()
         if left and left + n_cols > most:
             top, left, height = top + height + 1, 0, 0
-        rows[part], cols[part] = cells[:, 0] + top, cells[:, 1] + left
+        rows[part] = cells[:, 0] + top
+        cols[part] = cells[:, 1] + left
         left, height = left + n_cols + 1, max(height, n_rows)
     return rows, cols, (int(rows.max()) + 1, int(cols.max()) + 1)

@@ -32,7 +32,8 @@ from sparseskin.nodes.sensor.source import Source
 from .placing import Placement
 from .surface import neighbours
 
-DT_S, STEPS = 0.002, 5
+DT_S = 0.002
+STEPS = 5
 """Time step, and steps of a frame."""
 N_FRAMES = 1000
 SPEED_M_S = 0.1
@@ -40,7 +41,8 @@ DROP_M = 0.002
 """Height from which a body is pushed against the skin."""
 REST_S = 0.3
 """Time before a body moves along the skin: the oscillation of its landing decays."""
-HELD_S, LIFTED_S = 0.6, 0.2
+HELD_S = 0.6
+LIFTED_S = 0.2
 """Time for which a press lasts, and in which the body is lifted at `SPEED_M_S`."""
 SMOOTHED = 1.5
 """Standard deviation of the smoothing of a course, in the distance of taxels."""
@@ -97,7 +99,9 @@ class PointScene(Source):
         self.skin = placement.skin(PAPER_F_MAX_N, "N")
         self.rate_hz: float | None = 1 / (DT_S * STEPS)
         self.n_frames: int | None = N_FRAMES
-        self._scene, self._placement, self._seed = SCENES[name], placement, seed
+        self._scene = SCENES[name]
+        self._placement = placement
+        self._seed = seed
         points = placement.points
         self._radius = 0.5 * placement.pitch_m
         self._middles = points.places - self._radius * points.normals
@@ -105,11 +109,14 @@ class PointScene(Source):
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """Yield (stamp_ns, forces): true forces in N in [0, f_max], float32 (n_rows, n_cols)."""
-        scene, points = self._scene, self._placement.points
+        scene = self._scene
+        points = self._placement.points
         courses = self._courses()
         body = RigidBody(np.array([scene.mass_kg]), np.array([-scene.push_n]))
-        course, start_s = next(courses), 0.0
-        q, v = np.array([DROP_M]), np.zeros(1)
+        course = next(courses)
+        start_s = 0.0
+        q = np.array([DROP_M])
+        v = np.zeros(1)
         for frame in range(N_FRAMES):
             total = np.zeros(points.n)
             candidates: Indices | None = None
@@ -117,7 +124,10 @@ class PointScene(Source):
                 t_s = (frame * STEPS + step) * DT_S - start_s
                 if scene.presses and t_s >= HELD_S + LIFTED_S:
                     course, start_s = next(courses), start_s + t_s
-                    q, v, t_s, candidates = np.array([DROP_M]), np.zeros(1), 0.0, None
+                    q = np.array([DROP_M])
+                    v = np.zeros(1)
+                    t_s = 0.0
+                    candidates = None
                 here = 0 if scene.presses else round(max(0.0, t_s - REST_S) / DT_S)
                 if candidates is None:  # within a frame, a body moves by less than a millimetre
                     candidates = self._candidates(course, here % len(course.places))
@@ -188,13 +198,15 @@ class PointScene(Source):
 
     def _course(self, corners: Doubles) -> _Course:
         """Places on the skin along a way, `SPEED_M_S` times `DT_S` apart, smoothed."""
-        points, step_m = self._placement.points, SPEED_M_S * DT_S
+        points = self._placement.points
+        step_m = SPEED_M_S * DT_S
         lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(lengths)])
         at = np.arange(0.0, along[-1] + step_m / 2, step_m)
         places = np.stack([np.interp(at, along, axis) for axis in corners.T], axis=1)
         near = cKDTree(points.places).query(places, k=min(_NEAR, points.n))[1].reshape(len(at), -1)
-        normals, middle = points.normals[near].mean(axis=1), points.places[near].mean(axis=1)
+        normals = points.normals[near].mean(axis=1)
+        middle = points.places[near].mean(axis=1)
         width = SMOOTHED * self._placement.pitch_m / step_m
         places, normals, middle = (
             gaussian_filter1d(each, width, axis=0, mode="nearest")

@@ -226,7 +226,8 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
 def _reverse(edges: Edges) -> Indices:
     """Index of each edge in the other direction."""
     n = int(edges.a.max()) + 1
-    forth, back = edges.a * n + edges.b, edges.b * n + edges.a
+    forth = edges.a * n + edges.b
+    back = edges.b * n + edges.a
     order = np.argsort(forth)
     return order[np.searchsorted(forth[order], back)]
 
@@ -235,7 +236,8 @@ class Joined:
     """Coordinates whose differences along edges are as stated, by weighted least squares."""
 
     def __init__(self, edges: Edges, n: int, weights: Doubles | None = None) -> None:
-        self._edges, self._n = edges, n
+        self._edges = edges
+        self._n = n
         self._weights = np.ones(len(edges.a)) if weights is None else weights
         w = coo_matrix((self._weights, (edges.a, edges.b)), (n, n)).tocsc()
         degree = np.asarray(w.sum(axis=1)).ravel()

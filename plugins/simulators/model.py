@@ -22,7 +22,8 @@ MUJOCO = "mujoco:"
 FORM = "mujoco:MODEL.xml#SITE"
 INSTALL = "MuJoCo models need mujoco; pip install 'sparseskin[mujoco]'"
 SUFFIXES = (".xml", ".mjb")
-LEAST_STEP_S, LONGEST_STEP_S = 1e-6, 0.1
+LEAST_STEP_S = 1e-6
+LONGEST_STEP_S = 0.1
 """Allowed time step of a model, seconds; chosen: a shorter one takes hours for a second, a longer
 one passes through a skin."""
 MAX_DEPTH_M = 0.02

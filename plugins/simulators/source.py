@@ -79,10 +79,14 @@ class MujocoSource(Source):
         """
         import mujoco
 
-        model, data = self.model, self._reset()
+        model = self.model
+        data = self._reset()
         touch = Touch(model, data, self.pad, self.path)
-        self.touch, self.data = touch, data
-        f_max, step, n_frames = np.float32(self.skin.f_max), 0, 0
+        self.touch = touch
+        self.data = data
+        f_max = np.float32(self.skin.f_max)
+        step = 0
+        n_frames = 0
         while self.n_frames is None or n_frames < self.n_frames:
             self._drive(data)
             mujoco.mj_step1(model, data)

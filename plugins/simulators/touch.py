@@ -25,7 +25,8 @@ from .model import Pad, bears_load, touching_geoms
 APEX_M = 1000.0
 """Distance of the common start of all rays behind the skin, metres. Chosen: rays are parallel to
 1 um, and double precision resolves 1e-9 m."""
-_SEEN, _UNSEEN = 5, 4
+_SEEN = 5
+_UNSEEN = 4
 """Groups of geoms that rays meet, and do not."""
 
 
@@ -38,7 +39,9 @@ class Touch:
     """
 
     def __init__(self, model: Any, data: Any, pad: Pad, path: str = "model") -> None:
-        self._model, self._data, self._pad = model, data, pad
+        self._model = model
+        self._data = data
+        self._pad = pad
         self._geoms = touching_geoms(model, pad, path)
         self.presses = not bears_load(model, pad)
         # Rays look at a copy: visual groups and transparency decide what they meet.
@@ -78,7 +81,9 @@ class Touch:
             self._data.xfrc_applied[body] -= wrench
         self._applied = {}
         pressed = np.flatnonzero(forces > 0)
-        forces_on, points_on, bodies_on = forces[pressed], points[pressed], bodies[pressed]
+        forces_on = forces[pressed]
+        points_on = points[pressed]
+        bodies_on = bodies[pressed]
         for body in set(bodies_on.tolist()):
             on_it = bodies_on == body
             total = float(forces_on[on_it].sum())
@@ -91,7 +96,10 @@ class Touch:
         """Sum of the normal forces of MuJoCo's own contacts on the skin's body, newtons."""
         import mujoco
 
-        model, data, total, wrench = self._model, self._data, 0.0, np.zeros(6)
+        model = self._model
+        data = self._data
+        total = 0.0
+        wrench = np.zeros(6)
         for k in range(data.ncon):
             bodies = model.geom_bodyid[data.contact.geom[k]]
             if self._pad.body in bodies:
@@ -113,7 +121,8 @@ class Touch:
 
     def _near(self, middle: Doubles, normal: Doubles) -> Indices:
         """Geoms whose bounding sphere reaches the taxels; planes have none."""
-        model, geoms = self._seen, self._geoms
+        model = self._seen
+        geoms = self._geoms
         away = self._data.geom_xpos[geoms] - middle
         radius = model.geom_rbound[geoms]
         height = away @ normal
@@ -127,7 +136,9 @@ class Touch:
         """Forces, points where they act, and bodies that they act on, one of each a taxel."""
         n = len(self._places)
         middle, axes = self._frame()
-        forces, points, bodies = np.zeros(n), np.zeros((n, 3)), np.zeros(n, np.intp)
+        forces = np.zeros(n)
+        points = np.zeros((n, 3))
+        bodies = np.zeros(n, np.intp)
         near = self._near(middle, axes[:, 2])
         taxels = self._under(near, middle, axes)
         if not taxels.size:
@@ -135,7 +146,8 @@ class Touch:
         depths, hit, tops = self._depths(near, taxels, middle, axes)
         touched = np.flatnonzero(depths > 0)
         depths, at = depths[touched], taxels[touched]
-        normal, pad = axes[:, 2], self._pad
+        normal = axes[:, 2]
+        pad = self._pad
         points[at] = tops[touched] - depths[:, None] * normal
         bodies[at] = self._seen.geom_bodyid[hit[touched]]
         speeds = -self._speeds(pad.body, points[at], normal)
@@ -163,10 +175,12 @@ class Touch:
         """Penetrations in m, the geoms that penetrate (-1: none), and the tops of some taxels."""
         import mujoco
 
-        normal, n = axes[:, 2], len(taxels)
+        normal = axes[:, 2]
+        n = len(taxels)
         self._seen.geom_group[:] = _UNSEEN
         self._seen.geom_group[near] = _SEEN
-        hit, distance = np.full(n, -1, np.int32), np.empty(n)
+        hit = np.full(n, -1, np.int32)
+        distance = np.empty(n)
         lengths = self._lengths[taxels]
         mujoco.mj_multiRay(
             self._seen,
@@ -193,7 +207,9 @@ class Touch:
         """Penetration and geom where the first surface is deeper than is read; or none."""
         import mujoco
 
-        depth, hit, outward = self._pad.depth_m, np.full(1, -1, np.int32), np.zeros(3)
+        depth = self._pad.depth_m
+        hit = np.full(1, -1, np.int32)
+        outward = np.zeros(3)
         start = top - depth * normal
         distance = mujoco.mj_ray(
             self._seen, self._data, start, normal, self._group, True, -1, hit, outward

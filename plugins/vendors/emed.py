@@ -75,10 +75,13 @@ class EmedRecording(WholeRecording):
         self._header, self._first_number = first
 
     def read(self) -> Parsed:
-        header, first, name = self._header, self._first_number, self._lines.name
+        header = self._header
+        first = self._first_number
+        name = self._lines.name
         frames = [self._table(first)]
         while (page := self._next_page()) is not None:
-            number, where = page[1], self._lines.where
+            number = page[1]
+            where = self._lines.where
             if page[0] != header:
                 raise SourceError(
                     f"{where}: the header of frame {number} differs from the first one"
@@ -113,7 +116,9 @@ class EmedRecording(WholeRecording):
 
     def _table(self, number: int) -> Doubles:
         """Read the table of a frame, kPa, onto the full matrix, float64 (n_rows, n_cols)."""
-        lines, header, start = self._lines, self._header, self._lines.where
+        lines = self._lines
+        header = self._header
+        start = self._lines.where
         line = next((line for line in lines if line.strip(" \t")), "\f")
         if line.startswith("\f"):
             raise SourceError(f"{start}: frame {number} has no table")
@@ -132,7 +137,8 @@ class EmedRecording(WholeRecording):
             raise SourceError(f"{where}: the column labels do not rise")
 
         kpa = np.zeros((header.n_rows, header.n_cols))
-        last_row, n_cells = -1, 1 + len(columns) + has_sums
+        last_row = -1
+        n_cells = 1 + len(columns) + has_sums
         for line in lines:
             where = lines.where
             if line.startswith("\f"):

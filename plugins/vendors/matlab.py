@@ -23,9 +23,12 @@ from .hdf5 import Hdf5File, is_hdf5
 
 # Format: "MAT-File Format", The MathWorks, the chapter on level 5.
 _HEAD_BYTES = 128
-_MATRIX, _COMPRESSED = 14, 15
+_MATRIX = 14
+_COMPRESSED = 15
 """Types of elements: an array, and one in a stream of zlib."""
-_INT8, _INT32, _UINT32 = 1, 5, 6
+_INT8 = 1
+_INT32 = 5
+_UINT32 = 6
 _STORED = {
     **{1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"},
     **{7: "f4", 9: "f8", 12: "i8", 13: "u8"},
@@ -37,7 +40,8 @@ _CLASSES = {
     **{12: "i4", 13: "u4", 14: "i8", 15: "u8"},
 }
 """Classes of arrays of numbers in MATLAB."""
-_COMPLEX, _LOGICAL = 0x0800, 0x0200
+_COMPLEX = 0x0800
+_LOGICAL = 0x0200
 _MAX_DEPTH = 16
 """Structures within structures, chosen."""
 _MAX_AXES = 32

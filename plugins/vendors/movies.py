@@ -52,8 +52,10 @@ def read_cells(
     rows or cells are missing or too many, by the `keyword` of their number, or a reading is
     malformed.
     """
-    (n_rows, n_cols), label = shape, f"frame {number}"
-    readings, exists = np.zeros(shape), np.ones(shape, dtype=np.bool_)
+    (n_rows, n_cols) = shape
+    label = f"frame {number}"
+    readings = np.zeros(shape)
+    exists = np.ones(shape, dtype=np.bool_)
     row = 0
     while row < n_rows:
         line = next(lines, None)
@@ -106,7 +108,8 @@ def stamps(
         return None
     if not all(abs(time) <= 1e9 for time in known):
         raise SourceError(f"{name}: frame times lie outside 0..1e9 s")
-    found, days = [0], 0
+    found = [0]
+    days = 0
     for before, time in pairwise(known):
         # From the last minutes of a day to the first ones of the next.
         days += of_day and before - time > _DAY_S / 2

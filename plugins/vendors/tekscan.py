@@ -73,11 +73,13 @@ class TekscanRecording(WholeRecording):
         self._first = self._next_frame()
 
     def read(self) -> Parsed:
-        frames, frame = [], self._first
+        frames = []
+        frame = self._first
         while frame is not None:
             frames.append(frame)
             frame = self._next_frame()
-        forces, mask = stack_frames(frames, self._lines.name), self._mask
+        forces = stack_frames(frames, self._lines.name)
+        mask = self._mask
         assert self._number is not None
         if self._last is not None and self._number - 1 != self._last:
             raise SourceError(
@@ -96,7 +98,8 @@ class TekscanRecording(WholeRecording):
     def _next_frame(self) -> Doubles | None:
         """Read the next frame: its readings, and its time into `_times`; None at the end mark."""
         for text in self._lines:
-            line, where = text.strip(", \t"), self._lines.where
+            line = text.strip(", \t")
+            where = self._lines.where
             if not line:
                 continue
             if self._terminator and line == self._terminator:

@@ -70,14 +70,17 @@ class XsensorRecording(WholeRecording):
         self._first = self._frame()
 
     def read(self) -> Parsed:
-        first, mask, name = self._first, self._first.exists, self._lines.name
+        first = self._first
+        mask = self._first.exists
+        name = self._lines.name
         frames = [first]
         while (number := self._next_number()) is not None:
             where = self._lines.where
             check_number(number, self._number + 1, where)
             self._number = number
             frame = self._frame()
-            (rows, cols), (n_rows, n_cols) = frame.exists.shape, mask.shape
+            (rows, cols) = frame.exists.shape
+            (n_rows, n_cols) = mask.shape
             if (frame.sensor, rows, cols) != (first.sensor, n_rows, n_cols):
                 raise SourceError(
                     f"{where}: frame {number} is {rows} x {cols} of sensor {shown(frame.sensor)}, "
@@ -126,7 +129,8 @@ class XsensorRecording(WholeRecording):
 
     def _frame(self) -> _Frame:
         """Read the first sensor of a frame."""
-        number, begin = self._number, self._lines.where
+        number = self._number
+        begin = self._lines.where
         stated: dict[str, tuple[str, str]] = {}
         while (entry := self._next()) is not None and entry[0] != "SENSELS":
             if entry[0] in ("FRAME", "GROUP") or (entry[0] == "SENSOR" and "SENSOR" in stated):

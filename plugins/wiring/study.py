@@ -28,13 +28,17 @@ BLOCK = WIRED_BLOCK
 """Size of the Hadamard blocks, each the taxels of one amplifier."""
 SIDES = (4, 6, 8, 12, 16, 24, 32)
 LOCAL = tuple(f"local:{side}" for side in SIDES)
-ROW_LOCAL, SCRAMBLED, SINGLE = "row_local", "sbhe", "subsample"
+ROW_LOCAL = "row_local"
+SCRAMBLED = "sbhe"
+SINGLE = "subsample"
 KINDS_OF_PHI = (*LOCAL, SCRAMBLED, ROW_LOCAL, SINGLE)
 DRAG = "drag_wrench_64"
 BODIES = ("wrench", "fingertips", "gaussian")
-N_FRAMES, QUICK_FRAMES = 120, 15
+N_FRAMES = 120
+QUICK_FRAMES = 15
 #: Frames of the scene: from 0.24 s on, when the wrench has landed, 2 ms apart.
-DRAG_FIRST, DRAG_EVERY = 2400, 20
+DRAG_FIRST = 2400
+DRAG_EVERY = 20
 _CHUNK = 256
 _OFF_GRID = np.array([0.31, 0.17])
 PRESET_ROWS = {"skin": ROTATING, "paper": PAPER}
@@ -115,7 +119,8 @@ def conclusion(rows: pd.DataFrame) -> list[str]:
 
 def wiring(point: dict[str, Any]) -> dict[str, Any]:
     """Wires of each matrix. `point`: seed."""
-    n, exists = math.prod(SHAPE), np.ones(SHAPE, dtype=np.bool_)
+    n = math.prod(SHAPE)
+    exists = np.ones(SHAPE, dtype=np.bool_)
     m = m_of(n, RATIO, ROTATING)
     found: dict[str, Wiring] = {kind: array_wiring(*SHAPE, m) for kind in (ROW_LOCAL, SINGLE)}
     for kind in (*LOCAL, SCRAMBLED):
@@ -204,7 +209,9 @@ def count_crossings(
     total = 0
     for k in range(0, len(begins), _CHUNK):
         part = slice(k, k + _CHUNK)
-        p, q, first = begins[part, None], ends[part, None], np.arange(k, k + len(begins[part]))
+        p = begins[part, None]
+        q = ends[part, None]
+        first = np.arange(k, k + len(begins[part]))
         of_both = (_side(p, q, begins) * _side(p, q, ends) < 0) & (
             _side(begins, ends, p) * _side(begins, ends, q) < 0
         )
@@ -217,6 +224,7 @@ def _side(
     p: npt.NDArray[np.float64], q: npt.NDArray[np.float64], r: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
     """Sign of the side of the line p -> q on which r lies."""
-    d, e = q - p, r - p
+    d = q - p
+    e = r - p
     sign: npt.NDArray[np.float64] = np.sign(d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0])
     return sign

@@ -30,7 +30,10 @@ from sparseskin.nodes.sensor.files.recording import File, shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 
 # Format: Zarr storage specification, version 2.
-GROUP, ARRAY, ATTRIBUTES, NEW = ".zgroup", ".zarray", ".zattrs", "zarr.json"
+GROUP = ".zgroup"
+ARRAY = ".zarray"
+ATTRIBUTES = ".zattrs"
+NEW = "zarr.json"
 MARKERS = (GROUP, ARRAY, NEW)
 EPISODES = "meta/episode_ends"
 """Array of the numbers of frames up to the end of each episode, as replay buffers have it."""

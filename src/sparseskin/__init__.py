@@ -22,12 +22,12 @@ if TYPE_CHECKING:
         compress,
         make_solver,
         psnr_db,
-        read_recording,
         reconstruct,
         run_launch,
         simulate,
     )
     from .checks import check_basis, check_phi, check_solver
+    from .recordings import read_recording
     from .stream import Stream
 
     __version__: str
@@ -52,6 +52,7 @@ _HOMES = {
     "Subscription": "sparseskin.launch.attach.subscription",
     "subscribe": "sparseskin.launch.attach.subscription",
     "Stream": "sparseskin.stream",
+    "read_recording": "sparseskin.recordings",
     "load_launch": "sparseskin.launch.launchfile.load",
 }
 

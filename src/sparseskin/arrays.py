@@ -1,12 +1,10 @@
 """Compression, reconstruction, scenes, launch files and recordings on arrays."""
 
 import os
-import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,37 +12,34 @@ import numpy.typing as npt
 
 from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.launchfile.spec import LaunchFile
-from sparseskin.messages import Contacts, Measurements, Message, Reconstruction, Taxels, Truth
+from sparseskin.messages import (
+    Contacts,
+    Labels,
+    Measurements,
+    Message,
+    Reconstruction,
+    Taxels,
+    Truth,
+)
 from sparseskin.messages.frames import Frames, values_alone
 from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.bus import Bus
-from sparseskin.nodes.compressor.phi.base import Phi, fact
+from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
-from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.numerics.arrays import LARGEST, real_floats
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.faults.watch import solve_watched, watch_of
-from sparseskin.nodes.reconstructor.solvers.base import Solver, make_rotating_solver, newtons
-from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
-from sparseskin.nodes.recorder.bag.frames import (
-    array_names,
-    described,
-    frame_topics,
-    patch_of,
-    skin_of,
+from sparseskin.nodes.reconstructor.solvers.base import (
+    Solver,
+    make_rotating_solver,
+    newtons,
+    solver_fact,
 )
-from sparseskin.nodes.recorder.bag.patches import split_bag
-from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.recorder.convert.npz import export_npz
-from sparseskin.nodes.sensor.files.bag import is_bag
-from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
-from sparseskin.nodes.sensor.files.format import HEAD_BYTES
-from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.zero import Zero
 
@@ -108,7 +103,7 @@ def compress(
     """
     if not hasattr(phi, "forward"):
         raise PhiError(f"phi: got {type(phi).__name__}; expected what make_phi returns")
-    if fact(phi, "choice"):
+    if phi_fact(phi, "choice"):
         fault = f'phi "{phi.kind}" chooses rows by what it reads, and measurements alone do not '
         raise PhiError(f"compress: {fault}state which; allowed: other kinds, or a graph")
     if np.issubdtype(getattr(forces, "dtype", float), np.integer):
@@ -256,7 +251,7 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     >>> bool(sparseskin.psnr_db(forces, truth).min() > 30)
     True
     """
-    if getattr(solver, "name", "") == "skin":
+    if solver_fact(solver, "uses_blas"):
         warn_of_threads()
     if not hasattr(solver, "solve"):
         raise SolverError(f"solver: got {type(solver).__name__}; expected what make_solver returns")
@@ -409,6 +404,8 @@ class Frame:
     """Word of the `messages.Reason` for that; "" if there is none."""
     contacts: Contacts | None = None
     """Contacts of `forces`, arrays with an entry each, with `reconstructor.contacts=true`."""
+    label: Labels | None = None
+    """What presses: label, share, age; with a node recogniser."""
     missing: Mask | None = None
     """Taxels whose reading is missing, and filled in, (n_rows, n_cols); None: there are none."""
 
@@ -472,6 +469,8 @@ _PARTS = {Truth: "truth", Taxels: "taxels", Measurements: "measurements", Recons
 def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator[Frame]:
     found: dict[tuple[str, int], dict[str, Any]] = {}
     for message in messages:
+        if isinstance(message, Labels):
+            found.setdefault((message.patch, message.stamp_ns), {})["label"] = message
         if not isinstance(message, Frames):
             continue
         for one in message.split(held):
@@ -488,107 +487,3 @@ def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator
             }
     for (patch, stamp_ns), parts in found.items():
         yield Frame(patch, stamp_ns, **parts)
-
-
-@checked(SparseskinError)
-def read_recording(
-    path: str | os.PathLike[str], patch: str | None = None, **stated: Any
-) -> dict[str, Any]:
-    """Read a recording into arrays, under the names that `recording export --to npz` uses.
-
-    Parameters
-    ----------
-    path : str or path
-        A recording of sparseskin (.mcap, .mcap.part), or any file that the sensor reads; or
-        "example:fingers", which comes with the package.
-    patch : str, optional
-        Patch to read; needed where a bag has several.
-    **stated
-        What a file does not state: the keys of `Layout`, as the settings of the sensor (n_rows,
-        n_cols, unit, time, missing, ...). Not for recordings of sparseskin.
-
-    Returns
-    -------
-    dict
-        `forces` (readings), `truth`, `reconstruction`: float32 (k, n_rows, n_cols), NaN where a
-        reading is missing;
-        `measurements`: float32 (k, M), NaN behind the last one where M changes; `stamp_ns` (of
-        `forces`), `truth_stamp_ns`, `reconstruction_stamp_ns`, `measurements_stamp_ns`: int64
-        (k,), nanoseconds; `f_max` (float) and `unit` (str), `mask` (bool, shape (n_rows,
-        n_cols)), `pitch_m` (metres), `rate_hz`, as far as known; `notes` (tuple of str): how a
-        file was read, what was assumed, what was dropped. All forces in `unit`.
-
-    Raises
-    ------
-    SparseskinError
-        If the file is missing, malformed, or has no such frames.
-
-    Examples
-    --------
-    >>> import numpy as np, sparseskin, tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     np.save(f"{folder}/log.npy", np.ones((5, 4, 4), np.float32))
-    ...     recording = sparseskin.read_recording(f"{folder}/log.npy", rate_hz=100)
-    >>> recording["forces"].shape, recording["stamp_ns"][:2].tolist(), recording["unit"]
-    ((5, 4, 4), [0, 10000000], 'N')
-    """
-    if _is_bag(path):
-        if stated:
-            raise SparseskinError(f"{path}: a recording states {', '.join(stated)} itself")
-        return _read_bag(path, patch)
-    for word in stated:
-        if word not in KEYS:
-            raise SparseskinError(f"{word}: unknown argument{nearest_of(word, KEYS)}")
-    source = open_file(path, Layout(**stated))
-    forces, stamp_ns = _gathered(source)
-    return {
-        "forces": forces,
-        "stamp_ns": stamp_ns,
-        **described(source.skin, source.rate_hz),
-        "notes": tuple(source.take_lines()),
-    }
-
-
-def _gathered(source: RecordedSource) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """All frames and stamps; without a second copy where their number is known."""
-    if source.n_frames is None:
-        stamp_blocks, blocks = zip(*source.known(), strict=True)
-        return np.concatenate(blocks), np.concatenate(stamp_blocks)
-    forces = np.empty((source.n_frames, *source.skin.shape), dtype=np.float32)
-    stamp_ns = np.empty(source.n_frames, dtype=np.int64)
-    n = 0
-    for stamps, frames in source.known():
-        forces[n : n + len(frames)] = frames
-        stamp_ns[n : n + len(frames)] = stamps
-        n += len(frames)
-    return forces[:n], stamp_ns[:n]
-
-
-def _is_bag(path: str | os.PathLike[str]) -> bool:
-    """True for a recording of sparseskin; other programs write .mcap, too."""
-    name = Path(path).name
-    if name.endswith(FILE_SUFFIX + PART_SUFFIX):
-        return True
-    if not (name.endswith(FILE_SUFFIX) and Path(path).is_file()):
-        return name.endswith(FILE_SUFFIX)
-    with Path(path).open("rb") as file:
-        return is_bag(file.read(HEAD_BYTES))
-
-
-def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]:
-    with BagReader(path) as whole, tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
-        bag = split_bag(whole)
-        topics = frame_topics(bag, None)
-        patches = sorted({patch_of(topic) for topic in topics})
-        if patch is None and len(patches) > 1:
-            raise SparseskinError(f"{path}: has patches {', '.join(patches)}: state one of them")
-        patch = patch or patches[0]
-        wanted = [topic for topic in topics if patch_of(topic) == patch]
-        if not wanted:
-            raise SparseskinError(f"{path}: has no patch {patch!r} (it has {', '.join(patches)})")
-        (written,) = export_npz(bag, Path(folder) / "frames.npz", wanted)
-        skin = skin_of(bag, patch)
-        names = [name for topic in wanted for name in array_names(bag.topics[topic].schema)]
-        with np.load(written) as held:
-            found: dict[str, Any] = {name: held[name] for name in names}
-    return found | ({} if skin is None else described(skin, skin.rate_hz))

@@ -39,7 +39,8 @@ def check_phi(phi: Phi) -> dict[str, float]:
     if not isinstance(phi, Phi):
         raise PhiError(f"phi: got {phi!r}; expected what make_phi returns")
     test = _Test(PhiError, f"phi {phi.kind}")
-    x, y = _normal((2, phi.n)), _normal((2, phi.m))
+    x = _normal((2, phi.n))
+    y = _normal((2, phi.m))
     measured = test.applied("forward", phi.forward, x, (2, phi.m))
     spread = test.applied("adjoint", phi.adjoint, y, (2, phi.n))
     dot = test.dot_error("adjoint", (measured, y), (x, spread))
@@ -72,15 +73,15 @@ def check_basis(basis: Basis) -> dict[str, float]:
     """
     if not isinstance(basis, Basis):
         raise SparseskinError(f"basis: got {basis!r}; expected what make_basis returns")
-    test, shape = (
-        _Test(SolverError, f"basis {type(basis).__name__}"),
-        (2, basis.n_rows, basis.n_cols),
-    )
-    image, theta = _normal(shape), _normal(shape, 1)
+    test = _Test(SolverError, f"basis {type(basis).__name__}")
+    shape = (2, basis.n_rows, basis.n_cols)
+    image = _normal(shape)
+    theta = _normal(shape, 1)
     found = test.applied("analysis", basis.analysis, image, shape)
     made = test.applied("synthesis", basis.synthesis, theta, shape)
     dot = test.dot_error("synthesis", (found, theta), (image, made))
-    back, again = basis.synthesis(found), basis.analysis(made)
+    back = basis.synthesis(found)
+    again = basis.analysis(made)
     test.compare("synthesis of analysis", back, image, "the image")
     test.compare("analysis of synthesis", again, theta, "the coefficients")
     return {"dot": dot}
@@ -106,7 +107,8 @@ def check_solver(solver: Solver) -> dict[str, float]:
     """
     if not isinstance(solver, Solver):
         raise SolverError(f"solver: got {solver!r}; expected what make_solver returns")
-    test, shape = _Test(SolverError, f"solver {solver.name}"), solver.mask.shape
+    test = _Test(SolverError, f"solver {solver.name}")
+    shape = solver.mask.shape
     frames = _disc(shape) * solver.mask
     subsets = solver.subsets or (solver.phi,)
     phis = [subsets[k % len(subsets)] for k in range(N_FRAMES)]
@@ -185,7 +187,8 @@ class _Test:
     """The test of one part, whose failures are errors of a kind that name it."""
 
     def __init__(self, kind: type[SparseskinError], name: str) -> None:
-        self._kind, self._name = kind, name
+        self._kind = kind
+        self._name = name
 
     def fail(self, what: str, found: object, expected: str) -> NoReturn:
         raise self._kind(f"{self._name}{what}: {found}; expected: {expected}")
@@ -194,7 +197,8 @@ class _Test:
         self, name: str, apply: Callable[[Floats], Floats], given: Floats, shape: tuple[int, ...]
     ) -> Floats:
         """Apply to a batch of two frames, with checks of shape, type, values and bits."""
-        what, kept = f": {name}", given.copy()
+        what = f": {name}"
+        kept = given.copy()
         found = apply(given)
         if found.shape != shape or found.dtype != np.float32:
             self.fail(what, f"{found.dtype} of shape {found.shape}", f"float32 of shape {shape}")

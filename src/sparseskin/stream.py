@@ -14,7 +14,7 @@ from sparseskin.messages.reasons import first_reason
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import fact, phi_class
+from sparseskin.nodes.compressor.phi.base import phi_class, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import RATIO
 from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
 from sparseskin.nodes.lookup import suggestion
@@ -28,6 +28,8 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     estimated_error,
     make_rotating_solver,
     newtons,
+    solver_class,
+    solver_fact,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.zero import Zero
@@ -151,13 +153,14 @@ class Stream:
             raise SparseskinError(f"stream: sigmas = {sigmas!r} is not allowed; {allowed}")
         edge = CompressorSettings(phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed)
         edge.check()
-        if fact(phi_class(phi), "choice"):
+        if phi_fact(phi_class(phi), "choice"):
             raise PhiError(
                 f'stream: phi "{phi}" chooses rows by what it reads, and measurements alone do not '
                 "state which; allowed: other kinds, or a graph"
             )
         self._phis = edge.phis(self._skin)
-        self.n, self.m = self._phis[0].n, self._phis[0].m
+        self.n = self._phis[0].n
+        self.m = self._phis[0].m
         self._noise_model = None if sigmas is None else NoiseModel(f_max, *sigmas)
         noise_sd = noise_sd if sigmas is None else CLIP_SD * min(sigmas)
         self._noise_sd = newtons("stream", "noise_sd", noise_sd)
@@ -186,9 +189,12 @@ class Stream:
     @cached_property
     def _solver(self) -> Solver:
         """The solver, made when it is first used: an edge needs none."""
-        chosen, skin, phi = dict(self._host.chosen()), self._skin, self._phis[0]
-        name, basis = chosen.pop("solver"), make_basis(chosen.pop("basis"), *skin.shape)
-        if name == "skin":
+        chosen = dict(self._host.chosen())
+        skin = self._skin
+        phi = self._phis[0]
+        name = chosen.pop("solver")
+        basis = make_basis(chosen.pop("basis"), *skin.shape)
+        if solver_fact(solver_class(name), "uses_blas"):
             warn_of_threads()
         options = options_for_range(name, chosen, skin.f_max, phi)
         fast = self._host.fast

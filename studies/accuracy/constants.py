@@ -21,7 +21,8 @@ PARTS = ("damping", "most_alpha", "recall_memory", "motion_memory", "silence_kep
 """Constants that stay below 1: their distance to 1 is halved where others are doubled."""
 GROWTHS = ("noise_growth", "bias_forgotten")
 """Factors per frame: their distance to 1 is halved and doubled."""
-UNCHANGED, TIMES = "as they are", (0.5, 2.0)
+UNCHANGED = "as they are"
+TIMES = (0.5, 2.0)
 FORMATS = {
     **{"error, rotating rows, %": "+z.1f", "error, fixed rows, %": "+z.1f"},
     **{"moving, dB": "+z.2f", "sudden, dB": "+z.2f", "marked, %": ".0f"},

@@ -40,9 +40,13 @@ LEAST = 0.2
 FORCES = (0.2, 1.0, 5.0)
 """Bounds of the classes of total force, in ranges of a taxel. Chosen."""
 CLASSES = ("below 0.2", "0.2 to 1", "1 to 5", "above 5")
-FRAMES, QUICK_FRAMES = 400, 60
-UNTOUCHED, QUICK_UNTOUCHED = 1000, 50
+FRAMES = 400
+QUICK_FRAMES = 60
+UNTOUCHED = 1000
+QUICK_UNTOUCHED = 50
 FRAME_NS = 1_000_000
+BAND = 1.645
+"""Half width of the band that holds 90 % of normal errors, in their deviations. Derived."""
 TRUE = Limits(low=1.0, high=0.5)
 """Limits of true contacts: all taxels above 0.4 % of the range."""
 
@@ -77,7 +81,8 @@ def rows(out: Path, executor: str, frames: Sequence[Frames], seeds: Sequence[int
 
 def followed(point: Mapping[str, Any]) -> dict[str, Any]:
     """Follow the contacts of a point's frames in the reconstruction; at ratio 1 in the reading."""
-    take, ratio = opened(point), point["ratio"]
+    take = opened(point)
+    ratio = point["ratio"]
     name = RAW if ratio == 1 else DEFAULT
     made = Candidate(of="reading") if ratio == 1 else Candidate(PRESETS["skin"])
     estimator = made.make(Measurement(ratio, ROTATING), take, point["seed"])
@@ -111,7 +116,8 @@ class ContactScores:
         shape = self._take.mask.shape
         sigma = self._take.sigma_end
         state = self._take.state(sigma, sigma)
-        tracker, true = ContactTracker(state), ContactTracker(self._take.state(0.0, 0.0))
+        tracker = ContactTracker(state)
+        true = ContactTracker(self._take.state(0.0, 0.0))
         true.limits = TRUE
         if isinstance(estimator, Method):
             estimator.reset()
@@ -123,7 +129,9 @@ class ContactScores:
             solved = estimator.reconstruct(taxels)
             self.n_bytes = solved.n_bytes or VALUE_BYTES * self._take.n
             stamp_ns = (k + 1) * FRAME_NS
-            found = joined([tracker.update(solved.forces, solved.error, stamp_ns)])
+            common = solved.common_error
+            tracked = tracker.update(solved.forces, solved.error, stamp_ns, common=common)
+            found = joined([tracked])
             known = joined([true.update(truth, None, stamp_ns)])
             if k < n_early:
                 part.seen |= set(known["id"].tolist())
@@ -207,9 +215,12 @@ class ContactScores:
         taxels, mm and %, and in stated deviations (1: as stated); ids lost and swapped in 1000
         frames of a contact; bytes a frame.
         """
-        off, pitch_mm = _median(self.off), self._take.pitch_mm
-        force, in_sd = _median(self.relative), [_median(np.abs(z)) for z in self.in_sd]
-        n_begins, n_true = len(self.delays) + self.n_never, int(self.n_true.sum())
+        off = _median(self.off)
+        pitch_mm = self._take.pitch_mm
+        force = _median(self.relative)
+        in_sd = [_median(np.abs(z)) for z in self.in_sd]
+        n_begins = len(self.delays) + self.n_never
+        n_true = int(self.n_true.sum())
         part = 1000 / max(1, self.n_followed)
         return {
             "refused": "",
@@ -225,10 +236,19 @@ class ContactScores:
             "force": None if force is None else 100 * force,
             "total_sds": None if in_sd[0] is None else in_sd[0] / 0.6745,
             "centre_sds": None if in_sd[1] is None else in_sd[1] / 0.6745,
+            "total_held": _share_within(self.in_sd[0]),
+            "centre_held": _share_within(self.in_sd[1]),
             "lost": part * self.n_lost if n_true else None,
             "swapped": part * self.n_swapped if n_true else None,
             "n_bytes": self.n_bytes,
         }
+
+
+def _share_within(errors: Sequence[float]) -> float | None:
+    """Part in % of errors, in stated deviations, within the band that holds 90 % of normal ones."""
+    if not errors:
+        return None
+    return 100 * float(np.mean(np.abs(errors) < BAND))
 
 
 def _median(values: Any) -> float | None:

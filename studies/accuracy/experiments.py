@@ -25,17 +25,25 @@ from sparseskin.studies.frames import (
     part_of,
     scene_of,
 )
-from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
+from sparseskin.studies.harness import LARGER, PAPER_ROWS, Candidate, Experiment, Measurement
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.presses import BODIES, COURSES, SKINS
 
 RATIOS = (3, 4, 8)
-DEFAULT, SKIN, PAPER = "skin, rotating", "skin", "paper"
-ADAPTIVE, ALONE = "skin, adaptive", "skin, each frame alone"
-FEW_STEPS, FORMULA = "skin, 3 iterations", "skin, formula"
-SIMPLE = ("lattice", "hold", "subsample", "acts")
-"""Methods that read single taxels at the edge, and need no measurement matrix."""
-ALL, FILTERED, RAW = "skin, all taxels", "all taxels, filtered", "all taxels, raw"
+DEFAULT = "skin, rotating"
+SKIN = "skin"
+PAPER = "paper"
+ADAPTIVE = "skin, adaptive"
+ALONE = "skin, each frame alone"
+FEW_STEPS = "skin, 3 iterations"
+FORMULA = "skin, formula"
+ALIKE = ("lattice", "hold", *LARGER)
+"""Of `SIMPLE` those that need no choice of taxels, on all frames."""
+SIMPLE = (*ALIKE, "subsample", "acts")
+"""Methods that need no measurement matrix: single taxels, or fewer, larger ones."""
+ALL = "skin, all taxels"
+FILTERED = "all taxels, filtered"
+RAW = "all taxels, raw"
 CANDIDATES = {
     DEFAULT: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
     SKIN: Candidate(PRESETS["skin"]),
@@ -48,6 +56,7 @@ CANDIDATES = {
     "hold": Candidate(of="hold"),
     "subsample": Candidate({"solver": "interpolation"}, changes={"phi": "subsample"}),
     "acts": Candidate({"solver": "interpolation"}, changes={"phi": "acts"}),
+    **LARGER,
 }
 READINGS = {
     ALL: Candidate(PRESETS["skin"]),
@@ -58,7 +67,8 @@ READINGS = {
 
 WEIGHTS_N = (0.002, 0.008, 0.032)
 """Weights of total variation and of Haar for the paper's range, newtons."""
-FEW, MANY = "in the time of skin", "converged"
+FEW = "in the time of skin"
+MANY = "converged"
 """Iterations of the methods beside `skin`."""
 SINGLE = {
     SKIN: Candidate(PRESETS["skin"], alone=True),
@@ -79,20 +89,29 @@ SINGLE = {
 ALONE_FRAMES = 4
 
 SCENES = tuple(scenes.SCENES)
-SCENE_FRAMES, QUICK_SCENE_FRAMES = 4000, 150
-RATED_SCENES, RATES_HZ = ("drag_wrench_40", "path_40", "drag_wrench_64"), (1000, 300, 100, 30)
-SPAN_S, QUICK_SPAN_S, BEFORE_S = 3.0, 0.7, 0.02
+SCENE_FRAMES = 4000
+QUICK_SCENE_FRAMES = 150
+RATED_SCENES = ("drag_wrench_40", "path_40", "drag_wrench_64")
+RATES_HZ = (1000, 300, 100, 30)
+SPAN_S = 3.0
+QUICK_SPAN_S = 0.7
+BEFORE_S = 0.02
 """Time from shortly before the first contact on, and untouched time before it."""
-SIDES, QUICK_BODIES = (40, 64), ("wrench", "peg")
-SPEED, TOUCHED, PRESS_FRAMES = 0.25, 0.1, 160
+SIDES = (40, 64)
+QUICK_BODIES = ("wrench", "peg")
+SPEED = 0.25
+TOUCHED = 0.1
+PRESS_FRAMES = 160
 QUICK_PRESS_FRAMES = 60
 """Of moving bodies: taxels a frame, part of the skin that is touched, frames; of constants
 in a quick run."""
 SIZES = (*((shape, None) for shape in SKINS if shape[0] < 40), ((20, 20), None), ((20, 20), 42))
 """Small skins: shape, and number of scattered taxels (None: one in each cell)."""
 QUICK_SIZES = (((4, 4), None), ((10, 10), None))
-ACTIVE, SIZE_FRAMES = (0.1, 0.3, 0.6), 60
-LONGEST_RECORDED, QUICK_RECORDED = 300, 60
+ACTIVE = (0.1, 0.3, 0.6)
+SIZE_FRAMES = 60
+LONGEST_RECORDED = 300
+QUICK_RECORDED = 60
 
 PSNR = ("mean_db", "min_db", "first_db", "touched_mn", "n_contact")
 ERRORS = ("median", "mean", "vanished", "n_bytes", "n_contact")
@@ -111,7 +130,10 @@ class Runs:
     def __init__(
         self, out: Path, executor: str, quick: bool, seeds: Sequence[int], recordings: Path | None
     ) -> None:
-        self._out, self._executor, self._quick, self._seeds = out, executor, quick, seeds
+        self._out = out
+        self._executor = executor
+        self._quick = quick
+        self._seeds = seeds
         self._n_recorded = QUICK_RECORDED if quick else LONGEST_RECORDED
         self._files = readable(files_in(recordings), self._n_recorded) if recordings else []
 
@@ -143,12 +165,13 @@ class Runs:
         """The six scenes of the paper, at their own frame rates."""
         stop = QUICK_SCENE_FRAMES if self._quick else SCENE_FRAMES
         frames = [SceneFrames(scene, stop=stop - 20) for scene in SCENES]
-        names, scores = (DEFAULT, SKIN, ADAPTIVE, PAPER), (*PSNR, *MARKS, *ESTIMATES)
+        names = (DEFAULT, SKIN, ADAPTIVE, PAPER)
+        scores = (*PSNR, *MARKS, *ESTIMATES)
         return self._rows("scenes", frames, names, scores, (RAW, ALL))
 
     def rates(self) -> pd.DataFrame:
         """Scenes of which every k-th frame is read, so that bodies move further a frame."""
-        names = (DEFAULT, SKIN, PAPER, ALONE, "lattice", "hold")
+        names = (DEFAULT, SKIN, PAPER, ALONE, *ALIKE)
         frames = list(rated_frames(self._quick))
         rows = self._rows("rates", frames, names, PSNR, (ALL, FILTERED, RAW), ratios=(3,))
         step_ms = rows["scene"].map(lambda scene: 1e-6 * scene_of(scene).dt_ns)
@@ -162,7 +185,7 @@ class Runs:
             for course in COURSES
             for body in (QUICK_BODIES if self._quick else BODIES)
         ]
-        names = (DEFAULT, SKIN, FEW_STEPS, FORMULA, ADAPTIVE, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, FEW_STEPS, FORMULA, ADAPTIVE, PAPER, *ALIKE)
         return self._rows("presses", frames, names, (*PSNR, *MARKS, *ESTIMATES))
 
     def sizes(self) -> pd.DataFrame:
@@ -173,7 +196,7 @@ class Runs:
             for part in ACTIVE
             for body in BODIES
         ]
-        names = (DEFAULT, SKIN, PAPER, "lattice", "hold")
+        names = (DEFAULT, SKIN, PAPER, *ALIKE)
         return self._rows("sizes", frames, names, ERRORS)
 
     def constants(
@@ -182,7 +205,8 @@ class Runs:
         """Candidates at the largest ratio, fixed and rotating rows: on recordings, half as long as
         those of `recordings`; on bodies that move, and on a sudden contact.
         """
-        ratio, side = max(RATIOS), SIDES[0]
+        ratio = max(RATIOS)
+        side = SIDES[0]
         n_frames = QUICK_PRESS_FRAMES if self._quick else PRESS_FRAMES
         frames: list[Frames] = [*self.recorded_frames(self._n_recorded // 2)]
         frames += [
@@ -196,7 +220,8 @@ class Runs:
 
     def frames_alone(self) -> pd.DataFrame:
         """Single frames without a past, beside total variation and Haar, each weight by itself."""
-        stop, measurements = ALONE_FRAMES * 100, [*map(Measurement, RATIOS)]
+        stop = ALONE_FRAMES * 100
+        measurements = [*map(Measurement, RATIOS)]
         scenes = [SceneFrames(scene, first=0, stop=stop, every=100) for scene in SCENES[:4]]
         frames: list[Frames] = [*self.recorded_frames(ALONE_FRAMES), *scenes]
         return self._run("frames alone", frames, measurements, SINGLE, ("median", "mean_ms"))
@@ -204,7 +229,8 @@ class Runs:
     def recorded_frames(self, n_most: int | None = None) -> list[RecordedFrames]:
         """The recordings as sources of frames, of at most `n_most` each."""
         # The first frames are not scored: until "hold" has read all taxels once.
-        n, unscored = n_most or self._n_recorded, max(RATIOS)
+        n = n_most or self._n_recorded
+        unscored = max(RATIOS)
         return [RecordedFrames(str(path), digest_of(path), n, unscored) for path in self._files]
 
     def recordings(self) -> pd.DataFrame:

@@ -19,14 +19,16 @@ from sparseskin.studies.report import Page
 CHANGE = 1e-7
 """Change of a measurement, of either sign, in the largest one: its resolution in float32."""
 WITHIN = 1e-4
-CHANGED, READABLE = "measurements + 1e-7", "readable form"
+CHANGED = "measurements + 1e-7"
+READABLE = "readable form"
 
 
 def amplified(point: Mapping[str, Any]) -> dict[str, Any]:
     """Largest change of a force over the frames of a point, in the largest force: by a change of
     the measurements, and by the readable form in place of the compiled one.
     """
-    take, of_rows = opened(point), Measurement(point["N /"], point["rows"])
+    take = opened(point)
+    of_rows = Measurement(point["N /"], point["rows"])
     if take.n < point["N /"]:
         return {"methods": {}}
     settings: dict[str, dict[str, str]] = {"as it is": {}, CHANGED: {}, READABLE: {"fast": "off"}}
@@ -34,7 +36,9 @@ def amplified(point: Mapping[str, Any]) -> dict[str, Any]:
         name: Candidate({**PRESETS["skin"], **more}).make(of_rows, take, point["seed"])
         for name, more in settings.items()
     }
-    rng, largest, changes = np.random.default_rng(point["seed"]), 0.0, dict.fromkeys(settings, 0.0)
+    rng = np.random.default_rng(point["seed"])
+    largest = 0.0
+    changes = dict.fromkeys(settings, 0.0)
     for part in take.parts():
         for method in made.values():
             method.reset()

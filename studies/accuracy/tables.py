@@ -224,7 +224,8 @@ def single(page: Page, runs: Runs) -> str:
     parts = []
     for method, some in best[best["method"] != SKIN].groupby("method", sort=False):
         others = some.set_index(["of", "ratio"])["median"]
-        ahead, ms = int((ours <= others).sum()), f"{times[method]:.2g} ms"
+        ahead = int((ours <= others).sum())
+        ms = f"{times[method]:.2g} ms"
         parts.append(f"{method} ({ms}) in {ahead} of {len(others)}")
     line = f"Frames alone, {SKIN} ({times[SKIN]:.2g} ms) is ahead of {'; '.join(parts)}."
     page.section("Frames alone", joined.reset_index(), n=ALONE_FRAMES)
@@ -262,6 +263,8 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         by_ratio(rows, keys, "{force:.1f}"),
         "True deviations of total and centre, by the median of the errors, in those stated:",
         by_ratio(rows, keys, "{total_sds:.1f}, {centre_sds:.1f}"),
+        "Errors of total and centre within 1.645 stated deviations, of 90, in %:",
+        by_ratio(rows, keys, "{total_held:.0f}, {centre_held:.0f}"),
         "Ids lost and swapped, in 1000 frames of a contact:",
         by_ratio(rows, keys, "{lost:.1f}, {swapped:.1f}"),
         least=contacts.LEAST,
@@ -306,7 +309,8 @@ def without_rules(page: Page, runs: Runs, executor: str, quick: bool, seed: int)
 def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:
     """Recordings of real skins: errors, lost contacts, marks, and frames that are packed."""
     rows = runs.recordings()
-    compared, packed = rows[rows["ratio"] > 1], rows[rows["ratio"] == 1]
+    compared = rows[rows["ratio"] > 1]
+    packed = rows[rows["ratio"] == 1]
     lines = [*geometric(rows), *beaten(rows), smaller(rows)]
     page.csv("recordings", rows.drop(columns=["path"]))
     keys = ["recording"]
@@ -354,7 +358,8 @@ def geometric(rows: pd.DataFrame) -> list[str]:
 def beaten(rows: pd.DataFrame) -> list[str]:
     """Return a line a ratio: where the best simple method beats the default."""
     known = rows[(rows["ratio"] > 1) & rows["median"].notna()].astype({"median": float})
-    keys, lines = ["recording", "ratio"], []
+    keys = ["recording", "ratio"]
+    lines = []
     means = known.groupby([*keys, "method"], sort=False)["median"].mean().unstack("method")
     best = means[[name for name in SIMPLE if name in means]].min(axis=1)
     quotient = means[DEFAULT].clip(LEAST_ERROR) / best.clip(LEAST_ERROR)
@@ -427,7 +432,8 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
     for (name, path), some in rows.groupby(["recording", "path"], sort=False):
         part = part_of(str(path), n_most)
         x = part.truth[:, part.mask].astype(np.float64)
-        changes, norms = np.linalg.norm(np.diff(x, axis=0), axis=1), np.linalg.norm(x[1:], axis=1)
+        changes = np.linalg.norm(np.diff(x, axis=0), axis=1)
+        norms = np.linalg.norm(x[1:], axis=1)
         loaded = norms > LOADED * part.norm
         change = np.median(changes[loaded] / norms[loaded]) if loaded.any() else 0.0
         stop = part.first + len(part.frames)
@@ -455,7 +461,8 @@ def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
     panels = [(of, some) for of, some in means.groupby("recorded")]
     ratios = sorted(means["ratio"].unique())
     names = [f"N/{ratio}" if ratio > 1 else "all" for ratio in ratios]
-    ticks, n = [VALUE_BYTES / ratio for ratio in ratios], len(panels)
+    ticks = [VALUE_BYTES / ratio for ratio in ratios]
+    n = len(panels)
     labels = [f"{name}\n{tick:.3g}" for name, tick in zip(names, ticks, strict=True)]
     with Chart(out, "contacts", caption, n, n, size_in=(9.5, 5.0), sharey=True) as chart:
         for axes, (recorded, some) in zip(chart.panels, panels, strict=True):
@@ -472,7 +479,8 @@ def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
 def _draw_rates(out: Path, rows: pd.DataFrame) -> str:
     drawn = (DEFAULT, ALL, FILTERED, RAW, ALONE, "hold")
     caption = "Gain of mean PSNR over preset paper at N/3, by frame rate; contact frames"
-    n, ticks = len(RATED_SCENES), [1000 / rate for rate in RATES_HZ]
+    n = len(RATED_SCENES)
+    ticks = [1000 / rate for rate in RATES_HZ]
     labels = [f"{rate}\n{ms:.3g}" for rate, ms in zip(RATES_HZ, ticks, strict=True)]
     with Chart(
         out, "gain", caption, n, n, size_in=(9.5, 4.4), legend_columns=3, sharey=True

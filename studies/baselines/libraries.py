@@ -114,7 +114,8 @@ def _sigpy(problem: Bpdn) -> Solve:
     """Accelerated proximal gradient of SigPy."""
     import sigpy
 
-    n, m = problem.phi.n, problem.phi.m
+    n = problem.phi.n
+    m = problem.phi.m
     operator = _sigpy_operator(problem.forward, problem.adjoint, (n,), (m,))
     proximal = sigpy.prox.L1Reg([n], problem.lambda_n)
     settings = {"proxg": proximal, "alpha": 1.0, "show_pbar": False}
@@ -187,7 +188,8 @@ class TotalVariation:
     def __init__(self, phi: Phi, mask: Mask, weight: float, iterations: int) -> None:
         import sigpy
 
-        self._phi, self._mask = phi, mask
+        self._phi = phi
+        self._mask = mask
         self._flat = np.flatnonzero(mask)
         differences = sigpy.linop.FiniteDifference(list(mask.shape))
         proximal = sigpy.prox.L1Reg(differences.oshape, weight)
@@ -222,7 +224,8 @@ def _sigpy_operator(forward: Any, adjoint: Any, shape: Sequence[int], out: Seque
         def __init__(
             self, forward: Any, adjoint: Any, shape: Sequence[int], out: Sequence[int]
         ) -> None:
-            self._forward, self._backward = forward, adjoint
+            self._forward = forward
+            self._backward = adjoint
             super().__init__(list(out), list(shape))
 
         def _apply(self, x: Any) -> Any:

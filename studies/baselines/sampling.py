@@ -21,7 +21,9 @@ from sparseskin.studies.evaluate import VALUE_BYTES, Solved
 N_CODES = 255
 """Largest code of a reading in 8 bits."""
 CODECS = ("zstd", "zstd of change", "touched")
-NEWEST, DEAD_ZONE_N, JUMP_SIGMAS = 0.3, 0.03, 4.0
+NEWEST = 0.3
+DEAD_ZONE_N = 0.03
+JUMP_SIGMAS = 4.0
 """Of the filter of all taxels: weight of the newest reading, dead zone in newtons, and standard
 deviations of its noise by which a reading differs from its mean at a jump. Chosen."""
 

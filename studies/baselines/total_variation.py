@@ -16,7 +16,8 @@ from sparseskin.nodes.reconstructor.solvers.base import (
 
 #: Steps on the dual variables for each step on the image, and their length. 1/4 is the longest
 #: that converges for one axis (Chambolle 2004).
-DUAL_STEPS, DUAL_STEP = 2, 0.25
+DUAL_STEPS = 2
+DUAL_STEP = 0.25
 #: A difference of this many lambdas in the last frame has half its weight.
 HALF = 5.0
 

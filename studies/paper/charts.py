@@ -48,7 +48,8 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
     if by != "M":
         series = {f"{k} iterations": results.ours(scene, 3, str(k)) for k in ITERATIONS}
     series["noisy"] = results.ours(scene, 1)
-    contact, first = results.contact(scene), results.scenes[scene]["first"]
+    contact = results.contact(scene)
+    first = results.scenes[scene]["first"]
     begin = max(0, int(np.argmax(contact)) - 50)
     begins = {"representative": _longest_contact(contact), "first contact": begin}
     caption = f"PSNR over time, {PAPER[scene].title} 64 x 64, preset paper"
@@ -68,7 +69,8 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
 def _longest_contact(contact: npt.NDArray[np.bool_]) -> int:
     """First of the middle frames of the longest contact: forces change slowly there."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], contact, [False]])))
-    begins, ends = edges[::2], edges[1::2]
+    begins = edges[::2]
+    ends = edges[1::2]
     longest = int(np.argmax(ends - begins))
     middle = int(begins[longest] + ends[longest]) // 2
     return max(0, middle - SHOWN_FRAMES // 2)

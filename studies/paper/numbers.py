@@ -140,13 +140,15 @@ class Results:
 
     def chosen_frames(self, scene: str) -> dict[str, int]:
         """Numbers of the contact frames of median and of least PSNR, from N/3 by 20 iterations."""
-        psnr, contact = self.ours(scene, 3, "20"), np.flatnonzero(self.contact(scene))
+        psnr = self.ours(scene, 3, "20")
+        contact = np.flatnonzero(self.contact(scene))
         by_psnr = contact[np.argsort(psnr[contact])] + self.scenes[scene]["first"]
         return {"representative": int(by_psnr[len(by_psnr) // 2]), "worst": int(by_psnr[0])}
 
     def steps(self, scene: str) -> dict[str, Any]:
         """A line of table I."""
-        steps, contact = PAPER[scene].steps, self.contact(scene)
+        steps = PAPER[scene].steps
+        contact = self.contact(scene)
         row = {"scenario": self.name(scene), "steps paper": steps, "ours": len(contact)}
         return {**row, "difference": len(contact) - steps, "ours, in contact": int(contact.sum())}
 

@@ -53,7 +53,8 @@ FEW_LEVELS = "sparseskin.studies.paper.tables:FewLevelsHaarBasis"
 LEVELS = {40: 3, 64: 6}
 #: Scene of the paper's figure of forces, N/3, 20 iterations; frames before the first map: the
 #: warm start is then that of the whole sequence.
-MAPPED, BEFORE_MAPS = "drag_wrench_64", 200
+MAPPED = "drag_wrench_64"
+BEFORE_MAPS = 200
 
 Row = dict[str, Any]
 
@@ -154,7 +155,8 @@ def scene_figures(point: Row) -> Row:
     that are not 0 in float64, rounding included.
     """
     frames = SceneFrames(**point["frames"])
-    take, per_frame = frames.open(point["seed"]), defaultdict[str, list[Any]](list)
+    take = frames.open(point["seed"])
+    per_frame = defaultdict[str, list[Any]](list)
     levels = LEVELS[take.mask.shape[0]]
     for truth, taxels in chain(*take.parts()):
         per_frame["noisy_db"].append(round(psnr_db(taxels - truth, take.f_max), 3))
@@ -185,7 +187,8 @@ def frame_maps(point: Row) -> Row:
     first = max(0, numbers[0] - BEFORE_MAPS)
     take = SceneFrames(MAPPED, first - contact, numbers[-1] + 1 - contact).open(point["seed"])
     method = candidate(iterations=20).make(Measurement(3), every.open(0), point["seed"])
-    maps, psnr = [], []
+    maps = []
+    psnr = []
     for k, (truth, taxels) in enumerate(chain(*take.parts()), first):
         forces = method.reconstruct(taxels).forces
         if k in numbers:

@@ -77,9 +77,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
 def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Run a graph of nodes with stopwatches on the frames of a point; return the report of each.
 
-    `point` as of `measure`; and iterations, where their number is stated, priority of all nodes, and
-    processes, the name of the process of each node that shares one. Raises StudyError if the graph
-    fails.
+    `point` as of `measure`; and iterations, where their number is stated, priority of all nodes,
+    and processes, the name of the process of each node that shares one. Raises StudyError if the
+    graph fails.
     """
     source = f"sparseskin.studies.looped:{point['scene']}"
     names: tuple[str, ...] = ("preset", "depth", "contacts", "iterations")

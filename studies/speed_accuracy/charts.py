@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from sparseskin.studies.baselines.libraries import PEERS
-from sparseskin.studies.harness import TIMED_ON, unrefused
+from sparseskin.studies.harness import LARGER, TIMED_ON, unrefused
 from sparseskin.studies.report import (
     MARKERS,
     PALETTE,
@@ -45,6 +45,7 @@ from .time_chart import draw_times
 QUIET_SHARE = 0.95
 MEASURES = {"mean_db": "mean PSNR in dB", "min_db": "worst PSNR in dB"}
 FOCUS = {ROTATED: 2, PRESET_SKIN: 1, FORMULA: 3, "tv": 4, PAPER_LABEL: 0}
+FOCUS |= dict.fromkeys(LARGER, 5)
 """Series in colour in the chart of bytes, and the place of each in the palette."""
 CAPTION = (
     "Bytes of a frame's message against PSNR, frames 1 ms apart: along each line M grows, from "
@@ -115,6 +116,7 @@ def write(
     settings = "\n".join(
         f"- {label}: {', '.join(f'{k} {v}' for k, v in of.settings.items() if k != 'solver')}"
         for label, of in variants().items()
+        if label not in LARGER
     )
     n_busy = int((timed["cpu_share"].astype(float) < QUIET_SHARE).sum())
     busy = (
@@ -150,7 +152,8 @@ def write(
 
 def conclusion(by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> list[str]:
     """The default beside the paper's method and the reading of all taxels, at M = N/3."""
-    lines, best = [], []
+    lines = []
+    best = []
     for panel, of in by_panel.items():
         rows = swept(of)
         rows = rows[rows["ratio"] == CENTRE_RATIO].set_index("label")

@@ -21,7 +21,7 @@ import pandas as pd
 
 from sparseskin.messages import Measurements, Taxels
 from sparseskin.messages.wire import size_bytes
-from sparseskin.nodes.compressor.phi.base import KINDS, fact, phi_class
+from sparseskin.nodes.compressor.phi.base import KINDS, phi_class, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import ROTATING, m_of
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
@@ -30,18 +30,22 @@ from sparseskin.studies.baselines.libraries import PEERS
 from sparseskin.studies.baselines.wavelets import BASES
 from sparseskin.studies.evaluate import SUM_SOLVERS, VARIATION
 from sparseskin.studies.frames import SceneFrames, scene_of
-from sparseskin.studies.harness import PAPER_ROWS, Candidate, Experiment, Measurement
+from sparseskin.studies.harness import LARGER, PAPER_ROWS, Candidate, Experiment, Measurement
 
 QUICK_SCENES = ("drag_wrench_40", "lift_box_64")
-RATIOS, QUICK_RATIOS = (2, 3, 4, 8, 16), (3, 8)
-PARTS_RATIOS, CENTRE_RATIO = (3, 4, 8), 3
+RATIOS = (2, 3, 4, 8, 16)
+QUICK_RATIOS = (3, 8)
+PARTS_RATIOS = (3, 4, 8)
+CENTRE_RATIO = 3
 #: Every Phi but those that no solver of sums inverts.
 SUM_KINDS = tuple(
-    kind for kind in KINDS if not fact(phi_class(kind), "choice") and kind != "row_local"
+    kind for kind in KINDS if not phi_fact(phi_class(kind), "choice") and kind != "row_local"
 )
 PAPER_LABEL = "fista, preset paper"
-PRESET_SKIN, ROTATED = "skin, preset skin", "skin, rotating rows"
-FORMULA, INTERPOLATED = "skin, formula", "random taxels, interpolated"
+PRESET_SKIN = "skin, preset skin"
+ROTATED = "skin, rotating rows"
+FORMULA = "skin, formula"
+INTERPOLATED = "random taxels, interpolated"
 #: Best lambda of the paper's solver: a second reference.
 TUNED_LAMBDA_N = 0.0125
 #: Dead zones of the full reading, newtons.
@@ -75,6 +79,7 @@ def raced() -> dict[str, Candidate]:
     methods[PAPER_LABEL] = Candidate(PRESETS["paper"], changes=paper)
     methods["tv"] = Candidate({"solver": VARIATION, "basis": "haar"})
     methods[INTERPOLATED] = Candidate({"solver": "interpolation"}, changes={"phi": "subsample"})
+    methods |= LARGER
     settings = {key: PRESETS["paper"][key] for key in ("iterations", "lambda_n")}
     for name, peer in PEERS.items():
         if find_spec(peer.module):
@@ -88,8 +93,8 @@ def raced() -> dict[str, Candidate]:
 def variants() -> dict[str, Candidate]:
     """Solvers that M is swept of, by the label they are shown with.
 
-    Each preset, `skin` with rotating rows and without learned weights, the tuned FISTA, and each
-    solver that has no preset with its own defaults.
+    Each preset, `skin` with rotating rows and without learned weights, the tuned FISTA, each
+    solver that has no preset with its own defaults, and fewer, larger taxels.
     """
     paper = {"rows": PAPER_ROWS}
     solvers_by_label = {
@@ -99,7 +104,8 @@ def variants() -> dict[str, Candidate]:
         "fista, tuned": Candidate({**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N}, changes=paper),
         FORMULA: Candidate({**PRESETS["skin"], "gates": "formula"}),
     }
-    covered = {candidate.settings["solver"] for candidate in solvers_by_label.values()}
+    solvers_by_label |= LARGER
+    covered = {of.settings.get("solver", "") for of in solvers_by_label.values()}
     for label, name in SUM_SOLVERS.items():
         if name not in covered:
             solvers_by_label[label] = Candidate({"solver": name, "basis": "haar"})
@@ -128,7 +134,11 @@ def times(quick: bool, seed: int) -> Experiment:
 def solvers(quick: bool, seed: int) -> Iterator[Experiment]:
     """Every solver by M, and on all taxels."""
     known = variants()
-    fixed = {label: of for label, of in known.items() if of.changes.get("rows") != ROTATING}
+    fixed = {
+        label: of
+        for label, of in known.items()
+        if of.changes.get("rows") != ROTATING and label not in LARGER
+    }
     frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
     swept = [*map(Measurement, QUICK_RATIOS if quick else RATIOS)]
     for candidates, measurements in ((known, swept), (fixed, [Measurement(1, phi="full")])):

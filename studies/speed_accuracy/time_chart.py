@@ -27,7 +27,10 @@ CAPTION = (
     "Orange: the default by its number of iterations. Blue: other solvers. Green: other libraries, "
     "on the problem of preset paper"
 )
-ORANGE, BLUE, GREEN, BLACK = PALETTE[1], PALETTE[0], PALETTE[2], PALETTE[-1]
+ORANGE = PALETTE[1]
+BLUE = PALETTE[0]
+GREEN = PALETTE[2]
+BLACK = PALETTE[-1]
 _PLACES = ((6, 0), (-6, 0), (6, 9), (6, -9), (-6, 9), (-6, -9), (0, 11), (0, -11))
 """Places of a label about its point, in points; those of no room are tried further away, too."""
 _REACHES = (1.0, 1.8, 2.6, 3.4)

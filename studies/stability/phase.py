@@ -14,14 +14,18 @@ from scipy.special import ndtr
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.studies.evaluate import SUM_SOLVERS
 from sparseskin.studies.frames import PadFrames
-from sparseskin.studies.harness import Candidate, Experiment, Measurement
+from sparseskin.studies.harness import LARGER, Candidate, Experiment, Measurement
 from sparseskin.studies.report import Chart, Page
 
 from .sweeps import READINGS, own
 
-SIDE, N_STATIC, N_JUDGED = 40, 24, 8
-RHOS, QUICK_RHOS = (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75), (0.1, 0.3, 0.6)
-RATIOS, QUICK_RATIOS = (32, 16, 12, 8, 6, 4, 3, 2, 1.5), (16, 8, 4, 2)
+SIDE = 40
+N_STATIC = 24
+N_JUDGED = 8
+RHOS = (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75)
+QUICK_RHOS = (0.1, 0.3, 0.6)
+RATIOS = (32, 16, 12, 8, 6, 4, 3, 2, 1.5)
+QUICK_RATIOS = (16, 8, 4, 2)
 """K/M and N/M of the pads."""
 TITLES = {"skin": "skin, the default", "fista": "fista, the paper's solver"}
 LEAST_K = 13
@@ -49,8 +53,9 @@ def coefficients(ratio: float, quick: bool) -> dict[float, int]:
 
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
-    """Every solver and the readings, on pads at random places, by the ratio."""
-    candidates = {label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()} | READINGS
+    """Every solver, larger taxels and the readings, on pads at random places, by the ratio."""
+    candidates = {label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()}
+    candidates |= LARGER | READINGS
     seeds = range(seed, seed + (1 if quick else 3))
     for ratio in QUICK_RATIOS if quick else RATIOS:
         counts = [count for count in coefficients(ratio, quick).values() if count >= LEAST_K]
@@ -92,12 +97,14 @@ def _gains(rows: pd.DataFrame, quick: bool) -> Floats:
 
 
 def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
-    """Maps of the gain over M/N and K/M, a panel a solver, with the threshold of theory."""
+    """Maps of the gain over M/N and K/M, a panel a method, with the threshold of theory."""
     caption = (
         "Where compressing beats reading all taxels, frames that stand still, pads at random "
         "places. Blue: the reconstruction has a higher PSNR than the readings; grey: not computed"
     )
-    n, n_columns = len(SUM_SOLVERS), 3
+    methods = (*SUM_SOLVERS, *LARGER)
+    n_columns = 3
+    n = len(methods)
     size_in = (3.1 * n_columns, 2.6 * -(-n // n_columns) + 0.6)
     deltas = np.linspace(0.02, 0.85, 80)
     threshold = [weak_threshold(delta) for delta in deltas]
@@ -107,13 +114,13 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     y_edges = _edges(QUICK_RHOS if quick else RHOS)
     style: dict[str, Any] = {"cmap": "RdBu", "vmin": -15.0, "vmax": 15.0}
     with Chart(out, "phase_skin", caption, n, n_columns, size_in=size_in) as chart:
-        for axes, solver in zip(chart.panels, SUM_SOLVERS, strict=True):
-            gains = _gains(rows[rows["method"] == solver], quick)
+        for axes, method in zip(chart.panels, methods, strict=True):
+            gains = _gains(rows[rows["method"] == method], quick)
             axes.set_facecolor("0.85")
             axes.grid(False)
             cells = axes.pcolormesh(x_edges, y_edges, np.ma.masked_invalid(gains), **style)
             limits = {"xlim": (x_edges[0], x_edges[-1]), "ylim": (y_edges[0], y_edges[-1])}
-            axes.set(title=TITLES.get(solver, solver), xscale="log", **limits)
+            axes.set(title=TITLES.get(method, method), xscale="log", **limits)
             ticks = (32, 16, 8, 4, 2)
             axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])
             axes.minorticks_off()

@@ -48,7 +48,8 @@ class RestWorld:
 
     def describe(self) -> str:
         """Kind, size, level, noise and load in a line."""
-        skin, f_max = self.skin, self.skin.f_max
+        skin = self.skin
+        f_max = self.skin.f_max
         size = f"{skin.n_taxels} taxels of {skin.n_rows} x {skin.n_cols}"
         parts = f"level {self.level / f_max:.3f}, noise {self.noise / f_max:.4f} of f_max"
         return f"{self.kind}: {size}, {parts}, {self.load} from frame {self.begin} on"

@@ -13,10 +13,10 @@ import pandas as pd
 
 from sparseskin.nodes.compressor.node import MIN_BITS, MIN_BLOCK
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.nodes.reconstructor.solvers.base import fact, solver_class
+from sparseskin.nodes.reconstructor.solvers.base import solver_class, solver_fact
 from sparseskin.studies.evaluate import SUM_SOLVERS, settings_of
 from sparseskin.studies.frames import SceneFrames
-from sparseskin.studies.harness import Candidate, Experiment, Measurement
+from sparseskin.studies.harness import LARGER, Candidate, Experiment, Measurement
 from sparseskin.studies.report import Chart, Page, draw_lines, markdown
 
 EXCERPTS = (
@@ -26,6 +26,8 @@ EXCERPTS = (
 )
 """An impact frame by frame, and at 100 Hz a wrench dragged and a light peg on its way."""
 READINGS = {"readings": Candidate(of="reading")}
+METHODS = (*SUM_SOLVERS, *LARGER)
+"""Order of the curves."""
 FAILS_DB = 3.0
 """Loss from the best of a sweep that counts as failing, in PSNR or over the touched taxels."""
 SHOWN = {"mean_db": ("PSNR, dB", 10, 70), "touched_db": ("1 N / error where touched, dB", 0, 60)}
@@ -82,6 +84,8 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
                 if key in settings_of(name)
                 for value in values
             }
+        if key == "noise":
+            candidates |= LARGER  # nothing else is a setting of them
         scores = ("mean_db", "touched_mn")
         yield Experiment(key, frames, measurements, candidates | READINGS, scores, (seed,))
 
@@ -93,7 +97,8 @@ def swept(one: Experiment, out: Path, executor: str) -> pd.DataFrame:
     value = rows[one.label] if one.label in rows else pd.to_numeric(split[1])
     rows = rows.assign(sweep=one.label, solver=split[0], value=value)
     rows["touched_db"] = -20 * np.log10((1e-3 * rows["touched_mn"]).clip(1e-6))
-    keys, names = ["sweep", "ratio", "solver", "value"], list(SHOWN)
+    keys = ["sweep", "ratio", "solver", "value"]
+    names = list(SHOWN)
     means = rows.groupby(keys, sort=False, dropna=False)[names].mean().reset_index()
     noisy = means[means["solver"].isin(READINGS)].rename(columns={s: f"noisy_{s}" for s in names})
     on = ["ratio", *(["value"] if noisy["value"].notna().all() else [])]
@@ -109,8 +114,8 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
         charts += [_draw(page.out, int(ratio), some), markdown(sweep_table(some))]
     page.csv("settings", rows)
     classes = {label: solver_class(name) for label, name in SUM_SOLVERS.items()}
-    ranges = {label: fact(cls, "lambdas_n") for label, cls in classes.items()}
-    least = {label: fact(cls, "least_iterations") for label, cls in classes.items()}
+    ranges = {label: solver_fact(cls, "lambdas_n") for label, cls in classes.items()}
+    least = {label: solver_fact(cls, "least_iterations") for label, cls in classes.items()}
     known = {
         "lambdas": ", ".join(f"{r[0]:g} to {r[1]:g} ({label})" for label, r in ranges.items() if r),
         "iterations": ", ".join(f"{number} ({label})" for label, number in least.items()),
@@ -121,19 +126,21 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
 
 def _draw(out: Path, ratio: int, frame: pd.DataFrame) -> str:
     """Chart of the sweeps, a column each: PSNR, and below it the error where touched."""
-    n, caption = len(SETTINGS), f"Settings, M = N/{ratio}."
+    n = len(SETTINGS)
+    caption = f"Settings, M = N/{ratio}."
     size_in = (n * 2.9, 5.2)
     with Chart(out, f"settings_n{ratio}", caption, 2 * n, n, size_in=size_in) as chart:
         for k, (key, sweep) in enumerate(SETTINGS.items()):
             some = frame[frame["sweep"] == key].copy()
             for below, (score, (title, low, high)) in enumerate(SHOWN.items()):
-                axes, noisy = chart.panels[n * below + k], f"noisy_{score}"
+                axes = chart.panels[n * below + k]
+                noisy = f"noisy_{score}"
                 some[[score, noisy]] = some[[score, noisy]].clip(low, high)
                 readings = some.drop_duplicates("value").sort_values("value")
                 grey: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
                 label = "readings of all taxels"
                 axes.plot(readings["value"], readings[noisy], label=label, **grey)
-                draw_lines(axes, some, "value", score, "solver", list(SUM_SOLVERS), markersize=3.5)
+                draw_lines(axes, some, "value", score, "solver", METHODS, markersize=3.5)
                 axes.set(xscale=sweep.scale, xlabel=sweep.label if below else "")
                 axes.set_ylabel("" if k else title)
     return chart.markdown
@@ -147,7 +154,8 @@ def sweep_table(frame: pd.DataFrame) -> pd.DataFrame:
 
     lines = []
     for (key, solver), some in frame.reset_index().groupby(["sweep", "solver"], sort=False):
-        best, worst = some["mean_db"].idxmax(), some["mean_db"].idxmin()
+        best = some["mean_db"].idxmax()
+        worst = some["mean_db"].idxmin()
         ends = {"best, dB (where touched)": both(some.loc[best]), "worst": both(some.loc[worst])}
         fails = failing(some, SETTINGS[str(key)])
         lines.append({"swept": key, "solver": solver, **ends, "fails": fails})

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
+from sparseskin.studies.evaluate import CLOSE
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import PALETTE, Chart, Page
 
@@ -106,13 +107,15 @@ def judged(worlds: Sequence[dict[str, Any]], out: Path, executor: str) -> pd.Dat
 
 def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
     """Of each kind: number of worlds; shares of wrong frames, silent ones and false alarms; worlds
-    with a silent frame, and with force that stays after release; medians of the errors.
+    with a silent frame, and with force that stays after release; medians of the errors; share of
+    the estimated errors that are close to the true one.
     """
     kinds = rows.assign(
         worlds=1, of_silent=rows["silent"] > 0, of_residue=rows["residue"] > RESIDUE
     ).groupby(by, sort=False)
     names = ["worlds", "frames", "wrong", "silent", "right", "alarms", "of_silent", "of_residue"]
-    sums = kinds[names].sum()
+    sums = kinds[[*names, "estimated", "close"]].sum()
+    sums["close"] = sums["close"] / sums["estimated"].where(sums["estimated"] > 0)
     sums["wrong"] = sums["wrong"] / sums["frames"]
     sums["silent"] = sums["silent"] / sums["frames"]
     # Where no frame is right, no alarm can be false.
@@ -141,16 +144,21 @@ def without_fault(page: Page, rows: pd.DataFrame) -> str:
             "silent, %": kinds["silent"].map(percent),
             "false alarms, %": kinds["alarms"].map(percent),
             "force stays": kinds["of_residue"],
+            "estimate close, %": kinds["close"].map(percent),
         }
     )
     page.section("Worlds without a fault", table, residue=f"{RESIDUE:.0%}")
     still = sound[(sound["motion"] == "still") & (sound["rows"] == ROTATING)]
     still = still[still["reading"] < GOOD]
     is_far = still["error"] > FAR_FROM_READING * still["reading"]
+    sums = sound.groupby("rows")[["close", "estimated"]].sum()
+    close = {rows: percent(k / n) for rows, k, n in sums.itertuples() if n}
+    each = ", ".join(f"{share} % ({rows} rows)" for rows, share in close.items())
     return (
         f"Without a fault, {_counts(sound)}; force stays after release in "
         f"{(sound['residue'] > RESIDUE).sum()}; still loads with rotating rows have more than "
-        f"twice the error of reading all taxels in {is_far.sum()} of {len(still)}."
+        f"twice the error of reading all taxels in {is_far.sum()} of {len(still)}; estimated "
+        f"errors are within a factor of {CLOSE:g} in {each} of the pressed frames."
     )
 
 

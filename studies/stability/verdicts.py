@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -18,13 +19,13 @@ from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import m_of
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import TINY, Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.reconstructor.solvers.base import estimated_error
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.studies.evaluate import WRONG
+from sparseskin.studies.evaluate import CLOSE, WRONG
 
 from .worlds import Frame, World
 
@@ -33,6 +34,9 @@ GOOD = 0.2
 LEAST_NORM = 0.1
 """Part of the largest frame's norm that errors are divided by at least: nothing is a relative error
 of frames without a load. Chosen."""
+LEAST_PRESSED = 0.05
+"""Part of the largest frame's norm from which on an estimated error is compared with the true one.
+Chosen."""
 UNSETTLED = 8
 """Frames until which an estimate may follow a change, an alarm may be raised: one cycle of the rows
 at N/8."""
@@ -40,13 +44,15 @@ at N/8."""
 
 class Answer(NamedTuple):
     """Forces of a frame, newtons; if they are to be trusted, and why not. `is_empty`: True if the
-    measurements that arrived hold nothing of the skin.
+    measurements that arrived hold nothing of the skin. `error`: estimated RMS error of a taxel,
+    newtons; None if it is not estimated.
     """
 
     forces: Floats
     trusted: bool
     reason: str
     is_empty: bool
+    error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -58,8 +64,9 @@ class Verdict:
     all taxels; `wrong`: frames with an error above 0.5 where reading all has less than 0.2;
     `silent`: those of them that are trusted; `right`: frames with an error below 0.2 that hold
     something of the skin; `alarms`: those of them that are not trusted; `residue`: force that
-    stays after release, beyond what is read then, in the total of the load; `reasons`: number of
-    frames by reason.
+    stays after release, beyond what is read then, in the total of the load; `estimated`:
+    pressed frames whose error is estimated; `close`: those of them whose estimate is within a
+    factor of 1.5 of the true error; `reasons`: number of frames by reason.
     """
 
     error: float | None
@@ -70,6 +77,8 @@ class Verdict:
     right: int
     alarms: int
     residue: float
+    estimated: int
+    close: int
     reasons: dict[str, int]
 
 
@@ -90,7 +99,7 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
             yield frame, None
             continue
         forces = host.reconstruct(y, k)
-        yield frame, Answer(forces, host.trusted, getattr(host, "reason", ""), spoiler.is_empty)
+        yield frame, Answer(forces, host.trusted, host.reason, spoiler.is_empty, host.error)
 
 
 def through_arrays(
@@ -115,8 +124,8 @@ def through_arrays(
         if subsets:
             solver.use(subsets[k % len(subsets)])
         forces = reconstruct(y, solver)
-        _, trusted = estimated_error(solver)
-        yield frames[k], Answer(forces, trusted, getattr(solver, "reason", ""), spoiler.is_empty)
+        estimate, trusted = estimated_error(solver)
+        yield frames[k], Answer(forces, trusted, solver.reason, spoiler.is_empty, estimate)
 
 
 def _state_noise(solver: Any, world: World) -> None:
@@ -149,7 +158,8 @@ def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | Non
             continue
         messages = host.step(replace(measured, y=y[np.newaxis]))
         (answer,) = (message for message in messages if isinstance(message, Reconstruction))
-        yield frame, Answer(answer.forces[0], answer.trusted[0], answer.reason[0], spoiler.is_empty)
+        trust = answer.trusted[0], answer.reason[0]
+        yield frame, Answer(answer.forces[0], *trust, spoiler.is_empty, answer.error[0])
 
 
 def _skin_state(world: World) -> SkinState:
@@ -192,7 +202,9 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
     frames = [world.truth(k) for k in range(times.end)]
     norms = np.array([np.linalg.norm(truth) for truth in frames])
     scale = np.maximum(norms, LEAST_NORM * norms.max())
+    is_pressed = norms > LEAST_PRESSED * norms.max()
     is_touched = np.any([truth > 0 for truth in frames], axis=0)
+    root_n = math.sqrt(np.count_nonzero(world.exists))
     total = max(float(truth.sum()) for truth in frames)
 
     error = np.full(times.end, np.nan)
@@ -200,6 +212,7 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
     is_trusted = np.zeros(times.end, dtype=np.bool_)
     is_empty = np.zeros(times.end, dtype=np.bool_)
     residue = 0.0
+    quotients = []
     reasons: Counter[str] = Counter()
     for k, (frame, answer) in enumerate(answers):
         reading[k] = np.linalg.norm(frame.healthy - frame.truth) / scale[k]
@@ -208,6 +221,9 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
         error[k] = np.linalg.norm(answer.forces - frame.truth) / scale[k]
         is_trusted[k] = answer.trusted
         is_empty[k] = frame.is_empty or answer.is_empty
+        if answer.error and is_pressed[k] and k >= max(world.first_judged, UNSETTLED):
+            distance = np.linalg.norm(answer.forces - frame.truth)
+            quotients.append(answer.error * root_n / (distance + TINY))
         if k >= world.first_judged and answer.reason:
             reasons[answer.reason] += 1
         if k >= times.release + UNSETTLED:
@@ -228,6 +244,8 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
         right=int(is_right.sum()),
         alarms=int((is_right & ~is_trusted).sum()),
         residue=residue,
+        estimated=len(quotients),
+        close=sum(bool(1 / CLOSE < quotient < CLOSE) for quotient in quotients),
         reasons=dict(reasons),
     )
 

@@ -30,7 +30,8 @@ BATCH = 96
 """Presses of a batch, each with all its tiles."""
 FLOOR = 1e-3
 """Part of the noise variance below which a squared error counts as none."""
-HELD_OUT, SCORED = 256, (0.001, 0.01, 0.03, 0.1, 0.3, 1.0)
+HELD_OUT = 256
+SCORED = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Presses that are not trained on, and the noise at which they are scored."""
 EVERY = 100
 """Batches from one row of the table to the next."""
@@ -179,9 +180,11 @@ def trained(
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        drawn, network = Drawn(seed, presses(n_presses, seed)), first_network(seed)
+        drawn = Drawn(seed, presses(n_presses, seed))
+        network = first_network(seed)
         optimiser = torch.optim.Adam(network.values(), lr=RATE)
-        rows, mean = list[dict[str, Any]](), 0.0
+        rows = list[dict[str, Any]]()
+        mean = 0.0
         for k in trange(n_batches, desc="tiles", leave=False):
             for group in optimiser.param_groups:
                 group["lr"] = RATE * 0.5 * (1 + math.cos(math.pi * k / n_batches)) + 1e-6

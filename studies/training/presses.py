@@ -40,7 +40,8 @@ def masks(rng: np.random.Generator, count: int) -> Floats:
     made = np.ones((count, SIDE, SIDE), dtype=np.float32)
     row, col = np.mgrid[:SIDE, :SIDE] + 0.5
     for k in np.flatnonzero(rng.random(count) < 0.2):
-        c, a = rng.uniform(8, 24, 2), rng.uniform(4, 20, 2)
+        c = rng.uniform(8, 24, 2)
+        a = rng.uniform(4, 20, 2)
         power = rng.choice([2.0, 4.0, 64.0])
         made[k] = np.abs((row - c[0]) / a[0]) ** power + np.abs((col - c[1]) / a[1]) ** power < 1
     return made
@@ -125,7 +126,8 @@ def shapes(rng: np.random.Generator) -> Shape:
     if which == 3:  # a soft pad
         return lambda x, y: np.exp(-((x / a) ** 2) - (y / b) ** 2)
     if which == 4:  # a tool: a shaft with a head, or with two
-        shaft, head = rng.uniform(0.6, 2.0), rng.uniform(1.5, 5.0)
+        shaft = rng.uniform(0.6, 2.0)
+        head = rng.uniform(1.5, 5.0)
         gap = rng.uniform(0, 0.8) * head
         two = rng.random() < 0.5
 
@@ -148,7 +150,8 @@ def shapes(rng: np.random.Generator) -> Shape:
                 f = f + max(0.0, level) * np.exp(-((x - 11) ** 2 + (y - 3 * k + 4.5) ** 2) / 2)
             return f - 0.05
 
-        rng_level, bridge = rng.uniform(0.4, 1.4), rng.uniform(0, 0.4)
+        rng_level = rng.uniform(0.4, 1.4)
+        bridge = rng.uniform(0, 0.4)
         return foot
     if which == 6:  # a peg of a few taxels
         r = rng.uniform(0.5, 2.5)

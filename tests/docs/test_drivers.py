@@ -19,7 +19,8 @@ from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.sensor.sources import open_source
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-UDP_SHAPE, SERIAL_SHAPE = (40, 40), (12, 32)
+UDP_SHAPE = (40, 40)
+SERIAL_SHAPE = (12, 32)
 
 
 @pytest.fixture
@@ -45,7 +46,8 @@ class UdpSkin:
 
     def __init__(self, *packets, pause_s=0.001):
         self.port = free_port(socket.SOCK_DGRAM)
-        self._packets, self._pause_s = packets, pause_s
+        self._packets = packets
+        self._pause_s = pause_s
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._send, daemon=True)
         self._thread.start()
@@ -77,7 +79,8 @@ def taken(source, n):
 def test_packets_become_frames_in_newtons(opened):
     skin = UdpSkin(udp_frame(0), udp_frame(65535))
     source = opened("udp_skin", PORT=skin.port)
-    assert (source.skin.shape, source.skin.f_max) == (UDP_SHAPE, 2.5)
+    assert source.skin.shape == UDP_SHAPE
+    assert source.skin.f_max == 2.5
     frames = taken(source, 20)
     skin.stop()
     assert {float(frame.max()) for frame in frames} == {0.0, 2.5}

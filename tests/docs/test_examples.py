@@ -19,12 +19,12 @@ DRIVERS = {"serial_skin", "udp_skin", "wuji_glove"}
 #: Run below, as a job of several processes.
 JOBS = {"mpi_pool", "dask_pool"}
 WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m", "calibrate"}
-SLOW = WITH_PICTURE | {"run_graph", "own_solver", "noise_around_zero", "mujoco_skin"}
+SLOW = WITH_PICTURE | {"recogniser", "run_graph", "own_solver", "noise_around_zero", "mujoco_skin"}
 ARGUMENTS = {"board_emulator": ["--frames", "3"]}
 #: What each prints on its page (make gallery).
 PRINTED = tomllib.loads((EXAMPLES.parent / "docs/reference/examples.toml").read_text())
 #: Packages of extras that examples need.
-NEEDS = {"mujoco_skin": "mujoco"}
+NEEDS = {"mujoco_skin": "mujoco", "recogniser": "sklearn"}
 
 
 def names():

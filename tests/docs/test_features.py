@@ -36,7 +36,8 @@ def works(phi, solver, feature=""):
     if feature == "points":
         place = np.mgrid[: SHAPE[0], : SHAPE[1]].reshape(2, -1) * 0.004
         points = np.zeros((place.shape[1], 6), np.float32)
-        points[:, :2], points[:, 5] = place.T, 1
+        points[:, :2] = place.T
+        points[:, 5] = 1
     grid = {"n_rows": SHAPE[0], "n_cols": SHAPE[1], "mask": mask, "points": points}
     skin = skin_state(**grid, sigma_mid=0.02, has_truth=False)
     context = Context("", ManualClock(1), live=False)

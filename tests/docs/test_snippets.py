@@ -117,6 +117,7 @@ def test_the_driver_of_the_pages_delivers_frames(workplace):
 def test_launch_files_of_a_page_are_accepted(page, workplace):
     for name in ("arm", "desk"):
         assert cli.main(["keys", "make", name]) == 0
+    (workplace / "model.joblib").touch(mode=0o600)  # it is read when the node starts
     for number, block in enumerate(fenced(page, "toml")):
         path = workplace / f"page{number}.toml"
         path.write_text(block, encoding="utf-8")

@@ -202,10 +202,13 @@ def test_a_message_is_split_into_those_of_its_patches():
 
 def test_one_patch_needs_no_axis_where_its_message_is_made():
     made = Taxels(stamp_ns=5, patch="arm", forces=MAPS[1])
-    assert (made, made.forces.shape) == (Taxels(**HEAD, forces=MAPS).split()[1], (1, 2, 3))
+    assert made == Taxels(**HEAD, forces=MAPS).split()[1]
+    assert made.forces.shape == (1, 2, 3)
     np.testing.assert_array_equal(values_alone(made)["forces"], MAPS[1])
     found = values_alone(reconstructed().split()[1])
-    assert (found["iterations"], found["error"], found["trusted"]) == (3, 0.25, True)
+    assert found["iterations"] == 3
+    assert found["error"] == 0.25
+    assert found["trusted"]
 
 
 def test_forces_of_an_unchanged_patch_are_not_sent_and_are_those_of_its_last_frame():
@@ -219,7 +222,8 @@ def test_forces_of_an_unchanged_patch_are_not_sent_and_are_those_of_its_last_fra
     # A reader that came later has not seen them.
     assert [part.patch for part in now.split()] == ["hand", "back"]
     idle = reconstructed(True, True, True)
-    assert (len(idle.forces), [part.patch for part in idle.split(held)]) == (0, list(NAMES))
+    assert len(idle.forces) == 0
+    assert [part.patch for part in idle.split(held)] == list(NAMES)
 
 
 @pytest.mark.parametrize(
@@ -288,7 +292,9 @@ def test_quantised_measurements_survive_the_wire_to_the_bit(bits, m, seed):
     for form in (encode, sent):
         topic, payload = form(made)
         found = decode(topic, payload)
-        assert (found, found.y.bits, found.y.step) == (made, bits, made.y.step)
+        assert found == made
+        assert found.y.bits == bits
+        assert found.y.step == made.y.step
         # Encoded again, as by a recorder, it is the same message.
         assert form(found) == (topic, payload)
     assert len(msgpack.unpackb(encode(made)[1])["y"]["data"]) == -(-m * bits // 8)

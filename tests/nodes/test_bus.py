@@ -87,7 +87,7 @@ def test_the_full_matrix_and_no_shrinkage_give_back_the_taxels():
 NAMES = ("hand", "arm", "back")
 SIDE = 32
 BATCH = {"patch": "body", "patches": NAMES}
-SKIN = {"rows": SIDE, "cols": SIDE}
+SKIN = {"n_rows": SIDE, "n_cols": SIDE}
 WALK = {"source": "scene:walk"}
 SENSOR = BATCH | {"simulated": SKIN, "source": "scene:walk", "active": 0.5}
 HEAD = {"stamp_ns": 5, "patch": "body", "names": NAMES}
@@ -172,7 +172,7 @@ def test_frames_that_newer_ones_overtook_are_counted_for_each_patch():
             {"patches": [], "skip_idle": True, "uncertainty": True},
             "uncertainty: is not",
         ),
-        (Sensor, WALK | {"simulated": {"rows": 1024, "cols": 1024}}, "at most 1048576 cells"),
+        (Sensor, WALK | {"simulated": {"n_rows": 1024, "n_cols": 1024}}, "at most 1048576 cells"),
         (Sensor, WALK | {"simulated": SKIN | {"mask": ["01"]}}, "source: simulated: mask"),
         (
             Sensor,
@@ -188,7 +188,7 @@ def test_settings_that_are_not_allowed_are_one_line(cls, values, line):
 
 def test_masks_and_noise_of_a_simulated_skin_are_those_stated():
     rows = ["1" * 8] * 7 + ["0" * 8]
-    values = {**SENSOR, "simulated": {"rows": 8, "cols": 8, "mask": rows}}
+    values = {**SENSOR, "simulated": {"n_rows": 8, "n_cols": 8, "mask": rows}}
     sensor = Sensor(Sensor.Settings(**values), context())
     assert sensor.skin.n_taxels == 56
     for k in range(30):

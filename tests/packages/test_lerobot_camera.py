@@ -33,7 +33,8 @@ def solved(k: int) -> Reconstruction:
     found = frame(0)[3]
     assert isinstance(found, Reconstruction)
     forces = np.zeros((N_ROWS, N_COLS), np.float32)
-    forces[0, 0], forces[-1, -1] = k, 255
+    forces[0, 0] = k
+    forces[-1, -1] = 255
     return replace(found, stamp_ns=k * PERIOD_NS, forces=forces)
 
 
@@ -75,12 +76,14 @@ def test_images_are_the_taxels_in_grey_and_each_is_read_once(graph):
         levels = []
         for _ in range(5):
             image = one.async_read(timeout_ms=60_000)
-            assert (image.shape, image.dtype) == ((50, 70, 3), np.uint8)
+            assert image.shape == (50, 70, 3)
+            assert image.dtype == np.uint8
             assert (image[:10, :10] == image[0, 0]).all()  # a taxel
             assert (image[40:, 60:] == 255).all()
             assert not image[10:40].any()
             levels.append(int(image[0, 0, 0]))
-        assert (len(set(levels)), one.read_latest(max_age_ms=60_000).shape) == (5, (50, 70, 3))
+        assert len(set(levels)) == 5
+        assert one.read_latest(max_age_ms=60_000).shape == (50, 70, 3)
 
 
 @pytest.mark.parametrize(
@@ -132,6 +135,7 @@ def test_lerobot_records_images_and_the_contacts_of_the_same_frames(graph, tmp_p
     assert len(images) == len(rows) > 0
     for image, (trusted, *totals) in zip(images, rows, strict=True):
         k = round(totals[0] - 0.5) if totals[0] else 0
-        assert (totals, trusted) == ([0.5 + k if n < k % 3 else 0 for n in range(2)], k != 4)
+        assert totals == [0.5 + k if n < k % 3 else 0 for n in range(2)]
+        assert trusted == (k != 4)
         # The first taxel in the image, of a lossy video, has the force k.
         assert k % 3 == 0 or image[2:18, 2:18].mean() == pytest.approx(k, abs=8)

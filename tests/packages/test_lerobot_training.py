@@ -11,7 +11,8 @@ from sparseskin.messages import Reconstruction
 from sparseskin.plugins.bridges.contacts import state
 
 N_TAXELS = N_ROWS * N_COLS
-FPS, LENGTHS = 30, (20, 12)
+FPS = 30
+LENGTHS = (20, 12)
 
 
 @pytest.fixture(autouse=True)
@@ -90,7 +91,8 @@ def last_frame(row):
 @pytest.mark.parametrize(("touched", "window"), [(False, 1), (True, 4)])
 def test_act_trains_on_touch_alone(tmp_path, touched, window):
     dataset, policy = trained(export(tmp_path, touched, "--window", str(window)))
-    assert (dataset.num_episodes, policy.config.env_state_feature.shape) == (2, (N_TAXELS,))
+    assert dataset.num_episodes == 2
+    assert policy.config.env_state_feature.shape == (N_TAXELS,)
     row = dataset[5]
     assert row["observation.tactile.skin"].shape == (window, N_TAXELS)
     assert row["action"].shape == (4, *row["observation.state"].shape)

@@ -30,7 +30,8 @@ def compiled(described: EdgeDescription, folder: Path, *flags: str, test: bool =
     for sources in programs if test else programs[:1]:
         command = [*shared, *sources, "-o", sources[0].removesuffix(".c")]
         done = subprocess.run(command, cwd=out, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (0, "")
+        assert done.returncode == 0
+        assert done.stderr == ""
     return out
 
 
@@ -44,7 +45,8 @@ def sent(out: Path, described: EdgeDescription, frames: npt.NDArray[np.uint16]) 
     done = subprocess.run(
         [out / "edge_stream"], input=as_input(described, frames), capture_output=True, check=False
     )
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.returncode == 0
+    assert done.stderr == b""
     return done.stdout
 
 

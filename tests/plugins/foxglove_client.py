@@ -93,5 +93,6 @@ class FoxgloveClient:
 
 def pixels(image: Any) -> npt.NDArray[np.float32]:
     """Pixels of a foxglove.RawImage in 32FC1."""
-    assert (image.encoding, image.step) == ("32FC1", 4 * image.width)
+    assert image.encoding == "32FC1"
+    assert image.step == 4 * image.width
     return np.frombuffer(image.data, "<f4").reshape(image.height, image.width)

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Message, SkinState, Taxels, encode
+from sparseskin.messages import Measurements, Message, SkinState, Taxels, encode
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.plugins.design.models import FIGURES
-from sparseskin.plugins.design.strategies import SINGLE, STRATEGIES, Strategy
+from sparseskin.plugins.design.strategies import LARGER, SINGLE, STRATEGIES, Strategy
+from sparseskin.studies.baselines.larger import LargerTaxels
 from sparseskin.studies.presses import BODIES, Timing, press_frames
 from sparseskin.studies.speed.bodies import WARM_UP, made_node, timed_step
 
@@ -23,7 +24,8 @@ SIZES = ((12, 32), (32, 32), (64, 64))
 """Skins that are timed: from a fingertip pad to a palm."""
 DENSE = 0.2
 """Part of the taxels that a body presses: the most of those from which accuracy is stated."""
-N_CALM, N_PRESSED = 24, 60
+N_CALM = 24
+N_PRESSED = 60
 """Frames of each body that are timed, after `WARM_UP` others: untouched ones, then pressed ones."""
 N_REPEATS = 3
 """How often all is measured; the least time counts, as other programs on a core only add to it."""
@@ -49,17 +51,23 @@ def _measure(
 ) -> tuple[float, float, float]:
     """Median processor time under one body, microseconds: edge pressed, host untouched, pressed."""
     noise = NoiseModel.for_range(PAPER_F_MAX_N)
+    host: Any = _Decoder() if strategy.sums == SINGLE else made_node("reconstructor", {})
+    phi = strategy.phi
+    if phi == LARGER:
+        # The edge of a skin of fewer taxels, all of them read, and the interpolation.
+        host = _Interpolator(np.ones(shape, dtype=np.bool_), strategy.m(shape[0] * shape[1]))
+        shape = (shape[0] // 2, shape[1] // 2)
+        phi = "full"
     skin = Skin(*shape, noise.f_max, "N", 0.004)
-    settings: dict[str, Any] = {"phi": strategy.phi, "seed": seed, "rows": strategy.rows}
-    if strategy.phi != "full":
+    settings: dict[str, Any] = {"phi": phi, "seed": seed, "rows": strategy.rows}
+    if phi != "full":
         settings["m"] = strategy.m(skin.n_taxels, skin.n_rows)
     edge = made_node("compressor", settings)
-    host = _Decoder() if strategy.sums == SINGLE else made_node("reconstructor", {})
     stated: dict[str, Any] = {"stamp_ns": 0, "patch": "skin", "source": "presses", "seed": seed}
     stated |= {"rate_hz": 1000.0, "has_truth": False, **vars(skin)}
     state = SkinState(**stated, sigma_mid=noise.sigma_mid, sigma_end=noise.sigma_end)
-    (phi,) = edge.step(state)
-    for message in (state, phi):
+    (phi_state,) = edge.step(state)
+    for message in (state, phi_state):
         list(host.step(message))
     spent: dict[str, list[float]] = {"edge": [], "host": []}
     before = WARM_UP + N_CALM
@@ -82,6 +90,20 @@ class _Decoder:
 
     def step(self, message: Message) -> list[Message]:
         return [message]
+
+
+class _Interpolator:
+    """A host of larger taxels, which publishes forces of small ones."""
+
+    def __init__(self, mask: Any, m: int) -> None:
+        self._larger = LargerTaxels(mask, m)
+
+    def step(self, message: Message) -> list[Message]:
+        """Forces of a frame; other messages as they are."""
+        if not isinstance(message, Measurements):
+            return [message]
+        forces = self._larger.spread(np.asarray(message.y[0]))
+        return [Taxels(stamp_ns=message.stamp_ns, patch=message.patch, forces=forces)]
 
 
 def main() -> None:

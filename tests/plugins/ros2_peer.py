@@ -155,7 +155,8 @@ def shown(sample: object) -> dict[str, object]:
     if isinstance(sample, Image):
         head = sample.header
         values = np.frombuffer(bytes(sample.data), "<f4")
-        assert (sample.encoding, sample.step) == ("32FC1", 4 * sample.width)
+        assert sample.encoding == "32FC1"
+        assert sample.step == 4 * sample.width
         return {
             "stamp_ns": head.stamp.sec * 10**9 + head.stamp.nanosec, "frame_id": head.frame_id,
             "shape": [sample.height, sample.width], "values": values.tolist(),
@@ -168,7 +169,9 @@ def shown(sample: object) -> dict[str, object]:
         found = [(f.name, f.offset, f.datatype, f.count) for f in sample.fields]
         assert found == fields[: max(4, n)]
         values = np.frombuffer(bytes(sample.data), "<f4").reshape(-1, n)
-        assert (sample.width, sample.point_step, sample.is_dense) == (len(values), 4 * n, True)
+        assert sample.width == len(values)
+        assert sample.point_step == 4 * n
+        assert sample.is_dense
         rows = values[:, 4:].copy().view("<u4").ravel().tolist()
         return {"points": values[:, :4].tolist(), "rows": rows}
     return {"shape": [d.size for d in sample.layout.dim], "values": list(sample.data)}

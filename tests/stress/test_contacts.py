@@ -95,7 +95,9 @@ def noise():
 def test_an_untouched_skin_has_no_contact(ratio, stated, full, note, tmp_path):
     skin = tmp_path / "skin.toml"
     of_noise = "" if stated is None else f"noise = {stated}\nnoise_mid = {stated}\n"
-    skin.write_text(f"name = 'noisy'\nrows = 40\ncols = 40\nunit = 'N'\nf_max = 2.5\n{of_noise}")
+    skin.write_text(
+        f"name = 'noisy'\nn_rows = 40\nn_cols = 40\nunit = 'N'\nf_max = 2.5\n{of_noise}"
+    )
     source = {"source": f"{__name__}:noise", "skin": str(skin)}
     n_frames, n_starts = (8_400, 28) if full else (60, 1)
     begins = 0

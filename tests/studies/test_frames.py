@@ -60,9 +60,11 @@ def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_
     truths = [truth.max() for truth, _ in scene_frames("lift_box_40", 0, stop=contact + 1)]
     assert max(truths[:-1]) <= 0.01 < truths[-1]
     (first, stop), (half, end) = frames.windows(0)
-    assert (first, stop) == (contact - 4, contact + 6)
+    assert first == contact - 4
+    assert stop == contact + 6
     assert half > contact
-    assert (end, [len(list(part)) for part in frames.open(0).parts()]) == (half + 6, [5, 3])
+    assert end == half + 6
+    assert [len(list(part)) for part in frames.open(0).parts()] == [5, 3]
 
 
 def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path):
@@ -70,9 +72,13 @@ def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path):
     frames[20:40] = 1
     np.save(tmp_path / "a.npy", frames)
     part = part_of(str(tmp_path / "a.npy"), 30)
-    assert (part.first, len(part.frames), part.n_recorded) == (20, 30, 100)
+    assert part.first == 20
+    assert len(part.frames) == 30
+    assert part.n_recorded == 100
     whole = part_of(str(tmp_path / "a.npy"), 100)
-    assert (whole.first, whole.norm, whole.total) == (0, 4, 16)
+    assert whole.first == 0
+    assert whole.norm == 4
+    assert whole.total == 16
 
 
 def test_a_bag_of_a_recording_is_the_same_as_its_file(folder):
@@ -85,8 +91,11 @@ def test_a_bag_of_a_recording_is_the_same_as_its_file(folder):
     for one, other in zip(*(pair for take in (bag, file) for pair in take.parts()), strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(bag.mask, file.mask)
-    assert (bag.f_max, bag.norm, bag.total) == (file.f_max, file.norm, file.total)
-    assert (file.n, file.unscored) == (114, 8)
+    assert bag.f_max == file.f_max
+    assert bag.norm == file.norm
+    assert bag.total == file.total
+    assert file.n == 114
+    assert file.unscored == 8
 
 
 def test_unusable_files_get_one_line_each_and_are_skipped(folder, capsys):

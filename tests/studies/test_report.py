@@ -147,7 +147,8 @@ def test_the_problem_has_an_adjoint_and_its_minimum_is_lowest():
 @pytest.mark.parametrize("name", [name for name in PEERS if name != "SPGL1"])
 def test_a_library_finds_the_minimum_and_goes_on_from_its_last_frame(name):
     pytest.importorskip(PEERS[name].module)
-    problem, frame = problem_of(), pressed()
+    problem = problem_of()
+    frame = pressed()
     y = problem.phi.forward(frame.reshape(-1))
     lowest = problem.objective(minimum(problem, y), y)
     expected = problem.image(minimum(problem, y))
@@ -165,7 +166,8 @@ def test_a_library_finds_the_minimum_and_goes_on_from_its_last_frame(name):
 
 def test_spgl1_fits_to_the_noise_and_finds_nothing_within_it():
     pytest.importorskip("spgl1")
-    problem, frame = problem_of(sigma_n=0.02), pressed()
+    problem = problem_of(sigma_n=0.02)
+    frame = pressed()
     library = Library("SPGL1", problem, 300)
     library.reconstruct(frame)
     y = problem.phi.forward(frame.reshape(-1))

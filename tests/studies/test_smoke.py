@@ -21,6 +21,8 @@ from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
 from sparseskin.studies.stability import phase, sweeps
 from sparseskin.studies.stability import tables as stability
+from sparseskin.studies.tasks import classifier
+from sparseskin.studies.tasks import tables as tasks
 
 N_FRAMES = 9
 SOLVERS = {"fista": "fista", "skin": "skin"}
@@ -46,6 +48,8 @@ SIZES = (
     (rules, {"QUICK_WORLDS": 1, "RULES": {name: rules.RULES[name] for name in ("bias", "offset")}}),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial"}),
+    (classifier, {"GRID": {"gamma": (1.0,), "alpha": (0.01,)}}),
+    (tasks, {"QUICK_TRAIN": 60, "QUICK_TEST": 24}),
     (sweeps, {"SUM_SOLVERS": {"fista": "fista"}, "EXCERPTS": sweeps.EXCERPTS[:1]}),
 )
 """Sizes that are smaller than those of a quick run, by module."""
@@ -56,11 +60,14 @@ TEXTS = {
     "scene-needs": "| without damping of the skin |",
     "accuracy": "| press | 114 | kPa |",
     "speed": "## Beside lean nodes",
+    "tasks": "set: the user's files, read by `--data`.",
     "train": "Noise of a known deviation",
 }
 """A text on each page."""
+PACKAGES = {"tasks": "sklearn", "train": "torch"}
+"""A package that a study needs beside those of all."""
 
-LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "train")
+LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "tasks", "train")
 """Studies that take more than some seconds even so."""
 
 
@@ -122,11 +129,16 @@ def recordings(tmp_path):
     ],
 )
 def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, recordings, capsys):
-    if name == "train":
-        pytest.importorskip("torch")
-    out, options = tmp_path / "out", []
+    if name in PACKAGES:
+        pytest.importorskip(PACKAGES[name])
+    out = tmp_path / "out"
+    options = []
     if name == "accuracy":
         options = ["--recordings", str(recordings), "--seeds", "1", "--constants"]
+    if name == "tasks":
+        frames_of_12 = np.random.default_rng(0).uniform(0, 1, (12, 16, 16))
+        np.savez(tmp_path / "set.npz", frames=frames_of_12, labels=np.array(["a", "b"] * 6))
+        options = ["--data", str(tmp_path)]
     options += ["--quick", "--executor", "serial", "--out", str(out)]
     assert main(["study", name, *options]) == 0
     printed = capsys.readouterr().out.splitlines()

@@ -40,7 +40,8 @@ UNREAD = 0.01
 row waits longer, and errors are larger."""
 MAX_TAXELS = MAX_SIDE**2
 """Number of taxels of the largest skin."""
-LOCAL, STORED = "local:", "file:"
+LOCAL = "local:"
+STORED = "file:"
 """Prefixes of kinds with a parameter: the side of a neighbourhood, and a path."""
 _WITH_PARAMETER = {
     LOCAL: "sparseskin.nodes.compressor.phi.sbhe:local_class",
@@ -129,11 +130,15 @@ class Phi(ABC):
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         self.check_size(n, m, seed, block)
-        self.n, self.m, self.seed, self.block = int(n), int(m), int(seed), int(block)
+        self.n = int(n)
+        self.m = int(m)
+        self.seed = int(seed)
+        self.block = int(block)
         self.fingerprint = ""
 
     def __repr__(self) -> str:
-        name, size = type(self).__name__, f"m = {self.m} of {self.n} taxels"
+        name = type(self).__name__
+        size = f"m = {self.m} of {self.n} taxels"
         return f"<{name} {self.kind}: {size}, seed {self.seed}>"
 
     @classmethod
@@ -227,7 +232,7 @@ class Phi(ABC):
         """Write Phi^T y to out, one frame; both contiguous float32 of the right length."""
 
 
-def fact(phi: object, name: str) -> Any:
+def phi_fact(phi: object, name: str) -> Any:
     """An attribute of a matrix or its class; that of `Phi` for a user's own without it."""
     return getattr(phi, name, getattr(Phi, name))
 
@@ -243,7 +248,7 @@ def follow(phi: Phi, **codes: Code | None) -> None:
 
     Raises PhiError if the code is absent, of another kind, or malformed.
     """
-    choice = fact(phi, "choice")
+    choice = phi_fact(phi, "choice")
     for field, code in codes.items():
         if field != choice and code is not None:
             fault = f"{phi.kind}: measurements with {field}"

@@ -56,7 +56,9 @@ def side_by_side(sizes: Sequence[int]) -> tuple[Indices, npt.NDArray[np.int64]]:
 
     `sizes` are those of the blocks in their order, equal ones together.
     """
-    groups, columns, start = [], [], 0
+    groups = []
+    columns = []
+    start = 0
     for size in dict.fromkeys(sizes):
         count = list(sizes).count(size)
         index = np.arange(start, start + size * count, dtype=np.intp)
@@ -100,9 +102,11 @@ class BlockHadamard:
         """
         calls: list[Call] = []
         for group, n_stages in self._groups:
-            source, target = v[group], scratch[group]
+            source = v[group]
+            target = scratch[group]
             half = source.size // 2
-            halves, in_turn = np.s_[:half, half:], np.s_[0::2, 1::2]
+            halves = np.s_[:half, half:]
+            in_turn = np.s_[0::2, 1::2]
             reads, writes = (in_turn, halves) if back else (halves, in_turn)
             for _ in range(n_stages):
                 low, high = (source[part] for part in reads)

@@ -16,7 +16,8 @@ from sparseskin.nodes.numerics.arrays import Indices
 
 from .base import MAX_SUBSETS, STORED, Phi, fingerprint_of, make_phi
 
-FIXED, ROTATING = "fixed", "rotating"
+FIXED = "fixed"
+ROTATING = "rotating"
 ROWS = (FIXED, ROTATING)
 PAPER = "paper"
 PAPER_BLOCK = 32
@@ -50,7 +51,8 @@ def split_rows(order: Indices, m: int) -> list[Indices]:
     subsets start evenly spaced along it, taken as a circle: together they hold every row, and
     where m does not divide n some rows twice.
     """
-    n, n_subsets = order.size, -(-order.size // m)
+    n = order.size
+    n_subsets = -(-order.size // m)
     starts = [subset * n // n_subsets for subset in range(n_subsets)]
     return [np.sort(np.roll(order, -start)[:m]) for start in starts]
 

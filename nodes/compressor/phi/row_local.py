@@ -84,7 +84,8 @@ class RowLocalPhi(RotatingPhi):
         n_rows = self.shape[0]
         if self.m == n_rows:
             return [self]
-        all_columns, others = self._order[:n_rows], self._order[n_rows:]
+        all_columns = self._order[:n_rows]
+        others = self._order[n_rows:]
         parts = split_rows(others, self.m - n_rows)
         return self._twins([np.concatenate([all_columns, part]) for part in parts])
 

@@ -19,7 +19,9 @@ from .hadamard import BlockHadamard, CompiledHadamard, block_sizes, hadamard_mat
 from .rotation import RotatingPhi, split_evenly
 
 MAX_SIDE = 4096
-IDENTIFIED, PART, LEAST_M = 32, 4, 32
+IDENTIFIED = 32
+PART = 4
+LEAST_M = 32
 """Largest size of a block whose identifying rows frames hold, in which part of M, and the least M;
 twice as many where rows rotate (of fewer, each row waits longer for the others). Chosen on skins of
 25 to 900 taxels: without them a single force on a taxel of a small block may be put on another."""
@@ -126,9 +128,9 @@ class SbhePhi(RotatingPhi):
         start = 0
         for size in self.sizes:
             taxels = self.permutation[start : start + size]
-            mine = (self.rows >= start) & (self.rows < start + size)
+            is_of_block = (self.rows >= start) & (self.rows < start + size)
             block = hadamard_matrix(size) / np.sqrt(size)
-            matrix[np.ix_(mine, taxels)] = block[self.rows[mine] - start]
+            matrix[np.ix_(is_of_block, taxels)] = block[self.rows[is_of_block] - start]
             start += size
         return matrix
 
@@ -153,18 +155,26 @@ def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indice
 
     `sizes` are those of the blocks, in order.
     """
-    block = np.repeat(np.arange(len(sizes)), sizes)
-    by_block = np.lexsort((rng.random(block.size), block)).astype(np.intp)
+    block_of_row = np.repeat(np.arange(len(sizes)), sizes)
+    n = block_of_row.size
+    by_block = np.lexsort((rng.random(n), block_of_row)).astype(np.intp)
+
+    # The sum is the first row of its block. Blocks of one size come in a random order.
     shuffled = rng.permutation(len(sizes))
     blocks = shuffled[np.argsort(-np.array(sizes)[shuffled], kind="stable")]
     sums = (np.cumsum(sizes) - sizes)[blocks].astype(np.intp)
+
+    # The other rows block by block, with those that identify taxels first.
     least = least_m(sizes)
     others = by_block[~np.isin(by_block, sums)]
-    others = others[np.lexsort((least[others], block[others]))]
+    others = others[np.lexsort((least[others], block_of_row[others]))]
+
+    # The blocks take turns in proportion to their rows. A row that is needed at a smaller M comes
+    # earlier than at its turn; then a part of M is left to the rows before it.
     turns = blocks[in_proportion((np.array(sizes)[blocks] - 1).tolist())]
     place = sums.size + np.argsort(turns, kind="stable")
-    least = np.where(least > block.size, least, least - least // PART)  # others come before them
-    others = others[np.argsort(np.minimum(place, least[others]), kind="stable")]
+    needed_at = np.where(least > n, least, least - least // PART)
+    others = others[np.argsort(np.minimum(place, needed_at[others]), kind="stable")]
     return np.concatenate([sums, others]), by_block
 
 
@@ -176,15 +186,19 @@ def least_m(sizes: Sequence[int]) -> Indices:
     are held where they, and those of smaller blocks, are at most M/4, and M is 32 or more. Those of
     other blocks up to 64, of which few rows may be held, come first: n + 1, other rows n + 2.
     """
-    n = end = sum(sizes)
-    least, number = np.full(n, n + 2), 0
+    n = sum(sizes)
+    least = np.full(n, n + 2)
+    begin = n
+    n_identifying = 0
     for size in reversed(sizes):  # the smallest first
-        end -= size
-        number += size.bit_length()
-        early = size <= IDENTIFIED and size < sizes[0]
-        if size <= 2 * IDENTIFIED:
-            rows = end + (1 << np.arange(size.bit_length()) >> 1)
-            least[rows] = min(max(PART * number, LEAST_M), n + 1) if early else n + 1
+        begin -= size
+        n_identifying += size.bit_length()
+        if size > 2 * IDENTIFIED:
+            continue
+        rows = begin + (1 << np.arange(size.bit_length()) >> 1)
+        least[rows] = n + 1
+        if size <= IDENTIFIED and size < sizes[0]:
+            least[rows] = min(max(PART * n_identifying, LEAST_M), n + 1)
     return least
 
 
@@ -199,16 +213,22 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
     or else there are more subsets; where these were more than 64, some have no sum. Rows in two
     subsets are half the subsets apart.
     """
-    n, sums = by_block.size, (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
-    always = by_block[least_m(sizes)[by_block] <= (m if m >= 2 * LEAST_M else 0)]
+    n = by_block.size
+    sums = (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
+    always = by_block[:0]
+    if m >= 2 * LEAST_M:
+        always = by_block[least_m(sizes)[by_block] <= m]
     others = by_block[~np.isin(by_block, np.concatenate([sums, always]))]
-    fewest, m = n / m, m - always.size
-    if sums.size * m < n - always.size and others.size <= MAX_SUBSETS * (m - 1):
-        fewest = max(fewest, (1 - UNREAD) * others.size / (m - 1))
-        parts = split_evenly(others, m - 1, math.ceil(fewest))
+
+    m_in_turn = m - always.size
+    has_few_sums = sums.size * m_in_turn < n - always.size
+    if has_few_sums and others.size <= MAX_SUBSETS * (m_in_turn - 1):
+        # One sum in each subset, and the same one again where there are fewer sums than subsets.
+        n_subsets = max(n / m, (1 - UNREAD) * others.size / (m_in_turn - 1))
+        parts = split_evenly(others, m_in_turn - 1, math.ceil(n_subsets))
         parts = [np.append(part, sums[k % sums.size]) for k, part in enumerate(parts)]
     else:
-        parts = split_evenly(np.concatenate([sums, others]), m)
+        parts = split_evenly(np.concatenate([sums, others]), m_in_turn)
     parts = [np.sort(np.concatenate([part, always])) for part in parts]
     return parts[::2] + parts[1::2]
 
@@ -223,18 +243,22 @@ def in_proportion(numbers: Sequence[int]) -> Indices:
     fairness in resource allocation", Algorithmica 15, 1996.
     """
     n = sum(numbers)
-    waiting = sorted(
-        (k * n // number, -((k + 1) * n // -number), b)
-        for b, number in enumerate(numbers)
-        for k in range(number)
-    )
-    found, ready, at = np.empty(n, dtype=np.intp), list[tuple[int, int]](), 0
+    # Earliest place, one beyond the latest, and b, of each of the numbers[b] times.
+    spans: list[tuple[int, int, int]] = []
+    for b, number in enumerate(numbers):
+        for k in range(number):
+            spans.append((k * n // number, -((k + 1) * n // -number), b))
+    spans.sort()
+
+    order = np.empty(n, dtype=np.intp)
+    ready: list[tuple[int, int]] = []
+    at = 0
     for place in range(n):
-        while at < n and waiting[at][0] <= place:
-            heapq.heappush(ready, waiting[at][1:])
+        while at < n and spans[at][0] <= place:
+            heapq.heappush(ready, spans[at][1:])
             at += 1
-        found[place] = heapq.heappop(ready)[1]
-    return found
+        order[place] = heapq.heappop(ready)[1]
+    return order
 
 
 class LocalSbhePhi(SbhePhi):
@@ -273,8 +297,10 @@ def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> In
     number = np.cumsum(exists.ravel()).reshape(exists.shape) - 1
     parts = []
     for k, top in enumerate(range(0, n_rows, side)):
-        lefts = range(0, n_cols, side)
-        for left in lefts if k % 2 == 0 else reversed(lefts):
+        lefts = list(range(0, n_cols, side))
+        if k % 2:
+            lefts.reverse()
+        for left in lefts:
             window = np.s_[top : top + side, left : left + side]
             parts.append(rng.permutation(number[window][exists[window]]))
     order: Indices = np.concatenate(parts).astype(np.intp)
@@ -290,5 +316,5 @@ def local_class(text: str) -> type[LocalSbhePhi]:
         expected = f"local:SIDE, the side of a neighbourhood in cells, 1..{MAX_SIDE}"
         raise PhiError(f'phi "local:{text[:40]}": expected {expected}')
     side = int(text)
-    stated = {"kind": f"local:{side}", "side": side, "by_blocks": True}
-    return type("LocalSbhePhi", (LocalSbhePhi,), stated)
+    attributes = {"kind": f"local:{side}", "side": side, "by_blocks": True}
+    return type("LocalSbhePhi", (LocalSbhePhi,), attributes)

@@ -163,7 +163,8 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
     for name in _NAMES:
         if name not in arrays:
             raise PhiError(f"has no array {name}; expected a file of scipy.sparse.save_npz")
-    kind, data = arrays["format"], arrays["data"]
+    kind = arrays["format"]
+    data = arrays["data"]
     if kind.shape != () or kind.dtype.kind not in "SU" or str(kind.astype(str)) != "csr":
         raise PhiError('format: expected "csr"; convert it by matrix.tocsr()')
     for name in ("indices", "indptr", "shape"):

@@ -13,6 +13,7 @@ import numpy as np
 
 from sparseskin.messages import (
     Contacts,
+    Labels,
     Measurements,
     Message,
     Reconstruction,
@@ -77,13 +78,16 @@ class PatchFeed:
     the newest reconstruction shown, `stamp_ns` too, `untrusted_s` the time of the last one not to
     be trusted, `reason` that of the last one. `measurements` are the newest ones, of frames that
     may still be under way. `contacts` are those of the newest frame, where they are published,
-    `events` their events, a row for each frame with some: time, number of each kind.
+    `events` their events, a row for each frame with some: time, number of each kind. `label` is the
+    newest one, where a node recognises, which came at `label_came_s`.
     """
 
     skin: SkinState | None = None
     maps: dict[str, Floats] = field(default_factory=dict)
     measurements: deque[Measurements] = field(default_factory=lambda: deque(maxlen=N_MEASURED))
     contacts: Contacts | None = None
+    label: Labels | None = None
+    label_came_s: float = -math.inf
     events: History = field(default_factory=lambda: History(("time_s", *EVENTS)))
     stamp_ns: int = 0
     came_s: dict[str, float] = field(default_factory=dict)
@@ -158,11 +162,17 @@ class Feed:
                 feed.maps.clear()
                 feed.measurements.clear()
                 feed.contacts = None
-                feed.newest_trusted, feed.untrusted_s = True, -math.inf
+                feed.label = None
+                feed.newest_trusted = True
+                feed.untrusted_s = -math.inf
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
             if isinstance(message, Measurements):
                 feed.measurements.append(message)
+            if isinstance(message, Labels):
+                feed.label = message
+                feed.label_came_s = now_s
+                return
             if isinstance(message, Contacts):
                 feed.contacts = message
                 if message.events is not None:
@@ -221,8 +231,10 @@ class Feed:
             for patch, summary in (summaries or {}).items():
                 self.patches[patch].summary = summary
             if graph is not None:
-                was_paused, now_s = self.paused, time.monotonic()
-                self.graph, self.graph_came_s = graph, now_s
+                was_paused = self.paused
+                now_s = time.monotonic()
+                self.graph = graph
+                self.graph_came_s = now_s
                 self.start = None if self._has_started else Start.of_nodes(graph["nodes"])
                 self._has_started = self.start is None
                 if was_paused and not self.paused:

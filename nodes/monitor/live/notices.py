@@ -10,8 +10,12 @@ from sparseskin.messages import Reconstruction
 
 from .feed import Feed, PatchFeed
 
-BAD, NOTE, START = "bad", "note", "start"
-HEARD, SILENT, UNREAD = "heard", "silent", "unread"
+BAD = "bad"
+NOTE = "note"
+START = "start"
+HEARD = "heard"
+SILENT = "silent"
+UNREAD = "unread"
 RECENT_S = 4.0
 """Time in seconds for which an event is shown."""
 GRAPH_S = 2.5
@@ -54,7 +58,8 @@ class Notices:
         return found + _grouped(by_patch)
 
     def _of_node(self, node: dict[str, Any], now_s: float) -> Iterator[Notice]:
-        name, condition = node["name"], node["condition"]
+        name = node["name"]
+        condition = node["condition"]
         restarted = self._risen(f"restarts {name}", node["restarts"], now_s)
         if condition in TROUBLED or (condition == "starting" and node["restarts"]):
             yield BAD, f"{name}: {condition}."
@@ -134,11 +139,14 @@ def host_lines(graph: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A condition, "heard", "silent" or "unread", and a text for each other host of a graph."""
     found = []
     for name, host in graph.get("hosts", {}).items():
-        condition, text = HEARD, "connected"
+        condition = HEARD
+        text = "connected"
         if host["silent"]:
-            condition, text = SILENT, f"receives nothing from {', '.join(host['silent'])}"
+            condition = SILENT
+            text = f"receives nothing from {', '.join(host['silent'])}"
         elif not host["heard"]:
-            condition, text = UNREAD, "nothing is read from it"
+            condition = UNREAD
+            text = "nothing is read from it"
         elif (within_ms := host["clock_uncertainty_ms"]) is not None:
             text += f", clock {host['clock_offset_ms']:+.2f} ± {within_ms:.2f} ms"
         found.append((condition, f"host {name}: {text}"))

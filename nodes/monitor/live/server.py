@@ -82,7 +82,10 @@ class PageServer(ThreadingHTTPServer):
             except OSError as error:
                 text = f"the page has no port on {ADDRESS}: {error.strerror}"
                 raise SparseskinError(text) from error
-        self.feed, self.notices, self.ask, self.token = feed, notices, ask, token
+        self.feed = feed
+        self.notices = notices
+        self.ask = ask
+        self.token = token
         self.files = {
             f"/{path.name}": (path.read_bytes(), TYPES[path.suffix])
             for path in PAGE.iterdir()
@@ -267,7 +270,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Refuse requests that another site makes a browser send: a foreign Host or Origin."""
         host = self.headers.get("Host", "")
         name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
-        origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site")
+        origin = self.headers.get("Origin")
+        site = self.headers.get("Sec-Fetch-Site")
         if name not in HOSTS:
             raise _RefusedError(HTTPStatus.FORBIDDEN, f"Host {host[:64]!r} is not this page's")
         if origin is not None and origin != f"http://{host}":

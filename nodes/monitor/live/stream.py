@@ -33,6 +33,7 @@ CONTACT_FIELDS = (
     *("id", "total", "total_sd", "centre", "area", "velocity", "age_s", "over", "sliding"),
     *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
 )
+LABEL = ("label", "share", "age_s", "trusted")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
@@ -93,7 +94,8 @@ class StreamReader:
         feed = self._feed
         while not feed.closed and self._n_answers == feed.n_answers:
             now_s = time.monotonic()
-            frame_s, state_s = self._frame_due_s - now_s, self._state_at_s + STATE_S - now_s
+            frame_s = self._frame_due_s - now_s
+            state_s = self._state_at_s + STATE_S - now_s
             if state_s <= 0:
                 return
             if frame_s > 0:
@@ -183,6 +185,9 @@ class StreamReader:
             "reason": None if trusted else _reason(patch.reason),
             "idle": patch.idle,
         }
+        if patch.label is not None:
+            state["label"] = {key: getattr(patch.label, key) for key in LABEL}
+            state["label"]["silent_s"] = now_s - patch.label_came_s
         if self._is_new(f"summary {name}", patch.summary):
             state["summary"] = patch.summary
         return state

@@ -170,6 +170,16 @@ function trusted(summary) {
   return `${found.untrusted ? Math.min(99, Math.round(100 * found.trusted_share)) : 100} % trusted`;
 }
 
+// The label of the newest frame, its share and age, where a node recognises.
+function labelTile(label, isQuiet) {
+  if (!label) return [];
+  const isOld = !isQuiet && label.silent_s > 1;
+  const note = isOld ? `no label for ${label.silent_s.toFixed(0)} s`
+    : label.label ? `${(100 * label.share).toFixed(0)} % share, for ${label.age_s.toFixed(1)} s`
+      : "no label has a large enough share";
+  return [["label", "Recognised", (!isOld && label.label) || "–", note]];
+}
+
 function tiles(name) {
   const s = model.summaries[name] ?? {};
   const [before, after] = rates(name);
@@ -199,6 +209,7 @@ function tiles(name) {
     ["frames", "Frames", `${s.frames?.reconstructed ?? "–"}`,
       `of ${s.frames?.sensed ?? "–"}, ${s.frames?.skipped ? `${s.frames.skipped} skipped, ` : ""}`
       + `${model.state?.patches[name]?.lost ?? "–"} lost`],
+    ...labelTile(model.state?.patches[name]?.label, model.quiet || model.over),
   ];
 }
 
@@ -218,6 +229,11 @@ function drawHeadline() {
   const tile = byId("headline").querySelector('[data-tile="gain"]');
   tile.dataset.mark = doubt && "not trusted";
   tile.title = doubt && (state.reason?.sentence ?? "");
+  const recognised = byId("headline").querySelector('[data-tile="label"]');
+  if (recognised) {
+    recognised.dataset.mark = state?.label?.trusted === false ? "not trusted" : "";
+    recognised.title = recognised.children[1].textContent;
+  }
   const heading = byId("maps").querySelector('[data-panel="reconstruction"] h2');
   if (heading) heading.dataset.mark = doubt;
 }

@@ -95,7 +95,8 @@ class HaarBasis(SeparableBasis):
 
 def level_matrix(n: int) -> Doubles:
     """Return one level along a side of n: approximations first, float64 (n, n), orthonormal."""
-    half, level = n // 2, np.zeros((n, n))
+    half = n // 2
+    level = np.zeros((n, n))
     i = np.arange(half)
     level[i, 2 * i] = level[i, 2 * i + 1] = level[n - half + i, 2 * i] = np.sqrt(0.5)
     level[n - half + i, 2 * i + 1] = -np.sqrt(0.5)

@@ -13,10 +13,12 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask
 
 #: Rates of the running mean of forces, and of squared changes: an estimate that lags behind a slow
 #: slide changes little from frame to frame.
-MEAN_RATE, RATE = np.float32(0.25), np.float32(0.2)
+MEAN_RATE = np.float32(0.25)
+RATE = np.float32(0.2)
 #: Part of the RMS residual added to the change, squared, and to the force: taxels that stand still
 #: or are untouched are not certain.
-CHANGE_FLOOR, FORCE_FLOOR = np.float32(0.03), np.float32(0.3)
+CHANGE_FLOOR = np.float32(0.03)
+FORCE_FLOOR = np.float32(0.3)
 Calibrated = Mapping[int, Mapping[str, tuple[float, float]]]
 """By rule of the rows of Phi, and "fixed" or "rotating": factor a, and power b of N / M. Those of
 the solvers are fitted on random scenes at N/3, N/4 and N/8, so that bands of 1.645 deviations hold

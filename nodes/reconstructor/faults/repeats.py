@@ -14,13 +14,15 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask
 LEAST_NOISE = 0.5
 """Least deviation of the noise, in steps of the quantiser, at which measurements cannot repeat by
 themselves."""
-LIVELY, LEARNING = 0.98, 10
+LIVELY = 0.98
+LEARNING = 10
 """Part of the measurements that change from frame to frame, and the number of frames that show it,
 from which on a skin that states no noise has some. Chosen: of recordings whose untouched taxels
 read 0 some measurements repeat."""
 LIVELY_RATE = 0.05
 """Rate per frame of that part."""
-TIED, TIED_DEVIATIONS = 0.17, 3.4
+TIED = 0.17
+TIED_DEVIATIONS = 3.4
 """Number of measurements that share an extreme value of a quantiser, in m and in its root, which
 chance exceeds in one of 10^9 frames. Computed for steps of up to twice the noise and m of 128 and
 more; of fewer, more frames do."""

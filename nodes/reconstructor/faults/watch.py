@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sparseskin.messages import Reason
-from sparseskin.nodes.compressor.phi.base import Phi, fact
+from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.numerics.arrays import TINY, Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.solvers.base import Solver, checked_measurements
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -28,7 +28,8 @@ BEYOND = 0.1
 """Part of f_max by which the error of a reconstruction may exceed it: such forces are f_max."""
 SWAMPED = 0.25
 """Largest part of the measurements that may be faulty; with more, something else is wrong."""
-DOUBTED, DOUBT_RATE = 0.5, 0.2
+DOUBTED = 0.5
+DOUBT_RATE = 0.2
 """Mean doubt of a measurement from which on it is named, and its rate per frame."""
 MOST_NAMED = 8
 """Most measurements or taxels that a line names."""
@@ -218,7 +219,7 @@ class FaultWatch:
     def _mixes(self, phi: Phi) -> bool:
         """True if each measurement sums several taxels: single ones repeat where they are 0."""
         if phi.fingerprint not in self._mixing:
-            chooses = bool(fact(phi, "choice"))
+            chooses = bool(phi_fact(phi, "choice"))
             self._mixing[phi.fingerprint] = not chooses and mixed_taxels(phi) >= LEAST_MIXED
         return self._mixing[phi.fingerprint]
 
@@ -304,7 +305,7 @@ class FaultWatch:
 
     def _untouched_noise(self, solver: Any) -> float:
         """Noise variance of an untouched taxel; 0: measurements lack it, or nothing is known."""
-        if not hasattr(solver, "projection") or fact(solver.phi, "samples"):
+        if not hasattr(solver, "projection") or phi_fact(solver.phi, "samples"):
             return 0.0
         if self._noise.model is None:
             return self._least_noise(solver)

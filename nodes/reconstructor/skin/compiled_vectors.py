@@ -24,6 +24,9 @@ from .tuning import SkinTuning
 from .vectors import (
     CERTAIN,
     CLEAR_RATIO,
+    CONVERGED,
+    FORMULA_SHARE,
+    N_FORMULA,
     UNKNOWN,
     Blend,
     Filtered,
@@ -74,6 +77,9 @@ class CompiledVectors(Vectors):
             residual_power=tuning.residual_power,
             rise_power=tuning.rise_power,
             fully_averaged=tuning.fully_averaged,
+            converged=CONVERGED,
+            n_formula=N_FORMULA,
+            formula_share=FORMULA_SHARE,
         )
         self._filter_constants = kernels.FilterConstants(
             prior=tuning.prior,
@@ -124,15 +130,15 @@ class CompiledVectors(Vectors):
         rows = self._rows
         read = rows.read
         n_read = len(read)
-        vectors = np.empty((7, n_read), dtype=np.float32)
-        values, innovation, off_target, residual, doubt, excess, change = vectors
+        vectors = np.empty((9, n_read), dtype=np.float32)
+        values, innovation, off_target, residual, doubt, excess, change = vectors[:7]
         self.innovation = innovation
         self.residual = residual
         self.doubt = doubt
         self.change = change
         measured = kernels.Measured(
             *(read, values, innovation, subset.innovation),
-            *(off_target, residual, doubt, excess, change),
+            *(off_target, residual, doubt, excess, change, *vectors[7:]),
         )
         self._measured = measured
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from sparseskin.nodes.compressor.phi.base import UNREAD
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
 
@@ -14,15 +13,21 @@ from .prediction import PredictionError, motion_of
 from .row_subset import FrameNumbers, Level, RowSubset
 from .rows import Rows
 from .tiles import SHIFTS
-from .trust import Fit, StatedError, TaxelNoise, Trust, estimate_error2
+from .trust import CommonError, Fit, StatedError, TaxelNoise, Trust, estimate_error2
 from .tuning import SkinTuning
-from .vectors import UNKNOWN, Blend, Innovation, RowVariances, Settled, StepPlan, Steps, Vectors
+from .vectors import (
+    N_FORMULA,
+    UNKNOWN,
+    Blend,
+    Innovation,
+    RowVariances,
+    Settled,
+    StepPlan,
+    Steps,
+    StepTimes,
+    Vectors,
+)
 
-CONVERGED = 8
-"""Steps of a frame that need no others before them."""
-N_FORMULA = 3
-"""Steps by the formula before fewer than `CONVERGED`. Measured on five recordings and on presses at
-N/3: 3 and 1 have less error than 3 alone, in less time."""
 REPEATED = 1e6
 """Noise variance of a measurement that repeats exactly and was predicted, in that of others."""
 INVISIBLE = 1e-3
@@ -77,7 +82,11 @@ class SkinEstimator:
         sets it.
     noise_model : NoiseModel or None
         Noise of the readings; None: not stated. The caller sets it.
-    vectors, noise_level, prediction_error, bias, stated_error, trust
+    times : StepTimes
+        What the steps of a frame may take, where it chooses their number. The caller sets it.
+    steps : Steps
+        Those of the last frame.
+    vectors, noise_level, prediction_error, bias, stated_error, common_error, trust
         The state from frame to frame.
     error : float
         Estimated RMS error of a taxel of the last frame, by which the next one is predicted.
@@ -97,9 +106,11 @@ class SkinEstimator:
         self.prediction_error = PredictionError(tuning)
         self.bias = Bias(tuning)
         self.stated_error = StatedError(tuning)
+        self.common_error = CommonError(tuning)
         self.trust = Trust(tuning)
         self.noise_sd = 0.0
         self.noise_model: NoiseModel | None = None
+        self.times = StepTimes()
         self.forget()
 
     def forget(self) -> None:
@@ -111,6 +122,7 @@ class SkinEstimator:
         self.prediction_error.forget()
         self.bias.forget()
         self.stated_error.forget()
+        self.common_error.forget()
         self.trust.forget()
         self.error = 0.0
         self._level = Level()
@@ -144,7 +156,7 @@ class SkinEstimator:
 
         self._noise = self.noise_level.bounded(noise)
         # Those of the prediction, should the frame have no step.
-        self._steps = Steps(expected2=error2, residual2=innovation.mean_square)
+        self.steps = Steps(expected2=error2, residual2=innovation.mean_square)
 
     def _follow_noise(self, innovation: Innovation, frame: FrameNumbers) -> float:
         """Update the noise level; return the noise variance of the frame: the level times the trust
@@ -183,13 +195,14 @@ class SkinEstimator:
         return RowVariances(noise, prediction, change, frame.floor)
 
     def finish(self, n: int, n_formula: int) -> Floats:
-        """Do `n_formula` steps by the formula and n by the weights, if any; return the forces of
-        the frame, float32 (n,), in the order of the rows' taxels.
+        """Do `n_formula` steps by the formula and n by the weights, if any, or as many of these as
+        `times` allows; return the forces of the frame, float32 (n,), in the order of the rows'
+        taxels.
         """
         if n:
             self._iterate(n, n_formula)
         self.vectors.fade(self._frame.silent)
-        fit = self._settle(self._steps, self._frame)
+        fit = self._settle(self.steps, self._frame)
         self._judge(fit, self._frame)
         self.bias.follow(
             fit.settled,
@@ -202,15 +215,19 @@ class SkinEstimator:
 
     def _iterate(self, n: int, n_formula: int) -> None:
         """Do the steps of the frame."""
+        counts = self.times.frame > 0
         plan = StepPlan(
-            n_formula=n_formula,
-            n=n,
+            n_formula=N_FORMULA if counts else n_formula,
+            n=1 if counts else n,
             first_shift=self._n_shifts,
+            frame_tiles=self.times.frame,
+            step_tiles=self.times.step,
+            most=n,
             target_variance=self._filtered.target_variance,
             floor=self._frame.floor,
         )
-        self._steps = self.vectors.steps(plan)
-        self._n_shifts = (self._n_shifts + n_formula + n) % len(SHIFTS)
+        self.steps = self.vectors.steps(plan)
+        self._n_shifts = (self._n_shifts + self.steps.n_formula + self.steps.n) % len(SHIFTS)
 
     def _settle(self, steps: Steps, frame: FrameNumbers) -> Fit:
         """Make the estimate of the steps and the prediction, by the error of each."""
@@ -231,13 +248,14 @@ class SkinEstimator:
         # What the noise of measurements left in the last estimate, the same measurements leave.
         inherited2 = frame.repeated * min(last_error2, self._noise)
         self.error = math.sqrt(max((1 - part) * error2, inherited2))
-        has_unread_rows = self._filtered.n_known < (1 - UNREAD) * self._rows.n
-        return Fit(steps, settled, part, inherited2, has_unread_rows)
+        known = self._filtered.n_known / self._rows.n
+        return Fit(steps, settled, part, inherited2, known, frame.n_read / self._rows.n)
 
     def _judge(self, fit: Fit, frame: FrameNumbers) -> None:
         """Set the stated error, and whether the estimate is trusted."""
         noise = self._taxel_noise(fit.settled)
         error2 = self.stated_error.follow(fit, noise, frame)
+        self.common_error.follow(fit.settled)
         self.trust.follow_silence(frame.silent)
 
         level = self.noise_level

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .formula import shrink
-from .gates import Gates
+from .gates import Gates, standing_out
 from .prediction import Motion, MotionSums
 from .row_subset import Comparison, RowSubset
 from .rows import Rows
@@ -20,6 +20,7 @@ from .tuning import SkinTuning
 from .vectors import (
     CERTAIN,
     CLEAR_RATIO,
+    FORMULA_SHARE,
     UNKNOWN,
     Blend,
     Filtered,
@@ -29,10 +30,22 @@ from .vectors import (
     StepPlan,
     Steps,
     Vectors,
+    steps_for,
 )
 
 NOTHING = np.zeros(1, dtype=np.float32)
 """What cells without a taxel read."""
+
+
+class Step(NamedTuple):
+    """A step of a frame."""
+
+    x: Floats  # its estimate, (n,)
+    error2: float  # the mean squared error that is expected of it
+    residual2: float  # mean squared residual of z before it, of the rows read
+    plan: StepPlan  # the plan of the frame, which the first step chooses
+    n_busy: int  # tiles in which something stands out of the noise
+    own: Floats  # what each row read has added to its own value in x, (n_read,)
 
 
 class FrameVectors(Vectors):
@@ -150,6 +163,7 @@ class FrameVectors(Vectors):
         self._predicted_rows = self._rows.forward(self._predicted)
         self.innovation = self._certain * (self._values - self._predicted_rows[read])
         self._estimate = self._predicted
+        self._own = np.zeros_like(self.innovation)
 
         self._expected = (self._variance + self._change)[read]
         self._is_known: Mask = self._expected < UNKNOWN
@@ -239,49 +253,55 @@ class FrameVectors(Vectors):
     def steps(self, plan: StepPlan) -> Steps:
         self._z = self._predicted
         estimates = []
+        own = []
         expected2 = []
         residual2 = []
-        for k in range(plan.n_formula + plan.n):
-            x, error2, before2 = self._step(k, plan)
+        least = plan.n_formula + plan.n
+        k = 0
+        n_busy = 0
+        n_tiles = 0
+        while k < plan.n_formula + plan.n:
+            # Forces of a sudden contact stand out step by step: what it takes is counted.
+            spent = (k + 1) * plan.step_tiles + n_tiles + n_busy
+            if k >= least and spent > plan.frame_tiles:
+                break
+            step = self._step(k, plan)
+            plan = step.plan
+            n_busy = step.n_busy
+            n_tiles += n_busy // FORMULA_SHARE if k < plan.n_formula else n_busy
             if k >= plan.n_formula:
-                estimates.append(x)
-                expected2.append(error2)
-                residual2.append(before2)
+                estimates.append(step.x)
+                own.append(step.own)
+                expected2.append(step.error2)
+                residual2.append(step.residual2)
+            k += 1
 
         # Errors of steps with other tiles differ: their mean has less.
         weights = self._weights_of(np.array(residual2), plan)
         self._estimate = np.zeros_like(self._z)
-        for weight, x in zip(weights.astype(np.float32), estimates, strict=True):
+        for weight, x, added in zip(weights.astype(np.float32), estimates, own, strict=True):
             self._estimate += weight * x
-        return Steps(float(weights @ expected2), float(weights @ residual2))
+            self._own += weight * added
+        numbers = plan.n_formula, k - plan.n_formula, n_tiles
+        return Steps(float(weights @ expected2), float(weights @ residual2), *numbers)
 
     def _weights_of(self, residual2: Doubles, plan: StepPlan) -> Doubles:
         """Return the weights of the estimates of steps in their mean, by the residual before each:
         of an iteration that diverges, the steps before it does count.
         """
         tuning = self._tuning
-        rising = np.arange(1, plan.n + 1) / max(1, plan.n + 1 - tuning.fully_averaged)
+        rising = np.arange(1, len(residual2) + 1) / max(1, plan.n + 1 - tuning.fully_averaged)
         weights: Doubles = np.minimum(rising, 1) ** tuning.rise_power
         weights /= (residual2 + plan.floor) ** tuning.residual_power
         weights /= weights.sum()
         return weights
 
-    def _step(self, k: int, plan: StepPlan) -> tuple[Floats, float, float]:
+    def _step(self, k: int, plan: StepPlan) -> Step:
         """Move z, in step k; by `shrink` in place of the weights where the plan says so, and where
         there are none.
-
-        Returns
-        -------
-        x : array of float32, shape (n,)
-            The estimate of this step.
-        error2 : float
-            Its expected mean squared error.
-        residual2 : float
-            Mean squared residual of z before the step, of the rows read.
         """
         tuning = self._tuning
         shift = (plan.first_shift + k) % len(SHIFTS)
-        by_formula = k < plan.n_formula
         z = self._z
         off = self._target - self._rows.forward(z)
         off_read = off[self._rows.read]
@@ -298,10 +318,15 @@ class FrameVectors(Vectors):
         mean_weight = _total(weight) / self._rows.n
         s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + plan.floor
         s = np.float32(math.sqrt(s2))
-        u = z + self._rows.adjoint(weight * off) / np.float32(mean_weight)
+        weighted: Any = weight * off
+        u = z + self._rows.adjoint(weighted) / np.float32(mean_weight)
 
-        denoise = shrink if by_formula or self._gates is None else self._gates.denoise
         windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
+        n_busy = int(np.count_nonzero(standing_out(windows, self._tiles.strictness)))
+        if k == 0:
+            plan = steps_for(plan, n_busy)
+        by_formula = k < plan.n_formula
+        denoise = shrink if by_formula or self._gates is None else self._gates.denoise
         tiles, tile_error = denoise(windows, self._tiles.strictness)
         x = self._tiles.taxels(tiles, shift) * s
         expected = _dot(tile_error, self._tiles.shares[shift])
@@ -311,7 +336,8 @@ class FrameVectors(Vectors):
         free = (x - alpha * u) / (1 - alpha)
         damping = tuning.damping * min(1.0, tuning.damped_from / (k + 1))
         self._z = z + np.float32(damping) * (free - z)
-        return x, expected * float(s) ** 2, residual2
+        own = alpha / np.float32(mean_weight) * weighted[self._rows.read]
+        return Step(x, expected * float(s) ** 2, residual2, plan, n_busy, own)
 
     def fade(self, part: float) -> None:
         self._predicted = np.float32(1 - part) * self._predicted
@@ -323,6 +349,11 @@ class FrameVectors(Vectors):
         self._correction = self._x_rows - self._predicted_rows
         self.residual = self._certain * (self._values - self._x_rows[self._rows.read])
 
+        # Residual of the steps in their part of x, without what each row added to its own value.
+        own = (1 - part) * (self._certain * self._own)
+        left_out = self.residual - part * self.innovation + own
+        x_read = self._x_rows[self._rows.read]
+
         # A taxel within the noise counts as unpressed.
         x = self.x
         near = (x / np.float32(2 * blend.noise_sd + math.sqrt(TINY))).clip(None, 8)
@@ -331,6 +362,9 @@ class FrameVectors(Vectors):
             forces=_unclipped(x, blend),
             power=_dot(x, x) / len(x),
             residual2=_dot(self.residual, self.residual) / len(self.residual),
+            left_out2=_dot(left_out, left_out) / len(left_out),
+            along_x=_dot(x_read, self.residual + own),
+            read2=_dot(x_read, x_read),
             along_ones=_dot(ones, self.residual),
             unpressed=_dot(x, unpressed),
             pressed=_total((1 - unpressed) ** 2) / len(x),

@@ -7,21 +7,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout, fact
+from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
-from sparseskin.nodes.reconstructor.solvers.base import MAX_ITERATIONS, Solver, whole_number
+from sparseskin.nodes.reconstructor.solvers.base import (
+    MAX_ITERATIONS,
+    CountsTiles,
+    whole_number,
+)
 
-from .estimator import CONVERGED, N_FORMULA, SkinEstimator
+from .estimator import SkinEstimator
 from .frame_vectors import FrameVectors
 from .gates import Gates, gates_of
 from .rows import CompiledRows, HadamardRows, rows_of
 from .tiles import tiles_of
 from .tuning import SkinTuning
-from .vectors import Vectors
+from .vectors import CONVERGED, N_FORMULA, StepPlan, StepTimes, Vectors, steps_for
+
+MOST_TILES = 1 << 40
+"""Bound of the times that are stated in tiles: no frame takes as long."""
 
 
 class Projection(NamedTuple):
@@ -32,12 +39,12 @@ class Projection(NamedTuple):
     own: Doubles  # its variance by an error of the taxel, in the variance of that
 
 
-class SkinSolver(Solver):
+class SkinSolver(CountsTiles):
     """Reconstructs frames by `SkinEstimator`, in a constant number of steps, with their errors.
 
     One solver serves all row subsets of rotating rows. Any Phi will do: its rows are made
     orthonormal first, whatever their length. Of a Phi that reads single taxels the error is not
-    known. Each frame takes the same number of steps.
+    known. Each frame takes the same number of steps, or a number counted by its tiles.
 
     Parameters
     ----------
@@ -48,6 +55,10 @@ class SkinSolver(Solver):
     iterations : int
         Steps of a frame, 1..1000. Fewer than 8 follow `N_FORMULA` steps by a formula, each a few
         times as fast; fewer than 5 have not converged where a contact begins.
+    frame_tiles, step_tiles : int
+        Time of the steps of a frame, and of a step without any tile, counted in that of a tile in a
+        step. Where they are not 0, each frame takes as many steps as fit into this time with the
+        tiles that stand out of the noise in its first step: one at least, `iterations` at most.
     fast : str
         Use of compiled loops, for "sbhe" and single taxels: "auto" (where numba is installed), "on"
         or "off".
@@ -71,6 +82,7 @@ class SkinSolver(Solver):
         "advised: solver interpolation, or phi sbhe"
     )
     has_loops = True
+    uses_blas = True
     calibrated = MappingProxyType(
         {
             SUMS: {FIXED: (1.19, 0.24), ROTATING: (1.29, 0.26)},
@@ -89,6 +101,8 @@ class SkinSolver(Solver):
         mask: Mask | None = None,
         *,
         iterations: int = 24,
+        frame_tiles: int = 0,
+        step_tiles: int = 0,
         fast: str = "auto",
         gates: Gates | str | None = None,
         tuning: SkinTuning | None = None,
@@ -117,10 +131,15 @@ class SkinSolver(Solver):
         self._tuning = tuning
         vectors = self._make_vectors(gates_of(gates), tuning)
         self._estimator = SkinEstimator(self._rows, vectors, tuning)
+        self.use_times(
+            whole_number(self.name, "frame_tiles", frame_tiles, 0, MOST_TILES),
+            whole_number(self.name, "step_tiles", step_tiles, 0, MOST_TILES),
+        )
         self.reset()
 
     def _make_vectors(self, gates: Gates | None, tuning: SkinTuning) -> Vectors:
         tiles = tiles_of(self.mask.shape, self._cells)
+        self.most_tiles = tiles.most
         if isinstance(self._rows, CompiledRows):
             from .compiled_vectors import CompiledVectors  # needs numba
 
@@ -132,6 +151,7 @@ class SkinSolver(Solver):
         self._steps_left = 0
         self.watch = None
         self.error = None
+        self.common_error = 0.0
         self.trusted = True
 
     def use(self, phi: Phi) -> None:
@@ -261,6 +281,15 @@ class SkinSolver(Solver):
         """As the function `measured`, by one transform."""
         return self._rows.measured(forces.take(self._cells, mode="clip"), *phis)
 
+    def use_times(self, frame_tiles: int, step_tiles: int) -> None:
+        self._estimator.times = StepTimes(frame_tiles, max(step_tiles, 1))
+        self.times = frame_tiles, step_tiles
+
+    def steps_for(self, n_tiles: int) -> tuple[int, int]:
+        plan = StepPlan(N_FORMULA, 1, 0, *self._estimator.times, self.n_steps, 0.0, 0.0)
+        plan = steps_for(plan, n_tiles)
+        return plan.n_formula, plan.n
+
     def step(self) -> None:
         self._count_step()  # `finish` does all of them in one call
 
@@ -269,12 +298,17 @@ class SkinSolver(Solver):
         self._steps_left = 0
         n_formula = N_FORMULA if self.n_steps < CONVERGED else 0
         forces = self._estimator.finish(n_steps, n_formula)
+        steps = self._estimator.steps
+        self.n_done = steps.n if n_steps else 0
+        self.n_tiles = steps.n_tiles
 
         # The residuals of single taxels show no error between them.
         self.error = None
+        self.common_error = 0.0
         self.trusted = True
-        if not fact(self.phi, "samples"):
+        if not phi_fact(self.phi, "samples"):
             self.error = self._estimator.stated_error.value
+            self.common_error = self._estimator.common_error.value
             self.trusted = self._estimator.trust.holds
 
         image = forces.take(self._place, mode="clip")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from sparseskin.nodes.compressor.phi.base import UNREAD
 from sparseskin.nodes.numerics.arrays import TINY
 
 from .noise_level import NoiseLevel
@@ -20,7 +21,17 @@ class Fit(NamedTuple):
     settled: Settled
     part: float  # weight of the prediction in the estimate
     inherited2: float  # squared error that repeated measurements leave as it was
-    has_unread_rows: bool  # many rows were never read
+    known: float  # part of the rows that was ever read
+    read: float  # part of the rows that this frame has read
+
+    @property
+    def distance2(self) -> float:
+        """Mean squared distance of the estimate of the steps from what all rows would read.
+
+        It is known in the rows read; in the others it is that of the rows read, each left out.
+        """
+        left_out2 = self.settled.left_out2 / max((1 - self.part) ** 2, TINY)
+        return self.read * self.settled.residual2 + (1 - self.read) * left_out2
 
 
 class TaxelNoise(NamedTuple):
@@ -62,24 +73,29 @@ class StatedError:
     def forget(self) -> None:
         """Begin anew, as if no frame had been measured."""
         self.value = 0.0
+        self._share = 1.0  # of errors in the squared distance from the readings
         self._n_repeats = 0.0
 
     def follow(self, fit: Fit, noise: TaxelNoise, frame: FrameNumbers) -> float:
         """Update the error; return its square."""
         tuning = self._tuning
-        error2 = (1 - fit.part) * estimate_error2(
+        error2 = estimate_error2(
             fit.steps, noise.variance, frame.n_read, tuning.significant / 2, tuning.optimism
         )
+        # The errors of the prediction are others in the rows that were read alone.
+        error2 = (1 - fit.known * fit.part) * error2
 
-        # Without noise, the errors are between the residuals before a fit and after it.
-        fitted = math.sqrt(math.sqrt(fit.steps.residual2**3 * fit.settled.residual2))
-        of_few_rows = (1 + 1 / math.sqrt(frame.n_read)) ** 2
-        error2 = of_few_rows * min(error2, fitted)
+        # What is no error in the distance from the readings is their noise.
+        distance2 = fit.distance2
+        share = min(error2, distance2) / (distance2 + TINY)
+        self._share += tuning.share_rate * (share - self._share)
+        # The mean of 1 / s^2 is larger by 2 / M, s^2 a mean square of M numbers.
+        error2 = (1 + 2 / frame.n_read) * self._share * distance2
 
         # Where many rows are never read, the same measurements leave the same errors: repeats lower
         # them at most as other measurements would.
         again = 0.0
-        if fit.has_unread_rows:
+        if fit.known < 1 - UNREAD:
             again = frame.repeated
         self._n_repeats = again * (self._n_repeats + 1)
         least = again * self.value**2 * self._n_repeats / (self._n_repeats + 1)
@@ -87,6 +103,36 @@ class StatedError:
         error2 = max(error2, fit.inherited2, noise.missing, least)
         self.value = math.sqrt(error2)
         return error2
+
+
+class CommonError:
+    """RMS relative error that all forces of a frame share: a loss or gain of the total.
+
+    It is the regression of the residuals on W x, each row left out of its own value, over the rows
+    read.
+
+    Attributes
+    ----------
+    value : float
+        Its RMS over the last frames; those with more force count more.
+    """
+
+    def __init__(self, tuning: SkinTuning) -> None:
+        self._tuning = tuning
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as if no frame had been measured."""
+        self.value = 0.0
+        self._products2 = 0.0
+        self._squares2 = 0.0
+
+    def follow(self, settled: Settled) -> None:
+        """Update the error."""
+        kept = 1 - self._tuning.signal_rate
+        self._products2 = kept * self._products2 + settled.along_x**2
+        self._squares2 = kept * self._squares2 + settled.read2**2
+        self.value = math.sqrt(self._products2 / (self._squares2 + TINY))
 
 
 class Trust:

@@ -85,6 +85,8 @@ class SkinTuning:
     #: Mean squared error of an estimate, in what the gates expect it to be. Fitted on presses on
     #: 8 x 8 to 48 x 64 taxels, N/2 to N/8.
     optimism: float = 2.0
+    #: Rate per frame of the part of the squared distance from the readings that is error of forces.
+    share_rate: float = 0.5
     #: Largest noise variance, in the least one so far: of measurements; and of a pressed taxel.
     #: Derived: the second is 58 by the noise of the paper, clipped at 0.
     louder: float = 4.0

@@ -12,8 +12,7 @@ import numpy as np
 
 from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes import extensions
-from sparseskin.nodes.compressor.phi import base as phi_base
-from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.lookup import did_you_mean, find_class
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, real_floats, shared
@@ -93,6 +92,8 @@ class Solver(ABC):
     least_iterations: int = 0
     #: Warning where each measurement is one taxel; "": none.
     warning_of_samples: str = ""
+    #: True if small products by the BLAS take most of its time, which threads of it slow down.
+    uses_blas: bool = False
     #: True if it has compiled loops, which are compiled before the first frame.
     has_loops: bool = False
     #: Factor and power of `Uncertainty` by rule of the rows, and "fixed" or "rotating"; None: its
@@ -101,6 +102,8 @@ class Solver(ABC):
     #: Estimated RMS error of a taxel of the last frame, in the unit of the forces; None where the
     #: solver does not estimate it.
     error: float | None = None
+    #: Estimated relative error that all forces share, RMS; 0 where the solver does not estimate it.
+    common_error: float = 0.0
     #: False if the last frame is not to be trusted: its estimated error is a large part of its
     #: forces.
     trusted: bool = True
@@ -269,6 +272,31 @@ class Solver(ABC):
         return warm
 
 
+class CountsTiles(Solver):
+    """A solver whose frames take as many steps as fit into a time, which is counted in tiles of the
+    skin in which something presses: the same number on any host.
+    """
+
+    #: Number of tiles of the skin.
+    most_tiles: int
+    #: Steps of the last frame.
+    n_done: int = 0
+    #: Tiles that counted in all steps of the last frame.
+    n_tiles: int = 0
+    #: Arguments of `use_times`.
+    times: tuple[int, int] = (0, 0)
+
+    @abstractmethod
+    def use_times(self, frame_tiles: int, step_tiles: int) -> None:
+        """Choose the steps of each frame from now on, one to `n_steps`, by their time and by that
+        of a step without any tile, both counted in that of a tile in a step. 0: all are done.
+        """
+
+    @abstractmethod
+    def steps_for(self, n_tiles: int) -> tuple[int, int]:
+        """Numbers of steps by the formula and of others, in a frame of so many tiles."""
+
+
 class RotatingSolver(Solver):
     """One solver of any kind for each row subset; each starts from the estimate of the last frame.
 
@@ -291,7 +319,8 @@ class RotatingSolver(Solver):
         if phi.fingerprint not in self._solvers:
             raise SolverError(f"solver: was not made for phi {phi.fingerprint}")
         super().use(phi)
-        self.phi, self._chosen = phi, self._solvers[phi.fingerprint]
+        self.phi = phi
+        self._chosen = self._solvers[phi.fingerprint]
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         self._chosen.setup(y, self._last if warm is None else warm)
@@ -321,7 +350,7 @@ def solver_class(name: str) -> Callable[..., Any]:
     return find_class("solver", name, SOLVERS, SolverError)
 
 
-def fact(solver: object, name: str) -> Any:
+def solver_fact(solver: object, name: str) -> Any:
     """An attribute of a solver or its class; that of `Solver` for a user's own without it."""
     return getattr(solver, name, getattr(Solver, name))
 
@@ -347,7 +376,7 @@ def make_solver(
             )
     cls = solver_class(name)
     check_reads(name, cls, phi.kind, type(phi))
-    of_phi = phi_base.fact(phi, "solvers").get(name)
+    of_phi = phi_fact(phi, "solvers").get(name)
     if of_phi is not None:
         cls = solver_class(of_phi)
     parameters = inspect.signature(cls).parameters
@@ -398,7 +427,8 @@ def estimated_error(solver: Solver) -> tuple[float | None, bool]:
     SolverError
         If one of them is no such value.
     """
-    error, trusted = getattr(solver, "error", None), getattr(solver, "trusted", True)
+    error = getattr(solver, "error", None)
+    trusted = getattr(solver, "trusted", True)
     if error is not None and not is_real(error, 0.0):
         allowed = "a finite number, 0 or more; or None"
         raise SolverError(f"{solver.name}: error = {error!r} is not allowed; allowed: {allowed}")
@@ -423,12 +453,12 @@ def measured(solver: Solver, forces: Floats, *phis: Phi) -> list[Floats]:
 
 def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
     """Raise SolverError if a solver cannot use a class of phi."""
-    of_phi = phi_base.fact(phi, "solvers")
-    follows = name in of_phi or fact(solver, "follows_choice")
-    if phi_base.fact(phi, "choice") and not follows:
+    of_phi = phi_fact(phi, "solvers")
+    follows = name in of_phi or solver_fact(solver, "follows_choice")
+    if phi_fact(phi, "choice") and not follows:
         fault = f'phi "{kind}" reads other rows each frame'
         raise SolverError(f'solver "{name}": {fault}; allowed: {", ".join(of_phi)}')
-    if fact(solver, "reads_taxels") and not phi_base.fact(phi, "samples"):
+    if solver_fact(solver, "reads_taxels") and not phi_fact(phi, "samples"):
         allowed = "a phi that reads single taxels, as subsample"
         raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: {allowed}')
 

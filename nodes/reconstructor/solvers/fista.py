@@ -47,7 +47,9 @@ class Fista:
     """
 
     def __init__(self, phi: Phi, basis: Basis, mask: Mask, lambda_n: float) -> None:
-        self._phi, self._basis, self._taxels = phi, basis, np.flatnonzero(mask)
+        self._phi = phi
+        self._basis = basis
+        self._taxels = np.flatnonzero(mask)
         self._shape = mask.shape
         self._step = np.float32(1 / phi.lipschitz)
         self._limit = np.float32(lambda_n / phi.lipschitz)
@@ -64,7 +66,8 @@ class Fista:
         """
         if warm is not None:
             self._theta = self._basis.analysis(warm)
-        self._before, self._y = self._theta, y.copy()
+        self._before = self._theta
+        self._y = y.copy()
 
     def advance(self, betas: Floats) -> None:
         """Do an iteration for each of the momenta betas, float32 (k,)."""

@@ -98,7 +98,8 @@ class TopicInfo:
         if schema == End.schema:
             return
         begins = not self.n_messages
-        self.schema, self.version = schema, version
+        self.schema = schema
+        self.version = version
         self.first_ns = stamp_ns if begins else min(self.first_ns, stamp_ns)
         self.last_ns = stamp_ns if begins else max(self.last_ns, stamp_ns)
         self.n_messages += 1

@@ -23,7 +23,6 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.base import wire_fields
 from sparseskin.messages.frames import known_forces
-from sparseskin.messages.skin import Skin
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.messages.wire import SCHEMAS
 
@@ -41,21 +40,6 @@ def array_names(schema: str) -> tuple[str, str]:
     if schema == Taxels.schema:
         return "forces", "stamp_ns"
     return schema, f"{schema}_stamp_ns"
-
-
-def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
-    """`f_max` and `unit` of a skin; `mask`, `points`, `point_rows`, `pitch_m` and `rate_hz` where
-    known.
-    """
-    optional = {
-        "mask": skin.mask,
-        "points": skin.points,
-        "point_rows": skin.point_rows,
-        "pitch_m": skin.pitch_m or None,
-        "rate_hz": rate_hz or None,
-    }
-    known = {name: value for name, value in optional.items() if value is not None}
-    return {"f_max": skin.f_max, "unit": skin.unit, **known}
 
 
 def frame_topics(

@@ -94,11 +94,14 @@ class BagIndex:
             self.metadata.setdefault(found.name, found.metadata)
 
     def _checked(self, channel: mcap.Channel) -> BagChannel:
-        schema, topic = self._schemas.get(channel.schema_id), channel.topic[:80]
-        encoding, schema_name = channel.message_encoding, "" if schema is None else schema.name
+        schema = self._schemas.get(channel.schema_id)
+        topic = channel.topic[:80]
+        encoding = channel.message_encoding
+        schema_name = "" if schema is None else schema.name
         kind = schema_name.removeprefix(form.SCHEMA_PREFIX)
         if encoding != form.ENCODING or kind == schema_name:
-            prefix, hint = form.LIBRARY_PREFIX, ""
+            prefix = form.LIBRARY_PREFIX
+            hint = ""
             is_ours = form.GRAPH_RECORD in self.metadata or self.library.startswith(prefix)
             if encoding == "cdr":
                 hint = form.ROS2_HINT
@@ -178,7 +181,8 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
     try:
         index, damage = _read_summary(file, name, whole)
     except Break:
-        index, damage = None, _NO_INDEX
+        index = None
+        damage = _NO_INDEX
     return (index, "") if index is not None else _scan(file, name, damage)
 
 
@@ -254,7 +258,8 @@ def _topic_info(values: dict[str, Any]) -> TopicInfo:
 
 def _scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
     """Find every complete message before the first break, each proven by a checksum."""
-    index, size = BagIndex(name), file.seek(0, io.SEEK_END)
+    index = BagIndex(name)
+    size = file.seek(0, io.SEEK_END)
     try:
         damage = _scan_records(file, index, size) or damage
         if not index.is_bag:

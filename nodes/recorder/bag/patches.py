@@ -55,9 +55,12 @@ class SplitBag(BagReader):
     """
 
     def __init__(self, bag: BagReader, names: Mapping[str, tuple[str, ...]]) -> None:
-        self.path, self.metadata, self.counts = bag.path, bag.metadata, bag.counts
+        self.path = bag.path
+        self.metadata = bag.metadata
+        self.counts = bag.counts
         self.recovered = bag.recovered
-        self._bag, self._names = bag, names
+        self._bag = bag
+        self._names = names
         several = [topic for topic in _frame_topics(bag) if split_topic(topic)[0] in names]
         found: dict[str, TopicInfo] = {}
         held: Held = {}

@@ -96,7 +96,9 @@ def record_at(file: BinaryIO, offset: int, stop: int, opcode: int) -> Record:
 
 def open_chunk(record: Record) -> bytes:
     """Decompress the records of a chunk."""
-    chunk, offset, limit = record.parsed(Chunk.read), record.offset, MAX_CHUNK_BYTES
+    chunk = record.parsed(Chunk.read)
+    offset = record.offset
+    limit = MAX_CHUNK_BYTES
     if chunk.uncompressed_size > limit:
         raise Break(offset, f"a chunk of {chunk.uncompressed_size} bytes, at most {limit}")
     try:
@@ -111,7 +113,8 @@ def open_chunk(record: Record) -> bytes:
 
 def chunk_records(plain: bytes, offset: int) -> Iterator[tuple[int, memoryview]]:
     """Yield opcode and content of each record in a decompressed chunk."""
-    view, at = memoryview(plain), 0
+    view = memoryview(plain)
+    at = 0
     while at < len(view):
         start = at + HEAD_BYTES
         if start > len(view):
@@ -136,7 +139,8 @@ def message_of(content: memoryview, offset: int) -> tuple[int, int, int, memoryv
 def crc_of(file: BinaryIO, start: int, stop: int) -> int:
     """CRC-32 of a part of a file, read in blocks."""
     file.seek(start)
-    crc, left = 0, stop - start
+    crc = 0
+    left = stop - start
     while left > 0 and (block := file.read(min(_CRC_BLOCK_BYTES, left))):
         crc = zlib.crc32(block, crc)
         left -= len(block)

@@ -89,7 +89,8 @@ class _WholeWrites:
         return self._file.tell() + len(self.pending)
 
     def flush(self) -> None:
-        begin, rest = self._file.tell(), memoryview(bytes(self.pending))
+        begin = self._file.tell()
+        rest = memoryview(bytes(self.pending))
         self.pending.clear()
         try:
             while rest:
@@ -133,7 +134,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._monotonic = monotonic
         self._oldest_s: float | None = None
         self._topics: dict[str, TopicInfo] = {}
-        self._failure, self._closed = "", False
+        self._failure = ""
+        self._closed = False
         self._channels: dict[tuple[str, str, int], int] = {}
         self._schemas: dict[tuple[str, int], int] = {}
         try:
@@ -249,7 +251,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if schema not in SCHEMAS:
             hint = did_you_mean(schema, SCHEMAS)
             raise BagError(f"{self.path}: {topic}: schema {schema!r} is not known{hint}")
-        made, form = self._mcap, (schema, version)
+        made = self._mcap
+        form = (schema, version)
         if form not in self._schemas:
             text = json.dumps(json_schema(SCHEMAS[schema], version)).encode()
             name = SCHEMA_PREFIX + schema

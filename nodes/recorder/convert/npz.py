@@ -17,11 +17,11 @@ import numpy.typing as npt
 from sparseskin.messages import Contacts, Measurements, Message
 from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
+from sparseskin.messages.state import described
 from sparseskin.nodes.files import os_errors, whole_file
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     array_names,
-    described,
     last_states,
     patch_of,
     skin_of,
@@ -106,7 +106,8 @@ class _Columns:
     """Messages of one topic, field by field, frames in files; `place` names the topic in errors."""
 
     def __init__(self, place: str, message: Message, folder: Path) -> None:
-        self._place, self._schema = place, message.schema
+        self._place = place
+        self._schema = message.schema
         kinds = {**kinds_alone(type(message)), LOG_TIME: Integer()}
         self._kinds = {n: k for n, k in kinds.items() if n != "patch" and not isinstance(k, Array)}
         self._columns: dict[str, Any] = {
@@ -149,16 +150,19 @@ class _Columns:
 
     def _frames(self, path: Path) -> npt.NDArray[np.float32]:
         """The frames in a file, with NaN behind those of fewer measurements."""
-        held, shape = np.memmap(path, np.float32, "r"), (len(self._shapes), *max(self._shapes))
+        held = np.memmap(path, np.float32, "r")
+        shape = (len(self._shapes), *max(self._shapes))
         if held.size == math.prod(shape):
             return held.reshape(shape)
         if math.prod(shape) > max(MAX_PADDED, MAX_PADDING * held.size):
             fault = f"{held.size} numbers would be padded to {math.prod(shape)}"
             allowed = f"at most {MAX_PADDING} times as many are allowed"
             raise BagError(f"{self._place}: {fault}; {allowed}; export to csv")
-        padded, at = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape), 0
+        padded = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape)
+        at = 0
         for row, (m,) in zip(padded, self._shapes, strict=True):
-            row[:m], row[m:] = held[at : at + m], np.nan
+            row[:m] = held[at : at + m]
+            row[m:] = np.nan
             at += m
         return padded
 

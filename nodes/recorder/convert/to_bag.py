@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import heapq
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,11 +21,10 @@ from sparseskin.nodes.sensor.calibration.description import of_skin
 from sparseskin.nodes.sensor.calibration.drift import DRIFT_RATE
 from sparseskin.nodes.sensor.doubt import Doubt
 from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
+from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.layout import EMPTY, KEEP, Layout
 from sparseskin.nodes.sensor.saturation import Clipped
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
-
-_RUN_ID_BYTES = 8
 
 
 def import_file(
@@ -67,7 +64,7 @@ def import_file(
         total = (main.frames.n_frames or 0) * len(patches)
         merged = heapq.merge(*streams, key=lambda timed: timed[0])
         for stamp_ns, message, number in progress(merged, total, "import"):
-            bag.record(message.published(main.run_id, number), stamp_ns)
+            bag.record(message.published(main.frames.digest, number), stamp_ns)
         if main.n_frames == 0:
             raise BagError(f"{str(source)!r}: all frames are of the tare")
     return main.n_frames
@@ -91,7 +88,8 @@ class _Imported:
         zeroing: _Zeroing,
         log: Callable[[str], None],
     ) -> None:
-        self.frames = open_file(source, layout, raw=bool(zeroing.tare or zeroing.invert))
+        raw = bool(zeroing.tare or zeroing.invert)
+        self.frames = open_file(source, layout, raw, Needs(digest=True))
         self.n_frames = 0
         self._source = source
         self._patch = patch
@@ -99,14 +97,6 @@ class _Imported:
         self._forces_of = _Forces(self.frames, zeroing.tare, zeroing.invert, log)
         for line in self.frames.take_lines():
             log(line)
-
-    @cached_property
-    def run_id(self) -> str:
-        """A hash of the frames."""
-        content = hashlib.blake2b(digest_size=_RUN_ID_BYTES)
-        for _, part in self.frames.blocks():
-            content.update(part.tobytes())
-        return content.hexdigest()
 
     def messages(self) -> Iterator[tuple[int, Message, int]]:
         """Stamps, messages, and their numbers on their topics."""

@@ -25,7 +25,8 @@ TARE_FRAMES = 30
 MAX_TARE_FRAMES = 10_000
 MAX_TARE_READINGS = 1 << 26
 """Most readings of a tare, chosen: 256 MiB."""
-LEAST_FRAMES, MOST_FRAMES = 10, 100
+LEAST_FRAMES = 10
+MOST_FRAMES = 100
 """Frames of a tare that its noise is measured on, where none is stated. Chosen: the median over
 the taxels of its deviation."""
 
@@ -66,8 +67,10 @@ class Chain:
         self._log = log
         #: True while the tare at the start waits for frames; once a tare has changed the baseline,
         #: until whoever publishes it sets it to False.
-        self.is_starting, self.is_news = tare > 0, False
-        self._tared, self._tare_left = "", 0
+        self.is_starting = tare > 0
+        self.is_news = False
+        self._tared = ""
+        self._tare_left = 0
         self._taring: list[npt.NDArray[Any]] = []
         if tare:
             self.start_tare(tare)
@@ -113,10 +116,11 @@ class Chain:
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
             fault = f"{str(value)[:40]!r} is no number of frames"
             raise RefusedError(f"tare: {fault} (allowed: 1..{MAX_TARE_FRAMES})")
-        most = MAX_TARE_READINGS // (self.description.rows * self.description.cols)
+        most = MAX_TARE_READINGS // (self.description.n_rows * self.description.n_cols)
         if n_frames > most:
             raise RefusedError(f"tare: {n_frames} frames of this skin; at most {most}")
-        self._taring, self._tare_left = [], n_frames
+        self._taring = []
+        self._tare_left = n_frames
         return f"the baseline becomes the median of the next {n_frames} frames"
 
     def tare(self, frames: Sequence[npt.NDArray[Any]]) -> None:
@@ -144,7 +148,8 @@ class Chain:
         if n_moved and before is not None:
             line += f", of {n_moved} taxels by more than {100 * MOVED:g} % of the range"
             line += ": a touch while taring, or a baseline that was old"
-        self._tared, self.is_news = line, True
+        self._tared = line
+        self.is_news = True
         self._log(f"tared: {line}")
 
     def invert(self) -> None:

@@ -28,7 +28,8 @@ ARRAYS = ("baseline", "gains", "response_reading", "response_force")
 """Arrays of a message of a calibration."""
 MAX_NUMBER = 1e30
 """Largest baseline, knot or range: as that of a reading, float32 holds it."""
-MIN_SLOPE, MAX_SLOPE = 1e-12, 1e12
+MIN_SLOPE = 1e-12
+MAX_SLOPE = 1e12
 """Allowed gains, and slopes of a response curve, by magnitude."""
 SLOPES = f"{MIN_SLOPE:g}..{MAX_SLOPE:g}"
 
@@ -90,7 +91,8 @@ class Response:
     force: Doubles
 
     def __post_init__(self) -> None:
-        k, n = len(self.force), len(self.reading)
+        k = len(self.force)
+        n = len(self.reading)
         if not (self.force.ndim == 1 and 1 <= k <= MAX_KNOTS):
             raise SkinFileError(f"response.force: {k} knots; allowed are 1..{MAX_KNOTS}")
         if self.reading.ndim not in (1, 3) or n != k:
@@ -133,8 +135,8 @@ class SkinDescription:
     """
 
     name: str  # at most 64 printable characters
-    rows: int  # 1..4096, as cols; 2**20 cells at most
-    cols: int
+    n_rows: int  # 1..4096, as n_cols; 2**20 cells at most
+    n_cols: int
     f_max: float  # upper end of the range of a taxel, in `unit`, above 0
     unit: str = "N"  # of the calibrated readings, at most 32 printable characters
     pitch_mm: float | None = None  # between the centres of neighbouring taxels
@@ -161,7 +163,7 @@ class SkinDescription:
                 expected = f"expected 1..{longest} printable characters"
                 raise SkinFileError(f"{key}: {expected}, got {ascii(text)[:40]}")
         try:
-            for key in ("rows", "cols"):
+            for key in ("n_rows", "n_cols"):
                 Integer(1, MAX_SIDE).check(key, getattr(self, key))
             Real(1e-9, MAX_NUMBER).check("f_max", self.f_max)
             Real(-self.f_max, 0.0).check("f_min", self.f_min)
@@ -170,8 +172,10 @@ class SkinDescription:
                 Real(0.0, self.f_max, optional=True).check(key, getattr(self, key))
         except MessageError as error:
             raise SkinFileError(str(error)) from error
-        if self.rows * self.cols > MAX_ELEMENTS:
-            raise SkinFileError(f"rows: {self.rows} x {self.cols} cells; at most {MAX_ELEMENTS}")
+        if self.n_rows * self.n_cols > MAX_ELEMENTS:
+            raise SkinFileError(
+                f"n_rows: {self.n_rows} x {self.n_cols} cells; at most {MAX_ELEMENTS}"
+            )
         if self.noise is None and self.noise_mid is not None:
             raise SkinFileError("noise_mid: is stated without noise")
         for key, dtype, beyond in (
@@ -180,7 +184,8 @@ class SkinDescription:
             ("gains", np.float64, ()),
             ("points", np.float32, (6,)),
         ):
-            array, shape = getattr(self, key), (*self.shape, *beyond)
+            array = getattr(self, key)
+            shape = (*self.shape, *beyond)
             if array is not None and (array.shape != shape or array.dtype != dtype):
                 expected = f"expected {np.dtype(dtype)} of shape {shape}"
                 raise SkinFileError(f"{key}: {array.dtype} of shape {array.shape}; {expected}")
@@ -198,7 +203,7 @@ class SkinDescription:
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        return (self.rows, self.cols)
+        return (self.n_rows, self.n_cols)
 
     @property
     def skin(self) -> Skin:
@@ -257,7 +262,8 @@ class SkinDescription:
         """The calibration as a message, in float32."""
         reading = force = None
         if self.response is not None:
-            reading, force = self.response.reading, self.response.force
+            reading = self.response.reading
+            force = self.response.force
             reading = reading if reading.ndim == 3 else reading[:, None, None]
         single: dict[str, Any] = {
             key: None if array is None else np.ascontiguousarray(array, dtype=np.float32)

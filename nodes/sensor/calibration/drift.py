@@ -108,7 +108,8 @@ class Drift:
             return
         self._last_ns = stamp_ns
         pressed = self._lightly_pressed(self._sum / self._n, dt_s)
-        self._sum, self._n = np.zeros_like(forces), 0
+        self._sum = np.zeros_like(forces)
+        self._n = 0
         touched = (self._fast[0] > self.threshold) | (forces > 2 * self.threshold) | pressed
         touched = of_nine(touched, np.logical_or)
         new = touched & ~self._held

@@ -241,7 +241,8 @@ def _check_still(
 ) -> None:
     """Raise CalibrationError if the load moved: its frames read it, its steady readings do not."""
     above = np.asarray(press.frames, dtype=np.float64)[:, works] - baseline[works]
-    read, kept = float(np.median(above.sum(axis=1))), float(rise[works].sum())
+    read = float(np.median(above.sum(axis=1)))
+    kept = float(rise[works].sum())
     chance = TOUCHED * math.sqrt(float(np.square(noise[works]).sum()))
     if abs(read - kept) > MOVED * abs(read) + chance:
         sums = f"its frames add up to {read:.4g}, the readings that stay to {kept:.4g}"
@@ -340,6 +341,7 @@ def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressR
     if press.area is None:
         return PressResult(press.label, press.force, float(forces[works].sum()))
     cells = press.area & works
-    mean, before = float(forces[cells].mean()), np.abs(rise[cells].mean())
+    mean = float(forces[cells].mean())
+    before = np.abs(rise[cells].mean())
     spreads = float(forces[cells].std()) / mean, float(rise[cells].std() / before)
     return PressResult(press.label, press.force, mean * int(press.area.sum()), *spreads)

@@ -38,7 +38,8 @@ def read_part(text: str) -> tuple[float, float] | None:
         raise CalibrationError(f"{text}: {expected}; frames are not counted")
     if found is None:
         return None
-    start, stop = float(found[1] or 0), float(found[2])
+    start = float(found[1] or 0)
+    stop = float(found[2])
     if not start < stop:
         raise CalibrationError(f"{text}: the part is empty; expected {PARTS}")
     return start, stop
@@ -75,7 +76,9 @@ class Live:
 
     def __init__(self, source: Source) -> None:
         self.skin: Skin = source.skin
-        self._source, self._error, self._closing = source, "", False
+        self._source = source
+        self._error = ""
+        self._closing = False
         self._keep: list[Frames] | None = None
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()

@@ -45,7 +45,8 @@ KEYS = (*(f.name for f in fields(SkinDescription) if f.name != "placement"), ARR
 """Keys of a skin.toml."""
 GRIDS = ("mask", "baseline", "gains")
 """Keys of what each taxel has."""
-OF_POINTS = ("rows", "cols", "pitch_mm", "mask")
+OF_NOISE = ("noise", "noise_mid", "f_min")
+OF_POINTS = ("n_rows", "n_cols", "pitch_mm", "mask")
 """Keys that are not stated beside `points`: they follow from these."""
 CURVE = {"reading": "response.reading", "force": "response.force"}
 """Keys of the table `response`, and their names in errors."""
@@ -56,15 +57,15 @@ BESIDE = {**{key: key for key in (*GRIDS, "points")}, "response_reading": CURVE[
 def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
     """Read and check a skin.toml, and the .npz that it names.
 
-    Its keys are `KEYS`: rows, cols and f_max are required; `name` is by default that of the file.
-    `mask` is a list of texts, one a row, of 1 (a taxel) and 0 (none). `baseline` and `gains` are
-    one number for all taxels, or a list of rows. `response` is a table of `reading` and `force`.
-    Instead, an .npz beside the file, named by `arrays`, holds `mask`, `baseline`, `gains` and
-    `response_reading`.
+    Its keys are `KEYS`: n_rows, n_cols and f_max are required; `name` is by default that of the
+    file. `mask` is a list of texts, one a row, of 1 (a taxel) and 0 (none). `baseline` and `gains`
+    are one number for all taxels, or a list of rows. `response` is a table of `reading` and
+    `force`. Instead, an .npz beside the file, named by `arrays`, holds `mask`, `baseline`, `gains`
+    and `response_reading`.
 
-    `points` names a file with the places of the taxels, in place of rows, cols, pitch_mm and mask;
-    `baseline` and `gains` are then one number, or a list of numbers in the order of that file.
-    Points that are on a grid already are an array of the .npz.
+    `points` names a file with the places of the taxels, in place of n_rows, n_cols, pitch_mm and
+    mask; `baseline` and `gains` are then one number, or a list of numbers in the order of that
+    file. Points that are on a grid already are an array of the .npz.
 
     Raises SkinFileError if a file is missing, no regular file, too large or malformed, a key is
     unknown or missing, or a value is not allowed.
@@ -91,17 +92,18 @@ def parse_skin(table: Mapping[str, Any], where: str, folder: Path) -> SkinDescri
 def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
     _check_keys(table, KEYS)
     values = _placed(table, folder) if "points" in table else dict(table)
-    for key in ("name", "rows", "cols", "f_max"):
+    for key in ("name", "n_rows", "n_cols", "f_max"):
         if key not in values:
             raise SkinFileError(f"{key}: is missing")
     stated = {key: values.pop(key) for key in GRIDS if key in values}
-    curve, beside = values.pop("response", {}), values.pop(ARRAYS, None)
+    curve = values.pop("response", {})
+    beside = values.pop(ARRAYS, None)
     if not isinstance(curve, Mapping):
         raise SkinFileError("response: expected a table of reading and force")
     _check_keys(curve, CURVE, "response.")
     stated |= {CURVE[key]: value for key, value in curve.items()}
     skin = SkinDescription(**values)  # its shape bounds the size of all arrays
-    held = {} if beside is None else _load_arrays(beside, folder, skin.rows * skin.cols)
+    held = {} if beside is None else _load_arrays(beside, folder, skin.n_rows * skin.n_cols)
     for key in held:
         if key in stated:
             raise SkinFileError(f"{key}: is stated in the file and in its {ARRAYS}")
@@ -135,9 +137,9 @@ def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         found = point_skins().place(name if name.startswith("example:") else str(folder / name))
     except SourceError as error:
         raise SkinFileError(f"points: {error}") from error
-    rows, cols = found.shape
-    grid = {"rows": rows, "cols": cols, "pitch_mm": 1000 * found.pitch_m, "placement": found}
-    return {**table, "points": None, **grid}
+    n_rows, n_cols = found.shape
+    grid = {"n_rows": n_rows, "n_cols": n_cols, "pitch_mm": 1000 * found.pitch_m}
+    return {**table, "points": None, **grid, "placement": found}
 
 
 def _read(path: Path, most: int) -> bytes:
@@ -205,7 +207,7 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
     beside = path.with_suffix(".npz")
     if path.suffix != ".toml":
         raise SkinFileError(f"{path}: expected a name that ends in .toml")
-    plain = ("name", "rows", "cols", "pitch_mm", "unit", "f_max", "noise", "noise_mid", "f_min")
+    plain = ("name", "n_rows", "n_cols", "pitch_mm", "unit", "f_max", *OF_NOISE)
     values: dict[str, Any] = {key: getattr(skin, key) for key in (*plain, *GRIDS, "points")}
     curve = {} if skin.response is None else dict(vars(skin.response))
     values["response_reading"] = curve.get("reading")

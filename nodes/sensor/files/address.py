@@ -11,6 +11,7 @@ from sparseskin.nodes.sensor.source import Address, Listing, Source
 
 from .file_source import EXAMPLES, n_taxels, open_file
 from .format import TABLE_SUFFIXES, TEXT_SUFFIXES, suffixes
+from .survey import Needs
 
 MAX_LISTED = 20
 """Most recordings of the current folder that are listed; chosen."""
@@ -38,7 +39,8 @@ class FileAddress(Address):
         return n_taxels(self.path, self._layout, self.raw)
 
     def open(self) -> Source:
-        return open_file(self.path, self._layout, self.raw)
+        # The file of a calibrated skin states the range of the forces, whatever the readings are.
+        return open_file(self.path, self._layout, self.raw, Needs(range=self.described is None))
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
@@ -54,13 +56,14 @@ class FileAddress(Address):
     @property
     def _layout(self) -> Layout:
         """What is stated; a table takes its shape from the file of the skin, where there is one."""
-        described, layout = self.described, self.layout
+        described = self.described
+        layout = self.layout
         is_table = Path(self.path).suffix.lower() in TABLE_SUFFIXES
         if described is None or described.placement is not None or not is_table:
             return layout
         shape = {
-            "n_rows": layout.n_rows or described.rows,
-            "n_cols": layout.n_cols or described.cols,
+            "n_rows": layout.n_rows or described.n_rows,
+            "n_cols": layout.n_cols or described.n_cols,
         }
         return layout.stating(shape)
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 def is_bag(begin: bytes) -> bool:
     """True if a file begins as a recording of this program does: with its name as the library."""
-    profile, rest = int.from_bytes(begin[17:21], "little"), begin[21:]
+    profile = int.from_bytes(begin[17:21], "little")
+    rest = begin[21:]
     return profile == 0 and rest[4:].startswith(b"sparseskin ")
 
 
@@ -36,7 +37,8 @@ class BagRecording(Recording):
         self._file = file
 
     def head(self) -> Head:
-        from sparseskin.nodes.recorder.bag.frames import described, patch_of, skin_of
+        from sparseskin.messages.state import described
+        from sparseskin.nodes.recorder.bag.frames import patch_of, skin_of
 
         with self._opened() as bag:
             topic = self._topic(bag)

@@ -108,7 +108,8 @@ class DatasetRecording(Recording):
     @cached_property
     def _plan(self) -> _Plan:
         """Where everything is. Raises SourceError, UnstatedError."""
-        arrays, layout = self._arrays, self._layout
+        arrays = self._arrays
+        layout = self._layout
         key = frames_key(arrays, layout)
         dataset = arrays.datasets[key]
         if dataset.dtype.kind not in "iufb":
@@ -145,7 +146,8 @@ class DatasetRecording(Recording):
         the first or the last one. UnstatedError if a column may be the times, as the stated shape
         has one taxel less.
         """
-        layout, items = self._layout, plan.frames.items
+        layout = self._layout
+        items = plan.frames.items
         stated = has_time_column(layout)
         if len(items) != 1 or plan.frames.axis is None:
             if stated:
@@ -192,7 +194,8 @@ class DatasetRecording(Recording):
         usable = None
         if len(items) == 1 and (plan.time_column is not None or self._layout.columns):
             usable = tuple(k for k in range(items[0].size) if k != plan.time_column)
-        unit, time_unit = self._unit(plan), self._time_unit(plan)
+        unit = self._unit(plan)
+        time_unit = self._time_unit(plan)
         mask, mask_notes = self._mask(plan)
         rate_hz, rate_notes = self._rate(plan)
         long_name = dataset.attributes.get("long_name")
@@ -226,7 +229,8 @@ class DatasetRecording(Recording):
         value = self._arrays.datasets[key].attributes.get(name)
         where = f"{self._arrays.where(key)}, attribute {name!r}"
         if path:
-            value, where = self._arrays.property_array(path), self._arrays.where(path)
+            value = self._arrays.property_array(path)
+            where = self._arrays.where(path)
         if value is None:
             return None
         array = np.asarray(value)

@@ -25,8 +25,13 @@ TACTILE = "tactile_data"
 FORCES = "forces"
 """Name of the array of frames in what this package writes."""
 STAMPS = "stamp_ns"
-MASK, POINTS, POINT_ROWS, UNIT = "mask", "points", "point_rows", "unit"
-RATE, F_MAX, PITCH = "rate_hz", "f_max", "pitch_m"
+MASK = "mask"
+POINTS = "points"
+POINT_ROWS = "point_rows"
+UNIT = "unit"
+RATE = "rate_hz"
+F_MAX = "f_max"
+PITCH = "pitch_m"
 PROPERTIES = frozenset({MASK, POINTS, POINT_ROWS, UNIT, RATE, F_MAX, PITCH, STAMPS})
 """Names of the arrays beside it."""
 RATES = (
@@ -49,6 +54,8 @@ MAX_ARRAYS = 4096
 """Arrays of a file that are looked at, chosen."""
 MAX_SHOWN = 8
 NO_TIMES = "none"
+MIN_RISING = 8
+"""Least numbers that are looked at; chosen: eight without a trend rise once in 40,000."""
 MAX_PROPERTY_BYTES = 64 * MAX_ELEMENTS
 """Largest array of a property: points of a skin, six float64 for each taxel, with a margin."""
 
@@ -236,6 +243,8 @@ def times_key(
     """
     if layout.rate_hz is not None:
         return "", ()
+    if not keys and not layout.time:
+        _ask_for_times(arrays, frames, n_frames)
     n_times = {key: math.prod(arrays.datasets[key].sides) for key in keys}
     as_long = [key for key, n in n_times.items() if n == n_frames]
     if not as_long:
@@ -254,6 +263,25 @@ def times_key(
         raise UnstatedError(f"{arrays.name}: {fault}", *({"time": key} for key in nearest))
     ignored = [printable(key) for key in as_long if key not in nearest]
     return nearest[0], (f"not read as times: {', '.join(ignored)}",) * bool(ignored)
+
+
+def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
+    """Raise UnstatedError if an array of one number for each frame rises: likely the times. One
+    that rises by 1 counts.
+    """
+    rising = []
+    for key, dataset in arrays.datasets.items():
+        is_list = dataset.n_axes == 1 and math.prod(dataset.sides) == n_frames > MIN_RISING
+        if key == frames or not is_list or dataset.dtype.kind not in "iuf":
+            continue
+        steps = np.diff(arrays.property_array(key).reshape(-1).astype(np.float64))
+        if (steps > 0).all() and (steps != 1).any():
+            rising.append(key)
+    if rising:
+        ways = " or ".join(f"time={printable(key)}" for key in rising[:MAX_SHOWN])
+        fault = "a number for each frame rises, and is named as no time"
+        options = [{"time": key} for key in rising]
+        raise UnstatedError(f"{arrays.name}: {fault}: state {ways}, or time=none", *options)
 
 
 def _words(key: str) -> list[str]:

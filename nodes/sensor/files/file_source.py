@@ -1,13 +1,14 @@
 """Recordings as a sensor source, read by blocks: memory does not grow with the file.
 
 Files of up to `KEPT_BYTES` of frames are read, and checked, before the first frame is used. Of
-larger ones a first pass finds range and masks where they are not stated; a second one yields the
-frames.
+larger ones a first pass finds range and masks where they are needed and not stated; a second one
+yields the frames.
 Before a graph starts, the begin of the file is read alone.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shlex
 from collections import deque
@@ -39,7 +40,7 @@ from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, MAX_LINES, Source
 from .format import folder_files, recording_of
 from .frames import Frames, Stamped
 from .recording import ADD, COUNTS, File, check_unit, reading, shown
-from .survey import Survey, Treatment
+from .survey import DIGEST_BYTES, FrameStore, Needs, Survey, Treatment
 
 MAX_FRAMES = 1 << 31
 """Most frames of a recording, chosen: 24 days at 1 kHz."""
@@ -47,6 +48,7 @@ KEPT_BYTES = 1 << 26
 """Frames of a file that are kept in memory, bytes; chosen: of three minutes of 40 x 40 at 60 Hz."""
 EXAMPLES = {"fingers": "fingers press on the edge of a hole, Tekscan I-Scan 6900, counts"}
 """Recordings of this package, as example:NAME, and a few words on each."""
+DEFAULT_NEEDS = Needs()
 _HEADS: dict[tuple[object, ...], int | None] = {}
 """Number of taxels of the file that was looked at last: a launch asks for it several times."""
 
@@ -54,22 +56,24 @@ _HEADS: dict[tuple[object, ...], int | None] = {}
 class RecordedSource(Source):
     """The frames of a recording; may be iterated any number of times. `open_file` makes it."""
 
-    def __init__(self, path: str, layout: Layout, raw: bool) -> None:
+    def __init__(self, path: str, layout: Layout, raw: bool, needs: Needs) -> None:
         self._path = path
         self._layout = layout
         self._raw = raw
-        self._kept: list[Stamped] | None = None
+        self._needs = needs
+        self._store: FrameStore | None = None
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
         self._is_told = False
         with opened(path, layout, raw) as frames:
             self.name = Path(path if Path(path).is_dir() else frames.name).stem
-            survey = self._surveyed(frames)
+            survey = self._survey = self._surveyed(frames)
             self._treatment = Treatment(layout, survey, raw)
             self.skin = _skin(frames, survey, self._treatment)
             self.notes = self._noted(frames, survey)
             self.rate_hz = layout.rate_hz or frames.head.rate_hz
-            if self.rate_hz is None and frames.is_timed and frames.last_ns and survey.n_frames > 1:
-                rate_hz = (survey.n_frames - 1) * 1e9 / frames.last_ns
+            if self.rate_hz is None and frames.is_timed and frames.last_ns:
+                # Of a large file the mean rate of its begin, which is all that is known.
+                rate_hz = (frames.n_frames - 1) * 1e9 / frames.last_ns
                 self.rate_hz = float(f"{rate_hz:.6g}")
         self.n_frames = survey.n_frames or frames.head.n_items
         #: Lower end of the range: below 0 where readings below 0 are kept.
@@ -77,13 +81,14 @@ class RecordedSource(Source):
 
     def blocks(self) -> Iterator[Stamped]:
         """Yield blocks of stamps and frames, as `Stamped`."""
-        if self._kept is not None:
-            for stamp_ns, blocks_kept in self._kept:
-                yield stamp_ns, self._treatment.apply(blocks_kept.copy())
+        if self._store is not None:
+            for stamp_ns, part in self._store.blocks():
+                yield stamp_ns, self._treatment.apply(part.copy())
             return
         with opened(self._path, self._layout, self._raw) as frames:
             for stamp_ns, part in frames.blocks():
-                self._check_range(part)
+                if self._needs.range:
+                    self._check_range(part)
                 yield stamp_ns, self._treatment.apply(part)
             if not self._is_told:
                 self._is_told = True
@@ -103,26 +108,29 @@ class RecordedSource(Source):
             if filled is not None:
                 yield stamp_ns, *filled
 
-    def known(self) -> Iterator[Stamped]:
-        """Yield blocks of stamps and frames in which readings that are missing are treated as
-        stated: filled in by "zero" and "hold", else NaN. Frames without any reading are left out.
+    def take_all(self) -> Stamped:
+        """Stamps and frames of a recording that is in memory, which then is no more. Readings that
+        are missing are treated as stated: filled in by "zero" and "hold", else NaN. Frames without
+        any reading are left out.
         """
+        store = self._store
+        assert store is not None
+        self._store = None
         way = self._layout.missing_way
         readings = MissingReadings(way, self.skin, learns=False)
-        exists = self.skin.exists
-        for stamp_ns, frames in self.blocks():
-            with np.errstate(over="ignore", invalid="ignore"):
-                is_whole = np.isfinite(frames.sum())
-            if is_whole:
-                yield stamp_ns, frames
-                continue
-            is_number = np.isfinite(frames).all(axis=(1, 2))
-            if way in (ZERO, HOLD) and not is_number.all():
-                for k in range(len(frames)):
-                    filled = readings.fill(frames[k], int(stamp_ns[k]))
-                    frames[k] = np.nan if filled is None else filled[0]
-            holds_any = is_number | np.isfinite(frames[:, exists]).any(axis=1)
-            yield stamp_ns[holds_any], frames[holds_any]
+        stamps: list[npt.NDArray[np.int64]] = []
+        n = 0
+        for stamp_ns, part in store.blocks():
+            frames = self._treatment.apply(part)
+            if self._survey.n_missing:
+                if way in (ZERO, HOLD):
+                    _fill(readings, stamp_ns, frames)
+                holds_any = np.isfinite(frames[:, self.skin.exists]).any(axis=1)
+                stamp_ns = stamp_ns[holds_any]
+                store.frames[n : n + len(stamp_ns)] = frames[holds_any]
+            stamps.append(stamp_ns)
+            n += len(stamp_ns)
+        return np.concatenate(stamps), store.frames[:n]
 
     @property
     def frames(self) -> Floats:
@@ -143,26 +151,39 @@ class RecordedSource(Source):
         invalid = self._treatment.counts()
         return {"invalid": invalid} if invalid else {}
 
+    @property
+    def digest(self) -> str:
+        """A hash of the frames and of what is done with them, where it was needed."""
+        content = self._survey.content
+        assert content is not None
+        content = content.copy()
+        content.update(f"{self._layout.missing_way} {self._layout.negative}".encode())
+        return content.hexdigest()
+
     def _surveyed(self, frames: Frames) -> Survey:
-        """A survey of all frames; of the first block of a large file of which all is stated."""
+        """A survey of all frames; of the first blocks of a large file that needs no more."""
         survey = Survey(frames.shape, frames.mask)
-        is_stated = (self._layout.f_max or frames.head.f_max) is not None
-        needs_all = not is_stated or self._raw or Treatment.needs_survey(self._layout)
-        n_kept_bytes = 0
-        blocks_kept: list[Stamped] | None = []
+        if self._needs.digest:
+            survey.content = hashlib.blake2b(digest_size=DIGEST_BYTES)
+        has_range = (self._layout.f_max or frames.head.f_max) is not None
+        needs_range = self._needs.range and not has_range
+        self._reads_twice = False
+        needs_all = needs_range or self._needs.digest or Treatment.needs_survey(self._layout)
+        store: FrameStore | None = FrameStore(frames.shape)
         for stamp_ns, part in frames.blocks():
             survey.add(part)
-            n_kept_bytes += part.nbytes
-            if n_kept_bytes > KEPT_BYTES:
-                blocks_kept = None
-                if not needs_all:
-                    survey.n_frames = 0  # not known
-                    return survey
-            if blocks_kept is not None:
-                blocks_kept.append((stamp_ns, part))
             if survey.n_frames > MAX_FRAMES:
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")
-        self._kept = blocks_kept
+            if store is not None:
+                store.add(stamp_ns, part)
+            if store is None or self._needs.in_memory or store.frames.nbytes <= KEPT_BYTES:
+                continue
+            store = None
+            self._reads_twice = needs_range and not self._needs.digest
+            if not needs_all:
+                survey.n_frames = 0  # not known
+                return survey
+        self._store = store
         return survey
 
     def _noted(self, frames: Frames, survey: Survey) -> tuple[str, ...]:
@@ -176,6 +197,9 @@ class RecordedSource(Source):
         if not (frames.is_timed or self._layout.rate_hz or frames.head.rate_hz):
             hint = "set rate_hz where it is another"
             lines.append(f"states no rate: taken as {DEFAULT_RATE_HZ:g} Hz; {hint}")
+        if self._reads_twice:
+            f_max = f"f_max={self.skin.f_max:g}"
+            lines.append(f"the whole file was read for its range first: {f_max} begins at once")
         lines += self._treatment.lines(self.skin.unit)
         self._lines.extend(lines)
         return tuple(lines)
@@ -189,7 +213,10 @@ class RecordedSource(Source):
 
 
 def open_file(
-    path: str | os.PathLike[str], layout: Layout = EMPTY, raw: bool = False
+    path: str | os.PathLike[str],
+    layout: Layout = EMPTY,
+    raw: bool = False,
+    needs: Needs = DEFAULT_NEEDS,
 ) -> RecordedSource:
     """Open a recording; its format follows from the suffix, and of some from the content.
 
@@ -202,6 +229,8 @@ def open_file(
         What the file does not state, or must agree with.
     raw : bool
         True if a calibration converts the readings, which are of any unit and sign.
+    needs : Needs
+        What is needed before the first frame.
 
     Returns
     -------
@@ -221,7 +250,7 @@ def open_file(
     name = str(path)
     check_unit(name, layout.unit)
     with proposing(name, layout, raw):
-        return RecordedSource(name, layout, raw)
+        return RecordedSource(name, layout, raw, needs)
 
 
 def n_taxels(path: str, layout: Layout = EMPTY, raw: bool = False) -> int | None:
@@ -274,12 +303,12 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
         text = str(error)
         ways = [option for option in error.options if _reads(path, layout, raw, option)]
         if len(ways) == 1:
-            unit_or_range = [f"{key}={shlex.quote(value)}" for key, value in ways[0].items()]
-            text = f"{text}{ADD}{' '.join(unit_or_range)}"
+            settings = [f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()]
+            text = f"{text}{ADD}{' '.join(settings)}"
         raise SourceError(text) from error
 
 
-def _reads(path: str, layout: Layout, raw: bool, option: Mapping[str, str]) -> bool:
+def _reads(path: str, layout: Layout, raw: bool, option: Mapping[str, Any]) -> bool:
     """True if all of a file can be read with a further setting, or only something else is not
     stated then.
     """
@@ -293,6 +322,14 @@ def _reads(path: str, layout: Layout, raw: bool, option: Mapping[str, str]) -> b
     except SparseskinError:
         return False
     return True
+
+
+def _fill(readings: MissingReadings, stamp_ns: npt.NDArray[np.int64], frames: Floats) -> None:
+    """Fill the missing readings of frames in place; those without any reading become NaN."""
+    # Whole frames, too: the readings of the last one are held.
+    for k in range(len(frames)):
+        filled = readings.fill(frames[k], int(stamp_ns[k]))
+        frames[k] = np.nan if filled is None else filled[0]
 
 
 def _skin(frames: Frames, survey: Survey, treatment: Treatment) -> Skin:
@@ -321,38 +358,36 @@ def _skin(frames: Frames, survey: Survey, treatment: Treatment) -> Skin:
 
 def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
     """Upper end of the range: stated, that of the file, or the largest reading."""
-    unit_or_range = frames.layout.f_max or frames.head.f_max
-    if unit_or_range is not None and frames.layout.f_max is None:
-        unit_or_range -= treatment.offset
+    f_max = frames.layout.f_max
+    if f_max is None and frames.head.f_max is not None:
+        f_max = frames.head.f_max - treatment.offset
     peak = survey.highest - treatment.offset
     if frames.layout.negative == KEEP:
         peak = max(peak, -survey.lowest)
     if frames.raw:
-        return max(peak, unit_or_range or 1.0)
-    if unit_or_range is None:
+        return max(peak, f_max or 1.0)
+    if f_max is None:
         if peak <= 0:
             fault = "all readings are 0, so its range is unknown; state f_max"
             raise SourceError(f"{frames.name}: {fault}")
         return peak
     # In float32 as the frames are: 0.1 in a float32 recording is above 0.1 in float64.
-    if np.float32(peak) > np.float32(unit_or_range):
-        fault = f"f_max = {unit_or_range:g} is below the largest reading, {peak:g}"
+    if np.float32(peak) > np.float32(f_max):
+        fault = f"f_max = {f_max:g} is below the largest reading, {peak:g}"
         raise SourceError(f"{frames.name}: {fault}")
-    return float(unit_or_range)
+    return float(f_max)
 
 
 def _unit(frames: Frames) -> str:
     """Unit of the readings: stated, that of the file, or an assumption."""
-    unit_or_range = frames.layout.unit
+    stated = frames.layout.unit
     of_file = frames.head.unit
     check_unit(frames.name, of_file)
-    if unit_or_range is not None and of_file is not None and unit_or_range != of_file:
-        contradiction = (
-            f"unit = {shown(unit_or_range)} is stated, but the file states {shown(of_file)}"
-        )
+    if stated is not None and of_file is not None and stated != of_file:
+        contradiction = f"unit = {shown(stated)} is stated, but the file states {shown(of_file)}"
         raise SourceError(f"{frames.name}: {contradiction}")
-    if unit_or_range or of_file:
-        return unit_or_range or str(of_file)
+    if stated or of_file:
+        return stated or str(of_file)
     if frames.is_whole:
         return COUNTS
     return "raw" if frames.raw else "N"

@@ -16,6 +16,7 @@ from .arrays import ArrayRecording
 from .bag import BagRecording, is_bag
 from .recording import File, Recording, shown
 from .table.table import TableRecording
+from .table.transposed import TransposedTable
 
 HEAD_BYTES = 1 << 16
 """Bytes from the begin of a file by which its format is found, where several have its suffix."""
@@ -26,6 +27,8 @@ BAG_LOGS = ("-wal", "-shm", "-journal")
 """Ends of the files that SQLite leaves beside a bag whose recorder was killed."""
 TEXT_SUFFIXES = (".txt", ".dat", ".log", ".asc")
 TABLE_SUFFIXES = (".csv", ".tsv", *TEXT_SUFFIXES)
+SHARED_SUFFIXES = (".csv", ".txt", ".mcap")
+"""Suffixes of the core that formats of plug-ins have, too."""
 MAX_PARTS = 1 << 20
 """Most files of a folder that are read; chosen."""
 
@@ -41,14 +44,27 @@ class Format:
     #: True if a file that begins with these bytes (at most `HEAD_BYTES`) is one of this format;
     #: None: every file with one of its suffixes that no other format recognises.
     recognises: Callable[[bytes], bool] | None = None
-    #: Of a format that is a folder: names of files in it, one of which every such folder has. That
-    #: file is the one that is opened.
+    #: Of a format that is a folder: names of files in it, one of which every such folder has, with
+    #: no suffix of the core. That file is the one that is opened.
     markers: tuple[str, ...] = ()
+
+
+def open_table(file: File) -> Recording:
+    """A table, with frames along its lines, or along its columns if `axes` states that. Raises
+    SourceError if `axes` is of an array.
+    """
+    axes = file.layout.axis_names
+    if axes == ("taxels", "frames"):
+        return TransposedTable(file)
+    if axes not in ((), ("frames", "taxels")):
+        fault = f"axes = {file.layout.axes}; allowed for a table: taxels,frames or frames,taxels"
+        raise SourceError(f"{file.name}: {fault}")
+    return TableRecording(file)
 
 
 _NPZ = "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted"
 OWN = (
-    Format(dict.fromkeys(TABLE_SUFFIXES, "table of text"), TableRecording),
+    Format(dict.fromkeys(TABLE_SUFFIXES, "table of text"), open_table),
     Format({".npy": "array (frames, rows, columns)", ".npz": _NPZ}, ArrayRecording),
     Format({".mcap": "recording of sparseskin"}, BagRecording, is_bag),
 )
@@ -71,29 +87,31 @@ def recording_of(file: File) -> Recording:
     """
     path = Path(file.name)
     suffix = path.suffix.lower()
-    plugins: list[Format] = list(loaded(FILES).values())
-    for format_ in plugins:
-        if path.name in format_.markers:
-            return format_.open(file)
     fitting = [format_ for format_ in OWN if suffix in format_.suffixes]
-    # Plug-ins, which may have it too, are imported for these.
-    if suffix in (".csv", ".txt", ".mcap") or not fitting:
-        begin = file.file.read(HEAD_BYTES)
-        file.file.seek(0)
-        fitting = [*fitting, *(candidate for candidate in plugins if suffix in candidate.suffixes)]
-        sure = [
-            candidate
-            for candidate in fitting
-            if candidate.recognises is not None and candidate.recognises(begin)
-        ]
-        fitting = (
-            sure or [candidate for candidate in fitting if candidate.recognises is None] or fitting
-        )
+    # Plug-ins are imported where they may have the file, too: that takes longer than to read it.
+    if suffix in SHARED_SUFFIXES or not fitting:
+        plugins: list[Format] = list(loaded(FILES).values())
+        for format_ in plugins:
+            if path.name in format_.markers:
+                return format_.open(file)
+        fitting += [format_ for format_ in plugins if suffix in format_.suffixes]
+        fitting = _recognised(file, fitting)
     if not fitting:
         allowed = f"allowed are {', '.join(suffixes())}{failures(FILES)}"
         unknown = f"suffix {shown(path.suffix)} is not known"
         raise SourceError(f"{file.name}: {unknown}; {allowed}")
     return fitting[0].open(file)
+
+
+def _recognised(file: File, fitting: list[Format]) -> list[Format]:
+    """The formats that recognise the begin of a file, or else those that take every file."""
+    begin = file.file.read(HEAD_BYTES)
+    file.file.seek(0)
+    sure = []
+    for format_ in fitting:
+        if format_.recognises is not None and format_.recognises(begin):
+            sure.append(format_)
+    return sure or [format_ for format_ in fitting if format_.recognises is None] or fitting
 
 
 @contextmanager

@@ -8,7 +8,13 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.layout.arrangement import CHANNELS, COLS, ROWS, XYZ, Axis
+from sparseskin.nodes.sensor.layout.arrangement import (
+    CHANNELS,
+    COLS,
+    ROWS,
+    Axis,
+    may_hold_channel,
+)
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 
 FRAME_LABELS = frozenset(
@@ -17,7 +23,11 @@ FRAME_LABELS = frozenset(
 )
 """Labels of the axis of the frames."""
 TAXEL_LABELS = frozenset({*ROWS, *COLS, *CHANNELS, "taxel", "taxels", "sensor", "sensors"})
-_DIRECT, _WITH_TIME, _TRANSPOSED, _CHANNELS, _NO_FIT = 0, 1, 2, 4, 8
+_DIRECT = 0
+_WITH_TIME = 1
+_TRANSPOSED = 2
+_CHANNELS = 4
+_NO_FIT = 8
 """Fits of a frame and the stated shape, the better the smaller: as it is; with one number too many,
 which may be the time; with columns before rows. `_CHANNELS` is added where an axis has to be that
 of the channels, though no channel is stated."""
@@ -162,7 +172,8 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     if len(others) > 2 or layout.channel:
         # Several numbers per taxel stand last more often than first.
         extra = _DIRECT if layout.channel else _CHANNELS
-        channels = [at for at in reversed(others) if _has_channel(layout, array.sides[at])]
+        sizes = array.sides
+        channels = [at for at in reversed(others) if may_hold_channel(layout.channel, sizes[at])]
         grids = [(extra, at, [k for k in others if k != at]) for at in channels] + grids
     ways = [
         _Way(axis, extra + fit, channel if layout.n_stated else None)
@@ -177,16 +188,10 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     return min(ways, key=lambda way: way.fit)
 
 
-def _has_channel(layout: Layout, side: int) -> bool:
-    """True if an axis with so many entries can be that of the channels."""
-    if layout.channel.isdecimal():
-        return int(layout.channel) < side
-    return layout.channel.lower() not in XYZ or side == len(XYZ)
-
-
 def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
     """The ways in which sides are those of a frame of the stated shape."""
-    rows, cols = layout.n_rows, layout.n_cols
+    rows = layout.n_rows
+    cols = layout.n_cols
     if len(sides) < 2:
         n = math.prod(sides)
         n_wanted = layout.n_stated

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.sensor.layout.arrangement import arrange
+from sparseskin.nodes.sensor.layout.arrangement import Arrangement, arrange
 from sparseskin.nodes.sensor.layout.layout import KEEP, REFUSE, UnstatedError
 from sparseskin.nodes.sensor.layout.times import Stamps, unit_of
 
@@ -29,13 +29,6 @@ Stamped = tuple[npt.NDArray[np.int64], Floats]
 reading is missing, 0 in cells without a taxel."""
 
 
-class Sampled(NamedTuple):
-    """What the first block shows: an example of the readings' kind, and the unit of the times."""
-
-    is_whole: bool
-    time_unit: str
-
-
 class Frames:
     """The frames of an open recording, read from its begin by each call of `blocks`.
 
@@ -51,17 +44,11 @@ class Frames:
         self.head = recording.head()
         self.n_repeated = 0
         self.last_ns = 0
-        self._n_before = 0
-        needs_unit = self.head.asks_unit and not (self.layout.unit or self.raw)
-        try:
-            self.arrangement = arrange(self.layout, self.head.axes, self.name, self.head.usable)
-        except UnstatedError as error:
-            text = f"{error}; unit is not stated either" if needs_unit else str(error)
-            raise UnstatedError(text, *error.options) from error
+        #: Frames that the last `blocks` has yielded.
+        self.n_frames = 0
+        self._sample_block: Block | None = None
+        self.arrangement = self._arranged()
         self.mask = self._arranged_mask()
-        self._sampled: Sampled | None = None
-        if needs_unit:
-            self._ask_for_unit()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -82,12 +69,14 @@ class Frames:
     @property
     def is_whole(self) -> bool:
         """True if the readings are whole numbers, as a converter gives them."""
-        return self._sample().is_whole
+        return self._holds_whole_numbers(self.arrangement)
 
     @property
     def time_unit(self) -> str:
         """Unit of the times; the first block is read for it where nothing states it."""
-        return self._unit_stated or self._sample().time_unit
+        if self._unit_stated or not self.is_timed:
+            return self._unit_stated or "ns"
+        return unit_of([float(time) for time in self._sample().times or ()], self.name)
 
     @property
     def _unit_stated(self) -> str:
@@ -95,8 +84,8 @@ class Frames:
 
     def blocks(self) -> Iterator[Stamped]:
         """Read all frames. Raises SourceError at the first reading, time or item that is none."""
-        stamps = Stamps(self.time_unit) if self.is_timed else None
-        self._n_before = 0
+        stamps = Stamps(self.time_unit, self.layout.time_wrap) if self.is_timed else None
+        self.n_frames = 0
         for block in self.recording.blocks():
             frames = self._checked(self.arrangement.frames(block.numbers))
             if stamps is not None:
@@ -104,11 +93,13 @@ class Frames:
                 self.n_repeated = stamps.n_repeated
             else:
                 stamp_ns = self._even(len(frames))
-            self._n_before += len(frames)
+            self.n_frames += len(frames)
             self.last_ns = int(stamp_ns[-1])
             yield stamp_ns, frames
+        if stamps is not None:
+            stamps.check(self.name)
         self.recording.tally.check(self.name)
-        if not self._n_before:
+        if not self.n_frames:
             raise SourceError(f"{self.name}: the recording holds no frame")
 
     def notes(self) -> Sequence[str]:
@@ -128,6 +119,28 @@ class Frames:
         lines.append(self.recording.tally.text)
         return lines
 
+    def _arranged(self) -> Arrangement:
+        """The arrangement. Raises UnstatedError with all that is not stated: shape, unit of the
+        readings, unit of the times.
+        """
+        faults: list[UnstatedError] = []
+        arrangement: Arrangement | None = None
+        try:
+            arrangement = arrange(self.layout, self.head.axes, self.name, self.head.usable)
+        except UnstatedError as error:
+            faults.append(error)
+        if self.head.asks_unit and not (self.layout.unit or self.raw):
+            faults.append(self._unstated_unit(arrangement))
+        if faults:
+            # Where nothing else is missing, the times are looked at with the first frame.
+            try:
+                _ = self.time_unit
+            except UnstatedError as error:
+                faults.append(error)
+        if arrangement is None or faults:
+            raise _together(faults, self.name)
+        return arrangement
+
     def _arranged_mask(self) -> Mask | None:
         mask = self.head.mask
         if mask is None:
@@ -137,37 +150,35 @@ class Frames:
         arranged: Mask = self.arrangement.frames(mask[None])[0]
         return arranged
 
-    def _sample(self) -> Sampled:
-        """What the first block shows; read once."""
-        if self._sampled is None:
-            block = next(iter(self.recording.blocks()), None)
-            if block is None:
+    def _sample(self) -> Block:
+        """The first block; read once."""
+        if self._sample_block is None:
+            self._sample_block = next(iter(self.recording.blocks()), None)
+            if self._sample_block is None:
                 raise SourceError(f"{self.name}: the recording holds no frame")
-            self._sampled = Sampled(self._is_whole(block), self._unit_of(block))
-        return self._sampled
+        return self._sample_block
 
-    def _is_whole(self, block: Block) -> bool:
-        if block.numbers.dtype.kind in "iu":
+    def _holds_whole_numbers(self, arrangement: Arrangement | None) -> bool:
+        numbers = self._sample().numbers
+        if numbers.dtype.kind in "iu":
             return True
-        readings = self.arrangement.frames(block.numbers)
-        readings = readings[np.isfinite(readings)]
+        if arrangement is not None:
+            numbers = arrangement.frames(numbers)
+        elif self.head.usable is not None:
+            numbers = numbers[:, list(self.head.usable)]
+        readings = numbers[np.isfinite(numbers)]
         return self.head.asks_unit and bool((readings == np.rint(readings)).all())
 
-    def _unit_of(self, block: Block) -> str:
-        if self._unit_stated or not self.is_timed:
-            return self._unit_stated or "ns"
-        return unit_of([float(time) for time in block.times or ()], self.name)
-
-    def _ask_for_unit(self) -> None:
+    def _unstated_unit(self, arrangement: Arrangement | None) -> UnstatedError:
+        is_whole = self._holds_whole_numbers(arrangement)
         fault = f"{self.name}: the unit of the readings is not stated"
-        options = [{"unit": COUNTS}] if self.is_whole else []
-        raise UnstatedError(f"{fault}; {_UNIT_HINT}", *options)
+        return UnstatedError(f"{fault}; {_UNIT_HINT}", *([{"unit": COUNTS}] if is_whole else []))
 
     def _even(self, n: int) -> npt.NDArray[np.int64]:
         """Stamps of the next n frames at an even rate."""
         rate_hz = self.layout.rate_hz or self.head.rate_hz
         period_ns = UNTIMED_PERIOD_NS if rate_hz is None else 1e9 / rate_hz
-        stamps = np.rint(np.arange(self._n_before, self._n_before + n) * period_ns)
+        stamps = np.rint(np.arange(self.n_frames, self.n_frames + n) * period_ns)
         if stamps[-1] > INT64_MAX:
             raise SourceError(f"{self.name}: the recording lasts longer than 2**63 ns")
         whole: npt.NDArray[np.int64] = stamps.astype(np.int64)
@@ -186,7 +197,8 @@ class Frames:
             frames[:, ~self.mask] = 0
 
         with np.errstate(invalid="ignore"):
-            lowest, highest = frames.min(), frames.max()
+            lowest = frames.min()
+            highest = frames.max()
         allows_below = self.raw or layout.negative != REFUSE
         lower_end = -MAX_READING if allows_below else 0.0
         if lower_end <= lowest and highest <= MAX_READING:  # False for a NaN
@@ -212,7 +224,7 @@ class Frames:
 
     def _place(self, readings: npt.NDArray[Any], is_bad: Mask) -> str:
         frame, row, col = np.argwhere(is_bad)[0]
-        place = f"{self.name}: frame {self._n_before + frame}, row {row}, column {col}"
+        place = f"{self.name}: frame {self.n_frames + frame}, row {row}, column {col}"
         return f"{place}: {float(readings[frame, row, col]):.9g}"
 
     def _refuse_negative(self, readings: npt.NDArray[Any], frames: Floats, below: Mask) -> None:
@@ -230,3 +242,14 @@ class Frames:
             raise UnstatedError(f"{place} is below 0, as no other reading", option)
         hint = f"; or missing={marker:g}, if it stands for no reading" if is_marker else ""
         raise UnstatedError(f"{place} is below 0; {ways}{hint}")
+
+
+def _together(faults: Sequence[UnstatedError], name: str) -> UnstatedError:
+    """One error of several, whose options are combined as far as there is one of each."""
+    first, *others = faults
+    texts = [str(first), *(str(error).removeprefix(f"{name}: ") for error in others)]
+    options = [error.options for error in faults if error.options]
+    if all(len(ways) == 1 for ways in options):
+        together = {key: value for (way,) in options for key, value in way.items()}
+        return UnstatedError("; ".join(texts), *([together] if together else []))
+    return UnstatedError("; ".join(texts), *first.options)

@@ -266,8 +266,10 @@ class Lines(Iterator[str]):
     def __init__(self, file: IO[bytes], name: str) -> None:
         #: Number of the line that was read last, from 1, as in an editor.
         self.number = 0
-        self._file, self.name = file, name
-        self._line, self._again = "", False
+        self._file = file
+        self.name = name
+        self._line = ""
+        self._again = False
 
     @property
     def where(self) -> str:

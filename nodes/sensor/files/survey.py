@@ -4,15 +4,53 @@ not finite or below 0.
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.sensor.layout.layout import KEEP, MASK, OFFSET, REFUSE, ZERO, Layout
 
+from .frames import Stamped
 from .recording import FILLED
+
+DIGEST_BYTES = 8
+
+
+class Needs(NamedTuple):
+    """What is needed of a recording before its first frame. `in_memory`: all frames are; they are
+    decoded once.
+    """
+
+    range: bool = True
+    digest: bool = False
+    in_memory: bool = False
+
+
+class FrameStore:
+    """Stamps (k,) and frames (k, n_rows, n_cols) in memory, in an array that grows in place."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.frames: Floats = np.empty((0, *shape), dtype=np.float32)
+        self._stamps: list[npt.NDArray[np.int64]] = []
+
+    def add(self, stamp_ns: npt.NDArray[np.int64], frames: Floats) -> None:
+        """Add frames. No part of the array may be in use."""
+        n = len(self.frames)
+        self.frames.resize((n + len(frames), *self.frames.shape[1:]), refcheck=False)
+        self.frames[n:] = frames
+        self._stamps.append(stamp_ns)
+
+    def blocks(self) -> Iterator[Stamped]:
+        """The blocks that were added; the frames are parts of the array."""
+        n = 0
+        for stamp_ns in self._stamps:
+            yield stamp_ns, self.frames[n : n + len(stamp_ns)]
+            n += len(stamp_ns)
 
 
 @dataclass
@@ -28,6 +66,7 @@ class Survey:
     highest: float = 0.0
     has_number: Mask = field(init=False)  # (n_rows, n_cols): in some frame
     was_negative: Mask = field(init=False)
+    content: hashlib.blake2b | None = None  # hash of all frames, where it is needed
 
     def __post_init__(self) -> None:
         self.has_number = np.zeros(self.shape, dtype=np.bool_)
@@ -41,6 +80,8 @@ class Survey:
     def add(self, frames: Floats) -> None:
         """Add frames."""
         self.n_frames += len(frames)
+        if self.content is not None:
+            self.content.update(np.ascontiguousarray(frames).data)
         # A missing reading makes the plain extremes NaN; they are faster than fmin and fmax.
         lowest = float(frames.min())
         highest = float(frames.max())
@@ -80,8 +121,8 @@ class Treatment:
 
     @staticmethod
     def needs_survey(layout: Layout) -> bool:
-        """True if readings of later frames decide what is done with the first one."""
-        return MASK in (layout.nan, layout.negative) or layout.negative == OFFSET
+        """True if readings of later frames decide the range or what is done with the first one."""
+        return layout.nan == MASK or layout.negative in (MASK, OFFSET, KEEP)
 
     @property
     def lower_end(self) -> float:

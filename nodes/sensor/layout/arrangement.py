@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -78,7 +79,8 @@ def arrange(
             places = places.reshape(selection.shape)
             labelled = [Axis(selection.shape[0], "rows"), Axis(selection.shape[1], "cols")]
         else:
-            is_certain = any(names) or bool(layout.columns)
+            is_named = all(re.search(r"\d", names[k]) for k in selection.columns)
+            is_certain = is_named or bool(layout.columns)
             labelled = [Axis(places.size, "taxels" if is_certain else UNNAMED)]
     else:
         places, labelled, notes = _one_channel(layout, places, labelled, where)
@@ -142,7 +144,7 @@ def _one_channel(
     remaining = remaining or [len(axes) - 1]
     places = places.reshape([axes[at].size for at in remaining])
     axes = [axes[at] for at in remaining]
-    at = _channel_axis(layout, axes)
+    at = _channel_axis(layout, axes, where)
     if at is None:
         if len(axes) > 2:
             sides = " x ".join(str(axis.size) for axis in axes)
@@ -153,15 +155,45 @@ def _one_channel(
     return np.take(places, entry, axis=at), axes[:at] + axes[at + 1 :], (note,)
 
 
-def _channel_axis(layout: Layout, axes: list[Axis]) -> int | None:
-    """The axis of the channels, by its label; the last of three where a channel is stated."""
+def _channel_axis(layout: Layout, axes: list[Axis], where: str) -> int | None:
+    """The axis of the channels: by its label, or where a channel is stated the smallest one that
+    may have it and leaves a frame. UnstatedError if there are two.
+    """
     for at, axis in enumerate(axes):
         if axis.label.lower() in CHANNELS or tuple(map(str.lower, axis.names)) == XYZ:
             return at
-    small_last = len(axes) > 1 and (len(axes) == 3 or bool(layout.channel and layout.n_stated))
-    n_others = math.prod(axis.size for axis in axes[:-1])
-    fits = layout.n_stated in (None, n_others)
-    return len(axes) - 1 if layout.channel and small_last and fits else None
+    if not layout.channel or len(axes) < (3 if layout.n_stated is None else 2):
+        return None
+    n_numbers = math.prod(axis.size for axis in axes)
+    fitting = []
+    for at, axis in enumerate(axes):
+        leaves_frame = layout.n_stated in (None, n_numbers // axis.size)
+        if leaves_frame and may_hold_channel(layout.channel, axis.size):
+            fitting.append(at)
+    if not fitting:
+        return len(axes) - 1 if len(axes) == 3 else None
+    least = min(axes[at].size for at in fitting)
+    smallest = [at for at in fitting if axes[at].size == least]
+    if len(smallest) > 1:
+        sides = " x ".join(str(axis.size) for axis in axes)
+        fault = f"which axis of {sides} has channel {layout.channel} is not stated"
+        options = [{"axes": _with_channel_at(at, len(axes))} for at in smallest]
+        ways = " or ".join(f"axes={option['axes']}" for option in options)
+        raise UnstatedError(f"{where}: {fault}: state {ways}", *options)
+    return smallest[0]
+
+
+def _with_channel_at(at: int, n_axes: int) -> str:
+    """The setting `axes` of the axes of an item."""
+    names = ["rows", "cols"] if n_axes == 3 else ["taxels"]
+    return ",".join([*names[:at], "channel", *names[at:]])
+
+
+def may_hold_channel(channel: str, size: int) -> bool:
+    """True if an axis with so many entries can be that of the channels."""
+    if channel.isdecimal():
+        return int(channel) < size
+    return channel.lower() not in XYZ or size == len(XYZ)
 
 
 def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
@@ -188,7 +220,8 @@ def _as_grid(
     layout: Layout, places: npt.NDArray[Any], axes: list[Axis], where: str
 ) -> npt.NDArray[Any]:
     """Places as rows and columns; UnstatedError if nothing states them."""
-    n_rows, n_cols = layout.n_rows, layout.n_cols
+    n_rows = layout.n_rows
+    n_cols = layout.n_cols
     if len(axes) == 2:
         labels = [axis.label.lower() for axis in axes]
         is_transposed = labels[0] in COLS or (labels[1] in ROWS and labels[0] not in ROWS)

@@ -12,7 +12,12 @@ from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.settings import Settings, setting
 
-REFUSE, ZERO, HOLD, OFFSET, MASK, KEEP = "refuse", "zero", "hold", "offset", "mask", "keep"
+REFUSE = "refuse"
+ZERO = "zero"
+HOLD = "hold"
+OFFSET = "offset"
+MASK = "mask"
+KEEP = "keep"
 NAN_WAYS = (REFUSE, ZERO, HOLD, MASK)
 """Ways to treat readings that are NaN or infinite. They are refused; or, as `MissingReadings`, they
 become 0, the last reading of their taxel, or the mean of its neighbours."""
@@ -32,11 +37,11 @@ CHANNEL = re.compile(r"\d{1,4}|[A-Za-z_]\w{0,31}")
 class UnstatedError(SourceError):
     """Something that a source does not state, and that can be read in more than one way.
 
-    `options` are the settings that may be meant, each a mapping of key to text. Whoever knows the
+    `options` are the settings that may be meant, each a mapping of key to value. Whoever knows the
     whole source tries them, and proposes the one that reads it.
     """
 
-    def __init__(self, text: str, *options: Mapping[str, str]) -> None:
+    def __init__(self, text: str, *options: Mapping[str, Any]) -> None:
         super().__init__(text)
         self.options = options
 
@@ -79,7 +84,8 @@ class Layout(GridLayout):
     axes: str = setting(
         "",
         "axes of an array in their order, as rows,cols,frames; of frames, rows, cols, taxels, "
-        "channel, and - for an axis of one entry",
+        "channel, and - for an axis of one entry; of a table with a line for each taxel: "
+        "taxels,frames",
     )
     columns: str = setting(
         "", "taxels of a table: names as s*, or numbers from 1 as 2-65, separated by commas"
@@ -95,6 +101,12 @@ class Layout(GridLayout):
     )
     time_unit: str = setting(
         "", "unit of the times; clock: time of day, as 10:15:02.120", choices=TIME_UNITS
+    )
+    time_wrap: int | None = setting(
+        None,
+        "units of time until the times are 0 again: 4294967296 of micros() and millis()",
+        low=2,
+        high=1 << 64,
     )
     rate_hz: float | None = setting(
         None, "frames per second, in place of the times of the file", low=1e-9, high=1e9
@@ -118,12 +130,19 @@ class Layout(GridLayout):
     topic: str = setting(
         "", "topic of a recording (ROS, sparseskin), or name or path of the array in a file"
     )
-    frame_id: str = setting("", "of the messages of a topic those whose header names this frame")
+    frame_id: str = setting(
+        "",
+        "of the messages of a topic those whose header names this frame; of a table the lines "
+        "whose column of sensors has it",
+    )
     skip: int = setting(
         0, "lines of a table, or messages, before the first that is read", low=0, high=2**31 - 1
     )
 
     def __post_init__(self) -> None:
+        if isinstance(self.time_wrap, str) and self.time_wrap.isdecimal():
+            # As it stands behind "add" in an error.
+            object.__setattr__(self, "time_wrap", int(self.time_wrap[:24]))
         for key in NUMBERS_AS_TEXTS:
             value = getattr(self, key)
             if is_real(value):

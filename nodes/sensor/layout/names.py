@@ -17,7 +17,8 @@ NORMAL = "z"
 """The channel that is read of x, y and z: the force along the normal of the skin."""
 AXIS = re.compile(r"(?:^|(?<=[^a-z]))[ft]?([xyz])(?=$|[^a-z])")
 """A letter of an axis in a name in small letters, as in p3_z, z_3, taxels[3].z, fz12."""
-ROW_WORDS, COL_WORDS = ("r", "row", "rows", "y", "line"), ("c", "col", "cols", "column", "x")
+ROW_WORDS = ("r", "row", "rows", "y", "line")
+COL_WORDS = ("c", "col", "cols", "column", "x")
 MAX_SHOWN = 6
 
 
@@ -75,7 +76,8 @@ def matching(part: str, names: Sequence[str], n: int, where: str, key: str) -> l
     numbers = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", part)
     columns: list[int] = []
     if numbers and part not in names:
-        begin, end = int(numbers[1]), int(numbers[2] or numbers[1])
+        begin = int(numbers[1])
+        end = int(numbers[2] or numbers[1])
         if 1 <= begin <= end <= n:
             columns = list(range(begin - 1, end))
     else:
@@ -161,10 +163,11 @@ def _undecided(
         needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {layout.n_stated}"
         raise SourceError(f"{where}: {about}, but {needed}; state columns, or another shape")
     options = [{"columns": _as_text(names, columns)} for columns in ways]
-    raise UnstatedError(
-        f"{where}: {about}: which are taxels is not stated: state columns, or n_rows and n_cols",
-        *options,
-    )
+    hint = "columns, or n_rows and n_cols"
+    if layout.n_stated is not None:
+        hint = " or ".join(f"columns={option['columns']}" for option in options[:MAX_SHOWN])
+    fault = f"{where}: {about}: which are taxels is not stated"
+    raise UnstatedError(f"{fault}: state {hint}", *options)
 
 
 def _channels(indexed: dict[Family, list[int]]) -> dict[str, list[int]]:
@@ -251,7 +254,8 @@ def _grid(
 
 def _as_text(names: Sequence[str], columns: Sequence[int]) -> str:
     """The setting `columns` of some columns: a range of numbers, or numbers."""
-    begin, end = columns[0], columns[-1]
+    begin = columns[0]
+    end = columns[-1]
     if list(columns) == list(range(begin, end + 1)):
         return f"{begin + 1}-{end + 1}"
     patterns = {re.sub(r"\d+", "*", names[k]) for k in columns}

@@ -15,12 +15,13 @@ from sparseskin.nodes.errors import SourceError
 
 from .layout import UnstatedError
 
-ISO, CLOCK_UNIT = "iso", "clock"
+ISO = "iso"
+CLOCK_UNIT = "clock"
 NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, ISO: 1, CLOCK_UNIT: 1}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
 TIME_NAME = re.compile(
-    r"[%_\s]*(?:field\.|header[._])*(t|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
-    r"|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])"
+    r"[%_\s]*(?:field\.|header[._])*(t|ts|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
+    r"|secs?|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])"
 )
 """Begin of the name of a column or array of times, in small letters."""
 UNIT_NAME = re.compile(
@@ -31,6 +32,10 @@ EPOCH_S = 9.0e8, 4.2e9
 """Seconds since 1970 that can be a date: 1998 to 2103, chosen."""
 RATES_HZ = 0.1, 2000.0
 """Rates at which skins are read; chosen: of a bed a frame in 10 s, of boards 2 kHz."""
+OTHER_DATE = re.compile(r"(?:(\d{1,2})\.(\d{1,2})\.(\d{4})|(\d{4})/(\d{1,2})/(\d{1,2}))(?=$|[ T])")
+"""Dates of one meaning; 3/12/2026 has two."""
+USUAL_WRAP = 1 << 32
+"""Units of time until clocks of microcontrollers are 0 again."""
 DAY_NS = 86_400 * 10**9
 CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d{1,9})?)")
 
@@ -52,7 +57,13 @@ def named_unit(name: str) -> str:
 
 
 def iso_ns(text: str) -> int | None:
-    """Nanoseconds since 1970 of a stamp of ISO 8601, of UTC where it states no zone; None: none."""
+    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026 or 2026/03/12, of
+    UTC where it states no zone; None: none.
+    """
+    date = OTHER_DATE.match(text)
+    if date is not None:
+        year, month, day = (date[3], date[2], date[1]) if date[3] else (date[4], date[5], date[6])
+        text = f"{year}-{int(month):02}-{int(day):02}{text[date.end() :].replace(',', '.')}"
     if "-" not in text[1:]:
         return None
     try:
@@ -117,16 +128,18 @@ class Stamps:
     """Turns raw times, block by block, into stamps: nanoseconds since the first frame.
 
     A time that repeats the one before it is 1 ns later, so that stamps rise; `n_repeated` counts
-    them. Times of day begin again at midnight.
+    them. Times of day begin again at midnight, and others at 0 after
+    `wrap` units.
     """
 
     unit: str
+    wrap: int | None = None
     n_repeated: int = 0
     n: int = 0
     last_ns: int = -1
     _first: float | int | None = None
     _last_time_ns: int = 0
-    _days_ns: int = 0
+    _turns_ns: int = 0
 
     def stamps(self, times: Sequence[float | int], where: str) -> npt.NDArray[np.int64]:
         """Stamps, int64 (k,), of times in `unit`, exact for whole numbers. Raises SourceError, with
@@ -135,20 +148,39 @@ class Stamps:
         stamps = np.empty(len(times), dtype=np.int64)
         for k, since_first_ns in enumerate(self._in_ns(times)):
             self.n += 1
-            stamps[k] = self._rising(since_first_ns + self._days_ns, where)
+            stamps[k] = self._rising(since_first_ns + self._turns_ns, where)
         return stamps
+
+    def check(self, where: str) -> None:
+        """Raise SourceError if most times repeat the one before them: of a clock of whole seconds,
+        or a date alone.
+        """
+        if self.n > 2 and 2 * self.n_repeated > self.n:
+            fault = f"{self.n_repeated} of {self.n} times repeat the one before"
+            raise SourceError(f"{where}: {fault}; state another time, or rate_hz")
+
+    @property
+    def _turn_ns(self) -> int:
+        """Time after which the times begin again; 0: never."""
+        if self.unit == CLOCK_UNIT:
+            return DAY_NS
+        return NS[self.unit] * (self.wrap or 0)
 
     def _rising(self, time_ns: int, where: str) -> int:
         """The stamp of a time, after the one before it."""
         fall_ns = self._last_time_ns - time_ns
-        if self.unit == CLOCK_UNIT and fall_ns > DAY_NS // 2:
-            self._days_ns += DAY_NS
-            time_ns += DAY_NS
-            fall_ns -= DAY_NS
+        if self._turn_ns and fall_ns > self._turn_ns // 2:
+            self._turns_ns += self._turn_ns
+            time_ns += self._turn_ns
+            fall_ns -= self._turn_ns
         if fall_ns > 0:
             fault = f"the time of frame {self.n} is before that of the one before it"
             ways = "sort or split the file, or state rate_hz to read it without times"
-            raise SourceError(f"{where}: {fault}, by {fall_ns / 1e9:.4g} s; {ways}")
+            text = f"{where}: {fault}, by {fall_ns / 1e9:.4g} s; {ways}"
+            if self.wrap is None and 2 * fall_ns > NS[self.unit] * USUAL_WRAP:
+                way = {"time_wrap": USUAL_WRAP}
+                raise UnstatedError(f"{text}; or time_wrap, if they begin again at 0", way)
+            raise SourceError(text)
         self._last_time_ns = time_ns
 
         if time_ns <= self.last_ns:

@@ -33,7 +33,8 @@ class SceneAddress(Address):
     own = ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min")
 
     def check(self) -> None:
-        name, on_grid = self.rest, self.rest in SCENES
+        name = self.rest
+        on_grid = self.rest in SCENES
         if on_grid and (self.points or "points" in (self.simulated or {})):
             known = ", ".join(point_scenes())
             raise SourceError(f"scene {name} presses a flat grid; allowed on points: {known}")
@@ -55,7 +56,7 @@ class SceneAddress(Address):
 
     def _described(self) -> SkinDescription:
         """The skin of each patch of a body."""
-        stated: dict[str, Any] = dict(self.simulated or {"rows": 64, "cols": 64})
+        stated: dict[str, Any] = dict(self.simulated or {"n_rows": 64, "n_cols": 64})
         if "points" not in stated:
             stated.setdefault("pitch_mm", PITCH_MM)
         return parse_skin(

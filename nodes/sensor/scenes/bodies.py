@@ -154,7 +154,8 @@ def build_sole(
     force grows over a radius, where it would jump on a needle. `bounds` are those of the body.
     """
     margin = taxel_radius_m + 2 * GRID_M
-    x_min, y_min = bounds[0] - margin, bounds[2] - margin
+    x_min = bounds[0] - margin
+    y_min = bounds[2] - margin
     n_x = math.ceil((bounds[1] + margin - x_min) / GRID_M) + 1
     n_y = math.ceil((bounds[3] + margin - y_min) / GRID_M) + 1
     x, y = np.meshgrid(x_min + GRID_M * np.arange(n_x), y_min + GRID_M * np.arange(n_y))
@@ -192,7 +193,8 @@ class Body:
 @cache
 def wooden_cube(taxel_radius_m: float) -> Body:
     """Gazebo's wooden cube: 10 cm, 0.5167 kg, face down."""
-    side, mass = 0.1, 0.5167
+    side = 0.1
+    mass = 0.5167
     half = side / 2
     sole = build_sole(
         [slab(-half, half, -half, half, 0.0)], (-half, half, -half, half), taxel_radius_m
@@ -203,7 +205,9 @@ def wooden_cube(taxel_radius_m: float) -> Body:
 @cache
 def metal_peg(taxel_radius_m: float) -> Body:
     """An aluminium peg of 20 mm diameter and 60 mm length, standing upright: 51 g."""
-    radius, length, density = 0.01, 0.06, 2700.0
+    radius = 0.01
+    length = 0.06
+    density = 2700.0
     mass = density * math.pi * radius**2 * length
     sole = build_sole([disc(radius, 0.0)], (-radius, radius, -radius, radius), taxel_radius_m)
     return Body(sole, mass, mass * (3 * radius**2 + length**2) / 12)

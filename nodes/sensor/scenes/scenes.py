@@ -41,7 +41,8 @@ def lift_box_40() -> Scene:
     In the middle and face parallel, on 20 x 20 taxels: it lands flat, and nothing tilts it. Lifted
     0.12 s after it touched down for the last time; contact ends 1 ms later.
     """
-    body, motion = wooden_cube(TAXEL_RADIUS_M), Lift(at_s=0.685)
+    body = wooden_cube(TAXEL_RADIUS_M)
+    motion = Lift(at_s=0.685)
     return Scene(name="lift_box_40", n_steps=700, body=body, surface=SKIN, motion=motion)
 
 

@@ -177,17 +177,20 @@ class SceneSource(Source):
 
     def states(self) -> Iterator[State]:
         """Yield the state at each time step, the first one at rest in the air."""
-        scene, n_dof = self.scene, len(self.scene.dof)
+        scene = self.scene
+        n_dof = len(self.scene.dof)
         place, course = self._course()
         terrain = Terrain(scene.surface, scene.shape, scene.body.sole, scene.yaw_rad, scene.dof)
         weight = scene.body.mass_kg * GRAVITY_M_S2
         inertia = np.full(n_dof, scene.body.inertia_kg_m2)
         inertia[0] = scene.body.mass_kg
         body = RigidBody(inertia, np.array([-weight] + [0.0] * (n_dof - 1)))
-        q, v = np.zeros(n_dof), np.zeros(n_dof)
+        q = np.zeros(n_dof)
+        v = np.zeros(n_dof)
         q[0] = scene.drop_height_m
 
-        dt_s, motion = scene.dt_ns * 1e-9, scene.motion
+        dt_s = scene.dt_ns * 1e-9
+        motion = scene.motion
         here = course.place(0.0)
         bed, taxels = terrain.under((place[0] + here[0], place[1] + here[1]))
         for step in range(scene.n_steps):

@@ -51,7 +51,10 @@ class Terrain:
         yaw_rad: float,
         dof: tuple[str, ...],
     ) -> None:
-        self._surface, self._shape, self._sole, self._dof = surface, shape, sole, dof
+        self._surface = surface
+        self._shape = shape
+        self._sole = sole
+        self._dof = dof
         self._yaw = (math.cos(yaw_rad), math.sin(yaw_rad))
         self._searched_at: Place | None = None
         # 1 within one pitch of the body, and a little more for the rotated grid.
@@ -109,7 +112,8 @@ class Terrain:
         order = np.concatenate([skin, ground])
         sizes = [skin.size, ground.size]
         self._taxels = (row * n_cols + col)[skin]
-        self._body_x, self._body_y = body_x[order], body_y[order]
+        self._body_x = body_x[order]
+        self._body_y = body_y[order]
         self._stiffness = np.repeat([surface.stiffness, surface.ground_stiffness], sizes)
         self._damping = np.repeat([surface.damping, surface.ground_damping], sizes)
         self._depth = np.repeat([0.0, surface.ground_drop_m or 0.0], sizes)

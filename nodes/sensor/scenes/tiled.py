@@ -27,7 +27,8 @@ from .contact import GRAVITY_M_S2
 from .scenes import SKIN
 from .simulation import Lift, Scene, SceneSource
 
-SETTLE_S, LIFT_S = 1.2, 0.2
+SETTLE_S = 1.2
+LIFT_S = 0.2
 """Time from the fall to rest, and from the begin of the lift to the last contact; chosen: the
 oscillation decays to e^(-4.9 x 1.2) = 0.3 %."""
 FRAME_S = 0.002
@@ -80,7 +81,9 @@ class TiledScene(Source):
     ) -> None:
         if skin.pitch_m is None or skin.unit != "N":
             raise SourceError(f"scene {name}: the skin's pitch and forces in N have to be known")
-        self.name, self.skin, self.sigmas = name, skin, sigmas
+        self.name = name
+        self.skin = skin
+        self.sigmas = sigmas
         self.n_patches = n_patches
         self._tiling = TILED[name]
         part = self._tiling.active if active is None else active
@@ -108,7 +111,8 @@ class TiledScene(Source):
 
     def _pressed(self, t_s: float) -> list[tuple[int, float]]:
         """Patches pressed at a time, each with the time since its press began."""
-        tiling, n = self._tiling, self._n_active
+        tiling = self._tiling
+        n = self._n_active
         found = []
         for period in {int(t_s // tiling.period_s), int(t_s // tiling.period_s) - 1} - {-1}:
             first = period * n if tiling.moves else 0
@@ -151,7 +155,8 @@ def _press(name: str, shape: tuple[int, int], pitch_m: float, f_max: float) -> F
 
 def _limb(shape: tuple[int, int], pitch_m: float) -> Body:
     """A round bead over half the longer side of a patch."""
-    height, width = shape[0] * pitch_m, shape[1] * pitch_m
+    height = shape[0] * pitch_m
+    width = shape[1] * pitch_m
     radius = 0.5 * max(min(height, width), 2 * pitch_m)
     end = (0.25 * width, 0.0) if width >= height else (0.0, 0.25 * height)
     half = math.sqrt(2 * radius * SINK_M)
@@ -164,10 +169,13 @@ def _limb(shape: tuple[int, int], pitch_m: float) -> Body:
 
 def _foot(shape: tuple[int, int], pitch_m: float) -> Body:
     """A sole: heel and ball, flat, along the longer side of a patch."""
-    height, width = shape[0] * pitch_m, shape[1] * pitch_m
-    long, wide = max(height, width), min(height, width)
+    height = shape[0] * pitch_m
+    width = shape[1] * pitch_m
+    long = max(height, width)
+    wide = min(height, width)
     parts = [(-0.4 * long, -0.12 * long, 0.16 * wide), (0.03 * long, 0.4 * long, 0.24 * wide)]
-    slabs, area = [], 0.0
+    slabs = []
+    area = 0.0
     for start, stop, half in parts:
         ends = (start, stop, -half, half) if width >= height else (-half, half, start, stop)
         slabs.append(slab(*ends, 0.0))

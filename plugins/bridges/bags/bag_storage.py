@@ -16,7 +16,10 @@ from sparseskin.plugins.bridges.messages.definitions import full_name
 from .storage import Recorded, Storage, Topic
 
 MAGIC = b"#ROSBAG V2.0\n"
-OP_MESSAGE, OP_HEADER, OP_CHUNK, OP_CONNECTION = 2, 3, 5, 7
+OP_MESSAGE = 2
+OP_HEADER = 3
+OP_CHUNK = 5
+OP_CONNECTION = 7
 MAX_CHUNK_BYTES = 1 << 28
 """Largest chunk of a bag after decompression; chosen: a hundred times the usual."""
 MAX_HEAD_BYTES = 1 << 20
@@ -59,7 +62,6 @@ class BagStorage(Storage):
 
     def __init__(self, path: str, name: str) -> None:
         super().__init__(path, name)
-        self._connections: dict[int, tuple[str, Topic]] = {}
         self._index = 0
         with reading(path) as file:
             size = file.seek(0, 2)
@@ -71,20 +73,17 @@ class BagStorage(Storage):
                 raise SourceError(f"{name}: cannot be read ({fault})") from fault
         self.is_closed = 0 < self._index < size
 
-    def topics(self) -> dict[str, Topic]:
-        if self.is_closed:
-            with reading(self.path) as file:
-                size = file.seek(0, 2)
-                try:
-                    for record in _records(file, self._index, size):
-                        if record.opcode == OP_CONNECTION:
-                            self._connect(record)
-                except Break:
-                    self._connections.clear()
-        if not self._connections:
-            for _ in self.messages(()):
-                continue
-        return dict(self._connections.values())
+    def read_index(self) -> None:
+        if not self.is_closed:
+            return
+        with reading(self.path) as file:
+            size = file.seek(0, 2)
+            try:
+                for record in _records(file, self._index, size):
+                    if record.opcode == OP_CONNECTION:
+                        self._connect(record)
+            except Break:
+                self.connections.clear()
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         self.losses.clear()
@@ -134,9 +133,9 @@ class BagStorage(Storage):
         if record.opcode != OP_MESSAGE:
             return
         number = record.number(b"conn")
-        if number not in self._connections:
+        if number not in self.connections:
             raise Break("a message there has no connection")
-        topic, of = self._connections[number]
+        topic, of = self.connections[number]
         if topic in topics:
             sec, nanosec = record.unpacked(TIME, b"time")
             yield Recorded(topic, of.kind, sec * 10**9 + nanosec, record.data)
@@ -147,8 +146,8 @@ class BagStorage(Storage):
         topic = record.head.get(b"topic", b"").decode("utf-8", "replace")
         kind = full_name(fields.get(b"type", b"").decode("utf-8", "replace"))
         text = fields.get(b"message_definition", b"").decode("utf-8", "replace")
-        if len(self._connections) < MAX_TOPICS:
-            self._connections[record.number(b"conn")] = topic, Topic(kind, text, ros=1)
+        if len(self.connections) < MAX_TOPICS:
+            self.connections[record.number(b"conn")] = topic, Topic(kind, text, ros=1)
 
 
 def _records(file: IO[bytes], place: int, size: int) -> Iterator[Record]:

@@ -24,9 +24,8 @@ class Db3Storage(Storage):
     def __init__(self, path: str, name: str, has_log: bool = False) -> None:
         super().__init__(path, name)
         self.is_closed = not has_log
-        self._topics: dict[int, tuple[str, Topic]] = {}
 
-    def topics(self) -> dict[str, Topic]:
+    def read_index(self) -> None:
         with self._opened() as base:
             texts = self._definitions(base)
             rows = base.execute("SELECT id, name, type, serialization_format FROM topics")
@@ -34,14 +33,13 @@ class Db3Storage(Storage):
                 form, text = texts.get(str(kind), ("msg", ""))
                 is_cdr = encoding in ("cdr", "")
                 of = Topic(str(kind), text, form) if is_cdr else Topic(str(encoding))
-                self._topics[number] = str(name), of
-        return dict(self._topics.values())
+                self.connections[number] = str(name), of
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         self.losses.clear()
-        if not self._topics:
-            self.topics()
-        numbers = [number for number, (name, _) in self._topics.items() if name in topics]
+        if not self.connections:
+            self.read_index()
+        numbers = [number for number, (name, _) in self.connections.items() if name in topics]
         marks = ",".join("?" * len(numbers))
         # As they were written: an index may be behind the place where a file is cut off.
         columns = "topic_id, timestamp, data"
@@ -51,7 +49,7 @@ class Db3Storage(Storage):
             try:
                 for number, log_ns, data in base.execute(query, numbers):
                     n += 1
-                    name, of = self._topics[number]
+                    name, of = self.connections[number]
                     if not isinstance(log_ns, int):
                         raise SourceError(f"{self.name}: a message has no time")
                     payload = data if isinstance(data, bytes) else b""

@@ -42,34 +42,23 @@ class McapStorage(Storage):
     def __init__(self, path: str, name: str) -> None:
         super().__init__(path, name)
         self._schemas: dict[int, Topic] = {}
-        self._channels: dict[int, tuple[str, Topic]] = {}
         with reading(path) as file:
             self._summary = self._begin_of_summary(file)
         self.is_closed = self._summary is not None
-        self._topics: dict[str, Topic] = {}
 
-    def topics(self) -> dict[str, Topic]:
-        if self._topics:
-            return self._topics
+    def read_index(self) -> None:
+        if not self._summary:
+            return
         with reading(self.path) as file:
+            size = file.seek(0, 2)
             try:
-                if self._summary:
-                    size = file.seek(0, 2)
-                    for record in records(file, self._summary, size - len(MAGIC) - FOOTER.size):
-                        self._note(record)
+                for record in records(file, self._summary, size - len(MAGIC) - FOOTER.size):
+                    self._note(record)
             except Break:
-                self._channels.clear()
-        if not self._channels:
-            # No index: the channels stand among the messages.
-            for _ in self.messages(()):
-                continue
-        self._topics = dict(self._channels.values())
-        return self._topics
+                self.connections.clear()
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         self.losses.clear()
-        self._schemas.clear()
-        self._channels.clear()
         with reading(self.path) as file:
             size = file.seek(0, 2)
             place = len(MAGIC)
@@ -99,9 +88,9 @@ class McapStorage(Storage):
             self._note(record)
             return
         number, log_ns, _, payload = message_of(memoryview(record.data), record.offset)
-        if number not in self._channels:
+        if number not in self.connections:
             raise Break(record.offset, "a message there has no channel")
-        topic, of = self._channels[number]
+        topic, of = self.connections[number]
         if topic in topics:
             yield Recorded(topic, of.kind, log_ns, bytes(payload))
 
@@ -119,7 +108,7 @@ class McapStorage(Storage):
             if encoding in VERSIONS:
                 schema = self._schemas.get(channel.schema_id, Topic(""))
                 of = schema._replace(ros=VERSIONS[encoding])
-            self._channels[channel.id] = channel.topic, of
+            self.connections[channel.id] = channel.topic, of
 
     def _begin_of_summary(self, file: IO[bytes]) -> int | None:
         """Begin of the summary, 0 where there is none; None if the file has no end."""

@@ -54,14 +54,26 @@ class Storage(ABC):
     def __init__(self, path: str, name: str) -> None:
         self.path = path
         self.name = name
+        #: Topics by the numbers that messages state.
+        self.connections: dict[int, tuple[str, Topic]] = {}
         #: What the last `messages` could not read, a text each.
         self.losses: list[str] = []
         #: False if the recorder did not close the file.
         self.is_closed = True
 
-    @abstractmethod
     def topics(self) -> dict[str, Topic]:
         """The topics of the file. Raises SourceError if it cannot be read."""
+        if not self.connections:
+            self.read_index()
+        if not self.connections:
+            # No index: the topics stand among the messages.
+            for _ in self.messages(()):
+                continue
+        return dict(self.connections.values())
+
+    @abstractmethod
+    def read_index(self) -> None:
+        """Note the connections of the index, as far as there is one that can be read."""
 
     @abstractmethod
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:

@@ -93,7 +93,8 @@ class Channels(dict[str, Any]):
         from foxglove import channels
 
         if topic not in self:
-            make, form = foxglove.Channel, dict[str, Any]()
+            make = foxglove.Channel
+            form = dict[str, Any]()
             if schema == "json":
                 form = {"message_encoding": "json"}
             elif isinstance(schema, str):
@@ -116,7 +117,9 @@ def contents(
     - numbers of the message, the sum of the frame and `more` as JSON on .../figures;
     - contacts as JSON on their own topic, and as SceneUpdate on .../scene.
     """
-    topic, cls, values = message.topic, type(message), values_alone(message)
+    topic = message.topic
+    cls = type(message)
+    values = values_alone(message)
     if isinstance(message, Contacts):
         yield topic, json_schema(message), lambda: as_json(message)
         if skin is not None:
@@ -223,7 +226,9 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
         middle[:2] = side * (skin.n_cols - 1) / 2, side * (skin.n_rows - 1) / 2
     entities = []
     for one in shapes(message, skin):
-        d, centre, tail = one.diameter, one.centre - middle, one.tail - middle
+        d = one.diameter
+        centre = one.centre - middle
+        tail = one.tail - middle
         length = float(np.linalg.norm(centre - tail))
         head = min(d / 2, length)
         arrow = made.ArrowPrimitive(

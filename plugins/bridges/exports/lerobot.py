@@ -44,7 +44,9 @@ from .lerobot_dataset import (
 )
 
 FPS = 30
-MAX_WINDOW, MAX_CONTACTS, MAX_OFFSET_S = 4096, 100, 86400
+MAX_WINDOW = 4096
+MAX_CONTACTS = 100
+MAX_OFFSET_S = 86400
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,9 @@ class _Episode:
         """Raise BagError if rows lie before the first frame, or more than a period after the last;
         log frames after the last row.
         """
-        (first, last), begin, end = self.span_ns, int(rows_ns[0]), int(rows_ns[-1])
+        (first, last) = self.span_ns
+        begin = int(rows_ns[0])
+        end = int(rows_ns[-1])
         late = max(period_ns, *(one.period_ns for one in self.maps + self.contacts))
         if begin < first or end > last + late:
             raise BagError(
@@ -122,7 +126,8 @@ class _Episode:
         """
         found = {}
         for one in self.maps:
-            n, window = one.values.shape[1], range(one.size - 1, -1, -1)
+            n = one.values.shape[1]
+            window = range(one.size - 1, -1, -1)
             found[one.key] = Feature((one.size, n), None, [one.part(back) for back in window])
             found[f"{one.key}.age"] = Feature((one.size,), None, [(one.size, one.ages)])
         parts = [one.part(missing=0) for one in self.maps]
@@ -199,7 +204,8 @@ def export_lerobot(
     rate = joined.fps if joined else fps or FPS
     with whole_folder(out):
         with tempfile.TemporaryDirectory(dir=out, prefix=".frames") as name:
-            folder, sizes = Path(name), dict[str, int]()
+            folder = Path(name)
+            sizes = dict[str, int]()
             episodes = []
             for bag, offset_ns in zip(bags, offsets_ns, strict=True):
                 maps, touched = _wanted(bag, topics)
@@ -322,7 +328,8 @@ def _episode(path: Path, maps: list[_Stream], contacts: list[_Stream], offset_ns
 
 def _readme(episodes: Sequence[_Episode]) -> str:
     """What the features are, in Markdown."""
-    maps, contacts = episodes[0].maps, episodes[0].contacts
+    maps = episodes[0].maps
+    contacts = episodes[0].contacts
     lines = [
         "# Tactile frames", "",
         "Of each row the last frames at or before its time, the newest last; `.age` is the time "
@@ -331,7 +338,8 @@ def _readme(episodes: Sequence[_Episode]) -> str:
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for stream in maps:
-        skin, (n_rows, n_cols) = stream.skin, stream.shape
+        skin = stream.skin
+        (n_rows, n_cols) = stream.shape
         known = (skin.unit, f"0..{skin.f_max:g}", skin.pitch_m or "-") if skin else ("-",) * 3
         cells = (stream.key, stream.size, f"{n_rows} x {n_cols}", *known, stream.topic)
         lines.append(f"| {' | '.join(map(str, cells))} |")

@@ -24,7 +24,9 @@ from sparseskin.nodes.recorder.bag.format import BagError
 
 VERSION = "v3.0"
 TASK = "touch"
-STATE, FORCES, ACTION = "observation.state", "observation.environment_state", "action"
+STATE = "observation.state"
+FORCES = "observation.environment_state"
+ACTION = "action"
 MAX_FPS = 1000
 CHUNK = 1000
 """Files of a folder."""
@@ -34,7 +36,10 @@ BLOCK_BYTES = 1 << 26
 """Size of what is held in memory at once, bytes: a recording may be larger than the memory."""
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-INFO, STATS, TASKS, README = "meta/info.json", "meta/stats.json", "meta/tasks.parquet", "README.md"
+INFO = "meta/info.json"
+STATS = "meta/stats.json"
+TASKS = "meta/tasks.parquet"
+README = "README.md"
 CARD = "---\ntask_categories:\n- robotics\ntags:\n- LeRobot\n- tactile\n---\n"
 Times = npt.NDArray[np.int64]
 """Times after the begin of an episode, nanoseconds, shape (n_times,)."""
@@ -87,7 +92,8 @@ class Dataset:
             self._stats = json.loads((root / STATS).read_text())
             if (version := self._info["codebase_version"]) != VERSION:
                 raise ValueError(f"codebase version {version!r:.20}; allowed is {VERSION!r}")
-            self.fps, self._features = self._info["fps"], {**self._info["features"]}
+            self.fps = self._info["fps"]
+            self._features = {**self._info["features"]}
             if not 0 < self.fps <= MAX_FPS:
                 raise ValueError(f"fps {self.fps} is outside 0..{MAX_FPS}")
             self._data = sorted(root.glob("data/*/*.parquet"))
@@ -145,7 +151,9 @@ class Dataset:
 
     def _with(self, key: str, feature: Feature) -> dict[str, Any]:
         """A feature as info.json states it, appended to that of the dataset."""
-        old, names, n = self._features.get(key), feature.names, feature.shape[0]
+        old = self._features.get(key)
+        names = feature.names
+        n = feature.shape[0]
         if old is None:
             return {"dtype": "float32", "shape": [*feature.shape], "names": names}
         before = old["names"]
@@ -225,7 +233,8 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
     import pyarrow.parquet as pq
 
     begins = np.cumsum([0, *lengths])
-    episodes, stats = [], []
+    episodes = []
+    stats = []
     for k, n in enumerate(lengths):
         columns = {
             "timestamp": (np.arange(n) / fps).astype(np.float32),

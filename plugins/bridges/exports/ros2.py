@@ -71,7 +71,8 @@ def _messages(
     message: Message, skin: SkinState | None, path: Path
 ) -> Iterator[tuple[str, str, bytes]]:
     """Topic, type and CDR of all that is written of one message."""
-    topic, values = message.topic, values_alone(message)
+    topic = message.topic
+    values = values_alone(message)
     stamp = divmod(message.stamp_ns, 1_000_000_000)
     if stamp[0] > _MAX_SECONDS:
         raise BagError(f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 holds, 2**31 s")

@@ -28,7 +28,8 @@ BASES = {
 }
 """Dtype of each base type that is a number."""
 STRING = "string"
-TIME, DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
+TIME = "builtin_interfaces/msg/Time"
+DURATION = "builtin_interfaces/msg/Duration"
 HEADER = "std_msgs/msg/Header"
 SHORT = {"time": TIME, "duration": DURATION, "Header": HEADER}
 """Names that a definition uses without a package."""

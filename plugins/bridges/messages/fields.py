@@ -278,7 +278,8 @@ def only_channel(paths: Iterable[str], channel: str) -> list[str]:
     chosen = []
     for path in every:
         whole, lists = ENDING.fullmatch(path).groups()  # type: ignore[union-attr]
-        stem, letter = whole[:-1], whole[-1:]
+        stem = whole[:-1]
+        letter = whole[-1:]
         axes = XYZ if letter.islower() else tuple(axis.upper() for axis in XYZ)
         is_one_of_three = letter in axes and all(stem + axis + lists in every for axis in axes)
         if not is_one_of_three or letter.lower() == wanted:

@@ -119,7 +119,8 @@ def _cells(
     """The numbers of each cell, (height, width) or (height, width, n), at an offset in each `pitch`
     bytes of each `step` bytes.
     """
-    n_rows, n_cols = message["height"], message["width"]
+    n_rows = message["height"]
+    n_cols = message["width"]
     data = message["data"]
     if n_rows * n_cols == 0:
         raise EmptyMessageError("holds no number")
@@ -178,7 +179,7 @@ def _steps(sizes: list[int], strides: list[int], n: int) -> list[int]:
     spans = [size * step for size, step in zip(sizes, steps, strict=True)]
     is_nested = all(span <= step for span, step in zip(spans[1:], steps, strict=False))
     last = sum((size - 1) * step for size, step in zip(sizes, steps, strict=True))
-    if is_nested and last < n and spans[0] in (n, strides[0]):
+    if is_nested and last < n and spans[0] == n:
         return steps
     shape = " x ".join(map(str, sizes))
     fault = f"its dimensions {shape} with strides {strides} do not fit its {n} numbers"

@@ -71,7 +71,9 @@ class Reading:
     """A program that reads what a writer sends."""
 
     def __init__(self, writer, process, schema):
-        self._writer, self._process, self._schema = writer, process, schema
+        self._writer = writer
+        self._process = process
+        self._schema = schema
         self._last = wire_bytes(sentinel(schema))
 
     def exchange(self, buffers):
@@ -94,7 +96,8 @@ class Reading:
         end = End(stamp_ns=1, patch="skin", of=self._schema, n_messages=n_sent)
         self.send(wire_bytes(end.published(RUN_ID, n_sent)))
         stdout, stderr = self._process.communicate()
-        assert (self._process.returncode, stderr) == (0, "")
+        assert self._process.returncode == 0
+        assert stderr == ""
         *read, missed = map(json.loads, stdout.splitlines())
         return read, missed
 
@@ -241,7 +244,8 @@ def test_a_message_of_another_version_is_refused_by_name(dump):
         program.send(buffer)
         read, missed = program.finish(0)
     why = "wire form 3, version 3; this reader knows 3, 2"
-    assert (read, missed) == ([], {"missed": 0, "unreadable": 1, "why": why})
+    assert read == []
+    assert missed == {"missed": 0, "unreadable": 1, "why": why}
 
 
 def test_the_example_prints_the_contacts_of_a_graph(start, tmp_path, monkeypatch, capsys):
@@ -265,6 +269,8 @@ def test_the_example_prints_the_contacts_of_a_graph(start, tmp_path, monkeypatch
 def test_without_an_address_it_states_its_usage(tmp_path):
     program = compiled(HEADER / "contacts.cpp", tmp_path)
     done = subprocess.run([program], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr.endswith("ADDRESS OFFSET_NS\n")) == (2, True)
+    assert done.returncode == 2
+    assert done.stderr.endswith("ADDRESS OFFSET_NS\n")
     refused = subprocess.run([program, "nowhere", "0"], capture_output=True, text=True, check=False)
-    assert (refused.returncode, refused.stderr) == (1, "nowhere: Invalid argument\n")
+    assert refused.returncode == 1
+    assert refused.stderr == "nowhere: Invalid argument\n"

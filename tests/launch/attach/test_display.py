@@ -38,7 +38,8 @@ def test_an_array_is_its_shape_extent_and_first_numbers_or_in_full_every_element
 
 
 def test_contacts_are_a_line_each_and_an_array_may_be_empty():
-    one, two = np.ones(1, np.float32), np.ones((1, 2), np.float32)
+    one = np.ones(1, np.float32)
+    two = np.ones((1, 2), np.float32)
     contacts = Contacts(
         **{"stamp_ns": 1, "patch": "skin", "done_ns": 2, "id": np.array([7], np.int32)},
         **{"total": 3 * one, "total_sd": 0.1 * one, "peak": one, "area": np.array([9], np.int32)},
@@ -57,7 +58,8 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty():
     # In the time between two shown messages those with an event are shown, too.
     made = [replace(m, stamp_ns=k, seq=k) for k, m in enumerate([flat, flat, contacts])]
     shown = [echo.take(Arrival(*encode(m), 0, "", m.seq, m.stamp_ns, ends=False)) for m in made]
-    assert (shown, text(one[:0], full=False)) == ([True, False, True], "float32, 0")
+    assert shown == [True, False, True]
+    assert text(one[:0], full=False) == "float32, 0"
     assert plain(one[:0], full=False)["first"] == []
 
 
@@ -117,7 +119,9 @@ def pixels(lines):
     """Levels of the places that coloured lines show, two rows a line."""
     rows = []
     for line in lines:
-        upper, lower, colours = [], [], (0, 0)
+        upper = []
+        lower = []
+        colours = (0, 0)
         for token in re.findall(r"\x1b\[[0-9;]*m|.", line):
             if found := re.fullmatch(r"\x1b\[38;5;(\d+);48;5;(\d+)m", token):
                 colours = COLOURS.index(int(found[1])), COLOURS.index(int(found[2]))
@@ -130,16 +134,19 @@ def pixels(lines):
 
 def test_a_taxel_is_a_square_as_large_as_fits_of_more_than_fit_the_largest_is_shown():
     forces = np.zeros((2, 3), np.float32)
-    forces[0, 2], forces[1, 0] = 1.0, 0.5
+    forces[0, 2] = 1.0
+    forces[1, 0] = 0.5
     shown = pixels(heat_map(forces, 1.0, 12, 5))
     assert shown.shape == (8, 12)  # four places a taxel
     expected = np.zeros((2, 3))
-    expected[0, 2], expected[1, 0] = len(COLOURS) - 1, len(COLOURS) // 2
+    expected[0, 2] = len(COLOURS) - 1
+    expected[1, 0] = len(COLOURS) // 2
     np.testing.assert_array_equal(shown, np.kron(expected, np.ones((4, 4))))
     forces = np.zeros((64, 64), np.float32)
     forces[37, 61] = 1.0
     shown = pixels(heat_map(forces, 1.0, 16, 8))
-    assert (shown.shape, list(np.argwhere(shown)[0])) == ((16, 16), [37 // 4, 61 // 4])
+    assert shown.shape == (16, 16)
+    assert list(np.argwhere(shown)[0]) == [37 // 4, 61 // 4]
     # Without colours letters stand for the readings.
     forces = np.linspace(0, 1, len(LETTERS), dtype=np.float32)[None]
     (line,) = heat_map(forces, 1.0, 2 * len(LETTERS), 1, coloured=False)
@@ -189,7 +196,8 @@ def test_a_number_that_is_shown_can_be_typed_again(value):
 
 @given(st.text(max_size=50))
 def test_any_text_is_shown_on_one_line_and_can_be_typed_again(value):
-    assert (len(shown_value("x" * 5000)), shown_value(None)) == (MAX_SHOWN, "none")
+    assert len(shown_value("x" * 5000)) == MAX_SHOWN
+    assert shown_value(None) == "none"
     assert shown_value("a\nb\nc\n") == "(3 lines: param get prints them)"
     shown = shown_value(value)
     assert len(shown.splitlines()) == 1

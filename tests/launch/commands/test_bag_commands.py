@@ -61,7 +61,8 @@ def test_info_as_json_holds_the_same_whatever_the_age_of_a_state(bag, capsys):
     assert found["topics"]["/skin/truth"]["rate_hz"] == pytest.approx(100.0)
     assert found["duration_s"] == pytest.approx(0.39)  # that of the streams
     assert found["counts"] == {"lost": {"/skin/taxels": 2}}
-    assert (found["metadata"], found["recovered"]) == ({"scene": "test", "seed": "3"}, "")
+    assert found["metadata"] == {"scene": "test", "seed": "3"}
+    assert found["recovered"] == ""
 
 
 def test_recover_makes_a_whole_bag_of_what_survived(bag, capsys):
@@ -84,8 +85,11 @@ def test_a_plain_csv_is_imported_with_what_is_stated(bag):
     stated = ("--n-rows", 2, "--n-cols", 3, "--unit", "N", "--rate-hz", 50)
     assert bag("import", "a.csv", "--out", "a.mcap", *stated) == 0
     state, first, second = decoded(Path("a.mcap"))
-    assert (state.skin.shape, state.unit, state.rate_hz) == ((2, 3), "N", 50.0)
-    assert (first.stamp_ns, second.stamp_ns) == (0, 20_000_000)
+    assert state.skin.shape == (2, 3)
+    assert state.unit == "N"
+    assert state.rate_hz == 50.0
+    assert first.stamp_ns == 0
+    assert second.stamp_ns == 20_000_000
 
 
 def test_only_the_topics_asked_for_are_exported(bag):

@@ -30,7 +30,8 @@ def runtime_folder(tmp_path, monkeypatch):
 
 
 def test_graphs_are_listed_and_which_to_stop_has_to_be_said(capsys):
-    assert (main(["graph", "list"]), capsys.readouterr().out) == (0, "no graph runs on this host\n")
+    assert main(["graph", "list"]) == 0
+    assert capsys.readouterr().out == "no graph runs on this host\n"
     one, other = (RunningGraph("path_40", pid, 0, "", NODES) for pid in (7, 8))
     with announced(one), announced(other):
         assert main(["graph", "list", "--json"]) == 0
@@ -44,7 +45,8 @@ def test_graphs_are_listed_and_which_to_stop_has_to_be_said(capsys):
             ([], "several graphs run; choose one: path_40-7, path_40-8"),
             (["path_40-9"], "path_40-9: no such graph runs (did you mean 'path_40-8'?)"),
         ):
-            assert (main(["stop", *stated]), capsys.readouterr().err) == (2, f"{line}\n")
+            assert main(["stop", *stated]) == 2
+            assert capsys.readouterr().err == f"{line}\n"
         assert words("stop pa") == ["path_40-7", "path_40-8"]
 
 
@@ -140,7 +142,8 @@ def test_every_tool_beside_a_secured_graph_is_served(tmp_path):
             part.wait_for("[launch] ready")
         note_of_graph(tmp_path / "edge/graphs")
         code, out, _ = start("edge", "topic", "echo", "/skin/taxels", "-n", "3").finish()
-        assert (code, out.count("---\n")) == (0, 3)
+        assert code == 0
+        assert out.count("---\n") == 3
         monitor = start("edge", "monitor", "--text")
         monitor.wait_for("[launch] ready")
         recorded = start("edge", "record", "/skin/measurements", "/skin/phi", "--out", "a.mcap")

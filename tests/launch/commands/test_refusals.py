@@ -110,6 +110,8 @@ def test_a_command_is_refused_in_one_line(line, fault, files, monkeypatch, capsy
         code = ended.code
     out, error = capsys.readouterr()
     (printed,) = error.splitlines()
-    assert (code, out) == (2, "")
+    assert code == 2
+    assert out == ""
     assert fault in printed
-    assert (sorted(files.iterdir()), (files / "old.mcap").read_text()) == (before, "mine")
+    assert sorted(files.iterdir()) == before
+    assert (files / "old.mcap").read_text() == "mine"

@@ -173,9 +173,9 @@ echo = {{ type = "stations:Echo", host = "desk" }}
 N_FRAMES = 60
 BODY = """\
 patches = [
-    { name = "palm", rows = 16, cols = 16, host = "edge" },
-    { name = "thumb", rows = 16, cols = 16, host = "edge" },
-    { name = "sole", rows = 12, cols = 24, host = "desk" },
+    { name = "palm", n_rows = 16, n_cols = 16, host = "edge" },
+    { name = "thumb", n_rows = 16, n_cols = 16, host = "edge" },
+    { name = "sole", n_rows = 12, n_cols = 24, host = "desk" },
 ]
 """
 BODY_GRAPH = f"""{HOSTS}\

@@ -34,7 +34,9 @@ def key_pair():
     return KeyPair(public.decode(), secret.decode())
 
 
-SERVER, LISTED, UNLISTED = key_pair(), key_pair(), key_pair()
+SERVER = key_pair()
+LISTED = key_pair()
+UNLISTED = key_pair()
 
 
 class Station:
@@ -111,7 +113,8 @@ def test_who_is_on_the_list_gets_every_message(context, endpoint, keys, tmp_path
         wait_until(lambda: bool(reader.socket.poll(0)), "a message")
         assert decode(*reader.receive()).seq == 7
         node.serve()
-        assert (node.heard, station.lines) == ({"writer": True}, [])
+        assert node.heard == {"writer": True}
+        assert station.lines == []
 
 
 @pytest.mark.parametrize(
@@ -147,7 +150,9 @@ def test_who_sends_garbage_is_named_and_harms_nobody(station, context):
 
 
 def test_refusals_of_many_addresses_fill_neither_memory_nor_log(station):
-    n_more, address, reason = 10_000, "10.0.{}.7:1234", "it uses no key"
+    n_more = 10_000
+    address = "10.0.{}.7:1234"
+    reason = "it uses no key"
     for k in range(gate_module.MAX_REFUSALS + n_more):
         station.gate._log_refusal(address.format(k), reason)
     assert len(station.gate._refused) == gate_module.MAX_REFUSALS + 1
@@ -230,7 +235,8 @@ def test_of_too_many_connections_one_of_the_busiest_address_is_closed(station, m
     monkeypatch.setattr(gate_module, "_shut_down", lambda fd, address: closed.append(address))
     station.gate._pending = {3: "10.0.0.1:1", 4: "10.0.0.7:1", 5: "10.0.0.7:2", 6: "10.0.0.2:1"}
     station.gate._close_one()
-    assert (closed, list(station.gate._pending)) == (["10.0.0.7:1"], [3, 5, 6])
+    assert closed == ["10.0.0.7:1"]
+    assert list(station.gate._pending) == [3, 5, 6]
     ours, theirs = socket.socketpair()
     with ours, theirs:
         gate_module._shut_down(ours.fileno(), "10.0.0.7:1234")
@@ -241,7 +247,8 @@ def test_of_too_many_connections_one_of_the_busiest_address_is_closed(station, m
 def test_keys_belong_together_and_the_command_names_both_files(tmp_path, monkeypatch, capsys):
     secret, public = make_key_files("edge", tmp_path / "own")
     pair = read_key_pair(secret)
-    assert (pair.public, secret.stat().st_mode & 0o777) == (read_public_key(public), 0o600)
+    assert pair.public == read_public_key(public)
+    assert secret.stat().st_mode & 0o777 == 0o600
     assert pair.secret not in public.read_text()
     assert pair.secret not in repr(pair)
     assert known_names(secret.parent) == {pair.public: "edge"}

@@ -1,6 +1,8 @@
 """Compiled loops: used where numba is installed, else refused in one line; compiled once."""
 
 import importlib.util
+import subprocess
+import sys
 import tempfile
 
 import pytest
@@ -67,7 +69,8 @@ def test_the_environment_replaces_auto(monkeypatch):
 
 @needs_numba
 def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path):
-    loop, lines = _module_of(tmp_path).double, []
+    loop = _module_of(tmp_path).double
+    lines = []
 
     def log(line):
         lines.append((line, list(loop.signatures)))
@@ -76,7 +79,8 @@ def test_compiling_is_logged_before_it_begins_and_when_it_is_done(tmp_path):
     (first, before), (last, after) = lines
     assert "compiling" in first
     assert "ready after" in last
-    assert (len(before), len(after)) == (0, 1)
+    assert len(before) == 0
+    assert len(after) == 1
     # From the disk it is read without a word.
     ready(_module_of(tmp_path).double, log=pytest.fail)
 
@@ -92,6 +96,39 @@ def test_all_loops_are_compiled_for_their_types_at_once_and_take_no_others():
     wrong = np.zeros(4)  # float64
     with pytest.raises(TypeError, match="No matching definition"):
         fast_kernels.orthonormal(wrong, np.zeros((1, 3), np.int64), wrong)
+
+
+def _run(code):
+    """What a program of its own prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@needs_numba
+def test_loops_that_call_blas_are_read_without_its_package_which_still_imports():
+    lines = _run("""if True:
+        import sys
+        from sparseskin.nodes.numerics.warm_up import compile_loops
+        compile_loops("on", print)
+        print("scipy.linalg" in sys.modules)
+        import scipy.linalg.cython_blas
+        from scipy.linalg import blas, cython_blas, inv
+        print(inv([[2.0]])[0, 0], cython_blas.__name__)
+    """)
+    assert lines == ["False", "0.5", "scipy.linalg.cython_blas"]
+
+
+def test_nodes_without_a_solver_import_neither_scipy_nor_numba():
+    assert _run("""if True:
+        import sys
+        from sparseskin.nodes.process import runner
+        from sparseskin.nodes.registry import NODE_TYPES, node_class
+        for name in NODE_TYPES:
+            if name != "reconstructor":
+                node_class(name)
+        print(len({"scipy", "numba", "pywt"} & set(sys.modules)))
+    """) == ["0"]
 
 
 @needs_numba

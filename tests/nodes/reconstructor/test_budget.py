@@ -7,6 +7,8 @@ import time
 import numpy as np
 import pytest
 from bags import skin_state
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sparseskin.messages import Measurements, PhiState
 from sparseskin.nodes.clock import ManualClock
@@ -14,6 +16,13 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.budget import LEAST_STEPS
 from sparseskin.nodes.reconstructor.node import Reconstructor, ReconstructorSettings
+from sparseskin.nodes.reconstructor.skin.vectors import (
+    CONVERGED,
+    FORMULA_SHARE,
+    N_FORMULA,
+    StepPlan,
+    steps_for,
+)
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 
 
@@ -79,7 +88,8 @@ def restored(budget_ms, monkeypatch):
 @pytest.mark.parametrize(("budget_ms", "n"), [(None, 10), (5.5, 5), (0.1, LEAST_STEPS), (100, 10)])
 def test_as_many_steps_are_done_as_fit_but_at_least_three(budget_ms, n, monkeypatch):
     found = restored(budget_ms, monkeypatch)
-    assert (found.iterations, found.forces[0, 0, 0]) == ((n,), n)
+    assert found.iterations == (n,)
+    assert found.forces[0, 0, 0] == n
     assert found.solve_ns == (n * 1_000_000,)
 
 
@@ -90,10 +100,46 @@ def states(rate_hz, live=True, **settings):
 
 def test_the_rate_that_the_skin_states_sets_the_iterations_of_the_default_alone():
     slow, unknown, fast = (states(rate_hz) for rate_hz in (0.01, 0.0, 1e6))
-    assert (slow.iterations, unknown.iterations, fast.iterations) == (24, 24, 1)
+    assert slow.iterations == 24
+    assert unknown.iterations == 24
+    assert fast.iterations == 1
     assert slow.frame_ms > unknown.frame_ms == 0
     assert states(1e6, live=False).iterations == 24  # offline, no frame waits
-    assert (states(1e6, iterations=6).iterations, states(1e6, preset="paper").iterations) == (6, 30)
+    assert states(1e6, iterations=6).iterations == 6
+    assert states(1e6, preset="paper").iterations == 30
+
+
+def test_steps_that_are_chosen_by_tiles_are_stated_and_bounded_by_their_time():
+    node, phi, state = set_up(32, 1e6, True)
+    assert (state.max_iterations, state.frame_tiles) == (24, 1)  # nothing fits into a microsecond
+    node, phi, state = set_up(32, 1000.0, False, options={"frame_tiles": 90, "step_tiles": 10})
+    assert state.iterations == 1
+    assert state.max_iterations == 24
+    assert state.frame_tiles == 90
+    assert state.step_tiles == 10
+
+    def n_steps(forces):
+        y = phi.forward(forces.astype(np.float32))
+        (found,) = node.step(Measurements(stamp_ns=1, patch="skin", y=y, phi=phi.fingerprint))
+        return found.iterations[0]
+
+    single = np.zeros(phi.n)
+    single[200] = 1
+    all_pressed = np.random.default_rng(0).uniform(1, 2, phi.n)
+    assert 1 <= n_steps(all_pressed) < n_steps(single) <= 9
+
+
+TIMES = st.integers(1, 2000)
+
+
+@given(TIMES, st.integers(1, 60), st.integers(1, 24), st.integers(0, 500))
+def test_counted_steps_fit_into_their_time_and_fall_with_the_tiles(frame, step, most, n_tiles):
+    plan = StepPlan(N_FORMULA, 1, 0, frame, step, most, 0.0, 0.0)
+    chosen, fewer = (steps_for(plan, n) for n in (n_tiles, n_tiles + 1))
+    assert 1 <= fewer.n <= chosen.n <= most
+    by_formula = chosen.n_formula * (step + n_tiles // FORMULA_SHARE)
+    assert chosen.n == 1 or by_formula + chosen.n * (step + n_tiles) <= frame
+    assert chosen.n_formula == (0 if chosen.n >= CONVERGED else N_FORMULA)
 
 
 CODE = """

@@ -26,7 +26,7 @@ BATCH = {"patch": "body", "patches": ("left", "right", "back", "hand")}
 @functools.cache
 def batches(skip_idle=True):
     """Reconstructions and true forces of a walking body, two patches of which are idle."""
-    skin = {"simulated": {"rows": SIDE, "cols": SIDE}, "source": "scene:walk", "active": 0.5}
+    skin = {"simulated": {"n_rows": SIDE, "n_cols": SIDE}, "source": "scene:walk", "active": 0.5}
     bus = chain(
         sensor=BATCH | skin, compressor=BATCH, reconstructor=BATCH | {"skip_idle": skip_idle}
     )
@@ -45,7 +45,8 @@ def test_false_alarms_are_about_as_many_as_stated(pressed):
 
 
 def test_a_contact_of_three_sigma_is_noticed_at_once_and_one_of_one_sigma_soon():
-    assert (missed(8, 3.0, 20)[0], missed(8, 2.0, 20)[1]) == (0.0, 0.0)
+    assert missed(8, 3.0, 20)[0] == 0.0
+    assert missed(8, 2.0, 20)[1] == 0.0
     assert missed(8, 1.0, 20)[2] <= 0.1
     faint = missed(8, 0.05, 20)
     assert faint[0] >= 0.9
@@ -68,14 +69,16 @@ def test_an_idle_patch_is_solved_every_64_frames_and_one_without_stated_noise_al
 
 def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_solve():
     found, _ = batches()
-    held, last = {}, {}
+    held = {}
+    last = {}
     n_unchanged = dict.fromkeys(BATCH["patches"], 0)
     for batch in found:
         for part in batch.split(held):
             if part.unchanged == (True,):
                 n_unchanged[part.patch] += 1
                 assert part.forces.tobytes() == last[part.patch]
-                assert (part.iterations, part.solve_ns) == ((0,), (0,))
+                assert part.iterations == (0,)
+                assert part.solve_ns == (0,)
             last[part.patch] = part.forces.tobytes()
     assert min(n_unchanged["back"], n_unchanged["hand"]) > 40
     assert n_unchanged["left"] < n_unchanged["back"]
@@ -102,7 +105,8 @@ def test_the_skip_adds_no_error_and_can_be_switched():
 
 def served(frames, **settings):
     """Reconstructions of the readings of one patch, which states its noise."""
-    (_, n_rows, n_cols), sigmas = frames.shape, {"sigma_mid": 0.0628, "sigma_end": 0.0141}
+    (_, n_rows, n_cols) = frames.shape
+    sigmas = {"sigma_mid": 0.0628, "sigma_end": 0.0141}
     skin = skin_state(n_rows=n_rows, n_cols=n_cols, mask=None, **sigmas)
     edge = Compressor(Compressor.Settings(), Context("edge", ManualClock(1)))
     host = Reconstructor(Reconstructor.Settings(**settings), Context("host", ManualClock(1)))
@@ -116,7 +120,8 @@ def served(frames, **settings):
 def test_a_patch_that_is_served_alone_is_skipped_too():
     rest = np.random.default_rng(0).normal(0, 0.0141, (40, 8, 8)).clip(0).astype(np.float32)
     sent = [len(one.forces) for one in served(rest, skip_idle=True)]
-    assert (len(sent), sum(sent[:12])) == (40, 12)
+    assert len(sent) == 40
+    assert sum(sent[:12]) == 12
     assert sum(sent) < 20
 
 
@@ -128,7 +133,9 @@ def test_a_contact_within_the_noise_is_weak(peak_n, reasons):
 
 def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes():
     """No change is no reason to solve it, so that its frames are published as unchanged."""
-    names, n, rng = ("left", "right"), SIDE * SIDE, np.random.default_rng(0)
+    names = ("left", "right")
+    n = SIDE * SIDE
+    rng = np.random.default_rng(0)
     lines = []
     node = Reconstructor(
         Reconstructor.Settings(patch="body", patches=names, skip_idle=True),

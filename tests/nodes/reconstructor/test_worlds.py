@@ -59,8 +59,11 @@ def test_a_seed_is_one_world(seed, kind):
 def test_a_stated_part_leaves_the_others_as_they_are(seed, rows):
     drawn = draw_world(seed, True, sides=SIDES)
     stated = draw_world(seed, True, sides=SIDES, rows=rows, load="disc")
-    assert (stated.rows, stated.load.kind) == (rows, "disc")
-    assert (stated.shape, stated.ratio, stated.noise) == (drawn.shape, drawn.ratio, drawn.noise)
+    assert stated.rows == rows
+    assert stated.load.kind == "disc"
+    assert stated.shape == drawn.shape
+    assert stated.ratio == drawn.ratio
+    assert stated.noise == drawn.noise
     assert stated.fault.describe() == drawn.fault.describe()
 
 

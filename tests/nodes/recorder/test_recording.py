@@ -135,7 +135,8 @@ STATES = [
 
 
 def test_messages_reach_the_disk_after_a_tenth_of_a_second(tmp_path, monkeypatch):
-    clock, path = FakeClock(), tmp_path / "a.mcap"
+    clock = FakeClock()
+    path = tmp_path / "a.mcap"
     monkeypatch.setattr(recorder_module, "BagWriter", functools.partial(BagWriter, monotonic=clock))
     settings = Recorder.Settings(out=str(path))
     recorder = Recorder(settings, Context("recorder", ManualClock()))

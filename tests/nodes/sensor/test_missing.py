@@ -141,14 +141,16 @@ def test_sigma_is_largest_at_mid_range_and_falls_linearly_to_both_ends():
 
 @pytest.mark.parametrize("clips", [True, False])
 def test_variance_is_that_of_the_readings(clips):
-    model, force = NoiseModel(clips=clips), forces(0.0, 0.007, 0.0141, 0.03, 1.0)[:, np.newaxis]
+    model = NoiseModel(clips=clips)
+    force = forces(0.0, 0.007, 0.0141, 0.03, 1.0)[:, np.newaxis]
     readings = force + model.sigma(force) * np.random.default_rng(1).standard_normal((5, 100_000))
     found = np.var(np.maximum(readings, 0 if clips else -1), axis=1, keepdims=True)
     np.testing.assert_allclose(model.variance(force), found, rtol=0.1)
 
 
 def test_untouched_skin_has_a_noisy_psnr_of_48_db():
-    model, rng = NoiseModel(), np.random.default_rng(0)
+    model = NoiseModel()
+    rng = np.random.default_rng(0)
     truth = np.zeros((40, 40), dtype=np.float32)
     psnr = [
         20 * math.log10(2.5 / math.sqrt(np.mean(np.square(model.apply(truth, rng), dtype=float))))
@@ -161,7 +163,9 @@ def test_readings_stay_in_the_range_and_the_truth_is_left_alone():
     truth = np.tile(forces(0.0, 1.25, 2.5), 130_000)
     kept = truth.copy()
     taxels = NoiseModel().apply(truth, np.random.default_rng(3))
-    assert (taxels.dtype, taxels.min(), taxels.max()) == (np.float32, 0.0, 2.5)
+    assert taxels.dtype == np.float32
+    assert taxels.min() == 0.0
+    assert taxels.max() == 2.5
     np.testing.assert_array_equal(truth, kept)
     error = taxels[truth == 1.25].astype(float) - 1.25  # of zero mean and the stated sigma
     assert abs(error.mean()) < 5 * 0.0628 / math.sqrt(error.size)

@@ -27,7 +27,8 @@ from sparseskin.studies.stability import rests
 
 SKIN = Skin(10, 10, f_max=2.5)
 SHAPE = (6, 8)
-N_UNTOUCHED, N_PRESSED = 35, 15
+N_UNTOUCHED = 35
+N_PRESSED = 15
 LEVEL = np.random.default_rng(0).integers(700, 900, SHAPE)
 PRESS = np.zeros(SHAPE, dtype=np.int64)
 PRESS[2:4, 3:6] = 200
@@ -88,7 +89,8 @@ def test_an_even_load_from_the_first_frame_is_trusted_once_most_of_it_is_gone():
     assert rest.reason == Reason.REST
     for _ in range(TARE_FRAMES):
         rest.update(np.zeros(SKIN.shape, np.float32))
-    assert (rest.reason, rest.line) == ("", "")
+    assert rest.reason == ""
+    assert rest.line == ""
     rest.update(np.ones(SKIN.shape, np.float32))
     assert rest.reason == ""
 
@@ -239,13 +241,15 @@ def test_a_calibration_without_a_press_names_a_sign_that_its_recording_shows(fol
     assert "--invert" not in capsys.readouterr().out
     np.testing.assert_array_equal(load_skin("b.toml").gains, -1.0)
     (frame,) = replayed("file:falls.npy", "skin=b.toml")[-1:]
-    assert (frame.reason, np.abs(frame.taxels - PRESS).max() <= 6) == ("", True)
+    assert frame.reason == ""
+    assert np.abs(frame.taxels - PRESS).max() <= 6
 
 
 def streamed(frames, f_max=1000.0, **arguments):
     """A stream that has seen frames, forces and reasons of them, and what it warned of."""
     stream = sparseskin.Stream(SHAPE, ratio=2, f_max=f_max, **arguments)
-    forces, reasons = [], []
+    forces = []
+    reasons = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for frame in frames.astype(np.float32):
@@ -262,7 +266,8 @@ def test_a_stream_trusts_a_level_at_rest_once_it_is_answered(kind, sign):
     assert "; add tare=30 if nothing touched them, tare=0 if these are forces" in lines[0]
 
     forces, reasons, lines = streamed(readings(sign), tare=30, invert=sign < 0)
-    assert (reasons[:30], lines) == (["rest"] * 30, [])
+    assert reasons[:30] == ["rest"] * 30
+    assert lines == []
     assert not np.any(forces[:30])
     assert set(reasons[-5:]) == {""}
     np.testing.assert_allclose(forces[-1][2:4, 3:6], 200, atol=12)
@@ -274,7 +279,8 @@ def test_a_stream_warns_of_readings_that_fall_below_0():
     assert len(lines) == 1
     assert "; add invert=true if a press does that" in lines[0]
     _, reasons, lines = streamed(readings(1, level=0))
-    assert (set(reasons[-5:]), lines) == ({""}, [])
+    assert set(reasons[-5:]) == {""}
+    assert lines == []
 
 
 def test_an_edge_hands_its_doubt_to_a_host_in_another_program():
@@ -282,7 +288,8 @@ def test_an_edge_hands_its_doubt_to_a_host_in_another_program():
     y = edge.compress(readings(1)[0].astype(np.float32))
     assert edge.sensed == "rest"
     host.reconstruct(y, 0, sensed=edge.sensed)
-    assert (host.reason, host.trusted) == ("rest", False)
+    assert host.reason == "rest"
+    assert not host.trusted
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -293,12 +300,14 @@ def test_arrays_trust_a_level_at_rest_once_it_is_answered(sign):
     with pytest.warns(RuntimeWarning, match=r"^compress: 48 of 48 taxels read .* tare=30 if"):
         y = sparseskin.compress(frames, phi)
     sparseskin.reconstruct(y, solver)
-    assert (solver.reason, solver.trusted) == ("rest", False)
+    assert solver.reason == "rest"
+    assert not solver.trusted
 
     solver.reset()
     y = sparseskin.compress(frames, phi, tare=30, invert=sign < 0)
     forces = sparseskin.reconstruct(y, solver)
-    assert (solver.reason, solver.trusted) == ("", True)
+    assert solver.reason == ""
+    assert solver.trusted
     np.testing.assert_allclose(forces[-1][2:4, 3:6], 200, atol=12)
 
 

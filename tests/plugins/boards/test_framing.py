@@ -140,9 +140,11 @@ class TestWithoutErrors:
 
 def damaged(pieces, data, safe):
     """Frames with bytes lost, extra or wrong; `safe`: each is followed by a whole one."""
-    out, k = [], 0
+    out = []
+    k = 0
     while k < len(pieces):
-        piece, n = pieces[k], len(pieces[k])
+        piece = pieces[k]
+        n = len(pieces[k])
         kind = data.draw(st.sampled_from(["none", "lost", "extra", "wrong"]))
         at = data.draw(st.integers(0, n - 1))
         run = data.draw(st.integers(1, n - 1))
@@ -193,7 +195,8 @@ class TestWithErrors:
         wrong = sent[4][:5] + b"\x05" + sent[4][6:] if checksum == "sum8" else sent[4][:-1]
         frames, parser = parsed(framing, [b"".join([*sent[:4], wrong, *sent[5:]])])
         assert [frame.payload[0] for frame in frames] == [0, 1, 2, 3, 5, 6, 7]
-        assert (parser.counts.bad_frames, parser.counts.dropped_bytes) == (1, len(wrong))
+        assert parser.counts.bad_frames == 1
+        assert parser.counts.dropped_bytes == len(wrong)
 
     def test_bytes_that_begin_a_frame_at_every_place_cost_little(self, monkeypatch):
         framing = Framing(1000, start=b"\x00", checksum="crc32")
@@ -216,7 +219,9 @@ class TestSequence:
     )
     def test_missing_numbers_are_counted_across_the_wrap(self, n_bytes, first, gaps):
         counts = Counts()
-        sequence, number, modulus = Sequence(n_bytes, counts), first, 1 << 8 * n_bytes
+        sequence = Sequence(n_bytes, counts)
+        number = first
+        modulus = 1 << 8 * n_bytes
         assert sequence.admit(number % modulus)
         for gap in gaps:
             number += gap + 1

@@ -47,7 +47,8 @@ def test_frames_are_whole_or_counted_whatever_pieces_are_lost(n, size, numbered,
     ]
     assert found == whole
     pieces.reset()
-    assert (counts.frames, counts.dropped_bytes) == (len(found), len(came) * size - len(found) * N)
+    assert counts.frames == len(found)
+    assert counts.dropped_bytes == len(came) * size - len(found) * N
 
 
 def board(query):
@@ -63,19 +64,22 @@ def read(found, stream):
 def test_packets_of_a_wiresens_board_become_frames_whose_readings_rise_with_the_press():
     found = board("profile=wiresens")
     readings = np.random.default_rng(0).integers(0, 4096, (4, 32, 32)).astype("<u2")
-    values, stream = readings.ravel(), b"Initializing Toolkit\r\n"
+    values = readings.ravel()
+    stream = b"Initializing Toolkit\r\n"
     for k in range(len(values) // 120):
         packet = struct.pack("<bH", 1, 120 * k % 1024) + values[120 * k : 120 * (k + 1)].tobytes()
         stream += packet + struct.pack("<I", k) + b"wr"
     frames, counts = read(found, stream)
     # The first packet has no end before it.
-    assert (counts.frames, counts.bad_frames) == (len(values) // 120 - 1, 0)
+    assert counts.frames == len(values) // 120 - 1
+    assert counts.bad_frames == 0
     pieces = Pieces(1024, 2, 1 << 32, counts)
     whole = [frame for one in frames if (frame := pieces.add(one)) is not None]
     assert counts.frames == len(whole) == 2
     for frame, expected in zip(whole, readings[1:3], strict=True):
         np.testing.assert_array_equal(found.decode(frame.payload), 4095.0 - expected)
-    assert (found.skin.f_max, found.skin.shape) == (4095, (32, 32))
+    assert found.skin.f_max == 4095
+    assert found.skin.shape == (32, 32)
 
 
 def taxelscan(readings, number, n_contacts, rows=16):
@@ -101,7 +105,8 @@ def test_frames_of_a_taxelscan_board_have_any_number_of_contacts():
     long = sent[3][:8] + b"\xff\xff" + sent[3][10:]
     stream = b"# TaxelScan ready\r\n" + sent[0] + sent[1] + wrong + other + long + sent[4] + sent[5]
     frames, counts = read(found, stream)
-    assert ([frame.sequence for frame in frames], counts.missing_frames) == ([0, 1, 4, 5], 2)
+    assert [frame.sequence for frame in frames] == [0, 1, 4, 5]
+    assert counts.missing_frames == 2
     for frame in frames:
         np.testing.assert_array_equal(found.decode(frame.payload), readings[frame.sequence or 0])
 
@@ -139,7 +144,8 @@ def test_all_frames_are_found(frames, chunks):
 
 @given(frames=frames, chunks=st.sampled_from([COUNTED, INDEXED]), data=st.data())
 def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(frames, chunks, data):
-    sent, whole = [], []
+    sent = []
+    whole = []
     for k, frame in enumerate(frames):
         parts = spread(chunks, frame, k)
         kept = data.draw(st.lists(st.sampled_from(parts), unique=True, max_size=len(parts)))
@@ -167,7 +173,9 @@ def test_other_ids_and_wild_data_are_no_chunk_and_padding_is_left_out():
     wild = [(0x7FF, bytes(8)), *((0x10, data) for data in (b"", b"\0", b"\xff" * 8, bytes(3)))]
     assert assembled(INDEXED, wild) == ([], Counts(dropped_bytes=12))
     chunks = chunks_of(CanSettings(ids="0x10-0x11", fd=True), Framing(70))
-    assert (chunks.n_chunks, chunks.length_of(0), chunks.length_of(1)) == (2, 64, 6)
+    assert chunks.n_chunks == 2
+    assert chunks.length_of(0) == 64
+    assert chunks.length_of(1) == 6
     frame = bytes(range(70))
     sent = [(0x10, frame[:64]), (0x11, frame[64:] + bytes(2))]
     assert assembled(chunks, sent) == ([frame], Counts())

@@ -95,12 +95,14 @@ class TestSerial:
     def test_what_is_dropped_is_counted_byte_by_byte(self, line, opened):
         source = opened(f"serial:{line.device}?n_rows=16&n_cols=32&start=AA55&checksum=crc16")
         framing = Framing(512, start=b"\xaa\x55", checksum="crc16")
-        good, noise = framing.encode(bytes(512)), b"\x01" * 777
+        good = framing.encode(bytes(512))
+        noise = b"\x01" * 777
         wrong = good[:100] + b"\xff" + good[101:]
         line.sending([noise, good, wrong, good, good[:50], good])
         assert len(taken(source, 3)) == 3
         counts = source.counts
-        assert (counts.frames, counts.bad_frames) == (3, 2)
+        assert counts.frames == 3
+        assert counts.bad_frames == 2
         assert counts.dropped_bytes == 777 + len(wrong) + 50
         assert dropped_text(source.figures()) == f"2 bad frames, {777 + len(wrong) + 50} bytes"
 
@@ -131,16 +133,22 @@ class TestUdp:
         source = opened(f"udp:{port}?{self.QUERY}")
         other = opened(f"udp:{free_port(socket.SOCK_DGRAM)}?n_rows=2&n_cols=3&sender=127.0.0.2")
         send_packets(int(other.name.partition(":")[2]), bytes(6))
-        one, two, five = self.frame(1, 1), self.frame(2, 2), self.frame(9, 5)
+        one = self.frame(1, 1)
+        two = self.frame(2, 2)
+        five = self.frame(9, 5)
         wrong = bytes([one[0] ^ 1]) + one[1:]
         send_packets(port, one + two, b"", one[:-1], wrong, one, self.frame(np.nan, 3), five)
         frames = taken(source, 3)
         # 9 N is clipped to the range; number 4 never came, number 1 came twice.
         assert [float(forces[0, 0]) for _, forces in frames] == [1, 2, 4]
-        assert (source.clipped.n_above, source.clipped.n, source.clipped.highest) == (6, 6, 9.0)
+        assert source.clipped.n_above == 6
+        assert source.clipped.n == 6
+        assert source.clipped.highest == 9.0
         figures = source.figures()
-        assert (figures["bad_frames"], figures["not_finite_frames"]) == (3, 1)
-        assert (figures["missing_frames"], figures["late_frames"]) == (1, 1)
+        assert figures["bad_frames"] == 3
+        assert figures["not_finite_frames"] == 1
+        assert figures["missing_frames"] == 1
+        assert figures["late_frames"] == 1
         assert other.next_frame(WAIT_S) is None
         assert other.figures()["other_senders"] == 1
 
@@ -160,7 +168,8 @@ class TestUdp:
             (line,) = source.take_lines()
             assert line.endswith(f" are dropped; 127.0.0.1:{board.getsockname()[1]} is the sender")
         figures = source.figures()
-        assert (figures["other_senders"], figures["missing_frames"]) == (300, 0)
+        assert figures["other_senders"] == 300
+        assert figures["missing_frames"] == 0
         assert "300 packets of other senders" in source.dropped()
         monkeypatch.setattr(udp_port, "HOLD_S", 0.0)  # as if the board had been silent
         send_packets(port, framing.encode(bytes([4] * 6), 1))
@@ -174,7 +183,16 @@ class TestUdp:
         send_packets(port, self.NUMBERED.encode(readings.tobytes(), 1))
         ((_, forces),) = taken(source, 1)
         np.testing.assert_array_equal(forces.ravel(), [0, np.nan, 4, np.nan, np.nan, 1])
-        assert (source.clipped.n, source.clipped.highest) == (1, 9.0)
+        assert source.clipped.n == 1
+        assert source.clipped.highest == 9.0
+
+    def test_a_count_that_is_stated_to_be_missing_is_no_reading(self, opened):
+        port = free_port(socket.SOCK_DGRAM)
+        source = opened(f"udp:{port}?{self.QUERY}", Layout(missing="-1"))
+        readings = np.array([0, -1, 3, 2, -1, 1], "<f4")
+        send_packets(port, self.NUMBERED.encode(readings.tobytes(), 1))
+        ((_, forces),) = taken(source, 1)
+        np.testing.assert_array_equal(forces.ravel(), [0, np.nan, 3, 2, np.nan, 1])
 
     def test_what_the_kernel_drops_is_counted(self, opened):
         port = free_port(socket.SOCK_DGRAM)
@@ -250,7 +268,8 @@ def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
     sensor = Sensor(Sensor.Settings(source=source, clock=clock), Context("s", now, logged.append))
     list(sensor.start())
     sensor.begin(now.now_ns())
-    rng, begin_ns = random.Random(0), now.now_ns()
+    rng = random.Random(0)
+    begin_ns = now.now_ns()
     stamps = []
     late_ms = []
     for k in range(1700):
@@ -262,7 +281,8 @@ def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
         late_ms.append((stamps[-1] - true_ns) / 1e6)
         assert stamps[-1] <= now.now_ns()
     assert all(b > a for a, b in pairwise(stamps))
-    state, within = sensor.state(), max(map(abs, late_ms[500:1000] + late_ms[1500:]))
+    state = sensor.state()
+    within = max(map(abs, late_ms[500:1000] + late_ms[1500:]))
     sensor.close({})
     assert state["clock"] == clock
     if clock == "arrival":

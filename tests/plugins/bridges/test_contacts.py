@@ -49,7 +49,8 @@ def test_a_wrench_is_the_sum_of_forces_into_the_skin_and_of_their_torques():
     assert torque.tolist() == [2 * -3, 1 * 2, 0]
     normals = np.array([[1, 0, 0], [0, 0, -1]], np.float32)
     force, torque = wrench(made([2.0, 3.0], place_mm=places, normal=normals))
-    assert (force.tolist(), torque.tolist()) == ([-2, 0, 3], [6, 0, 0])
+    assert force.tolist() == [-2, 0, 3]
+    assert torque.tolist() == [6, 0, 0]
     assert not np.any(wrench(made([])))
 
 
@@ -68,7 +69,8 @@ class Listed(Bridge[BridgeSettings]):
 
 
 def test_a_bridge_sends_patches_of_a_batch_and_no_forces_of_before_a_lost_frame():
-    bridge, skin = Listed(), skin_state()
+    bridge = Listed()
+    skin = skin_state()
     two = {"names": ("left", "right"), "patch": "skin"}
     forces = np.stack([np.full(skin.skin.shape, force, np.float32) for force in (1, 2)])
     head = {**two, "phi": "0" * 16, "iterations": (1, 1), "residual": (0.0, 0.0), "done_ns": 0}
@@ -84,7 +86,8 @@ def test_a_bridge_sends_patches_of_a_batch_and_no_forces_of_before_a_lost_frame(
 
 def test_shapes_point_at_contacts_on_points_along_the_force():
     points = np.zeros((34, 6), np.float32)
-    points[:, 0], points[:, 5] = np.linspace(0, 0.5, 34), 1
+    points[:, 0] = np.linspace(0, 0.5, 34)
+    points[:, 5] = 1
     skin = skin_state(points=points, pitch_m=0.01)
     normal = np.array([[0, 1, 0]], np.float32)
     (one,) = shapes(made([5.0], place_mm=np.full((1, 3), 30, np.float32), normal=normal), skin)
@@ -258,11 +261,13 @@ def test_forces_that_a_frame_refers_to_are_those_of_the_frame_before_or_none(pub
     send(publisher, 4, idle(4), contacts(4))  # one is lost
     send(publisher, 5, solved(5), contacts(5))
     found = reader.newest(first + 1, timeout_s=60)
-    assert (found.number, found.frame.stamp_ns) == (first + 2, solved(5).stamp_ns)
+    assert found.number == first + 2
+    assert found.frame.stamp_ns == solved(5).stamp_ns
 
 
 def test_of_a_batch_one_patch_is_read_by_its_name(publisher, reader):
-    one, found = solved(1), contacts(1)
+    one = solved(1)
+    found = contacts(1)
     of_both = dict.fromkeys(("error", "trusted", "unchanged", "reason"), ())
     of_both |= {name: 2 * getattr(one, name) for name in ("iterations", "residual", "solve_ns")}
     forces = np.concatenate([one.forces, 2 * one.forces])
@@ -279,7 +284,8 @@ def test_of_a_batch_one_patch_is_read_by_its_name(publisher, reader):
     wait_until(came, "a frame")
     latest = other.newest()
     assert latest.frame.forces.tolist() == forces[1:].tolist()
-    assert (latest.contacts.patch, latest.contacts.id.tolist()) == ("b", [1])
+    assert latest.contacts.patch == "b"
+    assert latest.contacts.id.tolist() == [1]
     other.close()
     with pytest.raises(GraphError, match="/skin/reconstruction: patch: skin/a is one of 2"):
         reader.newest(after=10**9, timeout_s=60)

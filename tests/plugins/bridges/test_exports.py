@@ -63,8 +63,10 @@ def stamp_of(message):
 def test_every_pixel_and_stamp_is_in_a_foxglove_export(foxglove):
     for topic, message, array in images():
         log_ns, schema, image = foxglove[topic].pop(0)
-        assert (schema, image.encoding) == ("foxglove.RawImage", "32FC1")
-        assert (image.frame_id, stamp_of(image)) == ("skin", message.stamp_ns)
+        assert schema == "foxglove.RawImage"
+        assert image.encoding == "32FC1"
+        assert image.frame_id == "skin"
+        assert stamp_of(image) == message.stamp_ns
         assert log_ns == message.stamp_ns + LAG_NS
         assert (image.height, image.width, image.step) == (*array.shape, 4 * array.shape[1])
         assert np.array_equal(np.frombuffer(image.data, "<f4").reshape(array.shape), array)
@@ -75,9 +77,11 @@ def test_every_pixel_and_stamp_is_in_a_foxglove_export(foxglove):
 def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove):
     sent = [m for m in rich_frames() if isinstance(m, Reconstruction)]
     for (_, schema, grid), message in zip(foxglove["/skin/reconstruction/grid"], sent, strict=True):
-        assert (schema, grid.frame_id) == ("foxglove.Grid", "skin")
+        assert schema == "foxglove.Grid"
+        assert grid.frame_id == "skin"
         assert stamp_of(grid) == message.stamp_ns
-        assert (grid.cell_size.x, grid.cell_size.y) == (0.005, 0.005)
+        assert grid.cell_size.x == 0.005
+        assert grid.cell_size.y == 0.005
         corner = (grid.pose.position.x, grid.pose.position.y)
         assert corner == pytest.approx((-0.0025 * N_COLS, -0.0025 * N_ROWS))
         maps = {"force": message.forces[0]} | ({} if message.sd is None else {"sd": message.sd[0]})
@@ -92,10 +96,15 @@ def test_figures_and_states_of_a_foxglove_export_are_those_of_the_messages(foxgl
     for message in rich_frames():
         if isinstance(message, Reconstruction):
             _, schema, figures = foxglove[f"{message.topic}/figures"].pop(0)
-            assert (schema, figures) == ("sparseskin.Figures", figures_of(message))
+            assert schema == "sparseskin.Figures"
+            assert figures == figures_of(message)
             assert {"iterations", "residual", "solve_ns", "trusted"} < figures.keys()
-    (_, _, phi), (_, _, skin) = foxglove["/skin/phi"][0], foxglove["/skin/skin"][0]
-    assert (phi["kind"], phi["n"], phi["seed"], phi["rows"]) == ("sbhe", 34, 7, "fixed")
+    (_, _, phi) = foxglove["/skin/phi"][0]
+    (_, _, skin) = foxglove["/skin/skin"][0]
+    assert phi["kind"] == "sbhe"
+    assert phi["n"] == 34
+    assert phi["seed"] == 7
+    assert phi["rows"] == "fixed"
     assert np.array_equal([[cell == "1" for cell in row] for row in skin["mask"]], MASK)
 
 
@@ -105,14 +114,18 @@ def test_a_foxglove_export_has_the_contacts_as_numbers_and_as_a_scene(foxglove):
         (_, schema, held), (_, _, scene) = (
             foxglove[f"/skin/contacts{ending}"][k] for ending in ("", "/scene")
         )
-        assert (schema, held["n"], held["trusted"]) == ("sparseskin.Contacts", k % 3, k != 4)
+        assert schema == "sparseskin.Contacts"
+        assert held["n"] == k % 3
+        assert held["trusted"] == (k != 4)
         assert [one["total"] for one in held["contacts"]] == sent.total.tolist()
         assert all(("x_mm" in one) == (k % 3 == 1) for one in held["contacts"])
         assert held["events"] == [{"id": n, "event": "begin"} for n in sent.id]
         assert [one.type for one in scene.deletions] == [1]  # all: the scene is replaced
         assert [one.id for one in scene.entities] == [str(n) for n in sent.id]
         for n, entity in enumerate(scene.entities):
-            (sphere,), (arrow,), (text,) = entity.spheres, entity.arrows, entity.texts
+            (sphere,) = entity.spheres
+            (arrow,) = entity.arrows
+            (text,) = entity.texts
             if k % 3 == 1:  # its place is known, in mm; the frame is that of the middle
                 corner = 0.001 - 0.005 * (N_COLS - 1) / 2, 0.001 - 0.005 * (N_ROWS - 1) / 2
                 at = sphere.pose.position
@@ -152,12 +165,11 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich):
         }
     for topic, message, array in images():
         log_ns, schema, image = held[topic].pop(0)
-        assert (schema, image.encoding) == ("sensor_msgs/msg/Image", "32FC1")
+        assert schema == "sensor_msgs/msg/Image"
+        assert image.encoding == "32FC1"
         stamp = image.header.stamp
-        assert (image.header.frame_id, stamp.sec * 10**9 + stamp.nanosec) == (
-            "skin",
-            message.stamp_ns,
-        )
+        assert image.header.frame_id == "skin"
+        assert stamp.sec * 10**9 + stamp.nanosec == message.stamp_ns
         assert log_ns == message.stamp_ns + LAG_NS
         assert (image.height, image.width, image.step) == (*array.shape, 4 * array.shape[1])
         assert np.array_equal(np.frombuffer(bytes(image.data), "<f4"), array.ravel())
@@ -188,13 +200,15 @@ def check_contacts(sent, held):
     assert stamp.sec * 10**9 + stamp.nanosec == sent.stamp_ns
     assert wrench.wrench.force.z == pytest.approx(-sent.total.sum())
     everything, *others = markers.markers
-    assert (everything.action, everything.ns) == (3, "")
+    assert everything.action == 3
+    assert everything.ns == ""
     assert [(m.ns, m.id, m.type, m.action) for m in others] == [
         (*kind, 0) for n in sent.id for kind in (("sphere", n, 2), ("arrow", n, 0), ("text", n, 9))
     ]
     for n, (_, arrow, text) in enumerate(zip(*[iter(others)] * 3, strict=True)):
         tail, tip = arrow.points
-        assert (tail.x, tail.y) == (tip.x, tip.y)
+        assert tail.x == tip.x
+        assert tail.y == tip.y
         assert tail.z - tip.z == pytest.approx(sent.total[n] * 0.005 * N_COLS / (10 * 2.5))
         assert text.text.startswith(f"{sent.id[n]}: ")
     names = table.layout.dim[1].label.split(",")

@@ -17,7 +17,8 @@ pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
 from sparseskin.plugins.bridges.foxglove import FoxgloveBridge, FoxgloveSettings
 
 TOPIC = "/skin/taxels"
-ROWS, COLS = 5, 8
+ROWS = 5
+COLS = 8
 """Neither equal nor powers of two: a transposed or padded image is noticed."""
 
 

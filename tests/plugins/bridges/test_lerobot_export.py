@@ -14,7 +14,9 @@ from sparseskin.messages import Reconstruction
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges.exports.lerobot import export_lerobot
 
-N_FRAMES, FPS, WINDOW = 60, 30, 5
+N_FRAMES = 60
+FPS = 30
+WINDOW = 5
 DTYPES = {"float32": np.float32, "int64": np.int64}
 
 
@@ -59,15 +61,20 @@ def exported(bag, tmp_path):
     return Dataset(tmp_path / "out")
 
 
-KEY, FORCES = "observation.tactile.skin", "observation.environment_state"
+KEY = "observation.tactile.skin"
+FORCES = "observation.environment_state"
 
 
 def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported):
     n = (N_FRAMES - 1) * PERIOD_NS * FPS // 10**9 + 1
-    info, episode = exported.info, exported.episode
+    info = exported.info
+    episode = exported.episode
     assert info["codebase_version"] == "v3.0"
-    assert (info["fps"], info["total_frames"], info["total_episodes"]) == (FPS, n, 1)
-    assert (info["total_tasks"], info["splits"]) == (1, {"train": "0:1"})
+    assert info["fps"] == FPS
+    assert info["total_frames"] == n
+    assert info["total_episodes"] == 1
+    assert info["total_tasks"] == 1
+    assert info["splits"] == {"train": "0:1"}
     assert set(exported.rows) == set(info["features"])
     for key in ("index", "frame_index"):
         assert np.array_equal(exported.column(key), np.arange(n))
@@ -76,14 +83,18 @@ def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported):
     # LeRobot refuses timestamps that are more than 0.1 ms off the video's.
     assert np.abs(exported.column("timestamp") - np.arange(n) / FPS).max() < 1e-5
     assert exported.tasks.loc["touch", "task_index"] == 0
-    assert (episode["dataset_from_index"], episode["dataset_to_index"]) == (0, n)
-    assert (episode["episode_index"], episode["length"], [*episode["tasks"]]) == (0, n, ["touch"])
+    assert episode["dataset_from_index"] == 0
+    assert episode["dataset_to_index"] == n
+    assert episode["episode_index"] == 0
+    assert episode["length"] == n
+    assert [*episode["tasks"]] == ["touch"]
 
 
 def test_each_row_holds_the_last_frames_at_or_before_its_time(exported):
     sent = [message for k in range(N_FRAMES) for message in frame(k)]
     recorded = [message.forces[0] for message in sent if isinstance(message, Reconstruction)]
-    windows, ages = exported.column(KEY), exported.column(f"{KEY}.age")
+    windows = exported.column(KEY)
+    ages = exported.column(f"{KEY}.age")
     assert windows.shape == (len(exported.rows), WINDOW, N_ROWS * N_COLS)
     for row in range(len(exported.rows)):
         at_ns = row * 10**9 // FPS
@@ -94,7 +105,8 @@ def test_each_row_holds_the_last_frames_at_or_before_its_time(exported):
 
 
 def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path):
-    bag, out = tmp_path / "touched.mcap", tmp_path / "touched"
+    bag = tmp_path / "touched.mcap"
+    out = tmp_path / "touched"
     make_bag(bag, [skin_state(), *(m for k in range(N_FRAMES) for m in [*frame(k), contacts(k)])])
     options = ["--out", str(out), "--contacts", "2"]
     assert main(["recording", "export", str(bag), "--to", "lerobot", *options]) == 0
@@ -119,7 +131,8 @@ def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path):
 @pytest.fixture
 def truths(bag, tmp_path):
     """A dataset of the truth of two episodes, and the words of a join of the reconstructions."""
-    root, out = tmp_path / "truths", tmp_path / "joined"
+    root = tmp_path / "truths"
+    out = tmp_path / "joined"
     with BagReader(bag) as reader:
         export_lerobot([reader] * 2, root, ["/skin/truth"], fps=FPS, window=1)
     words = ["recording", "export", str(bag), str(bag), "--to", "lerobot", "--into", str(root)]
@@ -135,10 +148,12 @@ def test_frames_are_joined_into_a_dataset_by_stamps(truths, bag, tmp_path, capsy
     assert main([*words, "--offset", "0,0.07"]) == 0
     assert "later.mcap: its last 1.0" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in root.rglob("*.*") if path.is_file()} == before
-    old, made = Dataset(root), Dataset(tmp_path / "joined")
+    old = Dataset(root)
+    made = Dataset(tmp_path / "joined")
     n = old.info["total_frames"]
     assert set(made.info["features"]) == {*old.info["features"], KEY, f"{KEY}.age"}
-    both, truth = made.column(FORCES), old.column(FORCES)
+    both = made.column(FORCES)
+    truth = old.column(FORCES)
     assert both.shape == (n, 2 * N_ROWS * N_COLS)
     assert np.array_equal(both[:, : N_ROWS * N_COLS], truth)
     for row in range(n):

@@ -352,7 +352,8 @@ def whole(tmp_path_factory):
 @any_folder
 @given(data=st.data(), kind=st.sampled_from(STORAGES))
 def test_random_and_mutated_recordings_are_read_or_refused_in_one_line(tmp_path, whole, data, kind):
-    path, read = tmp_path / f"any.{kind}", []
+    path = tmp_path / f"any.{kind}"
+    read = []
     path.write_bytes(mutated(data, whole[kind]))
     refusal(lambda: read.append(Read(path)), SourceError)
     assert all(frame.shape == (3, 4) for one in read for frame in one.frames)

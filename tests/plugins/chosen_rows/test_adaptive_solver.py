@@ -43,7 +43,8 @@ def test_a_small_contact_is_reconstructed_at_n_over_8_from_its_first_frame_on():
 def test_on_a_moving_noisy_press_it_is_above_the_reading_of_all_taxels():
     noise = NoiseModel.for_range(PAPER_F_MAX_N)
     made = method((40, 40), 4, sigma_end=noise.sigma_end)
-    found, read = Scores(), Scores()
+    found = Scores()
+    read = Scores()
     for truth, taxels in press_frames("gaussian", (40, 40), 60, 0, speed=0.25, noise=noise):
         found.add(made.reconstruct(taxels), truth)
         read.add(Reading().reconstruct(taxels), truth)
@@ -78,10 +79,12 @@ def test_lost_frames_are_made_up_for_by_later_ones():
 
 def test_a_host_that_begins_in_the_middle_does_not_trust_what_it_has_not_read():
     frames = frames_of((24, 24), 40, active=0.3)
-    edge, host = method((24, 24), 8), method((24, 24), 8)
+    edge = method((24, 24), 8)
+    host = method((24, 24), 8)
     for frame in frames:
         edge.measure(frame)
-    trusted, errors = [], []
+    trusted = []
+    errors = []
     for _ in range(150):
         y = edge.measure(frames[-1])
         host.solver.phi.choose(edge.solver.phi.chosen)
@@ -96,7 +99,8 @@ def test_a_host_that_begins_in_the_middle_does_not_trust_what_it_has_not_read():
 
 
 def test_a_dense_random_skin_at_n_over_8_is_not_trusted():
-    made, rng = method((32, 32), 8), np.random.default_rng(0)
+    made = method((32, 32), 8)
+    rng = np.random.default_rng(0)
     for _ in range(12):
         made.reconstruct((rng.random((32, 32)) < 0.5).astype(np.float32))
         assert not made.solver.trusted

@@ -40,6 +40,7 @@ from sparseskin.plugins.design.simulation import (
     SCENE_S,
     band,
     grid_of,
+    larger_raster,
     light_touch,
     make_reader,
     presses,
@@ -47,10 +48,10 @@ from sparseskin.plugins.design.simulation import (
 )
 from sparseskin.plugins.design.simulation import simulate as simulate_on
 from sparseskin.plugins.design.spec import make_design
-from sparseskin.plugins.design.strategies import N_SCENES, STRATEGIES
+from sparseskin.plugins.design.strategies import LARGER, N_SCENES, STRATEGIES
 from sparseskin.plugins.edge.description import EdgeDescription
 
-PALM = {"rows": 64, "cols": 64}
+PALM = {"n_rows": 64, "n_cols": 64}
 
 
 def row(name, **keys):
@@ -60,12 +61,15 @@ def row(name, **keys):
 def test_a_full_raster_of_a_palm_is_limited_by_its_line():
     found = row("all taxels")
     # 4096 readings of 10 bits and 15 bytes; 4096 conversions at 200 kS/s; 10 bits a byte at 2 Mbaud
-    assert (found.n_bytes, found.stage_s["ADC"]) == (5120 + 15, pytest.approx(4096 / 200e3))
+    assert found.n_bytes == 5120 + 15
+    assert found.stage_s["ADC"] == pytest.approx(4096 / 200e3)
     # Of several converters each waits for its multiplexer: ceil(4096 / 3) = 1366 of 5 + 2 us.
     assert Adc(10, 200e3, 3, 2e-6).seconds(4096) == pytest.approx(1366 * 7e-6)
-    assert (found.stage_s["bus"], found.limit) == (pytest.approx(51350 / 2e6), "bus")
+    assert found.stage_s["bus"] == pytest.approx(51350 / 2e6)
+    assert found.limit == "bus"
     # A line a row and column.
-    assert (found.lines, found.conversions) == (128, 4096)
+    assert found.lines == 128
+    assert found.conversions == 4096
     assert found.possible_hz == pytest.approx(2e6 / 51350)
     assert not found.is_met
 
@@ -85,20 +89,26 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
 
 
 def test_sums_need_conversions_by_their_kind_and_single_taxels_the_bits_of_the_converter():
-    digital, analog = (row("N/4 sums"), row("N/4 sums", sums="analog", rows=16, cols=16))
-    assert (digital.m, digital.conversions) == (1024, 4096)
-    assert (analog.m, analog.conversions, analog.lines) == (64, 64, 256)
+    digital = row("N/4 sums")
+    analog = row("N/4 sums", sums="analog", n_rows=16, n_cols=16)
+    assert digital.m == 1024
+    assert digital.conversions == 4096
+    assert analog.m == 64
+    assert analog.conversions == 64
+    assert analog.lines == 256
     # 24 * 4096 + 72 * 1024 + 16 * 1039 + 550 instructions of 2 cycles
     assert digital.stage_s["edge"] == pytest.approx(2 * 189_206 / 168e6)
     d = make_design(PALM)
     sizes = {name: frame_bytes(STRATEGIES[name], d) - 15 for name in STRATEGIES}
-    assert (sizes["all taxels"], sizes["N/4 taxels in turn"]) == (4096 * 10 // 8, 1024 * 10 // 8)
-    assert (sizes["N/3 sums"], sizes["N/4 sums of rows"]) == (1366, 1024)
+    assert sizes["all taxels"] == 4096 * 10 // 8
+    assert sizes["N/4 taxels in turn"] == 1024 * 10 // 8
+    assert sizes["N/3 sums"] == 1366
+    assert sizes["N/4 sums of rows"] == 1024
     assert sizes["N/4 adaptive sums"] == 1024 + math.ceil(2 * math.ceil(4096 / 3) / 8)
 
 
 def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum():
-    for found in budget(make_design({"rows": 12, "cols": 32, "bus": "spi:20M"})):
+    for found in budget(make_design({"n_rows": 12, "n_cols": 32, "bus": "spi:20M"})):
         assert found.possible_hz == min(found.stage_hz.values())
         assert found.stage_hz[found.limit] == found.possible_hz
         assert found.reached_hz == min(1000.0, found.possible_hz)
@@ -108,11 +118,13 @@ def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum():
 
 
 def test_a_skin_of_several_patches_uses_several_cores():
-    one, four = row("N/4 sums", host="1cores"), row("N/4 sums", rows=128, cols=128)
-    assert (one.patches, four.patches) == (1, 4)
+    one = row("N/4 sums", host="1cores")
+    four = row("N/4 sums", n_rows=128, n_cols=128)
+    assert one.patches == 1
+    assert four.patches == 4
     assert four.stage_s["host"] == pytest.approx(one.stage_s["host"])
     assert four.host_rate_hz == pytest.approx(one.host_rate_hz)
-    alone = row("N/4 sums", rows=128, cols=128, host="1cores")
+    alone = row("N/4 sums", n_rows=128, n_cols=128, host="1cores")
     assert alone.host_rate_hz == pytest.approx(one.host_rate_hz / 4)
 
 
@@ -123,7 +135,8 @@ def test_points_have_no_rows_and_no_neighbourhoods():
     assert rows[0].lines == 64 + 63
     # They are simulated on it, too.
     mask = grid_of(make_design({"taxels": 4000}))
-    assert (mask.shape, np.count_nonzero(mask)) == ((63, 64), 4000)
+    assert mask.shape == (63, 64)
+    assert np.count_nonzero(mask) == 4000
 
 
 def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours():
@@ -167,12 +180,12 @@ def with_db(rows, **db):
     ],
 )
 def test_what_breaks_first_is_said_with_its_numbers(keys, line):
-    design = make_design({"rows": 16, "cols": 32, **keys})
+    design = make_design({"n_rows": 16, "n_cols": 32, **keys})
     assert text.breaks(row_of(STRATEGIES["all taxels"], design), design) == line
 
 
 def test_a_design_that_all_taxels_hold_advises_to_read_them():
-    keys = {"rows": 8, "cols": 8, "bus": "udp", "adc": "10bit@1MS/s", "rate": "20"}
+    keys = {"n_rows": 8, "n_cols": 8, "bus": "udp", "adc": "10bit@1MS/s", "rate": "20"}
     design = make_design(keys)
     rows = with_db(budget(design), **{"N/4 sums": 50.0})
     small = min(rows, key=lambda row: row.n_bytes)
@@ -191,7 +204,7 @@ def test_a_design_that_all_taxels_hold_advises_to_read_them():
 
 
 def test_a_design_that_all_taxels_miss_states_their_costs_and_those_of_others():
-    keys = {"rows": 8, "cols": 8, "bus": "serial:115200", "adc": "10bit@1MS/s"}
+    keys = {"n_rows": 8, "n_cols": 8, "bus": "serial:115200", "adc": "10bit@1MS/s"}
     slow = make_design({**keys, "rate": "150"})
     first = text.conclusions(budget(slow), slow)[0]
     assert first.startswith("All taxels need 16 wires, 64 conversions and ")
@@ -297,7 +310,8 @@ def test_rigs_that_were_built_are_predicted():
             hz.append(1 / read_bus(rig["bus"]).seconds(rig["n_bytes"]))
         ratios[rig["name"]] = min(hz) / rig["published_hz"]
     beyond = [name for name, ratio in ratios.items() if not 0.5 <= ratio <= 2]
-    assert (len(ratios), beyond) == (9, ["3D-ViTac", "SPTS, 7 % of 100"])
+    assert len(ratios) == 9
+    assert beyond == ["3D-ViTac", "SPTS, 7 % of 100"]
     assert ratios["FlexiTac, bus alone"] == pytest.approx(1.0, abs=0.001)
 
 
@@ -361,9 +375,21 @@ def test_a_raster_has_the_error_of_clipped_noise_and_a_band_is_a_prediction_inte
 
 @pytest.mark.slow
 def test_rows_are_simulated_in_processes_as_in_this_one():
-    design = make_design({"rows": 6, "cols": 6, "rate": 50})
+    design = make_design({"n_rows": 6, "n_cols": 6, "rate": 50})
     rows = simulated(budget(design)[:2], design, n_scenes=2)
     for row in rows:
         assert row.accuracy == simulate(
             row.strategy.name, 6, 6, design.noise, 10, row.reached_hz, n_scenes=2
         )
+
+
+def test_larger_taxels_are_read_as_an_array_of_m_and_sums_are_rounded_to_the_bits():
+    design = make_design({"rows": 16, "cols": 32, "rate": "100Hz"})
+    row = next(row for row in budget(design) if row.strategy.phi == LARGER)
+    assert row.conversions == row.m == 128
+    assert row.lines == 8 + 16
+    mask = np.ones((16, 32), np.bool_)
+    read = larger_raster(mask, 8, 128)
+    taxels = np.random.default_rng(0).uniform(0, F_MAX_N, mask.shape).astype(np.float32)
+    tiles = [image.reshape(8, 2, 16, 2).sum(axis=(1, 3)) for image in (read(taxels), taxels)]
+    assert np.abs(tiles[0] - tiles[1]).max() <= 4 * F_MAX_N / 255 / 2 * 1.001

@@ -65,7 +65,9 @@ def test_it_publishes_skin_phi_and_codes_times_a_step(f_max, unit, described, li
     skin, phi = node.start()
     stated = (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels)
     assert stated == ((6, 8), f_max or 4095, unit or "counts", False)
-    assert (phi.fingerprint, phi.m, phi.rows) == (D.phi.fingerprint, 16, "rotating")
+    assert phi.fingerprint == D.phi.fingerprint
+    assert phi.m == 16
+    assert phi.rows == "rotating"
     thread = line.sending(FRAMES)
     messages = received(node, len(FRAMES))
     thread.join()
@@ -91,7 +93,9 @@ def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described, line):
     node.close({})
     assert [m.phi for m in messages] == [D.subsets[k % 4].fingerprint for k in (1, 5, 7)]
     report = node.report()["board"]
-    assert (report["frames"], report["missing_frames"], report["other_matrix"]) == (3, 3, 1)
+    assert report["frames"] == 3
+    assert report["missing_frames"] == 3
+    assert report["other_matrix"] == 1
     assert report["bad_frames"] >= 1
     (stranger,) = (text for text in lines if "another matrix" in text)
     tag = int.from_bytes(OTHER[6][5:9], "little")
@@ -119,7 +123,9 @@ def test_packets_are_whole_frames_or_counted(described):
     node.close({})
     assert [m.phi for m in messages] == [D.subsets[k].fingerprint for k in (0, 3)]
     report = node.report()["board"]
-    assert (report["frames"], report["missing_frames"], report["other_matrix"]) == (2, 1, 1)
+    assert report["frames"] == 2
+    assert report["missing_frames"] == 1
+    assert report["other_matrix"] == 1
     assert report["bad_frames"] >= 2
 
 
@@ -187,15 +193,22 @@ def test_its_frames_are_recorded_with_their_bits_and_reconstructed(start, tmp_pa
         os.close(host)
     assert code == 0, stderr
     recording = tmp_path / "out.mcap"
-    (skin,), (phi,) = recorded(recording, SkinState), recorded(recording, PhiState)
-    assert (skin.skin.shape, skin.has_taxels) == ((40, 40), False)
-    assert (skin.unit, skin.f_max, phi.rows, phi.m) == ("counts", 4095.0, "rotating", d.m)
-    in_c, restored = recorded(recording, Measurements), recorded(recording, Reconstruction)
+    (skin,) = recorded(recording, SkinState)
+    (phi,) = recorded(recording, PhiState)
+    assert skin.skin.shape == (40, 40)
+    assert not skin.has_taxels
+    assert skin.unit == "counts"
+    assert skin.f_max == 4095.0
+    assert phi.rows == "rotating"
+    assert phi.m == d.m
+    in_c = recorded(recording, Measurements)
+    restored = recorded(recording, Reconstruction)
     # What came before the line was opened is not read: the frames begin somewhere in the cycle.
     cycle = [read_frame(d, sent[4:-2]) for sent in compressed(d, np.tile(counts, (3, 1, 1)))]
     expected = [(f.phi, f.measurements(d.bits, 1.0).tobytes(), f.step) for f in cycle if f]
     found = [(m.phi, m.y.tobytes(), m.y.step) for m in in_c]
     begin = expected.index(found[0])
-    assert (found, len({phi for phi, _, _ in found})) == (expected[begin : begin + N_FRAMES], 3)
+    assert found == expected[begin : begin + N_FRAMES]
+    assert len({phi for phi, _, _ in found}) == 3
     assert len(restored) == N_FRAMES
     assert max(float(m.forces.max()) for m in restored) > 0.1 * d.full_scale

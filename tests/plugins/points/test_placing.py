@@ -132,7 +132,9 @@ def test_a_csv_states_places_normals_and_unit(tmp_path):
     found = load_points(saved(tmp_path, CSV))
     assert np.allclose(found.places, [[0, 0, 0.001], [0.005, 0, 0.001], [0, -0.005, 0.001]])
     assert np.allclose(found.normals, [[0, 0, 1]] * 3)
-    assert (found.name, found.n_slots, found.notes) == ("skin", 3, ())
+    assert found.name == "skin"
+    assert found.n_slots == 3
+    assert found.notes == ()
     again = load_points(saved(tmp_path, "x_m,y_m,z_m\n0,0,0\n0.1,0,0\n0,0.1,0\n0.1,0.1,0\n"))
     assert np.allclose(again.normals, [[0, 0, 1]] * 4)
     assert again.notes == ("the normals are estimated from the places of neighbours",)
@@ -140,7 +142,8 @@ def test_a_csv_states_places_normals_and_unit(tmp_path):
 
 def test_estimated_normals_are_those_of_a_ball(tmp_path):
     k = np.arange(600) + 0.5
-    polar, angle = np.arccos(1 - 2 * k / 600), np.pi * (1 + 5**0.5) * k
+    polar = np.arccos(1 - 2 * k / 600)
+    angle = np.pi * (1 + 5**0.5) * k
     normals = np.stack(
         [np.cos(angle) * np.sin(polar), np.sin(angle) * np.sin(polar), np.cos(polar)], axis=1
     )
@@ -151,7 +154,8 @@ def test_estimated_normals_are_those_of_a_ball(tmp_path):
 
 def test_an_icubs_file_has_readings_without_a_taxel(tmp_path):
     found = load_points(saved(tmp_path, ICUB, "l_hand.txt"))
-    assert (found.slots.tolist(), found.n_slots) == ([1, 2, 4, 5], 6)
+    assert found.slots.tolist() == [1, 2, 4, 5]
+    assert found.n_slots == 6
     assert np.allclose(found.places[0], [-0.0094, 0.0062, 0])
     assert found.notes == ("1 of 4 taxels stand where another does",)
     with pytest.raises(SourceError, match="l_hand: a frame has 5 readings; expected 4 or 6"):

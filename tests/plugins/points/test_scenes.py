@@ -29,7 +29,8 @@ def test_the_forces_of_a_ball_at_rest_are_those_of_its_depth():
     scene = PointScene("ball_presses", placement, seed=2)
     *_, (_, image) = islice(scene, 58)  # 0.58 s: just before it is lifted
     forces = image.reshape(-1)[placement.cells].astype(np.float64)
-    points, radius = placement.points, 0.5 * placement.pitch_m
+    points = placement.points
+    radius = 0.5 * placement.pitch_m
     touched = np.flatnonzero(forces > 0)
     assert touched.size > 4
     middles = points.places - radius * points.normals
@@ -108,7 +109,7 @@ def test_a_skin_file_with_points_is_calibrated_in_their_order(folder):
     assert loaded.points is not None
     assert np.array_equal(loaded.skin.points, run.state.points)
     for line, what in (
-        ('points = "six.csv"\nrows = 2', "rows: is stated beside points"),
+        ('points = "six.csv"\nn_rows = 2', "n_rows: is stated beside points"),
         ("points = 3", "points: expected the name of a file"),
         ('points = "six.csv"\nbaseline = [1, 2]', "baseline: six: a frame has 2 readings"),
     ):
@@ -152,7 +153,8 @@ def test_a_skin_of_points_is_recorded_exported_and_reprocessed(start, tmp_path):
     with BagReader(bag) as reader:
         (state,) = (decode(m.topic.encode(), m.payload) for m in reader.messages(["/skin/skin"]))
     assert state.points is not None
-    exported, again = tmp_path / "run.npz", tmp_path / "again.mcap"
+    exported = tmp_path / "run.npz"
+    again = tmp_path / "again.mcap"
     assert main(["recording", "export", str(bag), "--to", "npz", "--out", str(exported)]) == 0
     assert np.array_equal(open_file(str(exported)).skin.points, state.points)
     assert main(["reprocess", str(bag), "--out", str(again), "--set", "compressor.ratio=4"]) == 0
@@ -163,8 +165,8 @@ def test_a_skin_of_points_is_recorded_exported_and_reprocessed(start, tmp_path):
 BODY = """
 [[patches]]
 name = "palm"
-rows = 8
-cols = 8
+n_rows = 8
+n_cols = 8
 f_max = 2.5
 [[patches]]
 name = "sole"

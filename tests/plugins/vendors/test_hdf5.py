@@ -120,7 +120,9 @@ def test_attributes_state_unit_rate_range_and_pitch(tmp_path):
 
     raw = written(write)
     source = read(tmp_path, raw)
-    assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 99.5, 40)
+    assert source.skin.unit == "kPa"
+    assert source.skin.f_max == 99.5
+    assert source.rate_hz == 40
     assert source.skin.pitch_m == 0.004
     np.testing.assert_allclose(source.stamp_ns / 1e9, TIMES, atol=1e-6)
     assert "long name: left palm" in source.notes

@@ -54,9 +54,13 @@ class TestRealEmed:
     def test_size_rate_range_and_pitch(self):
         source = open_file(recording("emed_test.lst"))
         frames = frames_of(source)
-        assert (frames.shape, frames.dtype, source.n_frames) == ((106, 95, 64), np.float32, 106)
-        assert (source.rate_hz, source.skin.unit) == (pytest.approx(100.0), "N")
-        assert (source.skin.f_max, frames.max()) == (pytest.approx(9.25), np.float32(9.25))
+        assert frames.shape == (106, 95, 64)
+        assert frames.dtype == np.float32
+        assert source.n_frames == 106
+        assert source.rate_hz == pytest.approx(100.0)
+        assert source.skin.unit == "N"
+        assert source.skin.f_max == pytest.approx(9.25)
+        assert frames.max() == np.float32(9.25)
         assert source.skin.pitch_m == pytest.approx(0.005)
         assert source.skin.mask is None
         assert source.delivers == "taxels"
@@ -66,7 +70,9 @@ class TestRealEmed:
         """Read with nothing of the parser: labels are places counted from 1, sums in newtons."""
         path = recording("emed_test.lst")
         frames = frames_of(open_file(path)).astype(np.float64)
-        frame, columns, n_compared = -1, [], 0
+        frame = -1
+        columns = []
+        n_compared = 0
         for line in path.read_bytes().decode("latin-1").split("\n"):
             cells = line.split("\t")
             if cells[-1] == "Force":
@@ -81,16 +87,22 @@ class TestRealEmed:
                 row = int(cells[0]) - 1
                 assert frames[frame][row].sum() == pytest.approx(float(cells[-1]), abs=0.0051)
                 n_compared += 1
-        assert (frame, n_compared) == (105, 106 * 54)
+        assert frame == 105
+        assert n_compared == 106 * 54
 
 
 class TestRealTekscan:
     def test_size_rate_range_unit_pitch_mask_and_stamps(self):
         source = open_file(recording("iscan_test.csv"))
-        frames, stamps, mask = frames_of(source), stamps_of(source), source.skin.mask
-        assert (frames.shape, source.rate_hz) == ((309, 28, 28), pytest.approx(10.0))
+        frames = frames_of(source)
+        stamps = stamps_of(source)
+        mask = source.skin.mask
+        assert frames.shape == (309, 28, 28)
+        assert source.rate_hz == pytest.approx(10.0)
         assert source.skin.unit == "raw"
-        assert (frames.min(), frames.max(), source.skin.f_max) == (0, 100, 100.0)
+        assert frames.min() == 0
+        assert frames.max() == 100
+        assert source.skin.f_max == 100.0
         assert source.skin.pitch_m == pytest.approx(0.00127)
         assert source.skin.n_taxels == 484 == 4 * 11 * 11
         np.testing.assert_array_equal(np.unique(mask.sum(axis=0)), [0, 22])
@@ -109,7 +121,8 @@ class TestRealTekscan:
         np.testing.assert_array_equal(frames_of(open_file(path)).sum(axis=(1, 2)), sums)
 
     def test_the_example_of_the_package_is_this_recording(self):
-        whole, example = open_file(recording("iscan_test.csv")), open_file("example:fingers")
+        whole = open_file(recording("iscan_test.csv"))
+        example = open_file("example:fingers")
         np.testing.assert_array_equal(example.frames, whole.frames)
         np.testing.assert_array_equal(example.stamp_ns, whole.stamp_ns)
         assert example.skin.unit == whole.skin.unit
@@ -124,12 +137,14 @@ class TestEmed:
         assert not frames[:, 0].any()
         assert not frames[:, :, 0].any()
         assert source.skin.f_max == pytest.approx(2.5)  # the page of peaks is no frame
-        assert (source.skin.unit, source.rate_hz) == ("N", 100.0)
+        assert source.skin.unit == "N"
+        assert source.rate_hz == 100.0
         assert stamps_of(source) == [0, 10_000_000]
         # Oblong sensors have no pitch; the square of their area is written either way.
         text = emed_text().replace("0.500x0.500", "0.500x0.400").replace("cm\xb2", "cm\xc2\xb2")
         skin = opened("oblong.lst", text).skin
-        assert (skin.pitch_m, skin.f_max) == (None, pytest.approx(2.5))
+        assert skin.pitch_m is None
+        assert skin.f_max == pytest.approx(2.5)
 
 
 class TestTekscan:
@@ -140,7 +155,9 @@ class TestTekscan:
             frames_of(source),
             [[[0, 1, 2], [0, 3, 0]], [[0, 0, 5], [7, 0, 0]], [[0, 0, 0], [0, 9, 0]]],
         )
-        assert (source.skin.f_max, source.skin.unit, source.rate_hz) == (9.0, "raw", 10.0)
+        assert source.skin.f_max == 9.0
+        assert source.skin.unit == "raw"
+        assert source.rate_hz == 10.0
         assert stamps_of(source) == [0, 100_000_000, 210_000_000]
         equal = opened("hand.csv", tekscan_text(times=("0", "0.01", "0.01")))
         assert stamps_of(equal) == [0, 100_000_000, 200_000_000]  # by the stated period
@@ -157,14 +174,17 @@ class TestTekscan:
 
     def test_calibrated_units_are_kept_and_their_raw_sum_is_not_compared(self, opened):
         source = opened("hand.csv", tekscan_text(unit="kPa").replace("B,0,5", "B,0,5.5"))
-        assert (source.skin.unit, frames_of(source)[1, 0, 2]) == ("kPa", np.float32(5.5))
+        assert source.skin.unit == "kPa"
+        assert frames_of(source)[1, 0, 2] == np.float32(5.5)
 
 
 def test_a_recording_of_an_insole_has_the_left_foot_of_the_file():
     source = open_file(recording("xsensor_L.csv"))
-    assert (source.frames.shape, source.skin.unit) == ((101, 31, 11), "mmHg")
+    assert source.frames.shape == (101, 31, 11)
+    assert source.skin.unit == "mmHg"
     assert source.skin.f_max == pytest.approx(2957.46)
-    assert (source.skin.pitch_m, source.skin.n_taxels) == (pytest.approx(0.0086), 228)
+    assert source.skin.pitch_m == pytest.approx(0.0086)
+    assert source.skin.n_taxels == 228
     # 101 frames in 1.331 s by the times of the file.
     assert source.rate_hz == pytest.approx(100 / 1.331)
     assert list(source.stamp_ns)[-1] == 1_331_000_000
@@ -178,7 +198,8 @@ class TestXsensor:
         source = opened("sole.csv", xsensor_text())
         expected = [[[float(c) for c in row.split(",")] for row in rows] for rows in XSENSOR_FRAMES]
         assert np.array_equal(source.frames, np.array(expected, dtype=np.float32))
-        assert (source.skin.unit, source.skin.f_max) == ("mmHg", 30)
+        assert source.skin.unit == "mmHg"
+        assert source.skin.f_max == 30
         assert source.skin.pitch_m == pytest.approx(0.0086)
         mask = source.skin.mask
         assert mask.tolist() == [

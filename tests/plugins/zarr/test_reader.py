@@ -94,7 +94,9 @@ def test_labels_and_attributes_are_followed(tmp_path):
     entry.attrs.update({"_ARRAY_DIMENSIONS": ["y", "x", "time"], "units": "kPa", "f_max": 99})
     source = read(tmp_path / "a.zarr")
     np.testing.assert_array_equal(source.frames, FRAMES)
-    assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 99, 50)
+    assert source.skin.unit == "kPa"
+    assert source.skin.f_max == 99
+    assert source.rate_hz == 50
 
 
 class TestEpisodes:

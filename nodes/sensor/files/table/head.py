@@ -1,97 +1,48 @@
-"""The begin of a table: where its data begin, names of columns, times, the kind of its lines."""
+"""The begin of a table: where its data begin, names of columns, the kind of its lines."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import islice
 
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import File, is_missing, shown
-from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
+from sparseskin.nodes.sensor.files.recording import File, is_missing
+from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.layout.names import (
     COL_WORDS,
     ROW_WORDS,
-    matching,
-    stated_columns,
 )
 from sparseskin.nodes.sensor.layout.times import (
-    CLOCK_UNIT,
-    ISO,
-    clock_ns,
-    is_epoch,
     is_time_name,
-    iso_ns,
-    named_unit,
 )
 
+from .columns import counters, nanoseconds_beside, source_column, time_column, unit_of_column
+from .sample import (
+    FRAME_WORDS,
+    GRID,
+    LINES,
+    LONG,
+    MAX_SHOWN,
+    Line,
+    LongColumns,
+    TableHead,
+    is_indexed,
+    is_number,
+    is_value,
+)
 from .text import COMMENTS, Dialect, dialect_of, pieces
 
 MAX_SAMPLE = 1000
 """Lines of the begin that are looked at; chosen: a thousand frames."""
 COUNTED = 8
 """Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
-MAX_SHOWN = 8
-RISING_LINES = 8
-"""Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts")
-FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
-
-LINES, GRID, LONG = "lines", "grid", "long"
-"""Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
-
-
-@dataclass
-class TableHead:
-    """What the begin of a table shows."""
-
-    dialect: Dialect
-    width: int  # cells of a line
-    has_trailing: bool = False  # a separator ends each line
-    n_before: int = 0  # lines before the first one of data
-    dropped: Counter[str] = field(default_factory=Counter)  # of these lines, by name
-    header: str = ""  # the line of the names
-    names: tuple[str, ...] = ()
-    usable: tuple[int, ...] = ()  # columns of numbers that are no times
-    numeric: tuple[int, ...] = ()  # columns of numbers
-    time: int | None = None
-    time_unit: str = ""
-    kind: str = LINES
-    height: int = 1  # lines of a frame of a grid
-    long: LongColumns | None = None
-    notes: tuple[str, ...] = ()
-
-    def label(self, column: int) -> str:
-        """The name of a column, or its number from 1."""
-        return shown(self.names[column]) if self.names[column] else str(column + 1)
-
-
-@dataclass(frozen=True)
-class LongColumns:
-    """Columns of a table with a line for each taxel, and the sides of a frame."""
-
-    frame: int
-    row: int
-    col: int
-    value: int
-    first_row: int = 0
-    first_col: int = 0
-    n_rows: int = 1
-    n_cols: int = 1
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A line of the sample: its number from 1, its text, and its cells."""
-
-    number: int
-    text: str
-    cells: tuple[str, ...]
+TAXEL_WORDS = ("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id")
 
 
 def read_head(file: File) -> TableHead:
@@ -104,10 +55,12 @@ def read_head(file: File) -> TableHead:
     bodies = [(number, text) for number, text in raw[n_skipped:] if _is_body(text)]
     if not bodies:
         raise SourceError(f"{file.name}: the recording holds no frame")
+    if bodies[0][1].lstrip().startswith("{"):
+        raise SourceError(f"{file.name}: lines of JSON are not read; write a table, as .csv")
     dialect = dialect_of([text for _, text in bodies[len(bodies) // 3 :]])
     if separator:
         dialect = dialect._replace(separator=separator)
-    lines = [_Line(number, text, tuple(dialect.cells(text))) for number, text in bodies]
+    lines = [Line(number, text, tuple(dialect.cells(text))) for number, text in bodies]
 
     head = _sized(dialect, lines)
     lines = [line for line in lines if len(line.cells) in _widths(head)]
@@ -115,29 +68,37 @@ def read_head(file: File) -> TableHead:
     if not data:
         raise SourceError(f"{file.name}: the recording holds no frame")
     _count_before(head, raw, data[0].number, layout, bool(separator))
-    head.numeric = tuple(k for k in range(head.width) if _is_numeric(data, k, layout))
+    numeric = {k for k in range(head.width) if _is_numeric(data, k, layout)}
+    head.numeric = tuple(sorted(numeric | _without_readings(head, data, numeric)))
     if not head.numeric:
         place = f"{file.name}, line {data[0].number}"
         raise SourceError(f"{place}: no column holds numbers; state columns, or skip")
 
     _find_kind(head, file, raw, data)
     if head.kind == LINES:
-        head.time = _time_column(head, layout, data, file.name)
-    elif head.kind == LONG and head.long is not None:
-        head.time = head.long.frame if is_time_name(head.names[head.long.frame]) else None
-    if head.time is not None and not head.time_unit:
-        head.time_unit = layout.time_unit or _unit_of_column(head, data)
-    head.usable = tuple(k for k in head.numeric if k not in (head.time, *_counters(head, data)))
+        head.source = source_column(head, layout, data, file.name)
+    if head.source is not None:
+        data = [line for line in data if line.cells[head.source] == layout.frame_id]
+    if head.dialect.has_decimal_comma:
+        head.notes += ("commas are decimal points",)
+    if head.kind != GRID:
+        head.time = time_column(head, layout, data, file.name)
+    if head.time is not None:
+        head.nanoseconds = nanoseconds_beside(head, head.time)
+        head.time_unit = unit_of_column(head, data, layout)
+    no_taxels = (head.time, head.nanoseconds, head.source, *counters(head, data))
+    head.usable = tuple(k for k in head.numeric if k not in no_taxels)
+    _note_texts(head)
     return head
 
 
-def is_number(cell: str) -> bool:
-    """True if a cell is a number; not one of Python's literals such as 1_0."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell
+def _note_texts(head: TableHead) -> None:
+    """Note the columns that hold no numbers and no times."""
+    texts = [k for k in range(head.width) if k not in head.numeric and k != head.time]
+    if texts:
+        labels = ", ".join(head.label(k) for k in texts[:MAX_SHOWN])
+        further = ", ..." if len(texts) > MAX_SHOWN else ""
+        head.notes += (f"no numbers, and left out: column {labels}{further}",)
 
 
 def _first_lines(file: File) -> list[tuple[int, str]]:
@@ -154,8 +115,8 @@ def _first_lines(file: File) -> list[tuple[int, str]]:
 
 def _excel(raw: list[tuple[int, str]], layout: Layout) -> tuple[str, int]:
     """The separator that the first line states for Excel, and the lines that are not looked at."""
-    setting = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
-    separator = setting[1] if setting else ""
+    line = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
+    separator = line[1] if line else ""
     return separator, max(layout.skip, int(bool(separator)))
 
 
@@ -165,7 +126,7 @@ def _is_body(text: str) -> bool:
     return bool(stripped) and not stripped.startswith(("#", "//"))
 
 
-def _sized(dialect: Dialect, lines: Sequence[_Line]) -> TableHead:
+def _sized(dialect: Dialect, lines: Sequence[Line]) -> TableHead:
     """A head with the number of cells of the lines that hold most numbers: a preamble of settings
     may have more lines than a short table.
     """
@@ -189,19 +150,20 @@ def _widths(head: TableHead) -> tuple[int, ...]:
 
 
 def _headed(
-    head: TableHead, lines: list[_Line], raw: list[tuple[int, str]], n_skipped: int
-) -> list[_Line]:
+    head: TableHead, lines: list[Line], raw: list[tuple[int, str]], n_skipped: int
+) -> list[Line]:
     """The lines of data; the head learns the names before them."""
     head.names = ("",) * head.width
     # A title of as many words as the table has columns stands before the names of these.
     while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
         lines = lines[1:]
-    first, later = lines[0], lines[1:] or lines[:1]
+    first = lines[0]
+    later = lines[1:] or lines[:1]
     if len(lines) > 1 and _is_header(first.cells[: head.width], later):
         head.names = tuple(name.strip() for name in first.cells[: head.width])
         head.header = first.text
         head.dropped["header"] += 1
-        lines = later
+        lines = [line for line in later if line.text != first.text]
         units = lines[0].cells[: head.width]
         is_units = len(lines) > 1 and _is_header(units, lines[1:])
         if is_units and not any(map(is_number, units)):
@@ -211,39 +173,48 @@ def _headed(
         return []
     else:
         _named_by_comment(head, raw[n_skipped:], first.number)
-    if lines and not any(_is_value(cell) for cell in lines[0].cells):
+        if head.width > 1 and _counts_columns(first.cells[: head.width]):
+            head.notes += ("the first line counts: it is read as a frame; skip=1 if it is names",)
+    if lines and not any(is_value(cell) for cell in lines[0].cells):
         return []
     return lines
 
 
 def _are_names(cells: Sequence[str]) -> bool:
     """True if cells are no numbers, and most are names with numbers, or one is that of times."""
-    if any(map(_is_value, cells)):
+    if any(map(is_value, cells)):
         return False
     n_indexed = sum(bool(re.search(r"\d", cell)) for cell in cells)
     return 2 * n_indexed > len(cells) or any(map(is_time_name, cells))
 
 
-def _is_header(cells: Sequence[str], later: Sequence[_Line]) -> bool:
-    """True if a line has texts in columns that hold numbers later; or all are 0, 1, 2, ..., as
-    pandas names columns.
+def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
+    """True if a line has texts in columns that hold numbers later; or it counts the columns, as
+    programs name them that know no names.
     """
-    by_name = [cell for cell in cells if cell]
-    if len(by_name) >= COUNTED and by_name == [*map(str, range(len(by_name)))]:
-        return True
+    if _counts_columns(cells) and len(cells) >= COUNTED:
+        # Frames of a test pattern count on.
+        return not _steps_by_one(later[0].cells[: len(cells)])
     for k, cell in enumerate(cells):
-        if _is_value(cell):
+        if is_value(cell):
             continue
         below = [line.cells[k] for line in later if k < len(line.cells)]
-        n_values = sum(map(_is_value, below))
+        n_values = sum(map(is_value, below))
         if cell and 2 * n_values > len(below):
             return True
     return False
 
 
-def _is_value(cell: str) -> bool:
-    """True if a cell is a number, a time, or states that there is none."""
-    return is_number(cell) or is_missing(cell) or bool(iso_ns(cell) or clock_ns(cell) is not None)
+def _steps_by_one(cells: Sequence[str]) -> bool:
+    numbers = [float(cell) for cell in cells if is_number(cell)]
+    return len(numbers) == len(cells) and bool((np.diff(numbers) == 1).all())
+
+
+def _counts_columns(cells: Sequence[str]) -> bool:
+    """True for 0, 1, 2, ... or 1, 2, 3, ..., perhaps behind an empty cell."""
+    counted = [cell for cell in cells if cell]
+    n = len(counted)
+    return counted in ([*map(str, range(n))], [*map(str, range(1, n + 1))])
 
 
 def _named_by_comment(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> None:
@@ -277,7 +248,7 @@ def _count_before(
         head.dropped["lines before the table"] += n_others
 
 
-def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
+def _is_numeric(data: Sequence[Line], k: int, layout: Layout) -> bool:
     """True if most cells of a column that are not missing are numbers, and some is."""
     cells = [line.cells[k] for line in data]
     texts = [
@@ -287,27 +258,41 @@ def _is_numeric(data: Sequence[_Line], k: int, layout: Layout) -> bool:
     return n_numbers > 0 and 2 * n_numbers >= len(texts)
 
 
+def _without_readings(head: TableHead, data: Sequence[Line], numeric: set[int]) -> set[int]:
+    """Columns of missing numbers alone whose names are like those of columns of numbers: taxels
+    that are dead.
+    """
+    patterns = {re.sub(r"\d+", "#", head.names[k]) for k in numeric if is_indexed(head, k)}
+    dead = set()
+    for k in range(head.width):
+        is_like_others = re.sub(r"\d+", "#", head.names[k]) in patterns
+        if is_like_others and k not in numeric and all(is_missing(row.cells[k]) for row in data):
+            dead.add(k)
+    return dead
+
+
 def _find_kind(
-    head: TableHead, file: File, raw: list[tuple[int, str]], data: Sequence[_Line]
+    head: TableHead, file: File, raw: list[tuple[int, str]], data: Sequence[Line]
 ) -> None:
     """Find whether a frame is a line, a block of lines, or a line for each taxel."""
     layout = file.layout
-    head.long = _long_columns(head, data)
+    head.long = _long_columns(head, layout, data)
     if head.long is not None:
         head.kind = LONG
         head.notes += (f"a line for each taxel: {head.long.n_rows} x {head.long.n_cols}",)
         return
     if head.header or layout.columns or layout.time not in ("", "none"):
         return
-    n_rows, n_cols = layout.n_rows, layout.n_cols
-    setting = layout.n_stated or 0
-    fits = setting > head.width == n_cols and n_rows is not None
+    n_rows = layout.n_rows
+    n_cols = layout.n_cols
+    n_stated = layout.n_stated or 0
+    fits = n_stated > head.width == n_cols and n_rows is not None
     heights = _block_heights(head, raw, data[0].number)
     if fits and n_rows is not None:
         head.height = n_rows
-    elif not setting and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
+    elif not n_stated and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
         head.height = heights[0]
-    elif file.parts and not setting:
+    elif file.parts and not n_stated:
         head.height = sum(heights)
     else:
         return
@@ -332,150 +317,39 @@ def _block_heights(head: TableHead, raw: list[tuple[int, str]], first_number: in
     return heights
 
 
-def _long_columns(head: TableHead, data: Sequence[_Line]) -> LongColumns | None:
-    """Columns of frame, row, column and value, where the names state them."""
+def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> LongColumns | None:
+    """Columns of frame, row, column and value, or of frame, taxel and value, where the names state
+    them.
+    """
     names = [name.lower() for name in head.names]
-    words = ((*ROW_WORDS, "i"), (*COL_WORDS, "j"), VALUE_WORDS)
-    by_word = [[k for k, name in enumerate(names) if name in group] for group in words]
-    frames = [k for k, name in enumerate(names) if name in FRAME_WORDS or is_time_name(name)]
-    if any(len(columns) != 1 for columns in by_word) or not frames:
+
+    def only(words: Sequence[str]) -> int | None:
+        columns = [k for k in head.numeric if names[k] in words]
+        return columns[0] if len(columns) == 1 else None
+
+    row = only((*ROW_WORDS, "i"))
+    col = only((*COL_WORDS, "j"))
+    if row is None and col is None:
+        col = only(TAXEL_WORDS)
+    elif row is None or col is None:
         return None
-    row, col, value = (columns[0] for columns in by_word)
+    value = only(VALUE_WORDS)
+    frames = [k for k in head.numeric if names[k] in FRAME_WORDS]
+    frames += [k for k in range(head.width) if is_time_name(names[k])]
+    if col is None or value is None or not frames:
+        return None
+
     key = data[0].cells[frames[0]]
     first = [line for line in data if line.cells[frames[0]] == key]
-    places = [(line.cells[row], line.cells[col]) for line in first]
+    places = [[line.cells[k] for k in (row, col) if k is not None] for line in first]
     if not all(cell.isdecimal() for place in places for cell in place):
         return None
     numbers = np.array(places, dtype=np.int64)
-    low, high = numbers.min(axis=0), numbers.max(axis=0)
-    n_rows, n_cols = (high - low + 1).tolist()
-    return LongColumns(frames[0], row, col, value, int(low[0]), int(low[1]), n_rows, n_cols)
-
-
-def _time_column(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> int | None:
-    """The column of the times. Raises UnstatedError if there may be several."""
-    if layout.time == "none":
-        return None
-    if layout.time:
-        ends = {"first": 0, "last": head.width - 1}
-        setting = ends.get(layout.time)
-        return setting if setting is not None else _stated_time(head, layout.time, name)
-    if head.dialect.has_prefix:
-        return 0
-    by_name = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
-    by_name = [k for k in by_name if all(_is_value(line.cells[k]) for line in data)]
-    texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]
-    dates = [k for k in head.numeric if not _is_indexed(head, k) and is_epoch(_column(data, k))]
-    for candidates, note in ((by_name, ""), (texts, ""), (dates, "holds dates")):
-        if len(candidates) > 1:
-            labels = " or ".join(f"time={head.label(k)}" for k in candidates)
-            options = [{"time": head.names[k] or str(k + 1)} for k in candidates]
-            fault = f"{len(candidates)} columns may be the times: state {labels}"
-            raise UnstatedError(f"{name}: {fault}", *options)
-        if candidates:
-            if note:
-                head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
-            return candidates[0]
-    column = _time_at_an_end(head, layout, data, name)
-    if column is None and layout.rate_hz is None:
-        _ask_for_times(head, layout, data, name)
-    return column
-
-
-def _stated_time(head: TableHead, text: str, name: str) -> int:
-    columns = matching(text, head.names, head.width, name, "time")
-    if len(columns) > 1:
-        raise SourceError(f"{name}: time: {shown(text)} names {len(columns)} columns, not one")
-    return columns[0]
-
-
-def _time_at_an_end(
-    head: TableHead, layout: Layout, data: Sequence[_Line], name: str
-) -> int | None:
-    """The first or last column of a table without names, if it has one more than the stated shape,
-    and is the only one of the two that rises.
-    """
-    is_one_more = layout.n_stated is not None and len(head.numeric) == layout.n_stated + 1
-    if head.header or layout.columns or not is_one_more or len(data) < 2:
-        return None
-    ends = {"first": head.numeric[0], "last": head.numeric[-1]}
-    rising = {word: k for word, k in ends.items() if _rises(_column(data, k))}
-    if len(rising) > 1:
-        options = [{"time": word} for word in rising]
-        fault = "the first and the last column rise: state time=first or time=last, or columns"
-        raise UnstatedError(f"{name}: {fault}", *options)
-    for k in rising.values():
-        if not _counts(_column(data, k)):
-            head.notes += (f"column {head.label(k)} rises in all lines: the times",)
-            return k
-    return None
-
-
-def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[_Line], name: str) -> None:
-    """Raise UnstatedError if a column that nothing names rises in all lines: likely the times.
-
-    A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
-    """
-    if len(data) < RISING_LINES:
-        return
-    taxels: list[int] = []
-    if layout.columns.strip():
-        taxels = stated_columns(layout.columns, head.names, head.width, name)
-    rising = []
-    for k in head.numeric:
-        is_named = _is_indexed(head, k) or head.names[k].lower() in FRAME_WORDS
-        steps = np.diff(_column(data, k))
-        if k not in taxels and not is_named and (steps > 0).all() and (steps != 1).any():
-            rising.append(k)
-    if not rising or len(rising) == len(head.numeric):
-        return
-    labels = [f"time={head.label(k)}" for k in rising[:MAX_SHOWN]]
-    further = ", ..." if len(rising) > MAX_SHOWN else ""
-    columns = "column rises" if len(rising) == 1 else "columns rise"
-    ways = f"state {', '.join(labels)}{further} or, if these are no times, time=none"
-    options = [{"time": head.names[k] or str(k + 1)} for k in rising]
-    raise UnstatedError(f"{name}: {len(rising)} {columns} in all lines: {ways}", *options)
-
-
-def _counters(head: TableHead, data: Sequence[_Line]) -> list[int]:
-    """A column at an end of a table without names that counts its lines, which is no taxel."""
-    if head.header or head.kind != LINES or head.time is not None or len(data) < 3:
-        return []
-    counting = [k for k in {head.numeric[0], head.numeric[-1]} if _counts(_column(data, k))]
-    if len(counting) == 1:
-        head.notes += (f"column {head.label(counting[0])} counts lines, and is left out",)
-        return counting
-    return []
-
-
-def _counts(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
-    """True for 0, 1, 2, ... or 1, 2, 3, ..."""
-    return numbers.size > 1 and numbers[0] in (0, 1) and bool((np.diff(numbers) == 1).all())
-
-
-def _rises(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
-    steps = np.diff(numbers)
-    return bool((steps >= 0).all() and (steps > 0).any())
-
-
-def _column(data: Sequence[_Line], k: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Numbers of a column of the sample; NaN where there is none."""
-    cells = [line.cells[k] for line in data]
-    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
-
-
-def _is_indexed(head: TableHead, k: int) -> bool:
-    return any(character.isdigit() for character in head.names[k])
-
-
-def _text_unit(data: Sequence[_Line], k: int) -> str:
-    """ISO or CLOCK_UNIT of a column of texts that are times; "" of others."""
-    cells = [line.cells[k] for line in data]
-    if all(iso_ns(cell) is not None for cell in cells):
-        return ISO
-    return CLOCK_UNIT if all(clock_ns(cell) is not None for cell in cells) else ""
-
-
-def _unit_of_column(head: TableHead, data: Sequence[_Line]) -> str:
-    assert head.time is not None
-    return _text_unit(data, head.time) or named_unit(head.names[head.time])
+    low = numbers.min(axis=0).tolist()
+    high = numbers.max(axis=0).tolist()
+    sides = [end - begin + 1 for begin, end in zip(low, high, strict=True)]
+    if row is None:
+        return LongColumns(frames[0], None, col, value, 0, low[0], 1, sides[0])
+    n_rows = layout.n_rows or sides[0]
+    n_cols = layout.n_cols or sides[1]
+    return LongColumns(frames[0], row, col, value, low[0], low[1], n_rows, n_cols)

@@ -27,7 +27,8 @@ from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
 
-from .head import GRID, LONG, is_number, read_head
+from .head import read_head
+from .sample import GRID, LONG, is_number
 from .text import pieces
 
 EXACT = float(1 << 53)
@@ -58,6 +59,8 @@ class TableRecording(Recording):
             axes: tuple[Axis, ...] = (Axis(head.height, "rows"), Axis(head.width, "cols"))
         elif head.long is not None:
             axes = (Axis(head.long.n_rows, "rows"), Axis(head.long.n_cols, "cols"))
+            if head.long.row is None:
+                axes = (Axis(head.long.n_cols, "taxels"),)
         else:
             axes = (Axis(head.width, "columns", head.names),)
             usable = head.usable
@@ -70,6 +73,20 @@ class TableRecording(Recording):
             asks_unit=True,
             notes=head.notes,
         )
+
+    @property
+    def numeric(self) -> tuple[int, ...]:
+        """The columns of numbers."""
+        return self._head.numeric
+
+    def texts_of_lines(self) -> tuple[str, ...]:
+        """The first cells of all lines, where these are texts; else ()."""
+        if 0 in self._head.numeric:
+            return ()
+        cells = self._head.dialect.cells
+        names = tuple(cells(text)[0] for texts, _, _ in self._lines() for text in texts)
+        self.tally.begin()
+        return names
 
     def blocks(self) -> Iterator[Block]:
         self.tally.begin()
@@ -120,6 +137,8 @@ class TableRecording(Recording):
                 label = self._dropped_as(text)
                 if not label and piece.is_cut and number == piece.number + len(piece.lines) - 1:
                     label = self._cut_as(text)
+                if not label and head.source is not None:
+                    label = self._of_other_skin(text)
                 if label:
                     self.tally.drop(label)
                     begins = True
@@ -147,6 +166,12 @@ class TableRecording(Recording):
             if not is_row:
                 return "lines between frames"
         return ""
+
+    def _of_other_skin(self, text: str) -> str:
+        cells = self._head.dialect.cells(text)
+        is_other = len(cells) > (self._head.source or 0)
+        is_other = is_other and cells[self._head.source or 0] != self._layout.frame_id
+        return "lines of other skins" if is_other else ""
 
     def _cut_as(self, text: str) -> str:
         is_short = len(self._head.dialect.cells(text)) < self._head.width
@@ -194,12 +219,12 @@ class TableRecording(Recording):
         """Times of lines; whole numbers beyond the precision of float64 are read from the text."""
         head = self._head
         assert head.time is not None
-        if head.time in head.numeric:
+        if head.time in head.numeric and head.nanoseconds is None:
             times = parsed[:, head.time]
             if np.isfinite(times).all() and np.abs(times).max(initial=0) < EXACT:
                 return list(times.tolist())
-        cells = [head.dialect.cells(text)[head.time] for text in texts]
-        return [self._instant(cell, n) for cell, n in zip(cells, numbers, strict=True)]
+        lines = [head.dialect.cells(text) for text in texts]
+        return [self._instant(cells, n) for cells, n in zip(lines, numbers, strict=True)]
 
     def _parsed_slowly(
         self, texts: Sequence[str], numbers: Sequence[int]
@@ -215,7 +240,7 @@ class TableRecording(Recording):
                 place = f"{self._file.name}, line {number}"
                 raise SourceError(f"{place}: holds {len(cells)} cells; {head.width} are expected")
             if head.time is not None:
-                times.append(self._instant(cells[head.time], number))
+                times.append(self._instant(cells, number))
             for column in head.usable or head.numeric:
                 parsed[k, column] = self._number(cells[column], number, column)
         return parsed, times if head.time is not None else None
@@ -238,10 +263,17 @@ class TableRecording(Recording):
         """The setting `missing` with a further text."""
         return ",".join(filter(None, (self._layout.missing, cell)))
 
-    def _instant(self, cell: str, line: int) -> int | float:
-        """A time in its unit; of texts nanoseconds."""
+    def _instant(self, cells: Sequence[str], line: int) -> int | float:
+        """The time of a line in its unit; of texts, or of two columns, in nanoseconds."""
+        head = self._head
+        assert head.time is not None
+        cell = cells[head.time]
         where = f"{self._file.name}, line {line}, time"
-        unit = self._head.time_unit
+        if head.nanoseconds is not None:
+            seconds = parse_number(cell, where, -1e10, 1e10)
+            part_ns = parse_number(cells[head.nanoseconds], where, 0, 1e9)
+            return round(seconds) * 10**9 + round(part_ns)
+        unit = head.time_unit
         moment = {ISO: iso_ns, CLOCK_UNIT: clock_ns}.get(unit)
         if moment is not None:
             instant = moment(cell)
@@ -281,38 +313,42 @@ class TableRecording(Recording):
 
     def _long(self) -> Iterator[Block]:
         """Frames of a table with a line for each taxel: lines in a row with the same frame."""
-        head = self._head
-        long = head.long
+        long = self._head.long
         assert long is not None
-        waiting = np.empty((0, head.width))
-        for rows, _ in self._rows():
-            rows = np.concatenate([waiting, rows])
-            keys = rows[:, long.frame]
+        rows = np.empty((0, self._head.width))
+        times: list[int | float] = []
+        for new_rows, new_times in self._rows():
+            rows = np.concatenate([rows, new_rows])
+            times += new_times or []
+            keys = np.array(times) if long.frame == self._head.time else rows[:, long.frame]
             begins = np.flatnonzero(np.diff(keys, prepend=np.nan) != 0)
-            waiting = rows[begins[-1] :]
-            if len(begins) > 1:
-                yield self._pivoted(rows[: begins[-1]], begins[:-1])
-        if len(waiting):
-            yield self._pivoted(waiting, np.array([0]))
+            last = int(begins[-1])
+            if last:
+                yield self._pivoted(rows[:last], begins[:-1], times)
+            rows = rows[last:]
+            times = times[last:]
+        if len(rows):
+            yield self._pivoted(rows, np.array([0]), times)
 
-    def _pivoted(self, rows: Doubles, begins: npt.NDArray[np.intp]) -> Block:
+    def _pivoted(
+        self, rows: Doubles, begins: npt.NDArray[np.intp], times: Sequence[int | float]
+    ) -> Block:
         """Frames of lines, of which each of `begins` is the first of a frame."""
         long = self._head.long
         assert long is not None
         sizes = np.diff([*begins, len(rows)])
         frame = np.repeat(np.arange(len(begins)), sizes)
-        row = rows[:, long.row] - long.first_row
+        row = np.zeros(len(rows)) if long.row is None else rows[:, long.row] - long.first_row
         col = rows[:, long.col] - long.first_col
         inside = (row >= 0) & (row < long.n_rows) & (col >= 0) & (col < long.n_cols)
         if not inside.all():
             k = int(np.argmin(inside))
             sides = f"{long.n_rows} x {long.n_cols}, as of the first frame"
-            fault = f"row {rows[k, long.row]:g}, column {rows[k, long.col]:g} is outside {sides}"
+            fault = f"row {row[k]:g}, column {col[k]:g} is outside {sides}"
             raise SourceError(f"{self._file.name}: {fault}")
         numbers = np.full((len(begins), long.n_rows, long.n_cols), np.nan)
         numbers[frame, row.astype(np.intp), col.astype(np.intp)] = rows[:, long.value]
         if len({*zip(frame.tolist(), row.tolist(), col.tolist(), strict=True)}) != len(rows):
             raise SourceError(f"{self._file.name}: a frame holds a taxel twice")
         self.tally.take(len(rows), len(begins))
-        times = rows[begins, long.frame].tolist() if self._head.time is not None else None
-        return Block(numbers, times)
+        return Block(numbers, [times[k] for k in begins] if times else None)

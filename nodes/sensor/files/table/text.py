@@ -90,7 +90,8 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
             data = data.removeprefix(b"\xef\xbb\xbf")
             is_first = False
         if b"\0" in data:
-            raise SourceError(f"{name}: not a text table in UTF-8: holds bytes of value 0")
+            fault = "holds bytes of value 0; save a text in UTF-16 as UTF-8"
+            raise SourceError(f"{name}: not a text table in UTF-8: {fault}")
         text = _decoded(data)
         is_cut = not data.endswith((b"\n", b"\r"))
         # Not splitlines(), which also splits at form feeds and other controls.

@@ -80,7 +80,8 @@ def test_fingerprints_are_of_the_matrix():
         ("full", 784, 784, 0, 32),
     ]
     prints = [make_phi(*one).fingerprint for one in asked]
-    assert (len(set(prints)), prints) == (len(asked), [make_phi(*one).fingerprint for one in asked])
+    assert len(set(prints)) == len(asked)
+    assert prints == [make_phi(*one).fingerprint for one in asked]
     assert all(len(p) == 16 and int(p, 16) >= 0 for p in prints)
     # Every seed gives the same matrix.
     for kind, n in (("full", 9), ("sbhe", 1)):
@@ -91,7 +92,8 @@ def test_fingerprints_are_of_the_matrix():
 def test_describe_is_enough_to_make_it_again(kind):
     phi = make_phi(kind, 100, 100 if kind == "full" else 30, seed=11, block=16)
     described = {"kind": kind, "n": 100, "m": phi.m, "seed": 11, "block": 16, "rule": 3}
-    assert (phi.describe(), make_phi(**phi.describe()).fingerprint) == (described, phi.fingerprint)
+    assert phi.describe() == described
+    assert make_phi(**phi.describe()).fingerprint == phi.fingerprint
     assert phi.ratio == 100 / phi.m
 
 

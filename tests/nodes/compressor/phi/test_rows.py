@@ -59,16 +59,19 @@ def numbers_of(phi, rows):
 def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
     m = data.draw(st.integers(1, n))
     phi = sbhe(n, m, seed, block)
-    assert (phi.rows.size, np.diff(phi.rows).min(initial=1) > 0) == (m, True)
+    assert phi.rows.size == m
+    assert np.diff(phi.rows).min(initial=1) > 0
     assert 0 <= phi.rows[0] <= phi.rows[-1] < n
-    held, sizes = np.isin(first := starts(phi), phi.rows), np.array(phi.sizes)
+    held = np.isin(first := starts(phi), phi.rows)
+    sizes = np.array(phi.sizes)
     if m < len(sizes):
         assert held.sum() == m
         assert sizes[held].min() >= sizes[~held].max()
         return
     assert held.all()
     others = numbers_of(phi, phi.rows) - 1
-    of_block, small = (sizes - 1) / max(1, n - len(sizes)), sizes <= min(32, max(sizes) - 1)
+    of_block = (sizes - 1) / max(1, n - len(sizes))
+    small = sizes <= min(32, max(sizes) - 1)
     assert (small | (others < (m - len(sizes)) * of_block + 1)).all()
     assert (others > (m - len(sizes) - np.log2(sizes).sum(where=small)) * of_block - 1).all()
     columns = phi.dense()[:, phi.permutation[np.repeat(least_m(phi.sizes)[first] <= m, sizes)]]
@@ -85,9 +88,11 @@ def test_row_subsets_have_a_sum_and_others_and_together_nearly_all(n, data, bloc
     others = numbers_of(phi, np.setdiff1d(np.arange(n), special))
     subsets = row_subsets(phi, "rotating")
     assert -(-n // m) <= len(subsets) <= 64
-    times, n_sums = np.zeros(n, dtype=np.intp), []
+    times = np.zeros(n, dtype=np.intp)
+    n_sums = []
     for phi in subsets:
-        assert (phi.rows.size, np.diff(phi.rows).min(initial=1) > 0) == (m, True)
+        assert phi.rows.size == m
+        assert np.diff(phi.rows).min(initial=1) > 0
         n_sums.append(np.isin(sums, phi.rows).sum())
         assert np.isin(small, phi.rows).all()
         held = numbers_of(phi, np.setdiff1d(phi.rows, special))
@@ -113,10 +118,13 @@ def test_rows_of_the_paper_and_default_blocks():
         first = row_subsets(sbhe(96, 30, 7, 32, RANDOM), rows)[0]
         assert first.fingerprint == "443e07fb12311131"
     assert {block_of(kind, None) for kind in KINDS} == {256}
-    assert (block_of("local:8", None), block_of("local:8", 64)) == (32, 64)
+    assert block_of("local:8", None) == 32
+    assert block_of("local:8", 64) == 64
     phi = make_phi("sbhe", 1600, 533, 0)
     of_paper = CompressorSettings(rows="paper").rows_and_m(1600)
-    assert (phi.block, phi.rule, of_paper) == (256, SUMS, ("fixed", 533))
+    assert phi.block == 256
+    assert phi.rule == SUMS
+    assert of_paper == ("fixed", 533)
 
 
 @pytest.mark.parametrize("kind", ["sbhe", "subsample"])
@@ -183,7 +191,8 @@ def test_what_cannot_rotate_is_named():
         row_subsets(make_phi("sbhe", 1600, 24, seed=0), "rotating")
 
 
-FIXED, ROTATING = "compressor.rows=fixed", "compressor.rows=rotating"
+FIXED = "compressor.rows=fixed"
+ROTATING = "compressor.rows=rotating"
 
 
 def graph(*overrides):
@@ -242,7 +251,8 @@ def test_it_can_be_switched_on_and_off_while_the_graph_runs():
     assert bus.hosts["reconstructor"].counts.refused == {}
     prints = [only(messages, Measurements).phi for messages in frames]
     assert [len(set(part)) for part in (prints[:6], prints[6:12], prints[12:15])] == [1, 3, 3]
-    assert (set(prints[15:18]), prints[18:21]) == ({prints[0]}, prints[6:9])
+    assert set(prints[15:18]) == {prints[0]}
+    assert prints[18:21] == prints[6:9]
     assert len(set(prints[21:])) == 1
     assert all(only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True))
 

@@ -155,7 +155,8 @@ def nothing_is_asked_of_another_host(page):
     assert f"{host}main.js" in asked
     # The browser's own first page is of another scheme.
     web = [url for url in asked if url.startswith(("http", "ws"))]
-    assert ([url for url in web if not url.startswith(host)], page.get_log("browser")) == ([], [])
+    assert [url for url in web if not url.startswith(host)] == []
+    assert page.get_log("browser") == []
 
 
 def test_hosts_are_in_the_header(page):
@@ -342,7 +343,8 @@ def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(start, page, tmp_pa
         start, page, "replay", "--set", "sensor.source=old_skin:frames",
         "--set", "sensor.skin=old.toml", "--set", "sensor.rate_hz=50",
     )  # fmt: skip
-    button, taxels = '[data-tare="sensor"]', '[data-panel="taxels"] figcaption'
+    button = '[data-tare="sensor"]'
+    taxels = '[data-panel="taxels"] figcaption'
 
     def total_n():
         found = re.search(r"total ([0-9.]+) N", text(page, taxels))

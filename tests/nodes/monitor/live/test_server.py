@@ -91,7 +91,8 @@ def test_every_file_of_the_page_is_served_as_it_is(site):
     assert {"index.html", "main.js", "style.css", "icon.svg"} <= set(names)
     for name in names:
         response = site.send("GET", f"/{name}")
-        assert (response.status, response.read()) == (200, (PAGE / name).read_bytes())
+        assert response.status == 200
+        assert response.read() == (PAGE / name).read_bytes()
         assert response.headers["X-Content-Type-Options"] == "nosniff"
         for rule in ("default-src 'none'", "frame-ancestors 'none'"):
             assert rule in response.headers["Content-Security-Policy"]
@@ -123,7 +124,8 @@ def test_a_name_that_is_not_this_hosts_own_is_refused(site, host):
 
 
 def test_a_request_of_the_page_is_passed_on(site, asked):
-    assert (site.post(), site.post(Origin=f"http://{site.host}")) == (202, 202)
+    assert site.post() == 202
+    assert site.post(Origin=f"http://{site.host}") == 202
     extra = json.dumps({**GOOD, "value": {"m": 4}, "more": "not passed on"}).encode()
     assert site.post(extra) == 202
     no_value = json.dumps({key: GOOD[key] for key in ("id", "node", "command")}).encode()
@@ -143,7 +145,8 @@ def test_a_request_of_the_page_is_passed_on(site, asked):
     ],
 )
 def test_a_request_of_another_site_or_size_is_refused(site, asked, status, headers):
-    assert (site.post(**headers), asked) == (status, [])
+    assert site.post(**headers) == status
+    assert asked == []
 
 
 @pytest.mark.parametrize(
@@ -155,7 +158,8 @@ def test_a_request_of_another_site_or_size_is_refused(site, asked, status, heade
     ],
 )
 def test_a_body_that_is_no_request_is_refused(site, asked, body):
-    assert (site.post(body), asked) == (400, [])
+    assert site.post(body) == 400
+    assert asked == []
 
 
 def test_who_knows_no_token_gets_nothing_and_is_obeyed_in_nothing(make):
@@ -178,13 +182,15 @@ def test_the_address_with_its_token_leaves_a_cookie_that_opens_all(make):
     site = make(token=TOKEN)
     assert urlsplit(site.page.url).query == f"token={TOKEN}"
     opened = site.send("GET", f"/?token={TOKEN}")
-    assert (opened.status, opened.read()) == (200, (PAGE / "index.html").read_bytes())
+    assert opened.status == 200
+    assert opened.read() == (PAGE / "index.html").read_bytes()
     value, *flags = opened.headers["Set-Cookie"].split("; ")
     assert value == f"sparseskin-{site.host.partition(':')[2]}={TOKEN}"
     assert set(flags) == {"HttpOnly", "SameSite=Strict", "Path=/"}
     for path in ("/", "/main.js", "/stream"):
         assert site.send("GET", path, Cookie=f"other=1; {value}").status == 200
-    assert (site.post(Cookie=value), site.asked) == (202, [GOOD])
+    assert site.post(Cookie=value) == 202
+    assert site.asked == [GOOD]
 
 
 def test_what_a_page_of_another_site_asks_for_is_refused(site, asked):
@@ -192,7 +198,8 @@ def test_what_a_page_of_another_site_asks_for_is_refused(site, asked):
     for path in ("/stream", "/main.js"):
         assert site.send("GET", path, Sec_Fetch_Site=origin).status == 403
         assert site.send("GET", path, Sec_Fetch_Site="same-origin").status == 200
-    assert (site.post(Sec_Fetch_Site=origin), asked) == (403, [])
+    assert site.post(Sec_Fetch_Site=origin) == 403
+    assert asked == []
     assert site.post(Sec_Fetch_Site="same-origin") == 202
     assert site.send("GET", "/", Sec_Fetch_Site=origin).status == 200  # a link to the page
 
@@ -204,7 +211,8 @@ def test_a_request_hidden_in_the_body_of_another_is_not_executed(site, asked, le
     hidden = f"{head}Content-Length: {len(body)}\r\n\r\n{body}"
     stated = length.format(len(hidden))
     outer = f"GET / HTTP/1.1\r\nHost: {site.host}\r\n{stated}\r\n\r\n{hidden}"
-    assert (site.connect(outer).makefile("rb").read().count(b"HTTP/1.1"), asked) == (1, [])
+    assert site.connect(outer).makefile("rb").read().count(b"HTTP/1.1") == 1
+    assert asked == []
 
 
 def test_a_request_that_drips_is_given_up(make, monkeypatch):
@@ -223,7 +231,9 @@ def test_a_request_that_drips_is_given_up(make, monkeypatch):
 def test_whoever_holds_all_connections_locks_nobody_out(make):
     site = make()
     held = [site.connect("G") for _ in range(MAX_CONNECTIONS + 20)]
-    assert (site.send("GET", "/").status, site.post(), held[0].recv(1)) == (200, 202, b"")
+    assert site.send("GET", "/").status == 200
+    assert site.post() == 202
+    assert held[0].recv(1) == b""
 
 
 def test_a_browser_is_started_without_the_token_in_its_arguments(monkeypatch, tmp_path):
@@ -238,7 +248,8 @@ def test_a_browser_is_started_without_the_token_in_its_arguments(monkeypatch, tm
     monitor = Monitor(MonitorSettings(port=0, browser=True), context)
     monitor.start()
     (path,) = tmp_path.iterdir()
-    assert (opened, path.stat().st_mode & 0o777) == ([path.as_uri()], 0o600)
+    assert opened == [path.as_uri()]
+    assert path.stat().st_mode & 0o777 == 0o600
     assert f"/?token={TOKEN}" in path.read_text()
     monitor.close({})
     assert not path.exists()
@@ -255,10 +266,12 @@ def test_the_stream_of_a_patch_brings_its_frames_until_the_end(make):
     assert header["patch"] == "skin"
     assert set(arrays) == {"taxels", "truth", "reconstruction", "measurements"}
     unknown = site.send("GET", "/stream?patch=foot")
-    assert (unknown.status, unknown.read()) == (404, b"no patch 'foot' (known: skin)\n")
+    assert unknown.status == 404
+    assert unknown.read() == b"no patch 'foot' (known: skin)\n"
     site.page.close()
     *_, (last, _) = records
-    assert (last["kind"], last["closed"]) == ("state", True)
+    assert last["kind"] == "state"
+    assert last["closed"]
 
 
 def test_no_more_than_64_pages_are_open_at_once(make):
@@ -266,7 +279,8 @@ def test_no_more_than_64_pages_are_open_at_once(make):
     streams = [site.send("GET", "/stream") for _ in range(MAX_PAGES)]
     assert {stream.status for stream in streams} == {200}
     refused = site.send("GET", "/stream")
-    assert (refused.status, MAX_PAGES) == (503, 64)
+    assert refused.status == 503
+    assert MAX_PAGES == 64
     assert refused.read() == b"64 pages are open already; close one of them\n"
     streams[7].close()
     site._clients[7].close()

@@ -17,22 +17,28 @@ pytestmark = [
     pytest.mark.skipif(bool(lack()), reason=lack() or "a browser is installed"),
 ]
 
-N_ROWS, N_COLS = 50, 81
+N_ROWS = 50
+N_COLS = 81
 MASK = np.ones((N_ROWS, N_COLS), np.bool_)
 """Each row has a cell without a taxel. Its bytes are no multiple of 4, as those after it are."""
 MASK[:, 40] = False
-FRONT, BACK = (0.11, 0.0, 0.0), (-0.11, 0.0, 0.0)
-PEAK_N, RADIUS_M = 2.0, 0.06
+FRONT = (0.11, 0.0, 0.0)
+BACK = (-0.11, 0.0, 0.0)
+PEAK_N = 2.0
+RADIUS_M = 0.06
 NODE = {"type": "reconstructor", "patches": [], "controls": [], "settings": {}}
 CHOOSE = (
     "const select = document.getElementById(arguments[0]); select.value = arguments[1];"
     "select.dispatchEvent(new Event('change'));"
 )
 ZOOM = "document.getElementById('zoom').click()"
-VIRIDIS_TOP, VIRIDIS_ZERO = (0xFD, 0xE7, 0x25), (0x44, 0x01, 0x54)
+VIRIDIS_TOP = (0xFD, 0xE7, 0x25)
+VIRIDIS_ZERO = (0x44, 0x01, 0x54)
 
 
-WIDTH_M, DEPTH_M, HEIGHT_M = 0.36, 0.22, 0.5
+WIDTH_M = 0.36
+DEPTH_M = 0.22
+HEIGHT_M = 0.5
 
 
 def torso(n_rows: int = 50, n_cols: int = 80, seed: int = 0) -> np.ndarray:
@@ -195,7 +201,8 @@ def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(page, g
 
 def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(page, graph):
     settled(page)
-    before, (n, middle, _) = image(page), pixels(page, VIRIDIS_TOP)
+    before = image(page)
+    (n, middle, _) = pixels(page, VIRIDIS_TOP)
     assert n > 20
     assert pixels(page, VIRIDIS_ZERO)[0] > 100 * n / 20
     # The first contact faces the viewer; a drag to the right takes it along.

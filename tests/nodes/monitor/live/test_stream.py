@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from sparseskin.messages import Measurements, Reason, Reconstruction, Taxels, Truth
+from sparseskin.messages import Labels, Measurements, Reason, Reconstruction, Taxels, Truth
 from sparseskin.nodes.monitor.live.feed import UNTRUSTED_S
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import MOST, StreamReader, record
@@ -64,6 +64,26 @@ def only(records, kind):
     return found
 
 
+def test_the_state_has_the_newest_label_and_since_when_none_has_come(clock):
+    graph = Graph()
+    page = Page(graph, clock)
+
+    def stated():
+        return only(page.pull(), "state")[0]["patches"]["skin"].get("label")
+
+    graph.skin()
+    graph.frame()
+    assert stated() is None
+    label = Labels(stamp_ns=1, patch="skin", label="peg", share=0.75, age_s=2.0, done_ns=1)
+    graph.feed.frame("skin", label, None)
+    shown = stated()
+    assert shown.pop("silent_s") == pytest.approx(PULL_S)
+    assert shown == {"label": "peg", "share": 0.75, "age_s": 2.0, "trusted": True}
+    assert stated()["silent_s"] == pytest.approx(2 * PULL_S)
+    graph.skin()
+    assert stated() is None
+
+
 @pytest.mark.parametrize("reason", Reason)
 def test_the_state_explains_why_a_frame_is_not_trusted(clock, reason):
     graph = Graph()
@@ -95,15 +115,20 @@ def test_the_skin_comes_first_and_once(clock):
     records = page.pull()
     assert [header["kind"] for header, _ in records] == ["state", "skin", "maps", "rows"]
     header, arrays = only(records, "skin")
-    assert (header["n_rows"], header["n_cols"], header["f_max"]) == (N_ROWS, N_COLS, 2.5)
-    assert (header["unit"], header["source"], header["has_truth"]) == ("N", "test", True)
+    assert header["n_rows"] == N_ROWS
+    assert header["n_cols"] == N_COLS
+    assert header["f_max"] == 2.5
+    assert header["unit"] == "N"
+    assert header["source"] == "test"
+    assert header["has_truth"]
     np.testing.assert_array_equal(arrays["mask"].astype(bool), MASK)
     graph.frame()
     assert page.kinds() == ["state", "maps", "rows"]
     graph.skin(mask=None, rate_hz=50.0)
     graph.frame()
     header, arrays = only(page.pull(), "skin")
-    assert (header["rate_hz"], arrays) == (50.0, {})
+    assert header["rate_hz"] == 50.0
+    assert arrays == {}
 
 
 def test_maps_that_go_together_are_of_one_frame(clock):
@@ -132,7 +157,8 @@ def test_no_frame_is_left_out_and_all_come_in_order(clock):
     graph = Graph()
     graph.skin()
     page = Page(graph, clock)
-    seen, sent = [], []
+    seen = []
+    sent = []
     for n_frames in np.random.default_rng(0).integers(0, 40, 60):
         for _ in range(n_frames):
             clock.advance(0.001)
@@ -183,7 +209,10 @@ def test_contacts_come_with_their_frame_and_each_event_once(clock, monkeypatch):
         graph.take(contacts(k))
     records = page.pull()
     found = only(records, "maps")[0]["contacts"]
-    assert (found["n"], found["id"], found["sum"], found["trusted"]) == (2, [1, 2], 5.0, True)
+    assert found["n"] == 2
+    assert found["id"] == [1, 2]
+    assert found["sum"] == 5.0
+    assert found["trusted"]
     assert only(records, "events")[1]["rows"][:, 1:].tolist() == [[1, 0, 0, 0], [2, 0, 0, 0]]
     assert page.kinds() == ["state"]
     graph.frame()
@@ -196,7 +225,8 @@ def test_contacts_come_with_their_frame_and_each_event_once(clock, monkeypatch):
     graph.take(contacts(4, n=100))
     assert len(woken) == 1
     found = only(page.pull(), "maps")[0]["contacts"]
-    assert (found["n"], found["id"]) == (100, list(range(1, MOST + 1)))
+    assert found["n"] == 100
+    assert found["id"] == list(range(1, MOST + 1))
     for _ in range(30):  # 0.3 s without
         graph.frame()
     assert "contacts" not in only(page.pull(), "maps")[0]
@@ -208,7 +238,8 @@ def test_answers_are_sent_once_to_every_page_that_is_open(clock):
     pages = [Page(graph, clock), Page(graph, clock)]
     graph.answer("a")
     for page in pages:
-        assert (only(page.pull(), "answer")[0]["id"], page.kinds()) == ("a", ["state"])
+        assert only(page.pull(), "answer")[0]["id"] == "a"
+        assert page.kinds() == ["state"]
 
 
 def test_the_end_is_reported_at_once_and_ends_the_stream(clock):
@@ -255,9 +286,11 @@ def test_the_state_has_the_age_of_every_map_and_graph_and_summaries_once(clock):
     graph.feed.update(graph=graph_state(node_state("sensor")))
     graph.summarise()
     state = page.pull()[0][0]
-    patch, age_s = state["patches"]["skin"], pytest.approx(PULL_S, abs=1e-6)
+    patch = state["patches"]["skin"]
+    age_s = pytest.approx(PULL_S, abs=1e-6)
     assert patch["age_s"] == {"taxels": age_s, "reconstruction": age_s, "truth": age_s}
-    assert (patch["stale_s"], state["now_s"]) == (0.5, BEGIN_S + PULL_S)
+    assert patch["stale_s"] == 0.5
+    assert state["now_s"] == BEGIN_S + PULL_S
     assert state["graph"]["nodes"][0]["name"] == "sensor"
     assert patch["summary"]["frames"]["sensed"] == 1
     state = page.pull()[0][0]
@@ -277,5 +310,6 @@ def test_decoding_a_record_returns_its_header_and_arrays(header, arrays):
     assert found == {key: without_nan(value) for key, value in header.items()}
     assert list(back) == list(arrays)
     for name, array in arrays.items():
-        assert (back[name].dtype, back[name].shape) == (array.dtype, array.shape)
+        assert back[name].dtype == array.dtype
+        assert back[name].shape == array.shape
         assert back[name].tobytes() == array.tobytes()

@@ -18,7 +18,8 @@ def normal(shape, seed=5):
 def paired(samples):
     """One level along axis 0 from the definition; also how many approximations there are."""
     pairs = len(samples) // 2
-    a, b = samples[0 : 2 * pairs : 2], samples[1 : 2 * pairs : 2]
+    a = samples[0 : 2 * pairs : 2]
+    b = samples[1 : 2 * pairs : 2]
     approximations = np.concatenate([(a + b) / np.sqrt(2), samples[2 * pairs :]])
     return np.concatenate([approximations, (a - b) / np.sqrt(2)]), len(approximations)
 
@@ -30,7 +31,8 @@ def haar_by_definition(image):
         by_rows, next_rows = paired(pyramid[:rows, :cols].copy())
         by_both, next_cols = paired(by_rows.T)
         pyramid[:rows, :cols] = by_both.T
-        rows, cols = next_rows, next_cols
+        rows = next_rows
+        cols = next_cols
     return pyramid
 
 
@@ -69,4 +71,5 @@ def test_what_cannot_be_made_is_named(name, said):
 
 def test_a_class_of_ones_own_is_made_by_its_path():
     basis = make_basis("sparseskin.nodes.reconstructor.bases.haar:HaarBasis", 4, 6)
-    assert (basis.n_rows, basis.n_cols) == (4, 6)
+    assert basis.n_rows == 4
+    assert basis.n_cols == 6

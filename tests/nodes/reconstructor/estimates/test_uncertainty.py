@@ -26,7 +26,8 @@ def held(preset, body):
     chosen = dict(PRESETS[preset])
     name = chosen.pop("solver")
     truth = np.array([frame for frame, _ in press_frames(body, SHAPE, 150, 1)])
-    shape, n = truth.shape[1:], truth[0].size
+    shape = truth.shape[1:]
+    n = truth[0].size
     # The rows that belong to the preset.
     block, rule = (PAPER_BLOCK, RANDOM) if preset == "paper" else (BLOCK, SUMS)
     phi = make_phi("sbhe", n, n // 3, 0, block, rule)
@@ -96,7 +97,8 @@ def reconstructed(**settings):
 @pytest.mark.parametrize("solver", ["skin", "fista"])
 def test_it_travels_with_the_forces_where_it_is_asked_for(solver):
     asked, _ = reconstructed(solver=solver, uncertainty=True)
-    assert (asked.sd.shape, decode(*encode(asked))) == ((1, *SHAPE), asked)
+    assert asked.sd.shape == (1, *SHAPE)
+    assert decode(*encode(asked)) == asked
     plain, _ = reconstructed(solver=solver)
     assert plain.sd is None
     assert decode(*encode(plain)) == plain

@@ -12,7 +12,8 @@ from sparseskin.nodes.compressor.phi.rotation import ROTATING, row_subsets
 from sparseskin.nodes.reconstructor.faults.offset import OffsetWatch
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-SIDE, N = 40, 1600
+SIDE = 40
+N = 1600
 PHI = make_phi("sbhe", N, N // 3, seed=0)
 NOISE = NoiseModel()
 LEAST_SD = 0.584 * NOISE.sigma_end

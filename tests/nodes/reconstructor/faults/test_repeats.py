@@ -9,7 +9,8 @@ from sparseskin.messages import Reason
 from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.reconstructor.faults.repeats import FRAMES, LEARNING, RepeatWatch
 
-SIGMA, M = 0.02, 533
+SIGMA = 0.02
+M = 533
 
 
 def noise(seed, m=M):

@@ -16,7 +16,8 @@ from sparseskin.nodes.reconstructor.faults.stuck import (
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-SHAPE, N = (24, 24), 576
+SHAPE = (24, 24)
+N = 576
 NOISE = NoiseModel()
 SIGMAS = (NOISE.sigma_mid, NOISE.sigma_end)
 UNTOUCHED = np.zeros(SHAPE, dtype=np.float32)
@@ -174,7 +175,8 @@ def test_taxels_of_one_force_that_show_little_each_are_a_range(n, part, each):
     n_stuck = int(np.ceil(part * n))
     odds[n // 4 : n // 4 + n_stuck] = each
     group = most_likely_range(odds)
-    assert (group.start, group.stop) == (n // 4, n // 4 + n_stuck)
+    assert group.start == n // 4
+    assert group.stop == n // 4 + n_stuck
     assert group.odds > 2 * n_stuck - 2 * np.log(n) - 1e-9
 
 

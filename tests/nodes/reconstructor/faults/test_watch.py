@@ -28,7 +28,9 @@ from sparseskin.studies.stability import faults
 from sparseskin.studies.stability.verdicts import WAYS
 from sparseskin.studies.stability.worlds import Times, draw_world
 
-SHAPE, N, F_MAX = (40, 40), 1600, 2.5
+SHAPE = (40, 40)
+N = 1600
+F_MAX = 2.5
 PHI = make_phi("sbhe", N, N // 2, seed=0)
 NOISE = NoiseModel()
 LEAST_SD = 0.584 * NOISE.sigma_end

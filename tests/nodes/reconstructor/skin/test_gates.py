@@ -15,7 +15,8 @@ def stored_gates():
 
 
 def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters():
-    gates, u = stored_gates(), 3 * np.random.default_rng(0).standard_normal(WINDOW * WINDOW)
+    gates = stored_gates()
+    u = 3 * np.random.default_rng(0).standard_normal(WINDOW * WINDOW)
     a = gates.filters @ u
     size = 4 * ((1 + np.abs(a)) ** 0.25 - 1)
     levels = np.concatenate([np.sign(a) * size, size])
@@ -31,7 +32,8 @@ def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters():
 def test_forces_far_above_the_noise_stay_as_they_are(denoise):
     """Else a floor in parts of the forces would be left however little noise there is."""
     row, col = np.mgrid[:WINDOW, :WINDOW] - 5.5
-    edge, pad = np.where(row > 0, 1.0, 0.2), np.exp(-(row**2 + col**2) / 18)
+    edge = np.where(row > 0, 1.0, 0.2)
+    pad = np.exp(-(row**2 + col**2) / 18)
     u = np.float32(1e5) * np.array([edge, pad], dtype=np.float32).reshape(2, -1)
     tiles, _ = denoise(u)
     assert np.linalg.norm(tiles - inner(u)) < 1e-3 * np.linalg.norm(inner(u))

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matrices import Stretched
 from pressed import noisy, psnr_db, sliding_disc
+from scipy.ndimage import gaussian_filter
 
 from sparseskin import Stream
 from sparseskin.nodes.compressor.phi.base import make_phi
@@ -17,13 +18,18 @@ from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.bases.haar import HaarBasis
 from sparseskin.nodes.reconstructor.skin.rows import HadamardRows, WhitenedRows, rows_of
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
+from sparseskin.nodes.reconstructor.skin.trust import CommonError
+from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
+from sparseskin.nodes.reconstructor.skin.vectors import Settled
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-SHAPE, N = (24, 24), 576
+SHAPE = (24, 24)
+N = 576
 PAPER = NoiseModel()
 SIGMAS = (PAPER.sigma_mid, PAPER.sigma_end)
+COUNTED = {"frame_tiles": 90, "step_tiles": 5}
 SIDES_AND_RATIOS = [(side, ratio) for side in (8, 16, 24, 40) for ratio in (2, 3, 8)]
 SIDES_AND_RATIOS[2] = (8, 4)  # of N/8, 8 measurements are left
 
@@ -34,7 +40,9 @@ def solver_of(phis, **settings):
 
 def reconstructed(solver, phis, frames, change=0.0):
     """Forces and estimated errors; `change`: of each measurement, in the largest."""
-    rng, found, errors = np.random.default_rng(1), [], []
+    rng = np.random.default_rng(1)
+    found = []
+    errors = []
     for k, frame in enumerate(frames):
         phi = phis[k % len(phis)]
         solver.use(phi)
@@ -77,7 +85,8 @@ def test_forces_of_three_measurements_stay_within_those_that_press():
 @pytest.mark.parametrize(("rows", "settings"), [(FIXED, {"iterations": 3}), (ROTATING, {})])
 def test_a_change_of_rounding_stays_one(rows, settings):
     truth = np.concatenate([np.zeros((15, *SHAPE), np.float32), sliding_disc(SHAPE, 45)])
-    frames, phis = noisy(truth), phis_of(rows)
+    frames = noisy(truth)
+    phis = phis_of(rows)
     frames = np.concatenate([frames, frames[-1:].repeat(9, axis=0), frames[-9:-1]])  # some repeat
     plain, _ = reconstructed(solver_of(phis, **settings), phis, frames)
     changed, _ = reconstructed(solver_of(phis, **settings), phis, frames, change=1e-7)
@@ -99,7 +108,8 @@ def test_solvers_in_threads_find_what_one_finds_alone():
 
 def test_measurements_that_repeat_after_others_are_followed():
     """Without noise a row subset measures the same, to the last bit, when a taxel is back."""
-    phis, rng = phis_of(ROTATING), np.random.default_rng(0)
+    phis = phis_of(ROTATING)
+    rng = np.random.default_rng(0)
     off = np.zeros(SHAPE, dtype=np.float32)
     off[3, 3] = 1
     on = off.copy()
@@ -123,18 +133,41 @@ def test_repeats_of_fixed_rows_lower_the_estimated_error_as_independent_frames_a
 
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-@pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}])
+@pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}, COUNTED])
 def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings, rows):
     pytest.importorskip("numba")
-    frames, phis = noisy(sliding_disc(SHAPE, 60)), phis_of(rows)
-    plain, errors = reconstructed(solver_of(phis, fast="off", **settings), phis, frames)
-    found, more = reconstructed(solver_of(phis, fast="on", **settings), phis, frames)
+    frames = noisy(sliding_disc(SHAPE, 60))
+    phis = phis_of(rows)
+    numpy_solver, compiled = (solver_of(phis, fast=fast, **settings) for fast in ("off", "on"))
+    plain, errors = reconstructed(numpy_solver, phis, frames)
+    found, more = reconstructed(compiled, phis, frames)
     assert np.abs(found - plain).max() < 1e-4 * plain.max()
     np.testing.assert_allclose(more, errors, rtol=1e-3)
+    assert compiled.common_error == pytest.approx(numpy_solver.common_error, rel=0.02)
+
+
+@pytest.mark.parametrize("fast", ["on", "off"])
+def test_counted_steps_take_their_time_at_most_wherever_a_contact_begins(fast):
+    if fast == "on":
+        pytest.importorskip("numba")
+    frames = noisy(sliding_disc(SHAPE, 30))
+    phis = phis_of(ROTATING)
+    frames[:10] = 0
+    solver = solver_of(phis, fast=fast, **COUNTED)
+    numbers = []
+    for k, frame in enumerate(frames):
+        solver.use(phis[k % len(phis)])
+        solver.solve(phis[k % len(phis)].forward(frame.reshape(-1)))
+        numbers.append(solver.n_done)
+        spent = solver.n_done * COUNTED["step_tiles"] + solver.n_tiles
+        assert spent <= COUNTED["frame_tiles"] or solver.n_done <= 4
+    assert max(numbers[:10]) == 18
+    assert 1 <= min(numbers) < 18
 
 
 def test_errors_are_relative_to_the_range():
-    frames, phis = noisy(sliding_disc(SHAPE, 20)), phis_of(ROTATING)
+    frames = noisy(sliding_disc(SHAPE, 20))
+    phis = phis_of(ROTATING)
     plain, errors = reconstructed(solver_of(phis), phis, frames)
     scaled, more = reconstructed(solver_of(phis), phis, 4096 * frames)
     np.testing.assert_allclose(scaled, 4096 * plain, rtol=1e-3, atol=4096 * 1e-4 * plain.max())
@@ -145,7 +178,8 @@ def test_errors_are_relative_to_the_range():
 @pytest.mark.parametrize("noise_model", [None, NoiseModel()])
 def test_the_estimated_error_is_near_the_true_one(rows, noise_model):
     """A noise that is stated changes no force."""
-    truth, phis = sliding_disc(SHAPE, 60), phis_of(rows)
+    truth = sliding_disc(SHAPE, 60)
+    phis = phis_of(rows)
     solver = solver_of(phis)
     solver.noise_model = noise_model
     found, errors = reconstructed(solver, phis, noisy(truth))
@@ -155,9 +189,35 @@ def test_the_estimated_error_is_near_the_true_one(rows, noise_model):
     assert (np.mean(off[:, None] < np.log([1.5, 2.0]), axis=0) >= [0.8, 0.9]).all()
 
 
+def test_of_frames_without_a_past_the_error_is_that_of_rows_that_are_left_out():
+    """Dense loads at N/6, without noise: a fit leaves residuals far below the errors."""
+    quotients = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        load = gaussian_filter(rng.standard_normal(SHAPE), 1.5).clip(0, None).astype(np.float32)
+        phi = make_phi("sbhe", N, N // 6, seed=seed)
+        solver = SkinSolver(phi, HaarBasis(*SHAPE))
+        found = solver.solve(phi.forward(load.reshape(-1)))
+        true = np.sqrt(np.mean(np.square(found - load)))
+        assert np.sqrt(np.mean(np.square(solver.residual))) < true
+        quotients.append(solver.error / true)
+    assert np.median(np.abs(np.log(quotients))) < np.log(1.3)
+    assert np.mean(np.abs(np.log(quotients)) < np.log(1.6)) > 0.9
+
+
+@given(st.floats(-1, 1), st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=20))
+def test_an_error_that_all_forces_share_is_the_regression_of_residuals_on_them(part, powers):
+    common = CommonError(SkinTuning())
+    for power in powers:
+        settled = Settled(np.zeros(1, np.float32), power, 0, 0, part * power, power, 0, 0, 0)
+        common.follow(settled)
+    assert common.value == pytest.approx(abs(part), abs=1e-6)
+
+
 @pytest.mark.parametrize(("side", "ratio", "sd"), [(8, 4, 0.0), (32, 3, 0.02)])
 def test_a_taxel_that_moves_does_not_pass_for_noise(side, ratio, sd):
-    stream, rng = Stream((side, side), ratio=ratio, rows=FIXED, f_max=2.5), np.random.default_rng(2)
+    stream = Stream((side, side), ratio=ratio, rows=FIXED, f_max=2.5)
+    rng = np.random.default_rng(2)
     for k in range(45):
         truth = np.zeros((side, side), dtype=np.float32)
         truth[side // 3, k % side] = k >= 20
@@ -225,7 +285,8 @@ def test_an_even_press_on_all_taxels_comes_and_goes_within_three_cycles(side, ra
 def test_one_measurement_of_garbage_moves_no_force_and_is_doubted(rows, row, fast):
     if fast == "on":
         pytest.importorskip("numba")
-    phis, frames = phis_of(rows), noisy(sliding_disc(SHAPE, 40))
+    phis = phis_of(rows)
+    frames = noisy(sliding_disc(SHAPE, 40))
     found = []
     for garbage in (0.0, 60.0):
         solver = solver_of(phis, fast=fast)
@@ -251,7 +312,8 @@ def test_what_all_taxels_share_is_seen_in_each_frame_of_rotating_rows(uneven):
 
 def test_rows_of_any_length_give_the_same_forces():
     phi = make_phi("gaussian", N, N // 3, seed=0)
-    truth, stretched = sliding_disc(SHAPE, 20), [Stretched(phi)]
+    truth = sliding_disc(SHAPE, 20)
+    stretched = [Stretched(phi)]
     plain, _ = reconstructed(solver_of([phi]), [phi], noisy(truth))
     found, _ = reconstructed(solver_of(stretched), stretched, noisy(truth))
     assert abs(psnr_db(found, truth) - psnr_db(plain, truth)) < 0.5
@@ -259,13 +321,15 @@ def test_rows_of_any_length_give_the_same_forces():
 
 def test_subsets_that_are_no_rows_of_one_matrix_are_used_in_turn():
     """Each reads other taxels; what is between those of a frame, no residual shows."""
-    truth, psnrs = sliding_disc(SHAPE, 40), []
+    truth = sliding_disc(SHAPE, 40)
+    psnrs = []
     phi = make_phi("subsample", N, N // 3, seed=0)
     for rows in (FIXED, ROTATING):
         solver = solver_of(phis := row_subsets(phi, rows))
         found, _ = reconstructed(solver, phis, noisy(truth))
         psnrs.append(psnr_db(found[20:], truth[20:]))
-        assert (solver.error, solver.trusted) == (None, True)
+        assert solver.error is None
+        assert solver.trusted
     assert psnrs[1] > psnrs[0] + 5
 
 
@@ -297,7 +361,8 @@ def test_settings_that_are_not_allowed_are_refused(settings, named):
 
 
 def test_measurements_of_another_row_subset_are_not_trusted():
-    phis, frames = phis_of(ROTATING), noisy(sliding_disc(SHAPE, 30))
+    phis = phis_of(ROTATING)
+    frames = noisy(sliding_disc(SHAPE, 30))
     solver = solver_of(phis)
     reconstructed(solver, phis, frames[:10])
     for k, frame in enumerate(frames[-20:]):
@@ -310,7 +375,8 @@ KINDS = ("sbhe", "gaussian", "subsample", "full", "local:4")
 
 
 def made(kind):
-    m, name = 144 if kind == "full" else 48, kind.replace("stretched", "gaussian")
+    m = 144 if kind == "full" else 48
+    name = kind.replace("stretched", "gaussian")
     phi = make_phi(name, 144, m, seed=0)
     return Stretched(phi) if kind == "stretched" else phi
 
@@ -352,10 +418,12 @@ class WhitenedSubsample(SubsamplePhi):
 def test_all_taxels_give_the_forces_of_their_whitened_rows(fast):
     if fast == "on":
         pytest.importorskip("numba")
-    phi, same = make_phi("full", N, N, seed=0), WhitenedFull(N, N, seed=0)
+    phi = make_phi("full", N, N, seed=0)
+    same = WhitenedFull(N, N, seed=0)
     assert isinstance(rows_of(phi), HadamardRows)
     assert isinstance(rows_of(same), WhitenedRows)
-    solver, other = solver_of([phi], fast=fast), solver_of([same], fast="off")
+    solver = solver_of([phi], fast=fast)
+    other = solver_of([same], fast="off")
     for frame in noisy(sliding_disc(SHAPE, 15)):
         y = phi.forward(frame.reshape(-1))
         np.testing.assert_allclose(solver.solve(y), other.solve(y), atol=1e-4)
@@ -365,7 +433,8 @@ def test_all_taxels_give_the_forces_of_their_whitened_rows(fast):
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
 def test_some_taxels_give_forces_no_worse_than_those_of_their_whitened_rows(rows):
-    truth, psnrs = sliding_disc(SHAPE, 40), []
+    truth = sliding_disc(SHAPE, 40)
+    psnrs = []
     for phi in (make_phi("subsample", N, N // 3, 2), WhitenedSubsample(N, N // 3, 2)):
         phis = row_subsets(phi, rows)
         found, _ = reconstructed(solver_of(phis), phis, noisy(truth))
@@ -405,7 +474,8 @@ def test_directions_that_are_hardly_measured_are_left_out():
 def test_innovation_and_residual_are_those_of_the_rows_read(fast):
     if fast == "on":
         pytest.importorskip("numba")
-    phis, frames = phis_of(ROTATING), noisy(sliding_disc(SHAPE, 12))
+    phis = phis_of(ROTATING)
+    frames = noisy(sliding_disc(SHAPE, 12))
     solver = solver_of(phis, fast=fast)
     for k, frame in enumerate(frames):
         phi = phis[k % len(phis)]

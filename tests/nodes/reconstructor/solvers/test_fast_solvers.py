@@ -76,7 +76,8 @@ class WithoutLoops(FistaSolver):
 
 
 def test_a_solver_without_compiled_loops_takes_the_setting():
-    phi, basis = make_phi("sbhe", 64, 30, 0), make_basis("haar", 8, 8)
+    phi = make_phi("sbhe", 64, 30, 0)
+    basis = make_basis("haar", 8, 8)
     solver = make_solver(f"{__name__}:WithoutLoops", phi, basis, fast="on")
     assert solver.solve(np.zeros(30, np.float32)).max() == 0
 

@@ -53,7 +53,8 @@ class Stream:
 
 @pytest.mark.parametrize(("name", "side", "rows", "fast"), CASES)
 def test_a_contact_after_identical_frames_is_reconstructed(name, side, rows, fast):
-    stream, fresh = Stream(name, side, rows, fast), Stream(name, side, rows, fast)
+    stream = Stream(name, side, rows, fast)
+    fresh = Stream(name, side, rows, fast)
     for _ in range(200):
         assert np.isfinite(stream.frame(stream.press(2, 2))).all()
     moved = stream.press(5, 4)
@@ -69,7 +70,8 @@ def test_a_contact_after_identical_frames_is_reconstructed(name, side, rows, fas
 
 @pytest.mark.parametrize(("rows", "garbage"), [(FIXED, 1e12), (ROTATING, 1e4)])
 def test_one_frame_of_garbage_does_not_blind_the_skin(rows, garbage):
-    streams, rng = [Stream("skin", 24, rows, FORMS[-1]) for _ in range(2)], np.random.default_rng(0)
+    streams = [Stream("skin", 24, rows, FORMS[-1]) for _ in range(2)]
+    rng = np.random.default_rng(0)
     off = []
     for k in range(40):
         forces = streams[0].press(8 + 0.05 * k, 8)
@@ -98,7 +100,8 @@ SIZES = st.sampled_from([0.0, 1e-44, 1e-38, 1e-20, 1e-6, 0.02, 1.0, 1e4, 1e12, 1
 )
 def test_streams_of_any_sizes_and_repeats_are_finite_or_refused(name, rows, fast, parts):
     rows = FIXED if rows == CHOSEN and not (name == "skin" and HAS_CHOSEN) else rows
-    stream, rng = Stream(name, 8, rows, fast), np.random.default_rng(0)
+    stream = Stream(name, 8, rows, fast)
+    rng = np.random.default_rng(0)
     for size, kind, repeats in parts:
         made = {
             "zero": np.zeros((8, 8)),

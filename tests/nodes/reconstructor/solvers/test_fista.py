@@ -22,7 +22,8 @@ def sliding_box(shape, n_frames, seed=0):
     noise = np.random.default_rng(seed).normal(0, 0.03, (n_frames, rows, cols))
     frames = np.zeros((n_frames, rows, cols))
     for t in range(1, n_frames):
-        top, left = rows // 4, cols // 4 + t
+        top = rows // 4
+        left = cols // 4 + t
         frames[t, top : top + rows // 3, left : left + cols // 3] = 1.2
         frames[t, top, left : left + cols // 3] = 1.8
         frames[t, -3, 2] = 0.4
@@ -38,13 +39,16 @@ def matrix_of(basis):
 
 def dense_fista(A, y, lam, L, iterations, start):
     """FISTA with constant step size, line by line from Beck and Teboulle (2009), section 4."""
-    x_last, y_k, t_k = start, start, 1.0
+    x_last = start
+    y_k = start
+    t_k = 1.0
     for _ in range(iterations):
         v = y_k - A.T @ (A @ y_k - y) / L
         x_k = np.sign(v) * np.maximum(np.abs(v) - lam / L, 0)
         t_next = (1 + np.sqrt(1 + 4 * t_k**2)) / 2
         y_k = x_k + (t_k - 1) / t_next * (x_k - x_last)
-        x_last, t_k = x_k, t_next
+        x_last = x_k
+        t_k = t_next
     return x_last
 
 

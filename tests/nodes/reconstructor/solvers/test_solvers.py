@@ -17,7 +17,8 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     make_solver,
 )
 
-SHAPE, N = (16, 16), 256
+SHAPE = (16, 16)
+N = 256
 #: All but the one of a plug-in that needs taxels read one by one: it has tests of its own.
 INVERTING = sorted(SOLVERS.keys() - {"interpolation"})
 
@@ -94,7 +95,8 @@ def test_a_lambda_that_is_no_weight_is_named(lambda_n):
         solver_for("fista", make_phi("sbhe", N, 100, seed=2), lambda_n=lambda_n)
 
 
-SIDES, N_SIDES = (24, 24), 576
+SIDES = (24, 24)
+N_SIDES = 576
 
 
 def phases_for(ratio):

@@ -67,7 +67,8 @@ def check_damaged(path, data, payloads):
 
 def chunk_ends(data):
     """Where each chunk record ends."""
-    ends, offset = [], 8
+    ends = []
+    offset = 8
     while offset < len(data) - 8:
         length = int.from_bytes(data[offset + 1 : offset + 9], "little")
         offset += 9 + length
@@ -156,14 +157,16 @@ def test_a_file_that_changes_while_it_is_read_is_an_error_and_no_force(whole, tm
 
 def test_damage_of_a_bag_that_is_not_checked_whole_is_found_as_it_is_read(whole, tmp_path):
     data, payloads = whole
-    path, end = tmp_path / "a.mcap", chunk_ends(data)[3]
+    path = tmp_path / "a.mcap"
+    end = chunk_ends(data)[3]
     path.write_bytes(data[: end - 40] + b"\0" * 8 + data[end - 32 :])
     with BagReader(path) as bag:
         recovered = bag.recovered
         n_readable = sum(1 for _ in bag.messages())
         assert recovered
     with BagReader(path, whole=False) as bag:
-        assert (bag.recovered, bag.topics["/skin/taxels"].n_messages) == ("", N_FRAMES)
+        assert bag.recovered == ""
+        assert bag.topics["/skin/taxels"].n_messages == N_FRAMES
         messages = bag.messages()
         found = [next(messages).payload for _ in range(n_readable)]
         with pytest.raises(BagError, match="is damaged"):
@@ -193,7 +196,9 @@ def test_a_bag_that_another_tool_wrote_anew_can_be_read(whole, tmp_path):
             writer.finish()
         with BagReader(path) as bag:
             assert [message.payload for message in bag.messages()] == payloads
-            assert (bag.metadata, bag.counts, bag.recovered) == ({}, None, "")
+            assert bag.metadata == {}
+            assert bag.counts is None
+            assert bag.recovered == ""
 
 
 TAXELS = {"encoding": "msgpack", "schema": "sparseskin/taxels", "topic": "/skin/taxels"}
@@ -305,7 +310,8 @@ def test_messages_without_a_checksum_or_of_a_newer_version_are_not_delivered(tmp
 
 def test_a_chunk_that_decompresses_to_too_much_is_refused():
     def chunk_of(n_bytes):
-        plain, builder = bytes(n_bytes), RecordBuilder()
+        plain = bytes(n_bytes)
+        builder = RecordBuilder()
         packed = lz4.frame.compress(plain)
         Chunk("lz4", packed, 0, 0, zlib.crc32(plain), n_bytes).write(builder)
         return Record(Opcode.CHUNK, 0, builder.end()[HEAD_BYTES:])

@@ -59,8 +59,10 @@ def test_messages_are_those_of_the_patches_with_what_is_unchanged(bag):
             for k, message in enumerate(found):
                 same = unchanged(k)[p]
                 np.testing.assert_array_equal(message.forces[0], FORCES[k - same, p])
-                assert (message.stamp_ns, message.error) == (k, (None if p else 0.25,))
-                assert (message.trusted, message.unchanged) == ((p != 2,), (same,))
+                assert message.stamp_ns == k
+                assert message.error == (None if p else 0.25,)
+                assert message.trusted == (p != 2,)
+                assert message.unchanged == (same,)
         # A part of the time begins with the forces of the message before it.
         first = next(split.messages(["/back/reconstruction"], start_ns=3))
         message = decode(first.topic.encode(), first.payload)

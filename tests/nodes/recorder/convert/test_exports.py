@@ -58,7 +58,8 @@ def test_an_npz_names_what_it_holds(rich):
         for name, kind in (("forces", Taxels), ("reconstruction", Reconstruction)):
             maps = [m.forces for m in rich_frames() if isinstance(m, kind)]
             assert np.array_equal(arrays[name], np.concatenate(maps))
-        assert (arrays["phi_seed"].tolist(), arrays["phi_rows"].tolist()) == ([7], ["fixed"])
+        assert arrays["phi_seed"].tolist() == [7]
+        assert arrays["phi_rows"].tolist() == ["fixed"]
         assert arrays["reconstruction_trusted"].tolist() == [k != 3 for k in range(N_FRAMES)]
         assert np.isnan(arrays["reconstruction_sd"][0]).all()
         assert np.isfinite(arrays["reconstruction_sd"][1]).all()
@@ -87,7 +88,10 @@ def test_an_exported_csv_states_its_skin_and_is_a_recording(rich):
     assert {"skin_reconstruction.csv", "skin_reconstruction_sd.csv"} < names
     file = rich.with_name("a_csv") / "skin_taxels.csv"
     skin = json.loads(file.read_text().splitlines()[1].removeprefix("# "))["skin"]
-    assert (skin["f_max"], skin["unit"], skin["pitch_m"], skin["rate_hz"]) == (2.5, "N", 0.005, 50)
+    assert skin["f_max"] == 2.5
+    assert skin["unit"] == "N"
+    assert skin["pitch_m"] == 0.005
+    assert skin["rate_hz"] == 50
     again = open_file(file, Layout(unit="N"))
     taxels = [one.forces[0] for one in rich_frames() if isinstance(one, Taxels)]
     np.testing.assert_array_equal(again.frames, taxels)
@@ -136,7 +140,9 @@ def test_an_imported_bag_holds_every_frame_and_is_the_same_each_time(tmp_path):
         state = decode(b"/skin/skin", recorded.payload)
         assert state.rate_hz == DEFAULT_RATE_HZ
         # The noise of a recording is its own.
-        assert (state.has_truth, state.sigma_mid, state.sigma_end) == (False, 0.0, 0.0)
+        assert not state.has_truth
+        assert state.sigma_mid == 0.0
+        assert state.sigma_end == 0.0
         for k, recorded in enumerate(one.messages(["/skin/taxels"])):
             message = decode(b"/skin/taxels", recorded.payload)
             assert message.seq == k

@@ -133,13 +133,16 @@ def test_a_load_that_moves_is_refused_and_a_touched_skin_remarked():
 
 def test_stuck_noisy_and_dead_taxels_are_masked():
     noise = np.random.default_rng(3).normal(0, 1.0, (200, *SHAPE))
-    untouched, pressed = linear(0) + noise, linear(1.0) + noise[::-1]
+    untouched = linear(0) + noise
+    pressed = linear(1.0) + noise[::-1]
     for readings in (untouched, pressed):
         readings[:, 0, 0] = 77.0
         readings[:, 1, 1] = linear(0)[1, 1] + 40 * noise[:, 1, 1]
     pressed[:, 2, 2] = untouched[:, 2, 2]
     found = fit("p", untouched, [Press("a", 1.0 * N, pressed, ALL)])
-    assert (found.stuck, found.noisy, found.dead) == (1, 1, 1)
+    assert found.stuck == 1
+    assert found.noisy == 1
+    assert found.dead == 1
     assert found.skin.mask is not None
     assert [tuple(cell) for cell in np.argwhere(~found.skin.mask)] == [(0, 0), (1, 1), (2, 2)]
     # The dead ones carry their part of the load: the others still measure theirs.
@@ -150,7 +153,8 @@ def test_whole_counts_are_not_stuck_and_taxels_under_no_even_load_get_the_median
     found = fit("p", np.full((9, *SHAPE), 5.0), f_max=250.0, unit="raw")
     assert found.stuck == 0
     assert found.skin.mask is None
-    assert (found.skin.unit, found.skin.noise) == ("raw", 0.0)
+    assert found.skin.unit == "raw"
+    assert found.skin.noise == 0.0
     load = Press("a", 0.5 * 24, frames(linear(0.5)), read_area("0-5x0-3", SHAPE))
     found = fit("p", frames(linear(0)), [load])
     np.testing.assert_allclose(found.skin.gains[:, 4:], np.median(found.skin.gains[:, :4]))
@@ -178,10 +182,12 @@ def test_what_cannot_be_calibrated_is_refused(change, line):
 def test_loads_and_areas_are_read():
     assert read_load("500g") == pytest.approx(0.5 * GRAVITY)
     assert read_load(" 2.5 kg") == pytest.approx(2.5 * GRAVITY)
-    assert (read_load("4.9N"), read_load("800mN")) == (4.9, 0.8)
+    assert read_load("4.9N") == 4.9
+    assert read_load("800mN") == 0.8
     assert read_area("all", SHAPE).all()
     rows, cols = np.nonzero(read_area("1-2x3-4", SHAPE))
-    assert (list(rows), list(cols)) == ([1, 1, 2, 2], [3, 4, 3, 4])
+    assert list(rows) == [1, 1, 2, 2]
+    assert list(cols) == [3, 4, 3, 4]
     for text in ("5", "5lb", "-5g", "1e9g", "nanN"):
         with pytest.raises(CalibrationError, match="is no load"):
             read_load(text)
@@ -232,7 +238,8 @@ def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the
 
 def test_a_tare_measures_the_noise_that_no_file_states():
     rng = np.random.default_rng(0)
-    chain, stated = Chain(skin()), Chain(skin(noise=0.02))
+    chain = Chain(skin())
+    stated = Chain(skin(noise=0.02))
     frames = [rng.normal(3.0, 0.01, GRID) for _ in range(1000)]
     for frame in frames[::7]:
         frame[1, 2] = np.nan
@@ -283,7 +290,9 @@ def run(chain, force, seconds, rate_hz=100.0):
 def test_a_steady_press_of_60_s_and_its_edge_lose_nothing():
     # The threshold of a skin whose noise is not known: 0.004 of 2.5 N.
     press = np.zeros(GRID)
-    press[1, 1], press[1, 2], press[2, 3] = 1.0, 0.008, 0.011
+    press[1, 1] = 1.0
+    press[1, 2] = 0.008
+    press[2, 3] = 0.011
     found = run(Chain(skin()), press, 60, rate_hz=20.0)
     np.testing.assert_allclose(found, press, atol=1e-7)
 
@@ -347,7 +356,8 @@ def test_a_pause_is_not_made_up_for():
 
 
 def test_frames_of_a_board_that_hangs_repeat_exactly_and_show_no_drift():
-    rng, chain = np.random.default_rng(0), Chain(skin(noise=0.0141))
+    rng = np.random.default_rng(0)
+    chain = Chain(skin(noise=0.0141))
     for k in range(300):
         raw = rng.normal(0.01, 0.0141, GRID)
         raw[0, 0] += 1.0

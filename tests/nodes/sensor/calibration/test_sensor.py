@@ -80,8 +80,13 @@ def test_counts_become_newtons_and_the_state_is_that_of_the_file():
     assert not frames[0].any()
     np.testing.assert_allclose(frames[-1], np.where(MASK, TRUTH, 0), atol=1e-6)
     (state,) = run.of(SkinState)
-    assert (state.f_max, state.unit, state.pitch_m, state.f_min) == (2.5, "N", 0.002, 0)
-    assert (state.sigma_end, state.sigma_mid, state.has_truth) == (0.02, 0.03, False)
+    assert state.f_max == 2.5
+    assert state.unit == "N"
+    assert state.pitch_m == 0.002
+    assert state.f_min == 0
+    assert state.sigma_end == 0.02
+    assert state.sigma_mid == 0.03
+    assert not state.has_truth
     np.testing.assert_array_equal(state.mask, MASK)
     (calibration,) = run.of(Calibration)
     assert calibration.name == "palm"
@@ -270,7 +275,10 @@ def test_the_skin_is_exported_with_the_tared_baseline(bag):
     assert found.baseline is not None
     np.testing.assert_array_equal(found.baseline, np.median(raw[:4], axis=0))
     np.testing.assert_array_equal(found.response.force, [0.5, 2.5])
-    assert (found.name, found.noise, found.f_max, found.pitch_mm) == ("palm", 0.015625, 2.5, 2.5)
+    assert found.name == "palm"
+    assert found.noise == 0.015625
+    assert found.f_max == 2.5
+    assert found.pitch_mm == 2.5
     np.testing.assert_array_equal(found.mask, EXISTS)
 
 

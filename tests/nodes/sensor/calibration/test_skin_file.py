@@ -20,7 +20,7 @@ from sparseskin.nodes.sensor.calibration.skin_file import (
     save_skin,
 )
 
-HEAD = "rows = 2\ncols = 3\nf_max = 2.5\n"
+HEAD = "n_rows = 2\nn_cols = 3\nf_max = 2.5\n"
 
 
 def write(folder, text):
@@ -32,7 +32,8 @@ def write(folder, text):
 def assert_same(a, b):
     """Equal field by field, arrays with their dtype."""
     for field in fields(a):
-        one, other = getattr(a, field.name), getattr(b, field.name)
+        one = getattr(a, field.name)
+        other = getattr(b, field.name)
         if isinstance(one, Response):
             assert_same(one, other)
         elif isinstance(one, np.ndarray):
@@ -44,7 +45,10 @@ def assert_same(a, b):
 
 def test_a_file_of_the_required_keys_alone_describes_a_skin_without_calibration(tmp_path):
     skin = load_skin(write(tmp_path, HEAD))
-    assert (skin.name, skin.shape, skin.f_max, skin.unit) == ("palm", (2, 3), 2.5, "N")
+    assert skin.name == "palm"
+    assert skin.shape == (2, 3)
+    assert skin.f_max == 2.5
+    assert skin.unit == "N"
     assert not skin.changes_readings
     assert skin.skin.mask is None
     assert skin.skin.pitch_m is None
@@ -57,7 +61,8 @@ def test_a_file_with_all_keys(tmp_path):
         "f_min = -0.05\n[response]\nreading = [1, 3]\nforce = [0.5, 2.5]\n"
     )
     skin = load_skin(write(tmp_path, text))
-    assert (skin.skin.pitch_m, skin.skin.n_taxels) == (0.0025, 5)
+    assert skin.skin.pitch_m == 0.0025
+    assert skin.skin.n_taxels == 5
     assert skin.baseline is not None
     assert (skin.baseline == 12.0).all()
     assert skin.gains[1, 0] == -4.0
@@ -83,8 +88,8 @@ def skins(draw):
     chosen = {key: draw(st.none() | kind) for key, kind in grids.items()}
     return SkinDescription(
         name=draw(st.text(min_size=1, max_size=9).filter(lambda s: s.isprintable() and s.strip())),
-        rows=shape[0],
-        cols=shape[1],
+        n_rows=shape[0],
+        n_cols=shape[1],
         f_max=draw(st.floats(1.0, 1e3)),
         unit=draw(st.sampled_from(["N", "kPa", '"\\'])),
         pitch_mm=draw(st.none() | sizes),
@@ -131,15 +136,15 @@ def test_no_file_is_written_over(tmp_path):
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("rows = 2\ncols = 3\n", "f_max: is missing"),
+        ("n_rows = 2\nn_cols = 3\n", "f_max: is missing"),
         (HEAD + "gain = 1", "gain: unknown key (did you mean 'gains'?)"),
         (HEAD + "[response]\nreadings = [1]", "response.readings: unknown key (did you mean 'rea"),
         (HEAD + "[response]\nreading = [2, 1]\nforce = [1, 2]", "response.reading: must be above"),
         (HEAD + "[response]\nreading = [1e-300]\nforce = [1e30]", "response: a slope is outside"),
         (HEAD + f"[response]\nforce = {list(range(1, 34))}\nreading = [1]", "33 knots; allowed"),
         (HEAD + "response = 3", "response: expected a table"),
-        ("rows = true\ncols = 3\nf_max = 1", "rows: expected a whole number, got bool"),
-        ("rows = 4096\ncols = 4096\nf_max = 1", "4096 x 4096 cells; at most"),
+        ("n_rows = true\nn_cols = 3\nf_max = 1", "n_rows: expected a whole number, got bool"),
+        ("n_rows = 4096\nn_cols = 4096\nf_max = 1", "4096 x 4096 cells; at most"),
         (HEAD + "noise_mid = 1", "noise_mid: is stated without noise"),
         (HEAD + "unit = ''", "unit: expected 1..32 printable"),
         (HEAD + "mask = ['111', '112']", "mask: expected 2 texts of 3 characters 0 and 1"),
@@ -148,7 +153,7 @@ def test_no_file_is_written_over(tmp_path):
         (HEAD + "gains = [1, 2]", "gains: float64 of shape (2,); expected float64 of shape (2, 3)"),
         (HEAD + "arrays = 'b.npz'", "arrays: b.npz: "),
         (HEAD + "a = " + "[" * 900, "more than 8 tables or lists"),
-        ("rows = ", "not TOML"),
+        ("n_rows = ", "not TOML"),
         ("#" * (4 * MAX_FILE_CHARS + 1), "more than 1048576 bytes"),
     ],
 )

@@ -232,7 +232,8 @@ class TestChannels:
     @pytest.mark.parametrize(
         ("array", "stated"),
         [
-            (XYZ, {"channel": "z"}),
+            (XYZ, {"channel": "z", "axes": "rows,cols,channel"}),
+            (np.tile(XYZ, (1, 1, 2, 1))[:, :, :3], {"channel": "z", "n_rows": 2, "n_cols": 3}),
             (XYZ, {"channel": "2", "n_rows": 2, "n_cols": 3}),
             (np.moveaxis(XYZ, -1, 1), {"channel": "2", "axes": "frames,channel,rows,cols"}),
             (np.moveaxis(XYZ, -1, 1), {"channel": "z", "n_rows": 2, "n_cols": 3}),
@@ -246,6 +247,8 @@ class TestChannels:
     def test_none_is_chosen(self, tmp_path):
         with pytest.raises(SourceError, match="state axes, as rows,cols,channel, and channel"):
             open_bytes(tmp_path, "a.npy", npy(self.XYZ))
+        with pytest.raises(SourceError, match="axes=rows,channel,cols or axes=rows,cols,channel"):
+            open_bytes(tmp_path, "a.npy", npy(self.XYZ), channel="z")
         source = open_bytes(tmp_path, "a.npy", npy(self.XYZ), axes="rows,cols,channel", channel="z")
         np.testing.assert_array_equal(source.frames, (FORCES + 3).astype(np.float32))
 
@@ -265,7 +268,9 @@ class TestNpy:
     def test_stated_unit_range_and_rate_are_kept(self, tmp_path):
         stated = {"unit": "kPa", "f_max": 2.5, "rate_hz": 1000.0}
         source = open_bytes(tmp_path, "skin.npy", npy(FORCES), **stated)
-        assert (source.skin.unit, source.skin.f_max, source.rate_hz) == ("kPa", 2.5, 1000)
+        assert source.skin.unit == "kPa"
+        assert source.skin.f_max == 2.5
+        assert source.rate_hz == 1000
         np.testing.assert_array_equal(source.stamp_ns, 1_000_000 * np.arange(4))
 
     @pytest.mark.parametrize(
@@ -339,7 +344,9 @@ class TestNpz:
         assert source.stamp_ns.tolist() == [0, 4_000, 4_500, 5_000]
         assert source.rate_hz == 250.0
         assert source.skin.n_taxels == 4
-        assert (source.skin.f_max, source.skin.unit, source.skin.pitch_m) == (2.5, "raw", 0.005)
+        assert source.skin.f_max == 2.5
+        assert source.skin.unit == "raw"
+        assert source.skin.pitch_m == 0.005
         frames = source.frames
         np.testing.assert_array_equal(frames[:, mask], FORCES[:, mask].astype(np.float32))
         assert not frames[:, ~mask].any()
@@ -352,9 +359,11 @@ class TestNpz:
             st.lists(st.booleans(), min_size=n_rows * n_cols, max_size=n_rows * n_cols)
         )
         mask = np.array([True, *bits[1:]]).reshape(n_rows, n_cols)
-        stored, axes = array.stored, array.axes_stated
+        stored = array.stored
+        axes = array.axes_stated
         if is_flat:
-            stored, axes = array.frames.reshape(len(array.frames), -1), array.shape_stated
+            stored = array.frames.reshape(len(array.frames), -1)
+            axes = array.shape_stated
             axes["axes"] = "frames,taxels"
         raw = npz(forces=stored, mask=mask)
         source = open_bytes(tmp_path, "a.npz", raw, **axes)

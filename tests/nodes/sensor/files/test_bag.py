@@ -22,8 +22,12 @@ def test_taxels_are_read_with_their_stamps_and_what_their_skin_states(tmp_path):
     assert is_bag((tmp_path / "a.mcap").read_bytes())
     read = recording(tmp_path / "a.mcap")
     head = read.head()
-    assert (head.unit, head.f_max, head.rate_hz, head.pitch_m) == ("N", 2.5, 100.0, 0.005)
-    assert (head.n_items, head.time_unit) == (90, "ns")
+    assert head.unit == "N"
+    assert head.f_max == 2.5
+    assert head.rate_hz == 100.0
+    assert head.pitch_m == 0.005
+    assert head.n_items == 90
+    assert head.time_unit == "ns"
     for _ in range(2):
         (block,) = read.blocks()
         np.testing.assert_array_equal(block.numbers, [frame(k)[0].forces[0] for k in range(90)])

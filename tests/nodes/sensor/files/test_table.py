@@ -8,19 +8,25 @@ import zipfile
 import numpy as np
 import pytest
 from damaged import npy, npz, refusal
-from drawn_tables import tables
+from drawn_tables import tables, transposed_tables
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics.array_files import read_npy, read_npz
+from sparseskin.nodes.recorder.convert.to_bag import import_file
+from sparseskin.nodes.sensor.calibration.description import of_skin
 from sparseskin.nodes.sensor.files import file_source, recording
 from sparseskin.nodes.sensor.files.file_source import n_taxels, open_file
+from sparseskin.nodes.sensor.files.table.table import TableRecording
 from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.missing import MissingReadings
 from sparseskin.nodes.sensor.node import Sensor, SensorSettings
+from sparseskin.nodes.sensor.sources import open_source
+from sparseskin.recordings import read_recording
 
 GRID = np.arange(12.0).reshape(2, 2, 3)
 ROW = {"n_rows": 1, "n_cols": 2}
@@ -33,7 +39,7 @@ def read(folder, text, **stated):
 
 
 @FORGIVING
-@given(table=tables())
+@given(table=tables() | transposed_tables())
 def test_a_drawn_table_is_read_as_it_was_written(tmp_path, table):
     source = read(tmp_path, table.text, **table.stated)
     np.testing.assert_array_equal(source.frames, table.frames)
@@ -84,6 +90,23 @@ def test_a_damaged_table_is_read_right_or_refused(tmp_path, table, data):
         ("Frame 1\n0 1 2\n3 4 5\nFrame 2\n6 7 8\n9 10 11\n", {"n_rows": 2, "n_cols": 3}, None),
         ("10:15:02.120 -> 0,1,2,3,4,5\n10:15:02.140 -> 6,7,8,9,10,11\n", {"n_rows": 2}, 50),
         ("0.5: [0, 1, 2, 3, 4, 5]\n0.6: [6, 7, 8, 9, 10, 11]\n", {"n_rows": 2}, 10),
+        ("sec,nsec,s0,s1,s2,s3,s4,s5\n1,9e8,0,1,2,3,4,5\n2,0,6,7,8,9,10,11\n", {"n_rows": 2}, 10),
+        (
+            "t_s,s0,s1,s2,s3,s4,s5\n0,0,1,2,3,4,5\nt_s,s0,s1,s2,s3,s4,s5\n.1,6,7,8,9,10,11\n",
+            {"n_rows": 2},
+            10,
+        ),
+        (
+            "hand,s0,s1,s2,s3,s4,s5\nl,0,1,2,3,4,5\nr,9,9,9,9,9,9\nl,6,7,8,9,10,11\n",
+            {"n_rows": 2, "frame_id": "l"},
+            None,
+        ),
+        (
+            "time_s,taxel,value\n"
+            + "".join(f"{k / 20},{j + 1},{6 * k + j}\n" for k, j in np.ndindex(2, 6)),
+            {"n_rows": 2},
+            20,
+        ),
         (
             "frame,row,col,value\n"
             + "".join(f"{k},{r},{c},{6 * k + 3 * r + c}\n" for k, r, c in np.ndindex(2, 2, 3)),
@@ -102,7 +125,7 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
 @pytest.mark.parametrize(
     ("text", "stated", "message"),
     [
-        ("1,2,3,4\n", {"unit": None}, "state n_rows and n_cols, .*; unit is not stated either$"),
+        ("1,2,3,4\n", {"unit": None}, "state n_rows and n_cols, .*; the unit of .* unit=counts$"),
         ("r0c0,r0c1\n1,2\n", {"unit": None}, "unit of the readings is not stated.* unit=counts$"),
         ("r0c0,r0c1\n1,0.5\n", {"unit": None}, "counts or another text$"),
         ("1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "4 columns hold numbers, but .* needs 6"),
@@ -122,6 +145,30 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         ("name\nleft\n", {}, "holds no frame"),
         ("5,a,1,2\n6,a,1,2\n4,a,1,2\n", ROW, "3 columns hold numbers, but .* needs 2"),
         ("0.5,1,0.1\n0.7,1,0.2\n", ROW, "state time=first or time=last, or columns$"),
+        (
+            "time,s0,s1\n0,1,1\n2,1,1\n",
+            {},
+            "state n_rows .*; the unit of the times is",
+        ),
+        (
+            "when,s0,s1\n3/12/2026 9:00,1,1\n3/12/2026 9:01,1,1\n",
+            ROW,
+            "'3/12/2026 9:00', like a time",
+        ),
+        ("time_s,s0,s1\n1,1,1\n1,2,2\n1,3,3\n", ROW, "2 of 3 times repeat the one before; state"),
+        (
+            "us,s0,s1\n4294967290,1,1\n20,2,2\n",
+            {**ROW, "time": "us"},
+            "0; add time_wrap=4294967296$",
+        ),
+        ('{"t": 0, "s": [1, 2]}\n{"t": 1, "s": [1, 2]}\n', ROW, "lines of JSON are not read"),
+        ("1,2\n3,4\n", {**ROW, "axes": "rows,cols,frames"}, "axes = .*; allowed for a table"),
+        (
+            "side,s0,s1\nleft,1,2\nright,3,4\n",
+            ROW,
+            "2 skins, 'left', 'right': state frame_id$",
+        ),
+        ("L0,L1,R0,R1\n1,2,3,4\n", ROW, "state columns=1-2 or columns=3-4$"),
         ("1,\0", ROW, "not a text table in UTF-8"),
         ("t,time,s0,s1\n0,5,1,1\n1,6,1,1\n", ROW, "2 columns may be the times: state time='t' or"),
         (
@@ -189,6 +236,20 @@ def test_a_folder_of_frames_is_read_in_the_order_of_its_numbers(tmp_path):
     assert source.frames[:, 0, 0].tolist() == [1, 2, 10]
 
 
+def test_a_taxel_without_a_reading_is_missing_and_not_left_out(tmp_path):
+    source = read(tmp_path, "s0,s1,s2\n1,NaN,2\n3,NaN,4\n", n_rows=1, n_cols=3, missing="NaN")
+    np.testing.assert_array_equal(source.frames, [[[1, np.nan, 2]], [[3, np.nan, 4]]])
+
+
+def test_a_first_line_that_counts_is_a_header_or_named(tmp_path):
+    wide = ",".join(map(str, range(1, 10)))
+    source = read(tmp_path, f"{wide}\n{'7,' * 8}7\n", n_rows=3, n_cols=3)
+    assert len(source.frames) == 1
+    source = read(tmp_path, "1,2\n7,7\n", n_rows=1)
+    assert len(source.frames) == 2
+    assert any("skip=1 if it is names" in line for line in source.notes)
+
+
 def test_repeated_times_cost_1_ns_and_are_said(tmp_path):
     source = read(tmp_path, "time_s,s0,s1\n0,1,1\n0.1,1,1\n0.1,1,1\n5,1,1\n", **ROW)
     assert source.stamp_ns.tolist() == [0, 100_000_000, 100_000_001, 5_000_000_000]
@@ -207,6 +268,54 @@ def test_a_large_table_is_read_by_blocks_as_a_small_one(tmp_path, monkeypatch):
 
 
 BAD = np.array([[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32)
+
+
+class TestPasses:
+    """How often a file is decoded."""
+
+    @pytest.fixture
+    def n_passes(self, monkeypatch):
+        passes = []
+        blocks = TableRecording.blocks
+
+        def counted(recording):
+            passes.append(0)
+            for block in blocks(recording):
+                passes[-1] += len(block.numbers)
+                yield block
+
+        monkeypatch.setattr(TableRecording, "blocks", counted)
+        monkeypatch.setattr(file_source, "KEPT_BYTES", 80)
+        monkeypatch.setattr(recording, "BLOCK_NUMBERS", 4)
+        return passes
+
+    TEXT = "t_ms,s0,s1\n" + "".join(f"{10 * k},{k},1\n" for k in range(20))
+
+    def test_arrays_decode_it_once(self, tmp_path, n_passes):
+        (tmp_path / "log.csv").write_text(self.TEXT)
+        arrays = read_recording(tmp_path / "log.csv", n_rows=1, unit="N")
+        assert arrays["forces"].shape == (20, 1, 2)
+        assert n_passes == [20]
+
+    def test_an_import_decodes_it_twice(self, tmp_path, n_passes):
+        (tmp_path / "log.csv").write_text(self.TEXT)
+        layout = Layout(n_rows=1, unit="N")
+        assert import_file(tmp_path / "log.csv", tmp_path / "log.mcap", layout=layout) == 20
+        assert n_passes == [20, 20]
+
+    @pytest.mark.parametrize("stated", [{"f_max": 50.0}, {"skin": True}])
+    def test_no_pass_comes_before_the_first_frame_where_the_range_is_known(
+        self, tmp_path, n_passes, stated
+    ):
+        (tmp_path / "log.csv").write_text(self.TEXT)
+        layout = Layout(n_rows=1, unit="N", f_max=stated.get("f_max"))
+        described = of_skin("skin", Skin(1, 2, 50.0)) if "skin" in stated else None
+        where = f"file:{tmp_path / 'log.csv'}"
+        source = open_source(where, layout=layout, raw="skin" in stated, described=described)
+        assert n_passes
+        assert max(n_passes) < 20
+        assert len(source.frames) == 20
+        assert source.rate_hz == 100
 
 
 def treated(layout, folder):

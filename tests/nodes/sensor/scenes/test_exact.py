@@ -88,7 +88,8 @@ def frames_of(source, n_frames):
 )
 def test_body_lands_well(name, n_frames, method, change_db, worst_db, noise_db, n_above, n_contact):
     source = open_scene(name, 0)
-    body, state = source.scene.body, next(source.states())
+    body = source.scene.body
+    state = next(source.states())
     reached = state.bed.gap < 0.1
     k, c, gap = (a[reached] for a in (state.bed.stiffness, state.bed.damping, state.bed.gap))
     jacobian = state.bed.jacobian[reached]
@@ -118,7 +119,11 @@ def test_body_lands_well(name, n_frames, method, change_db, worst_db, noise_db, 
 
 
 def test_tilted_body_lands_and_rocks_as_the_exact_solution():
-    mass_kg, inertia_kg_m2, off_m, k, c = 0.5, 2e-4, 0.004, 122.24, 0.4
+    mass_kg = 0.5
+    inertia_kg_m2 = 2e-4
+    off_m = 0.004
+    k = 122.24
+    c = 0.4
     x = np.tile((np.arange(10) - 4.5) * 0.005, 10)
     body = RigidBody(
         np.array([mass_kg, inertia_kg_m2]), np.array([-mass_kg * G_M_S2, mass_kg * G_M_S2 * off_m])
@@ -130,9 +135,11 @@ def test_tilted_body_lands_and_rocks_as_the_exact_solution():
         moment = mass_kg * G_M_S2 * off_m - f @ x
         return [f.sum() / mass_kg - G_M_S2, moment / inertia_kg_m2]
 
-    dt_s, n_steps = 5e-5, 4000
+    dt_s = 5e-5
+    n_steps = 4000
     expected, _ = exact(acceleration, [0.02, 0.2], dt_s * np.arange(n_steps + 1))
-    q, v = np.array([0.02, 0.2]), np.zeros(2)
+    q = np.array([0.02, 0.2])
+    v = np.zeros(2)
     path = [q]
     for _ in range(n_steps):
         q, v = body.step(bed, q, v, dt_s)
@@ -145,7 +152,10 @@ def test_tilted_body_lands_and_rocks_as_the_exact_solution():
 
 
 def test_body_dragged_over_the_skin_follows_the_exact_solution():
-    slope, speed_m_s, side_m, mass_kg = 0.1, 0.05, 0.07, 0.3
+    slope = 0.1
+    speed_m_s = 0.05
+    side_m = 0.07
+    mass_kg = 0.3
     half = side_m / 2
 
     def wedge(x, y):
@@ -189,7 +199,8 @@ def test_body_dragged_over_the_skin_follows_the_exact_solution():
 )
 def test_first_landing_is_as_stated(name, n_steps, deepest_mm, largest_n, published_n):
     source = open_scene(name, 0)
-    deepest, largest = 0.0, 0.0
+    deepest = 0.0
+    largest = 0.0
     for state in itertools.islice(source.states(), n_steps):
         n = state.taxels.size
         deepest = max(deepest, -(state.bed.gap + state.bed.jacobian @ state.q)[:n].min())

@@ -36,11 +36,15 @@ REST = {"lift_box_40": 670, "lift_box_64": 7500, "path_40": 990}
 def played(name):
     """Largest force and sum of each frame of a scene, and one frame of the body at rest."""
     side, n_steps, _ = TABLE[name]
-    peak, total, at_rest = np.empty(n_steps), np.empty(n_steps), np.empty(0, np.float32)
+    peak = np.empty(n_steps)
+    total = np.empty(n_steps)
+    at_rest = np.empty(0, np.float32)
     for step, (_, forces) in enumerate(open_scene(name, 0)):
-        assert (forces.dtype, forces.shape) == (np.float32, (side, side))
+        assert forces.dtype == np.float32
+        assert forces.shape == (side, side)
         assert forces.min() >= 0.0
-        peak[step], total[step] = forces.max(), forces.sum(dtype=float)
+        peak[step] = forces.max()
+        total[step] = forces.sum(dtype=float)
         if step == REST.get(name):
             at_rest = forces
     assert step == n_steps - 1
@@ -137,7 +141,8 @@ def test_forces_are_within_the_range_and_each_press_ends(name, shape):
 
 def test_a_walking_and_a_lying_body_press_patches_in_turn():
     pressed = touched(TiledScene("walk", SKIN, 8), 4 * TILED["walk"].period_s)
-    left, right = pressed[:, 0], pressed[:, 1]
+    left = pressed[:, 0]
+    right = pressed[:, 1]
     assert not pressed[:, 2:].any()
     half = round(TILED["walk"].period_s / 2 / STEP_S)
     np.testing.assert_array_equal(left[:-half], right[half:])
@@ -193,7 +198,8 @@ def bed_of(omega, zeta):
 
 def run(body, bed, q, v, dt_s, n_steps):
     """Coordinates and rates at steps 0..n_steps, each of shape (n_steps + 1, n_dof)."""
-    qs, vs = [np.array(q)], [np.array(v)]
+    qs = [np.array(q)]
+    vs = [np.array(v)]
     for _ in range(n_steps):
         q_next, v_next = body.step(bed, qs[-1], vs[-1], dt_s)
         qs.append(q_next)
@@ -209,7 +215,8 @@ def test_cells_push_and_never_pull():
 
 
 def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest():
-    dt_s, omega = 1e-3, 1e5
+    dt_s = 1e-3
+    omega = 1e5
     bed = bed_of(omega, 0.05)
     q, v = run(falling_body(), bed, [0.05], [0.0], dt_s, 2000)
     assert q[:, 0].max() <= 0.05
@@ -217,7 +224,9 @@ def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest():
 
 
 def test_bouncing_and_tipping_body_never_gains_energy():
-    inertia, stiffness, dt_s = 1e-4, 500.0, 1e-2
+    inertia = 1e-4
+    stiffness = 500.0
+    dt_s = 1e-2
     bed = square_bed(stiffness, 0.0, with_pitch=True)
     q, v = run(falling_body(inertia), bed, [0.02, 0.3], [0.0, 0.0], dt_s, 1500)
     depth = np.maximum(-(q @ bed.jacobian.T), 0.0)
@@ -239,7 +248,8 @@ def test_a_step_is_of_second_order_on_a_bed_that_stays_loaded():
     errors = []
     for n_steps in (20, 40):
         q, _ = run(falling_body(), bed, [-0.5 * static], [0.0], 0.01 / n_steps, n_steps)
-        damped, t = omega * math.sqrt(1 - 0.2**2), 0.01
+        damped = omega * math.sqrt(1 - 0.2**2)
+        t = 0.01
         exact = -static + 0.5 * static * math.exp(-0.2 * omega * t) * (
             math.cos(damped * t) + 0.2 * omega / damped * math.sin(damped * t)
         )

@@ -1,0 +1,157 @@
+"""A graph offline, in three threads: its source is ahead of the other nodes, and those that only
+listen are behind.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+from sparseskin.messages import Message
+from sparseskin.nodes.bus import Bus
+from sparseskin.nodes.clock import Clock, ManualClock
+from sparseskin.nodes.graph import NodeSpecs
+from sparseskin.nodes.node import Tick
+from sparseskin.nodes.node_host import NodeHost
+
+N_WAITING = 16
+"""Most frames that wait between two threads. Chosen: few enough for memory, and no thread waits for
+another at each frame."""
+LOOK_S = 0.1
+"""Time after which a thread that waits looks whether the others still run, seconds."""
+
+Delivery = tuple[NodeHost, Message]
+"""A message, and the node that is to process it."""
+Item = TypeVar("Item")
+
+
+class Handover(queue.Queue[Item | None]):
+    """A queue between two threads; None is its end. Neither side waits once `stopped` is set."""
+
+    def __init__(self, stopped: threading.Event) -> None:
+        super().__init__(N_WAITING)
+        self._stopped = stopped
+
+    def give(self, item: Item | None) -> None:
+        """Append an item, when there is room."""
+        while not self._stopped.is_set():
+            try:
+                self.put(item, timeout=LOOK_S)
+            except queue.Full:
+                continue
+            return
+
+    def items(self) -> Iterator[Item]:
+        """Yield the items up to the end."""
+        while not self._stopped.is_set():
+            try:
+                item = self.get(timeout=LOOK_S)
+            except queue.Empty:
+                continue
+            if item is None:
+                return
+            yield item
+
+
+class Pipeline(Bus):
+    """A bus for a graph of one source, whose frames have stamps of their own: the same messages in
+    the same order, at the same times of the clock, and so the same results, bit for bit.
+
+    The threads share one interpreter: they gain the time of the solver's loops, of compression and
+    of checksums, which run without its lock. The clock follows the newest stamp. Nodes that publish
+    nothing have one of their own, since they process a frame later.
+    """
+
+    def __init__(self, nodes: NodeSpecs) -> None:
+        self._clock = ManualClock()
+        self._clock_behind = ManualClock()
+        self._listeners = {name for name, (cls, s) in nodes.items() if not cls.outputs(s)}
+        self._behind: list[Delivery] = []
+        self._stopped = threading.Event()
+        self._acquired: Handover[list[Message]] = Handover(self._stopped)
+        self._delivered: Handover[tuple[int, list[Delivery]]] = Handover(self._stopped)
+        self._threads: list[threading.Thread] = []
+        self._error: Exception | None = None
+        super().__init__(nodes, self._clock)
+
+    def frames(self, n_frames: int | None = None) -> Iterator[list[Message]]:
+        """As of `Bus`, all frames of the source; at the end every node has processed them."""
+        (source,) = (host for host in self.hosts.values() if host.is_source)
+        self._threads = [
+            threading.Thread(target=self._guard, args=(work,), daemon=True)
+            for work in (lambda: self._acquire(source), self._follow)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+        for messages in self._acquired.items():
+            delivered = self._deliver(messages)
+            self._hand_over()
+            _advance(self._clock, _newest_ns(delivered))
+            yield delivered
+        self._delivered.give(None)
+        for thread in self._threads:
+            thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def close(self) -> None:
+        self._stopped.set()
+        for thread in self._threads:
+            thread.join()
+        super().close()
+
+    def _clock_of(self, name: str) -> Clock:
+        return self._clock_behind if name in self._listeners else self._clock
+
+    def _hand(self, reader: NodeHost, message: Message) -> Iterator[Message]:
+        if reader.outputs:
+            yield from super()._hand(reader, message)
+        else:
+            self._behind.append((reader, message))
+
+    def _hand_over(self) -> None:
+        """Give the listeners what was delivered to them since the last time."""
+        self._delivered.give((self._clock.now_ns(), self._behind))
+        self._behind = []
+
+    def _acquire(self, source: NodeHost) -> None:
+        """Let the source acquire its frames, and end its stream."""
+        stamp_ns = -1
+        newest_ns = 0
+        index = 0
+        while not source.finished and not self._stopped.is_set():
+            stamp_ns = max(newest_ns, stamp_ns + 1)
+            messages = list(source.tick(Tick(stamp_ns, index)))
+            newest_ns = max(newest_ns, _newest_ns(messages))
+            index += 1
+            self._acquired.give(messages)
+        self._acquired.give(None)
+
+    def _follow(self) -> None:
+        """Let the listeners process what was delivered to them."""
+        for now_ns, deliveries in self._delivered.items():
+            _advance(self._clock_behind, now_ns)
+            for reader, message in deliveries:
+                for _ in super()._hand(reader, message):
+                    pass
+
+    def _guard(self, work: Callable[[], None]) -> None:
+        """Do the work of a thread; an error of it ends the others, and is raised by `frames`."""
+        try:
+            work()
+        except Exception as error:
+            self._error = error
+            self._stopped.set()
+
+
+def _newest_ns(messages: list[Message]) -> int:
+    """The newest stamp of messages, 0 of none."""
+    return max((message.stamp_ns for message in messages), default=0)
+
+
+def _advance(clock: ManualClock, to_ns: int) -> None:
+    """Let a clock move on to a time, if that is later."""
+    clock.advance(max(0, to_ns - clock.now_ns()))

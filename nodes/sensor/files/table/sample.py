@@ -1,0 +1,103 @@
+"""The begin of a table as it was seen: the lines that are looked at, and what they show."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sparseskin.nodes.sensor.files.recording import is_missing, shown
+from sparseskin.nodes.sensor.layout.times import (
+    clock_ns,
+    iso_ns,
+)
+
+from .text import Dialect
+
+MAX_SHOWN = 8
+FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
+LINES = "lines"
+GRID = "grid"
+LONG = "long"
+"""Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
+
+
+@dataclass
+class TableHead:
+    """What the begin of a table shows."""
+
+    dialect: Dialect
+    width: int  # cells of a line
+    has_trailing: bool = False  # a separator ends each line
+    n_before: int = 0  # lines before the first one of data
+    dropped: Counter[str] = field(default_factory=Counter)  # of these lines, by name
+    header: str = ""  # the line of the names
+    names: tuple[str, ...] = ()
+    usable: tuple[int, ...] = ()  # columns of numbers that are no times
+    numeric: tuple[int, ...] = ()  # columns of numbers
+    time: int | None = None
+    nanoseconds: int | None = None  # column with those of a time in seconds
+    time_unit: str = ""
+    kind: str = LINES
+    height: int = 1  # lines of a frame of a grid
+    long: LongColumns | None = None
+    source: int | None = None  # column by which lines of one skin are chosen
+    notes: tuple[str, ...] = ()
+
+    def label(self, column: int) -> str:
+        """The name of a column, or its number from 1."""
+        return shown(self.names[column]) if self.names[column] else str(column + 1)
+
+
+@dataclass(frozen=True)
+class LongColumns:
+    """Columns of a table with a line for each taxel, and the sides of a frame."""
+
+    frame: int  # a number, or the time
+    row: int | None  # None: `col` counts all taxels
+    col: int
+    value: int
+    first_row: int = 0
+    first_col: int = 0
+    n_rows: int = 1
+    n_cols: int = 1
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the sample: its number from 1, its text, and its cells."""
+
+    number: int
+    text: str
+    cells: tuple[str, ...]
+
+
+def is_number(cell: str) -> bool:
+    """True if a cell is a number; not one of Python's literals such as 1_0."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def is_value(cell: str) -> bool:
+    """True if a cell is a number, a time, or states that there is none."""
+    return is_number(cell) or is_missing(cell) or bool(iso_ns(cell) or clock_ns(cell) is not None)
+
+
+def holds_values(data: Sequence[Line], k: int) -> bool:
+    """True if most cells of a column are values; one that is none is refused where it stands."""
+    return 2 * sum(is_value(line.cells[k]) for line in data) > len(data)
+
+
+def column_of(data: Sequence[Line], k: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Numbers of a column of the sample; NaN where there is none."""
+    cells = [line.cells[k] for line in data]
+    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+
+
+def is_indexed(head: TableHead, k: int) -> bool:
+    return any(character.isdigit() for character in head.names[k])

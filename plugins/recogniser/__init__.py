@@ -1,0 +1,15 @@
+"""Plug-in `recogniser`: a node that labels what presses, and the command that trains its model."""
+
+from __future__ import annotations
+
+import argparse
+
+HELP = "train a model that labels what presses"
+GROUP = "Data"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `sparseskin tasks`."""
+    from .command import configure
+
+    configure(parser)

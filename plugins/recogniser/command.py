@@ -1,0 +1,57 @@
+"""The command `sparseskin tasks`: models of the recogniser."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sparseskin.launch.commands.options import add_commands
+
+from .models import READS, SUFFIX
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `tasks`."""
+    add = add_commands(parser, "Label what presses: models for a node of type recogniser.")
+    make = add("train", _train, "train a model by recordings and labels")
+    make.add_argument("recordings", metavar="RECORDING", nargs="+", help="recording of any format")
+    about = "table, CSV: recording, label; and begin_s, end_s in it, if it has several labels"
+    make.add_argument("--labels", metavar="FILE", type=Path, required=True, help=about)
+    about = "file to write, a new one (default: %(default)s)"
+    out = Path(f"model{SUFFIX}")
+    make.add_argument("--out", metavar="FILE", type=Path, default=out, help=about)
+    about = "what the node will read (default: %(default)s; readings where there is none)"
+    make.add_argument("--reads", choices=READS, default=READS[0], help=about)
+
+
+def _train(arguments: argparse.Namespace) -> int:
+    """Train a model by frames of recordings and a table of their labels (extra tasks).
+
+    It prints the share of frames that are recognised of rows of the table, or quarters of them,
+    that were held out. The file is a joblib file, which is code: give it to nobody who does not
+    trust you, and take none from others.
+    """
+    from sparseskin.nodes.errors import SettingsError
+    from sparseskin.nodes.files import whole_file
+    from sparseskin.studies.tasks.classifier import check_installed
+
+    check_installed("tasks train")
+    if arguments.out.suffix != SUFFIX:
+        raise SettingsError(f"--out {arguments.out}: expected a name that ends in {SUFFIX}")
+    import joblib  # noqa: TID251  (it writes; models.py reads)
+
+    from . import training
+
+    spans = training.read_labels(arguments.labels)
+    phi = training.phi_of(arguments.recordings, arguments.reads)
+    every = training.examples(arguments.recordings, spans, arguments.reads)
+    with whole_file(arguments.out) as draft:
+        model, share = training.train(every, arguments.reads, phi)
+        joblib.dump(model, draft)
+        draft.chmod(0o600)
+    n = len(every.labels)
+    labels = ", ".join(f"{label} {int((every.labels == label).sum())}" for label in model.classes_)
+    print(f"{n} frames of {every.inputs.shape[1]} numbers: {labels}")
+    print(f"{100 * share:.0f} % of the frames held out are recognised")
+    print(f'{arguments.out}: written; use it: model = "{arguments.out}" of a node recogniser')
+    return 0
