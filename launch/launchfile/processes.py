@@ -27,10 +27,10 @@ class Composition(Settings):
 
 
 def by_process(specs: Iterable[NodeSpec]) -> list[list[NodeSpec]]:
-    """The nodes of each process, in the order of the launch file."""
-    groups: dict[tuple[str, str], list[NodeSpec]] = {}
+    """The nodes of each process, in the order of the launch file; a process is on one host."""
+    groups: dict[tuple[str, ...], list[NodeSpec]] = {}
     for spec in specs:
-        key = (spec.process, "") if spec.process else ("", spec.name)
+        key = (spec.process, spec.host) if spec.process else ("", "", spec.name)
         groups.setdefault(key, []).append(spec)
     return list(groups.values())
 
@@ -38,18 +38,20 @@ def by_process(specs: Iterable[NodeSpec]) -> list[list[NodeSpec]]:
 def check_processes(specs: Mapping[str, NodeSpec], stated: Collection[str], fault: Fault) -> None:
     """Check that the nodes of a process can share it: one host, one schedule, one policy.
 
-    `stated` are the nodes that state the key themselves.
+    `stated` are the nodes that state the key themselves. That of [graph] is one process a host.
     """
+    leaders: dict[str, NodeSpec] = {}
+    for spec in (specs[name] for name in stated if specs[name].process):
+        leader = leaders.setdefault(spec.process, spec)
+        if spec.host != leader.host:
+            what = f"{spec.process!r} is on {leader.host} ({leader.name}), this node on {spec.host}"
+            fault(("nodes", spec.name, "process"), what)
     for first, *others in by_process(specs.values()):
         name = first.process
-        if name and not others and first.name in stated:
+        if leaders.get(name) is first and not others:
             what = f"{name!r} has this node alone (allowed: a process that other nodes state too)"
             fault(("nodes", first.name, "process"), what)
         for spec in others:
-            if spec.host != first.host:
-                what = f"{name!r} is on {first.host} ({first.name}), this node on {spec.host}"
-                fault(("nodes", spec.name, "process"), what)
-                continue
             of_first = _of_process(first)
             for key, value in _of_process(spec).items():
                 if value != of_first[key]:

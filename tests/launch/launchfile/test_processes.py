@@ -63,6 +63,8 @@ def test_nodes_on_different_hosts_share_no_process(tmp_path):
     path.write_text(text + HOSTS)
     changes = [f"{node}.process={'edge' if node in NODES[:2] else 'desk'}" for node in NODES]
     assert [len(group) for group in by_process(load(str(path), changes).nodes.values())] == [2, 2]
+    of_graph = load(str(path), ["graph.process=all"]).nodes
+    assert [len(group) for group in by_process(of_graph.values())] == [2, 2]
     changes[2] = "reconstructor.process=edge"
     assert launch_faults(str(path), changes) == [
         "--set reconstructor.process=edge: 'edge' is on edge (sensor), this node on desk",
