@@ -21,16 +21,20 @@ class Composition(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        why = bad_name(self.process) if self.process else ""
-        if why:
-            raise SettingsError(f"process: {why}")
+        if not self.process:
+            return
+        reason = bad_name(self.process)
+        if reason:
+            raise SettingsError(f"process: {reason}")
 
 
 def by_process(specs: Iterable[NodeSpec]) -> list[list[NodeSpec]]:
     """The nodes of each process, in the order of the launch file; a process is on one host."""
     groups: dict[tuple[str, ...], list[NodeSpec]] = {}
     for spec in specs:
-        key = (spec.process, spec.host) if spec.process else ("", "", spec.name)
+        key: tuple[str, ...] = (spec.process, spec.host)
+        if not spec.process:
+            key = ("", "", spec.name)
         groups.setdefault(key, []).append(spec)
     return list(groups.values())
 
@@ -41,25 +45,36 @@ def check_processes(specs: Mapping[str, NodeSpec], stated: Collection[str], faul
     `stated` are the nodes that state the key themselves. That of [graph] is one process a host.
     """
     leaders: dict[str, NodeSpec] = {}
-    for spec in (specs[name] for name in stated if specs[name].process):
+    for name in stated:
+        spec = specs[name]
+        if not spec.process:
+            continue
         leader = leaders.setdefault(spec.process, spec)
         if spec.host != leader.host:
             what = f"{spec.process!r} is on {leader.host} ({leader.name}), this node on {spec.host}"
             fault(("nodes", spec.name, "process"), what)
-    for first, *others in by_process(specs.values()):
-        name = first.process
-        if leaders.get(name) is first and not others:
-            what = f"{name!r} has this node alone (allowed: a process that other nodes state too)"
-            fault(("nodes", first.name, "process"), what)
-        for spec in others:
-            of_first = _of_process(first)
-            for key, value in _of_process(spec).items():
-                if value != of_first[key]:
-                    what = f"{value!r} here, {of_first[key]!r} of {first.name} in process {name!r}"
-                    fault(("nodes", spec.name, key), f"{what} (allowed: the same)")
+
+    for leader, *followers in by_process(specs.values()):
+        # That of [graph] may be of a host with a single node.
+        if leaders.get(leader.process) is leader and not followers:
+            what = f"{leader.process!r} has this node alone"
+            allowed = "(allowed: a process that other nodes state too)"
+            fault(("nodes", leader.name, "process"), f"{what} {allowed}")
+        for spec in followers:
+            _check_same(leader, spec, fault)
 
 
-def _of_process(spec: NodeSpec) -> dict[str, Any]:
-    """Settings of the whole process of a node."""
-    scheduling = asdict(spec.scheduling) | {"cpus": list(spec.scheduling.cpus)}
+def _check_same(leader: NodeSpec, spec: NodeSpec, fault: Fault) -> None:
+    """Check that two nodes agree in what is of their process rather than of a node."""
+    of_process = _settings_of_process(leader)
+    for key, value in _settings_of_process(spec).items():
+        if value == of_process[key]:
+            continue
+        what = f"{value!r} here, {of_process[key]!r} of {leader.name}"
+        fault(("nodes", spec.name, key), f"{what} in process {spec.process!r} (allowed: the same)")
+
+
+def _settings_of_process(spec: NodeSpec) -> dict[str, Any]:
+    scheduling = asdict(spec.scheduling)
+    scheduling["cpus"] = list(spec.scheduling.cpus)
     return scheduling | asdict(spec.restart)

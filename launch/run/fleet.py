@@ -221,7 +221,7 @@ class Fleet:
 
     def _companions(self, node: NodeProcess) -> list[NodeProcess]:
         """The nodes of the process of a node, itself included, whose streams have not ended."""
-        return [one for one in self if one.process is node.process and not one.ended]
+        return [other for other in self if other.process is node.process and not other.ended]
 
     def _start_again(self, dead: NodeProcess) -> None:
         """Start the nodes of a process that died, at their endpoints, and paused as they were."""
@@ -271,8 +271,8 @@ class Fleet:
                 have = "has" if len(nodes) == 1 else "have"
                 self._log(f"[launch] {_names(nodes)} {have} been silent for {hang_s:g} s: SIGKILL")
                 node.send_signal(signal.SIGKILL)
-                for one in nodes:
-                    one.heard_s = now_s
+                for companion in nodes:
+                    companion.heard_s = now_s
         elif node.ended:
             if not node.closed:
                 self._close(node)

@@ -13,7 +13,9 @@ from . import latency
 from .beside import WARM_UP, ages_ms
 from .stopwatch import PROCESSOR, WATCH
 
-EDGE, HOST, SHARED = "edge", "host", "shared"
+EDGE = "edge"
+HOST = "host"
+SHARED = "shared"
 NODES = ("sensor", "compressor", "reconstructor", "monitor")
 FOUR = "four"
 PROCESSES: dict[str, dict[str, str]] = {
@@ -26,8 +28,10 @@ PROCESSES: dict[str, dict[str, str]] = {
 RATIOS = {"cpu": "cpu_us", "p50": "p50_ms", "p99": "p99_ms"}
 """Figure of each ratio."""
 SCENE = "drag_wrench_40"
-RATES_HZ, QUICK_RATES_HZ = (1000, 300, 100), (1000,)
-SECONDS, SLICES = 3.0, 3
+RATES_HZ = (1000, 300, 100)
+QUICK_RATES_HZ = (1000,)
+SECONDS = 3.0
+SLICES = 3
 """Length of a slice, and number of slices of each; as in `beside`, their medians count."""
 STEPS = 1
 """Steps of the solver in a frame: the pace of 1 kHz on a small host; of more steps the solver,
@@ -71,15 +75,13 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     n_frames = round(point["seconds"] * point["rate_hz"])
     slices = []
     for _ in range(point["slices"]):
-        figures = {
-            kind: _figures(
-                latency.run_graph({**point, "n_frames": n_frames, "processes": processes}),
-                processes,
-            )
-            for kind, processes in PROCESSES.items()
-        }
+        figures = {}
+        for kind, of_nodes in PROCESSES.items():
+            graph = {**point, "n_frames": n_frames, "processes": of_nodes}
+            figures[kind] = _figures(latency.run_graph(graph), of_nodes)
         slices.append(with_ratios(figures))
-    return {name: round(float(np.median([s[name] for s in slices])), 4) for name in slices[0]}
+    names = slices[0]
+    return {name: round(float(np.median([s[name] for s in slices])), 4) for name in names}
 
 
 def with_ratios(figures: dict[str, dict[str, float]]) -> dict[str, float]:
@@ -95,16 +97,15 @@ def with_ratios(figures: dict[str, dict[str, float]]) -> dict[str, float]:
 def _figures(reports: dict[str, dict[str, Any]], processes: dict[str, str]) -> dict[str, float]:
     """Figures of one run by its reports; each process is counted once, by its last node."""
     last = {processes.get(node, node): node for node in reports}
-    used_ns = [
-        notes[-1] - notes[round(WARM_UP * len(notes))]
-        for notes in (reports[node][PROCESSOR] for node in last.values())
-    ]
-    sensor, host = (
-        np.array(reports[node][WATCH], dtype=np.int64) for node in ("sensor", "reconstructor")
-    )
+    used_ns = 0
+    for node in last.values():
+        notes = reports[node][PROCESSOR]
+        used_ns += notes[-1] - notes[round(WARM_UP * len(notes))]
+    sensor = np.array(reports["sensor"][WATCH], dtype=np.int64)
+    host = np.array(reports["reconstructor"][WATCH], dtype=np.int64)
     passed_s = (sensor[-1, 0] - sensor[0, 0]) / 1e9
     return {
-        "cpu_us": sum(used_ns) / 1e3 / ((1 - WARM_UP) * len(sensor)),
+        "cpu_us": used_ns / 1e3 / ((1 - WARM_UP) * len(sensor)),
         **ages_ms(host[:, 3]),
         "hz": (len(sensor) - 1) / passed_s,
         "skipped": 1 - len(host) / len(sensor),
