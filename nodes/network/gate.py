@@ -97,28 +97,42 @@ class Gate:
 
     def _answer(self, frames: list[bytes]) -> None:
         """Answer one authentication request (ZAP) of ZeroMQ."""
-        version, request, _, address, _, mechanism, *credentials = frames
-        self._decided[_host(address.decode(errors="replace"))] += 1
+        version, request, _, address_bytes, _, mechanism, *credentials = frames
+        address = address_bytes.decode(errors="replace")
+        self._decided[_host(address)] += 1
+
         refusal = ""
         if len(self._open) - len(self._pending) >= MAX_CONNECTIONS:
             refusal = f"there are {MAX_CONNECTIONS} connections already"
         elif self._keys is not None:
-            key = z85.encode(credentials[0]).decode() if mechanism == b"CURVE" else ""
-            if key not in self._allowed:
-                name = self._known.get(key)
-                whose = f"its key is that of {name}" if name else f"its key {key} is not known here"
-                refusal = f"{whose}, and not on the list of those allowed"
+            key = ""
+            if mechanism == b"CURVE":
+                key = z85.encode(credentials[0]).decode()
+            refusal = self._refusal_of(key)
+
+        status = b"200"
         if refusal:
-            self._log_refusal(address.decode(errors="replace"), refusal)
-        status = b"400" if refusal else b"200"
+            self._log_refusal(address, refusal)
+            status = b"400"
         self._zap.send_multipart([version, request, status, refusal.encode(), b"", b""])
+
+    def _refusal_of(self, key: str) -> str:
+        """Why the peer with a public key may not read; "" if it may."""
+        if key in self._allowed:
+            return ""
+        whose = f"its key {key} is not known here"
+        if self._known.get(key):
+            whose = f"its key is that of {self._known[key]}"
+        return f"{whose}, and not on the list of those allowed"
 
     def _note(self, event: int, value: int) -> None:
         """Process one event of the socket; a failed handshake disconnects at once."""
         # A handshake that succeeds does not name its connection: a subscription does. Until then,
         # the end of a connection is logged unless an authentication of its address was decided.
         if event == zmq.EVENT_ACCEPTED:
-            self._open[value] = self._pending[value] = _address_of(value)
+            address = _address_of(value)
+            self._open[value] = address
+            self._pending[value] = address
             if len(self._pending) > MAX_PENDING:
                 self._close_one()
         elif event == zmq.EVENT_ACCEPT_FAILED and self._pending:  # no descriptor is free
@@ -126,9 +140,11 @@ class Gate:
         elif event in _FAILED:
             self._failure = _reason(event, value)
         elif event == zmq.EVENT_DISCONNECTED:
-            reason, self._failure = self._failure or "it speaks no ZeroMQ", ""
+            reason = self._failure or "it speaks no ZeroMQ"
+            self._failure = ""
             address = self._open.pop(value, UNKNOWN)
-            if self._pending.pop(value, None) is not None and not self._decide(address):
+            was_pending = self._pending.pop(value, None) is not None
+            if was_pending and not self._decide(address):
                 self._log_refusal(address, reason)
 
     def _decide(self, address: str) -> bool:
@@ -151,7 +167,8 @@ class Gate:
         """Log some of the refusals: a refused peer may try without end."""
         kind = (_host(address), reason)
         if kind not in self._refused and len(self._refused) >= MAX_REFUSALS:
-            kind, address = OTHERS, f"{address}, one of many"
+            kind = OTHERS
+            address = f"{address}, one of many"
         self._refused[kind] += 1
         log_some(self._log, f"turned away {address}: {reason}", self._refused[kind])
 

@@ -51,7 +51,8 @@ def make_key_files(name: str, folder: Path) -> tuple[Path, Path]:
         check_name("NAME", name)
     except MessageError as error:
         raise KeyFileError(str(error)) from error
-    secret_file, public_file = (folder / f"{name}{end}" for end in (SECRET_SUFFIX, PUBLIC_SUFFIX))
+    secret_file = folder / f"{name}{SECRET_SUFFIX}"
+    public_file = folder / f"{name}{PUBLIC_SUFFIX}"
     for path in (secret_file, public_file):
         if os.path.lexists(path):
             raise KeyFileError(f"{path}: {TAKEN}")
@@ -72,10 +73,10 @@ def read_key_pair(path: Path) -> KeyPair:
     (allowed: mode 0600 or less), or holds no secret key.
     """
 
-    def check(found: os.stat_result) -> None:
-        if found.st_uid != os.geteuid():
-            raise KeyFileError(f"{path}: belongs to user {found.st_uid}, not to you")
-        mode = stat.S_IMODE(found.st_mode)
+    def check(status: os.stat_result) -> None:
+        if status.st_uid != os.geteuid():
+            raise KeyFileError(f"{path}: belongs to user {status.st_uid}, not to you")
+        mode = stat.S_IMODE(status.st_mode)
         if mode & ~SECRET_MODE:
             raise KeyFileError(
                 f"{path}: mode {mode:04o} lets other users read the secret key "
@@ -97,8 +98,8 @@ def read_public_key(path: Path) -> str:
     all (a folder may be with the sticky bit).
     """
 
-    def check(found: os.stat_result) -> None:
-        _check_owner(path, found)
+    def check(status: os.stat_result) -> None:
+        _check_owner(path, status)
         _check_owner(path.parent, path.parent.stat())
 
     return _key_in(path, check)
@@ -115,15 +116,15 @@ def known_names(folder: Path) -> Mapping[str, str]:
     return names
 
 
-def _check_owner(path: Path, found: os.stat_result) -> None:
-    if found.st_uid not in (0, os.geteuid()):
+def _check_owner(path: Path, status: os.stat_result) -> None:
+    if status.st_uid not in (0, os.geteuid()):
         raise KeyFileError(
-            f"{path}: belongs to user {found.st_uid}, who can replace the key "
+            f"{path}: belongs to user {status.st_uid}, who can replace the key "
             "(allowed: files of your own or of root)"
         )
-    sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
-    if found.st_mode & stat.S_IWOTH and not sticky:
-        mode = stat.S_IMODE(found.st_mode)
+    sticky = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
+    if status.st_mode & stat.S_IWOTH and not sticky:
+        mode = stat.S_IMODE(status.st_mode)
         raise KeyFileError(
             f"{path}: mode {mode:04o} lets other users replace the key (chmod o-w {path})"
         )
@@ -143,8 +144,11 @@ def _key_in(path: Path, check: Callable[[os.stat_result], None]) -> str:
             check(os.fstat(file.fileno()))
             lines = file.read(MAX_KEY_FILE_BYTES).decode(errors="replace").splitlines()
     except OSError as error:
-        hint = "" if path.exists() else f" (make one: sparseskin keys make {path.stem})"
+        hint = ""
+        if not path.exists():
+            hint = f" (make one: sparseskin keys make {path.stem})"
         raise KeyFileError(f"{path}: {error.strerror}{hint}") from error
+
     stripped = map(str.strip, lines)
     keys = [line for line in stripped if line and not line.startswith("# ")]
     if len(keys) != 1 or len(keys[0]) != KEY_CHARACTERS or not _Z85.fullmatch(keys[0]):

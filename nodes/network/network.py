@@ -78,9 +78,13 @@ class Network:
         self._logged: set[tuple[str, str]] = set()
         self._clocks: dict[str, ClockOffset] = {}
         self._estimates: dict[str, ClockEstimate] = {}
-        self._next_ask_ns = self._n_times = 0
-        security = config.get("security")
-        self._keys = KeyPair(**security["own"]) if security else None
+        self._next_ask_ns = 0
+        self._n_times = 0
+
+        security = config.get("security") or {}
+        self._keys: KeyPair | None = None
+        if security:
+            self._keys = KeyPair(**security["own"])
         public = config.get("public", "")
         endpoint = config["endpoint"]
         self._first = first or self
@@ -89,8 +93,9 @@ class Network:
         if self._gate is None and (security or public or endpoint.startswith("tcp:")):
             from .gate import Gate
 
-            allowed, known = (security["allowed"], security["known"]) if security else ({}, {})
-            self._gate = Gate(context, self._keys, allowed, known, log)
+            allowed = security.get("allowed", {})
+            names = security.get("known", {})
+            self._gate = Gate(context, self._keys, allowed, names, log)
             self._first._gate = self._gate
         if endpoint.startswith("ipc:///"):
             check_private(Path(endpoint.removeprefix("ipc://")).parent)
@@ -105,7 +110,10 @@ class Network:
         )
         if self._companions:
             self.writer.socket.bind(_within(self._name))
-        for socket in (self.writer.socket, *(self._gate.sockets if self._gate else ())):
+        sockets = [self.writer.socket]
+        if self._gate is not None:
+            sockets += self._gate.sockets
+        for socket in sockets:
             self.poller.register(socket, zmq.POLLIN)
 
     def make_reader(self, topics: Sequence[str], observes: bool = False) -> Reader:
@@ -140,6 +148,7 @@ class Network:
             self._gate.serve()
         if self._monitor is None or self._reader is None:
             return
+
         now_ns = self._now_ns()
         for event, _, endpoint in events(self._monitor, MAX_EVENTS):
             peer = self._by_endpoint.get(endpoint)
@@ -150,17 +159,27 @@ class Network:
             elif event in _REFUSED:
                 self._retry_ns[endpoint] = now_ns + RETRY_NS
                 self._log_refusal(peer, _REFUSED[event])
-        for endpoint in [e for e, due_ns in self._retry_ns.items() if due_ns <= now_ns]:
+
+        due = [endpoint for endpoint, due_ns in self._retry_ns.items() if due_ns <= now_ns]
+        for endpoint in due:
             del self._retry_ns[endpoint]
             # ZeroMQ does not connect again by itself after a refused handshake.
             self._reader.socket.disconnect(endpoint)
             self.connect([self._by_endpoint[endpoint]])
+
         if self._clocks and now_ns >= self._next_ask_ns:
-            self._next_ask_ns = now_ns + (FIRST_NS if self._n_times < N_FIRST else ASK_NS)
-            self._reader.ask_time(now_ns)
-            self.awaits_time = any(self.heard.values())
-            estimates = {host: clock.estimate(now_ns) for host, clock in self._clocks.items()}
-            self._estimates |= {host: one for host, one in estimates.items() if one is not None}
+            self._ask_time(self._reader, now_ns)
+
+    def _ask_time(self, reader: Reader, now_ns: int) -> None:
+        """Ask the other hosts for the time, and estimate their clocks by the answers so far."""
+        period_ns = FIRST_NS if self._n_times < N_FIRST else ASK_NS
+        self._next_ask_ns = now_ns + period_ns
+        reader.ask_time(now_ns)
+        self.awaits_time = any(self.heard.values())
+        for host, clock in self._clocks.items():
+            estimate = clock.estimate(now_ns)
+            if estimate is not None:
+                self._estimates[host] = estimate
 
     def take_time(self, note: bytes) -> bool:
         """Process the answer to a question for the time; False if the note is none."""
@@ -178,7 +197,9 @@ class Network:
     def clock_of(self, topic: str) -> ClockEstimate | None:
         """Estimate of the clock of a topic's writer; None while there is none."""
         host = self._distant_inputs.get(topic)
-        return SAME_CLOCK if host is None else self._estimates.get(host)
+        if host is None:
+            return SAME_CLOCK
+        return self._estimates.get(host)
 
     def clocks(self) -> dict[str, tuple[int, int]]:
         """Offset and uncertainty (ns) of the clock of each other host."""
@@ -190,7 +211,8 @@ class Network:
         self.heard[peer.writer] = connected
         if connected:
             self._logged.clear()
-        self._log(f"{'' if connected else 'dis'}connected: {peer.writer} on {peer.host}")
+        change = "connected" if connected else "disconnected"
+        self._log(f"{change}: {peer.writer} on {peer.host}")
 
     def _log_refusal(self, peer: Peer, reason: str) -> None:
         """Log it once, until the next connection."""
@@ -214,8 +236,10 @@ class Network:
         if self._end_ask is None:
             self._end_due_ns = now_ns + END_RECEIVED_NS
             self._end_ask = self.writer.ask()
-        done = {r for r in self._distant_readers if self.writer.has_answered(r, self._end_ask)}
-        self._distant_readers -= done
+        for reader in list(self._distant_readers):
+            if self.writer.has_answered(reader, self._end_ask):
+                self._distant_readers.discard(reader)
+
         if self._distant_readers and now_ns >= self._end_due_ns:
             names = ", ".join(sorted(self._distant_readers))
             self._log(f"the end was not received within {END_RECEIVED_NS // 10**9} s by {names}")

@@ -145,19 +145,24 @@ class Writer:
         if public:
             _set_options(self.socket, OVER_NETWORK_MS)
             self.socket.bind(public)
-        self._prefixes: set[bytes] = set()
-        self._wanted: dict[str, bool] = {}
-        self.present: set[str] = set()
-        self._observers: set[str] = set()
+
         self._name = name
         self._now_ns = now_ns
         self._log = log
-        self._n_subscriptions = 0
         self._logged: set[str] = set()
+        self._latched: dict[bytes, bytes] = {}
+
+        # Subscriptions, and whether a topic has one, by topic as it is asked for.
+        self._prefixes: set[bytes] = set()
+        self._is_wanted: dict[str, bool] = {}
+        self._n_subscriptions = 0
+
+        # Readers; number of the last ask that each one, and each one so far, has answered.
+        self.present: set[str] = set()
+        self._observers: set[str] = set()
         self._asks = 0
         self._answered: dict[str, int] = {}
         self._processed: dict[str, int] = {}
-        self._latched: dict[bytes, bytes] = {}
 
     def send(self, message: Message) -> None:
         """Publish a message to the subscribers of its topic; where there is none, encode none."""
@@ -186,29 +191,36 @@ class Writer:
             if self._gate is not None:
                 with contextlib.suppress(zmq.ZMQError):  # by no connection, in a process
                     self._gate.subscribed(frame.get(zmq.SRCFD))
+
             joins = frame.bytes[:1] == JOINS
             topic = frame.bytes[1:]
-            self._n_subscriptions = max(0, self._n_subscriptions + (1 if joins else -1))
-            if self._n_subscriptions > MAX_SUBSCRIPTIONS:
-                text = f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves"
-                self._log_once(text)
+            self._count_subscription(joins)
             if topic.startswith(PRESENCE):
                 self._note_presence(topic[1:].decode(errors="replace"), joins)
             elif joins:
                 if topic not in self._prefixes and len(self._prefixes) < MAX_SUBSCRIPTIONS:
                     self._prefixes.add(topic)
-                    self._wanted.clear()
+                    self._is_wanted.clear()
                 if topic in self._latched:
                     self.socket.send(self._latched[topic])
 
+    def _count_subscription(self, joins: bool) -> None:
+        if joins:
+            self._n_subscriptions += 1
+        else:
+            self._n_subscriptions = max(0, self._n_subscriptions - 1)
+        if self._n_subscriptions > MAX_SUBSCRIPTIONS:
+            text = f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves"
+            self._log_once(text)
+
     def _wants(self, topic: str) -> bool:
         """True if a reader may have subscribed to a topic; ZeroMQ subscribes by prefix."""
-        wanted = self._wanted.get(topic)
-        if wanted is None:
-            wanted = topic.encode().startswith(tuple(self._prefixes))
-            wanted = wanted or len(self._prefixes) >= MAX_SUBSCRIPTIONS
-            self._wanted[topic] = wanted
-        return wanted
+        is_wanted = self._is_wanted.get(topic)
+        if is_wanted is None:
+            is_full = len(self._prefixes) >= MAX_SUBSCRIPTIONS
+            is_wanted = is_full or topic.encode().startswith(tuple(self._prefixes))
+            self._is_wanted[topic] = is_wanted
+        return is_wanted
 
     def ask(self) -> int:
         """Ask all present readers to answer when they have processed all messages sent so far."""
@@ -220,9 +232,8 @@ class Writer:
 
     def awaits(self, ask: int) -> bool:
         """True if a present reader that was asked has not answered yet."""
-        return any(
-            self._answered[reader] < ask for reader in self.present if reader in self._answered
-        )
+        asked = self.present & self._answered.keys()
+        return any(self._answered[reader] < ask for reader in asked)
 
     def has_answered(self, reader: str, ask: int) -> bool:
         """True if a reader, present or not, has processed all messages sent before an ask."""
@@ -238,24 +249,43 @@ class Writer:
         asking, is_time, t1_ns = tag.partition("!")
         reader, is_answer, answer = tag.partition("#")
         if is_time:
-            sound = t1_ns.isdecimal() and len(t1_ns) <= MAX_TIME_DIGITS
-            known = joins and asking.removeprefix(OBSERVER) in self.present
-            if sound and known and self._now_ns is not None:
-                now_ns = self._now_ns()
-                self.note(asking, f"{self._name}!{t1_ns}:{now_ns}:{now_ns}")
+            if joins:
+                self._answer_time(asking, t1_ns)
         elif is_answer:
-            writer, _, number = answer.partition(":")
-            if joins and writer == self._name and reader in self._answered and number.isdecimal():
-                self._answered[reader] = max(self._answered[reader], int(number[:18]))
-                self._processed[reader] = self._answered[reader]
+            if joins:
+                self._note_answer(reader, answer)
         elif joins and len(self.present) >= MAX_READERS:
             self._log_once(f"more than {MAX_READERS} readers: frames wait for these only")
         else:
-            observes, reader = reader.startswith(OBSERVER), reader.removeprefix(OBSERVER)
-            (self.present.add if joins else self.present.discard)(reader)
-            (self._observers.add if joins and observes else self._observers.discard)(reader)
-            if not joins:
-                self._answered.pop(reader, None)
+            self._note_reader(reader, joins)
+
+    def _answer_time(self, asking: str, t1_ns: str) -> None:
+        """Send the time to a reader that asks for it, unless it is none, or its time is not one."""
+        is_number = t1_ns.isdecimal() and len(t1_ns) <= MAX_TIME_DIGITS
+        is_reader = asking.removeprefix(OBSERVER) in self.present
+        if is_number and is_reader and self._now_ns is not None:
+            now_ns = self._now_ns()
+            self.note(asking, f"{self._name}!{t1_ns}:{now_ns}:{now_ns}")
+
+    def _note_answer(self, reader: str, answer: str) -> None:
+        """Note that a reader has processed all messages before an ask of this writer."""
+        writer, _, number = answer.partition(":")
+        is_for_us = writer == self._name and reader in self._answered
+        if is_for_us and number.isdecimal():
+            self._answered[reader] = max(self._answered[reader], int(number[:18]))
+            self._processed[reader] = self._answered[reader]
+
+    def _note_reader(self, tag: str, joins: bool) -> None:
+        """Note a reader, or an observer, that comes or goes."""
+        reader = tag.removeprefix(OBSERVER)
+        self._observers.discard(reader)
+        if joins:
+            self.present.add(reader)
+            if tag.startswith(OBSERVER):
+                self._observers.add(reader)
+        else:
+            self.present.discard(reader)
+            self._answered.pop(reader, None)
 
 
 class Reader:
@@ -279,20 +309,26 @@ class Reader:
         observes: bool = False,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
-        # Conflation keeps one subscription of several, too.
-        queue = {zmq.RCVHWM: read_ahead} if read_ahead != NEWEST_ALONE else {zmq.CONFLATE: 1}
-        _set_options(self.socket, {**queue, zmq.MAXMSGSIZE: MAX_MESSAGE_BYTES})
+        self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_BYTES)
+        if read_ahead == NEWEST_ALONE:
+            # Conflation keeps one subscription of several, too.
+            self.socket.setsockopt(zmq.CONFLATE, 1)
+        else:
+            self.socket.setsockopt(zmq.RCVHWM, read_ahead)
+        if keys is not None:
+            self.socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.public.encode())
+            self.socket.setsockopt(zmq.CURVE_SECRETKEY, keys.secret.encode())
+            self.socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+
         self._topics = {topic.encode() for topic in topics}
-        self._tag = PRESENCE + (OBSERVER if observes else "").encode() + name.encode()
+        self._tag = PRESENCE + name.encode()
+        if observes:
+            self._tag = PRESENCE + OBSERVER.encode() + name.encode()
         self._queue: deque[tuple[bytes, Payload]] = deque()
         self._answers: dict[bytes, bytes] = {}
         self._time_tag = b""
-        if keys is not None:
-            pair = {
-                zmq.CURVE_PUBLICKEY: keys.public.encode(),
-                zmq.CURVE_SECRETKEY: keys.secret.encode(),
-            }
-            _set_options(self.socket, {**pair, zmq.HANDSHAKE_IVL: HANDSHAKE_MS})
+
+        # The tag comes last: a writer that has it has all topics.
         for topic in sorted(self._topics):
             self.socket.subscribe(topic)
         if present:
@@ -340,19 +376,33 @@ class Reader:
         No message before an ask is overtaken, since its writer waits until all are processed. The
         end of a stream overtakes none of its messages.
         """
-        while depth and len(self._queue) < QUEUE_FRAMES and (parts := self.receive()) is not None:
-            self._queue.append(parts)
-        first = self._queue.popleft() if self._queue else self.receive()
-        if first is None:
+        if depth:
+            self._fill_queue()
+        message = self._queue.popleft() if self._queue else self.receive()
+        if message is None:
             return None
-        newer = 0
-        for topic, payload in self._queue if depth and first[0] in streams else ():
-            if topic == self._tag:
-                break
-            newer += topic == first[0] and not is_end(payload)
-            if newer == depth:
-                return *first, True
-        return *first, False
+        topic, payload = message
+        is_overtaken = depth > 0 and topic in streams and self._has_newer(topic, depth)
+        return topic, payload, is_overtaken
+
+    def _fill_queue(self) -> None:
+        while len(self._queue) < QUEUE_FRAMES:
+            message = self.receive()
+            if message is None:
+                return
+            self._queue.append(message)
+
+    def _has_newer(self, topic: bytes, depth: int) -> bool:
+        """True if as many messages of a topic wait before the next ask."""
+        n_newer = 0
+        for waiting, payload in self._queue:
+            if waiting == self._tag:
+                return False
+            if waiting == topic and not is_end(payload):
+                n_newer += 1
+            if n_newer == depth:
+                return True
+        return False
 
     def is_ask(self, topic: bytes) -> bool:
         """True if a topic is that of asks, to be answered by `answer`."""

@@ -63,8 +63,9 @@ class PlayerSettings(Settings):
 
     def check(self) -> None:
         names = renamed_topics(self)
-        present = _topics_of(self.file)
-        first_ns, last_ns = span_ns(present[topic] for topic in names if topic in present) or (0, 0)
+        recorded = _topics_of(self.file)
+        infos = [recorded[topic] for topic in names if topic in recorded]
+        first_ns, last_ns = span_ns(infos) or (0, 0)
         length_s = (last_ns - first_ns) / 1e9
         if self.start_s > length_s:
             raise SettingsError(f"start_s: {self.start_s:g}: the recording lasts {length_s:.3f} s")
@@ -97,23 +98,28 @@ class Player(SourceNode[PlayerSettings]):
         if not any(info.n_messages for info in self._bag.topics.values()):
             self._bag.close()
             raise SettingsError(f"{settings.file}: holds no message, so there is nothing to play")
+
         self.min_readers = settings.wait or int(settings.lockstep)
         if settings.lockstep:
             self.window = 1
         self._states = [topic for topic in self._names if is_latched(topic)]
         self._streams = [topic for topic in self._names if not is_latched(topic)]
+        # States that change within the recording are published again after a jump.
+        states = [info for topic, info in self._bag.topics.items() if is_latched(topic)]
+        self._has_changes = any(info.n_messages > 1 for info in states)
+
         first_ns, last_ns = span_ns(self._bag.topics[topic] for topic in self._names) or (0, 0)
         self._start_ns = first_ns + round(settings.start_s * 1e9)
         self._stop_ns = last_ns + 1
         if settings.duration_s is not None:
-            self._stop_ns = min(self._stop_ns, self._start_ns + round(settings.duration_s * 1e9))
+            end_ns = self._start_ns + round(settings.duration_s * 1e9)
+            self._stop_ns = min(self._stop_ns, end_ns)
+
         self._schedule = Schedule(self._start_ns, settings.rate, settings.paused)
         self._stamps: dict[int, int] = {}
-        self._n_frames = self._shift_ns = 0
+        self._n_frames = 0
+        self._shift_ns = 0  # of the stamps, in this repetition of a loop
         self._frame_ns: int | None = None
-        # States that change within the recording are published again after a jump.
-        states = [info for topic, info in self._bag.topics.items() if is_latched(topic)]
-        self._has_changes = any(info.n_messages > 1 for info in states)
         self._messages = self._read(self._start_ns)
         self._next: Message | None = None
         self._advance()
@@ -144,11 +150,11 @@ class Player(SourceNode[PlayerSettings]):
 
     def _states_at(self, at_ns: int) -> list[Message]:
         """The states at a stamp: the last ones before it, else the first ones."""
-        found: dict[str, Message] = {}
+        states: dict[str, Message] = {}
         for recorded in self._bag.messages(self._states):
-            if recorded.stamp_ns <= at_ns or recorded.topic not in found:
-                found[recorded.topic] = self._decoded(recorded.topic, recorded.payload)
-        return list(found.values())
+            if recorded.stamp_ns <= at_ns or recorded.topic not in states:
+                states[recorded.topic] = self._decoded(recorded.topic, recorded.payload)
+        return list(states.values())
 
     @property
     def follows_readers(self) -> bool:
@@ -167,7 +173,8 @@ class Player(SourceNode[PlayerSettings]):
         """Publish the messages of the next frame, which are consecutive in the recording."""
         if self._next is None:
             return
-        frame_ns = self._frame_ns = self._next.stamp_ns
+        frame_ns = self._next.stamp_ns
+        self._frame_ns = frame_ns
         self._schedule.stepped(frame_ns)
         while self._next is not None and self._next.stamp_ns <= frame_ns:
             yield self._as_played(self._next, tick.stamp_ns)
@@ -197,12 +204,15 @@ class Player(SourceNode[PlayerSettings]):
                 self._schedule.step(now_ns)
                 return "one frame"
             case "faster" | "slower":
-                rate = self._schedule.rate * (1.1 if name == "faster" else 1 / 1.1)
+                factor = 1.1 if name == "faster" else 1 / 1.1
+                rate = self._schedule.rate * factor
                 return self._change_rate(min(max(rate, LOWEST_RATE), HIGHEST_RATE), now_ns)
             case "rate":
-                return self._change_rate(_number("rate", value, LOWEST_RATE, HIGHEST_RATE), now_ns)
+                rate = _number("rate", value, LOWEST_RATE, HIGHEST_RATE)
+                return self._change_rate(rate, now_ns)
             case "seek":
-                at_s = _number("seek", value, 0.0, (self._stop_ns - self._start_ns) / 1e9)
+                length_s = (self._stop_ns - self._start_ns) / 1e9
+                at_s = _number("seek", value, 0.0, length_s)
                 self._seek(self._start_ns + round(at_s * 1e9), now_ns)
                 return f"at {at_s:.2f} s"
         return super().command(name, value)
@@ -216,10 +226,15 @@ class Player(SourceNode[PlayerSettings]):
 
     def state(self) -> dict[str, Any]:
         """Pause, rate, and position in recorded seconds."""
-        at_ns = self._next.stamp_ns - self._shift_ns if self._next is not None else self._stop_ns
-        ends_ns = {"position_s": min(at_ns, self._stop_ns), "length_s": self._stop_ns}
-        times = {name: max(0.0, (ns - self._start_ns) / 1e9) for name, ns in ends_ns.items()}
-        return {"paused": self.paused, "rate": self._schedule.rate, **times}
+        position_ns = self._stop_ns
+        if self._next is not None:
+            position_ns = min(self._next.stamp_ns - self._shift_ns, self._stop_ns)
+        return {
+            "paused": self.paused,
+            "rate": self._schedule.rate,
+            "position_s": max(0.0, (position_ns - self._start_ns) / 1e9),
+            "length_s": max(0.0, (self._stop_ns - self._start_ns) / 1e9),
+        }
 
     def _change_rate(self, rate: float, now_ns: int) -> str:
         if not self._schedule.rate:
@@ -231,16 +246,20 @@ class Player(SourceNode[PlayerSettings]):
         """Continue from another position of the recording."""
         if self.exhausted:
             raise RefusedError("seek: the recording has been played to its end")
+
         shift_ns = self._shift_ns
         messages = self._read(stamp_ns)
-        if (first := next(messages, None)) is None:
+        message = next(messages, None)
+        if message is None:
             self._shift_ns = shift_ns
             raise RefusedError("seek: no frame follows there")
+
+        self._messages = messages
+        self._next = message
         if self._has_changes:
             states = [s.moved(stamp_ns - s.stamp_ns) for s in self._states_at(stamp_ns)]
-            messages, first = chain(states[1:], [first], messages), states[0]
-        self._messages = messages
-        self._next = first
+            self._messages = chain(states[1:], [message], messages)
+            self._next = states[0]
         self._stamps.clear()
         self._schedule.seek(stamp_ns, now_ns)
 
@@ -274,9 +293,12 @@ class Player(SourceNode[PlayerSettings]):
                     continue  # published before
                 message = self._decoded(recorded.topic, recorded.payload)
                 n_read += not latched
-                yield message.moved(shift_ns) if shift_ns else message
+                if shift_ns:
+                    message = message.moved(shift_ns)
+                yield message
             if not (self.settings.loop and n_read):
                 return
+
             from_ns = self._start_ns
             shift_ns += self._stop_ns - self._start_ns
             if self._has_changes:
@@ -294,7 +316,9 @@ class Player(SourceNode[PlayerSettings]):
             # Recorded frames wait, whatever they were when they were sensed.
             message = replace(message, has_truth=has_truth, live=False)
         patch = split_topic(self._names[topic])[0]
-        return message if patch == message.patch else replace(message, patch=patch)
+        if patch != message.patch:
+            message = replace(message, patch=patch)
+        return message
 
     def _as_played(self, message: Message, now_ns: int) -> Message:
         """The message with the time of playing as its stamp, the same for all of a frame."""
@@ -327,17 +351,18 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
     """
     if not settings.file:
         raise SettingsError("file: state the recording to play")
-    present = _topics_of(settings.file)
+    recorded = _topics_of(settings.file)
     for topic in settings.topics:
-        if topic not in present:
-            raise SettingsError(f"topics: {topic}: not in the file{_known(present)}")
-    chosen = list(settings.topics or _of_schemas(present, settings) or present)
-    names = {topic: topic for topic in chosen}
+        if topic not in recorded:
+            raise SettingsError(f"topics: {topic}: not in the file{_known(recorded)}")
+
+    topics = list(settings.topics or _of_schemas(recorded, settings) or recorded)
+    names = {topic: topic for topic in topics}
     for pair in settings.remap:
         old, new = (side.strip().rstrip("/") for side in pair.split(":="))
-        matching = [topic for topic in chosen if topic == old or topic.startswith(old + "/")]
+        matching = [topic for topic in topics if topic == old or topic.startswith(old + "/")]
         if not matching:
-            raise SettingsError(f"remap: {old}: not in the file{_known(chosen)}")
+            raise SettingsError(f"remap: {old}: not in the file{_known(topics)}")
         for topic in matching:
             names[topic] = _renamed(topic, new + topic.removeprefix(old))
     if len(set(names.values())) < len(names):
@@ -350,15 +375,15 @@ def _known(topics: Iterable[str]) -> str:
     return f" (known: {', '.join(sorted(topics))})"
 
 
-def _of_schemas(present: Iterable[str], settings: PlayerSettings) -> list[str]:
+def _of_schemas(recorded: Iterable[str], settings: PlayerSettings) -> list[str]:
     """Topics of the chosen schemas; the truth may be missing, as for real skins."""
-    patches = dict.fromkeys(split_topic(topic)[0] for topic in present)
-    chosen = [topic_of(patch, schema) for patch in patches for schema in settings.schemas]
-    for topic in chosen:
-        if topic not in present and split_topic(topic)[1] != Truth.schema:
-            held = f"{settings.file}, which has {', '.join(sorted(present))}"
-            raise SettingsError(f"schemas: {topic}: not in {held}; record it with them")
-    return chosen
+    patches = dict.fromkeys(split_topic(topic)[0] for topic in recorded)
+    topics = [topic_of(patch, schema) for patch in patches for schema in settings.schemas]
+    for topic in topics:
+        if topic not in recorded and split_topic(topic)[1] != Truth.schema:
+            place = f"{settings.file}, which has {', '.join(sorted(recorded))}"
+            raise SettingsError(f"schemas: {topic}: not in {place}; record it with them")
+    return topics
 
 
 def _renamed(topic: str, new: str) -> str:

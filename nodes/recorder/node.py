@@ -74,8 +74,10 @@ class Recorder(Node[RecorderSettings]):
     @classmethod
     def left_behind(cls, settings: RecorderSettings) -> str:
         part = f"{settings.out}{PART_SUFFIX}"
-        how = f"sparseskin recording recover {part}"
-        return f"what was recorded before it ended is in {part} ({how})" * Path(part).is_file()
+        if not Path(part).is_file():
+            return ""
+        command = f"sparseskin recording recover {part}"
+        return f"what was recorded before it ended is in {part} ({command})"
 
     def step(self, message: Message) -> Iterable[Message]:
         self._guard(lambda: self._write(message))
@@ -86,21 +88,30 @@ class Recorder(Node[RecorderSettings]):
             self._guard(self._writer.tick)
 
     def close(self, counts: dict[str, Any]) -> None:
-        if (writer := self._writer) is not None:
+        writer = self._writer
+        if writer is not None:
             self._guard(lambda: writer.close(counts))
         self._closed = True
 
     def status(self) -> str:
-        error = f" ({self._error})" if self._error else ""
-        return f"recorded {self._n_messages} messages in {self.settings.out}{error}"
+        text = f"recorded {self._n_messages} messages in {self.settings.out}"
+        if self._error:
+            text += f" ({self._error})"
+        return text
 
     def report(self) -> dict[str, Any]:
-        report = {"out": self.settings.out, "n_messages": self._n_messages}
-        return {"recording": {**report, "error": self._error or None}}
+        recording = {
+            "out": self.settings.out,
+            "n_messages": self._n_messages,
+            "error": self._error or None,
+        }
+        return {"recording": recording}
 
     @property
     def _n_messages(self) -> int:
-        return self._writer.n_messages if self._writer is not None else 0
+        if self._writer is None:
+            return 0
+        return self._writer.n_messages
 
     def _write(self, message: Message) -> None:
         if self._writer is None:

@@ -15,7 +15,7 @@ synchronization algorithms for network measurements", INFOCOM 2002.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean, pstdev
@@ -29,10 +29,11 @@ Point = tuple[float, float]
 class ClockTuning:
     """Constants of the mapping; all chosen, but the last, which is fitted."""
 
-    # Time of which the least delayed frame is kept, at first and later: doubled once `kept` are.
+    # Time of which the least delayed frame is kept, at first and later: doubled once there are
+    # `n_periods` of them.
     first_ns: float = 62.5e6
     period_ns: float = 5e8
-    kept: int = 64  # most periods that are kept: 32 s, in which a quartz hardly drifts
+    n_periods: int = 64  # most periods that are kept: 32 s, in which a quartz hardly drifts
     settle_ns: float = 2e9  # length of a line before it is used
     settle_frames: int = 20  # and its number of frames
     doubt_ns: float = 1e10  # length of a line whose drift is not believed before that is logged
@@ -57,17 +58,22 @@ def line_below(points: Iterable[Point]) -> tuple[Point, float] | None:
     slope; None if they have the same x.
     """
     hull: list[Point] = []
-    total = n = 0.0
+    total = 0.0
+    n = 0.0
     for x, y in sorted(points):
-        total, n = total + x, n + 1
+        total += x
+        n += 1
         if hull and hull[-1][0] == x:
             continue
+        # A point of the hull that is above the line to the new one is none.
         while len(hull) > 1:
             (x0, y0), (x1, y1) = hull[-2:]
             if (x1 - x0) * (y - y0) > (x - x0) * (y1 - y0):
                 break
             hull.pop()
         hull.append((x, y))
+
+    # The edge at the mean of x.
     for (x0, y0), (x1, y1) in pairwise(hull):
         if x1 * n >= total:
             return (x0, y0), (y1 - y0) / (x1 - x0)
@@ -108,8 +114,10 @@ class DeviceClock:
             if was_settled and late_ns < -TUNING.step_ns:
                 self._restart(stamp, arrived_ns)
             else:
-                time_ns -= max(0, round(late_ns)) if was_settled else 0
+                if was_settled:
+                    time_ns -= max(0, round(late_ns))
                 self._add(late_ns)
+
         if self._last_ns is not None:
             time_ns = max(time_ns, self._last_ns + 1)
         self._last_ns = time_ns
@@ -121,23 +129,32 @@ class DeviceClock:
         """Figures for the operator: `clock`, "source", or "arrival" while frames have the time of
         their arrival; `clock_restarts`, times that it was set or started again. Of a source also
         by how much its clock is fast, `clock_drift_ppm`, with its standard deviation
-        `clock_drift_sd_ppm`; and standard deviations from the line, over the last `kept` periods,
-        of arrivals (`clock_jitter_before_ms`) and times of frames (`clock_jitter_after_ms`).
+        `clock_drift_sd_ppm`; and standard deviations from the line, over the last `n_periods`, of
+        arrivals (`clock_jitter_before_ms`) and times of frames (`clock_jitter_after_ms`).
         """
-        restarts = {"clock_restarts": self._n_restarts}
         if not self._is_settled:
-            return {"clock": "arrival", **restarts}
+            return {"clock": "arrival", "clock_restarts": self._n_restarts}
         heights = [height - self._line(x) for x, height in self._points]
         length = len(heights) * (self._points[-1][0] - self._points[0][0])
-        found = {
+        drift = 1 / (1 + self._slope) - 1
+        drift_sd = TUNING.spread * fmean(heights) / length
+        arrivals = [(x, arrived) for x, arrived, _ in self._sampled]
+        times = [(x, time) for x, _, time in self._sampled]
+        return {
             "clock": "source",
-            "clock_drift_ppm": round((1 / (1 + self._slope) - 1) * 1e6, 2),
-            "clock_drift_sd_ppm": round(TUNING.spread * fmean(heights) / length * 1e6, 2),
+            "clock_drift_ppm": round(drift * 1e6, 2),
+            "clock_drift_sd_ppm": round(drift_sd * 1e6, 2),
+            "clock_jitter_before_ms": self._jitter_ms(arrivals),
+            "clock_jitter_after_ms": self._jitter_ms(times),
+            "clock_restarts": self._n_restarts,
         }
-        for k, when in ((1, "before"), (2, "after")):
-            late = [one[k] - one[0] - self._line(one[0]) for one in self._sampled]
-            found[f"clock_jitter_{when}_ms"] = round(pstdev(late) / 1e6, 4) if late else 0.0
-        return found | restarts
+
+    def _jitter_ms(self, times: Sequence[Point]) -> float:
+        """Standard deviation from the line of times, each behind the stamp of its frame."""
+        if not times:
+            return 0.0
+        late_ns = [time - x - self._line(x) for x, time in times]
+        return round(pstdev(late_ns) / 1e6, 4)
 
     def _begin(self, stamp: int, arrived_ns: int, n: int = 1) -> None:
         """Forget all before a frame; it is the first of the line."""
@@ -145,12 +162,21 @@ class DeviceClock:
         self._origin_ns = arrived_ns
         self._n = n
         self._ticks = 0
-        self._x = self._y = self._begun = self._in_time = self._slope = 0.0
-        self._period_ns = TUNING.first_ns
+
+        # Nanoseconds since the first frame, on the clock of the source and of the graph.
+        self._x = 0.0
+        self._y = 0.0
+        self._begun = 0.0  # of the graph, at the begin of the period
+        self._in_time = 0.0  # of the graph, at the last frame that was not late
+
+        # The line, by a point of it; the lowest point of this period, and those of the others.
+        self._at = (0.0, 0.0)
+        self._slope = 0.0
         self._is_settled = False
-        self._at = self._least = (0.0, 0.0)
+        self._period_ns = TUNING.first_ns
+        self._least = (0.0, 0.0)
         self._points: list[Point] = []
-        self._sampled: deque[tuple[float, float, float]] = deque(maxlen=TUNING.kept)
+        self._sampled: deque[tuple[float, float, float]] = deque(maxlen=TUNING.n_periods)
 
     def _restart(self, stamp: int, arrived_ns: int) -> None:
         if self._is_settled:
@@ -161,19 +187,25 @@ class DeviceClock:
     def _advance(self, stamp: int, arrived_ns: int) -> bool:
         """Set both times to those of a frame; False if a line begins with it."""
         y = float(arrived_ns - self._origin_ns)
-        if not self._n or y - self._y > TUNING.kept * TUNING.period_ns:
+        if not self._n or y - self._y > TUNING.n_periods * TUNING.period_ns:
             self._begin(stamp, arrived_ns)  # a drift does not last for a silence as long
             return False
+
         ahead = stamp - self._stamp
         if self._wrap is not None:
+            # The number of wraps follows from the time that has passed meanwhile.
             passed = (y - self._y) / self._tick_ns
-            passed /= 1 + self._slope if self._is_settled else 1.0
+            if self._is_settled:
+                passed /= 1 + self._slope
             ahead %= self._wrap
             ahead += self._wrap * round((passed - ahead) / self._wrap)
         if ahead * self._tick_ns < -TUNING.step_ns:
             self._restart(stamp, arrived_ns)
             return False
-        self._stamp, self._ticks, self._n = stamp, self._ticks + ahead, self._n + 1
+
+        self._stamp = stamp
+        self._ticks += ahead
+        self._n += 1
         self._x = self._ticks * self._tick_ns
         self._y = y
         return True
@@ -182,7 +214,9 @@ class DeviceClock:
         return self._at[1] + self._slope * (x - self._at[0])
 
     def _lower(self, a: Point, b: Point) -> Point:
-        return b if b[1] - a[1] < self._slope * (b[0] - a[0]) else a
+        """The one of two points that is lower over the line."""
+        is_lower = b[1] - a[1] < self._slope * (b[0] - a[0])
+        return b if is_lower else a
 
     def _add(self, late_ns: float) -> None:
         """Add a frame that is later than the line by `late_ns`."""
@@ -197,21 +231,27 @@ class DeviceClock:
         if self._y - self._in_time > TUNING.patience_ns:
             self._restart(self._stamp, self._origin_ns + round(self._y))
             return
+        self._end_period(point)
+
+    def _end_period(self, point: Point) -> None:
+        """Draw the line anew with the lowest point of a period; the next one begins."""
         points = self._points
         points.append(self._least)
         self._least = point
         self._begun = self._y
-        if len(points) == TUNING.kept and self._period_ns < TUNING.period_ns:
+        if len(points) == TUNING.n_periods and self._period_ns < TUNING.period_ns:
             points[:] = map(self._lower, points[::2], points[1::2])
             self._period_ns *= 2
-        elif len(points) > TUNING.kept:
+        elif len(points) > TUNING.n_periods:
             del points[0]
-        found = line_below(self._points)
-        if found is not None:
-            self._at, self._slope = found
-        is_good = found is not None and abs(self._slope) <= TUNING.most_drift
+
+        line = line_below(self._points)
+        if line is not None:
+            self._at, self._slope = line
+        is_good = line is not None and abs(self._slope) <= TUNING.most_drift
         is_long = self._y >= TUNING.settle_ns and self._n >= TUNING.settle_frames
         self._is_settled = is_good and is_long
+
         if not is_good and self._y >= TUNING.doubt_ns and not self._is_doubted:
             self._is_doubted = True
             fault = f"its stamps do not run as time does, within {TUNING.most_drift:.0%}"

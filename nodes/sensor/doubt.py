@@ -42,7 +42,9 @@ class Doubt:
     @property
     def level(self) -> str:
         """`Reason.REST` where a level at rest is found, else ""."""
-        return self._rest.reason if self._rest is not None else ""
+        if self._rest is None:
+            return ""
+        return self._rest.reason
 
     @property
     def line(self) -> str:
@@ -55,8 +57,10 @@ class Doubt:
 
     def take_line(self) -> str:
         """That line where it is new, and there were enough frames for it; "" at other times."""
-        is_new, self._is_new = self._is_new, False
-        return self.line if is_new else ""
+        if not self._is_new:
+            return ""
+        self._is_new = False
+        return self.line
 
     def look(self, forces: Floats, clipped: Clipped) -> str:
         """Reason of a frame, float32 (n_rows, n_cols), 0 in masked cells; "" if there is none.
@@ -64,19 +68,21 @@ class Doubt:
         """
         if self._rest is not None and self._rest.update(forces):
             self._is_new = True
+
         sign = clipped.sign
         if sign.is_found and not self._sign_found:
             self._is_new = True
             self._line = self._line_on(sign)
         self._sign_found = sign.is_found
+
         return self.level or clipped.reason(self._skin.n_taxels)
 
     def _line_on(self, sign: Sign) -> str:
         depth = f"{-sign.lowest:.3g} {printable(self._skin.unit)}"
-        found = f"{sign.n_falls} taxels fell by up to {depth} below rest, {sign.n_rises} rose"
+        counts = f"{sign.n_falls} taxels fell by up to {depth} below rest, {sign.n_rises} rose"
         invert = "false" if self._is_inverted else "true"
         answers = f"invert={invert} if a press does that, tare={TARE_FRAMES} if nothing touches"
-        return f"{found}{ADD}{answers} them"
+        return f"{counts}{ADD}{answers} them"
 
 
 def line_on_sign(described: SkinDescription, frames: npt.NDArray[Any], is_inverted: bool) -> str:

@@ -38,53 +38,69 @@ class DriverSource(LiveSource):
 
     def __init__(self, address: Address, driver: Iterable[object]) -> None:
         super().__init__()
-        target = address.source
         layout = address.layout
-        f_max = layout.f_max
-        unit = layout.unit
-        raw = address.raw
-        self._target = target
+        self._target = address.source
         self._driver = driver
         self._layout = layout
-        self._raw = raw
+        self._raw = address.raw
         self._arrangement: Arrangement | None = None
         self._shape: tuple[int, ...] = ()  # of the frames as they come
-        self._f_max = PAPER_F_MAX_N if f_max is None else float(f_max)
-        self._is_in_newtons = unit is None and f_max is None and not raw
+        self._f_max = PAPER_F_MAX_N if layout.f_max is None else float(layout.f_max)
+        is_without_range = layout.unit is None and layout.f_max is None
+        self._is_in_newtons = is_without_range and not address.raw
         self._skin: Skin | None = None
         self._first: tuple[int, Floats] | None = None  # pulled to learn the shape
         self._checked: Generator[tuple[int, Floats]] | None = None
         self._is_one_shot = False
-        keys = ("skin", "name", "delivers", "rate_hz", "n_frames")
-        with _running(target):
-            own = (getattr(driver, key, None) for key in keys)
-            own_skin, own_name, delivers, own_rate, own_length = own
-        if delivers not in (None, "truth", "taxels"):
-            raise SourceError(f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels")
-        if own_length is not None and not is_whole(own_length, 0):
-            expected = "expected a whole number, or None if endless"
-            raise SourceError(f"{target}: n_frames = {shown(own_length)}; {expected}")
-        check_number(target, "rate_hz", own_rate)
-        self.name: str = own_name if isinstance(own_name, str) and own_name else target
-        self.delivers: Literal["truth", "taxels"] = "truth" if delivers == "truth" else "taxels"
-        self.rate_hz: float | None = None if own_rate is None else float(own_rate)
-        self.n_frames: int | None = None if own_length is None else int(own_length)
-        if own_skin is not None:
-            self.skin: Skin = self._own_skin(own_skin, f_max, unit)
+
+        driver_skin = self._read_attributes()
+        if driver_skin is not None:
+            self.skin: Skin = self._checked_skin(driver_skin)
         else:
-            self._checked = self._check_frames()
-            self._first = next(self._checked, None)
-            if self._first is None:
-                raise SourceError(f"{target}: ended before its first frame")
-            n_rows, n_cols = self._first[1].shape
-            self.skin = Skin(n_rows, n_cols, self._f_max, "N" if unit is None else unit)
+            self.skin = self._skin_of_first_frame()
         self._skin = self.skin
         self.clock = DeviceClock(self.name, self._lines.append)
         try:
-            check_stated_shape(*self.skin.shape, layout.n_rows, layout.n_cols, target)
+            check_stated_shape(*self.skin.shape, layout.n_rows, layout.n_cols, self._target)
         except SourceError:
             self.close()
             raise
+
+    def _read_attributes(self) -> object:
+        """Set name, kind, rate and length to those of the driver; return its skin, None if it has
+        none.
+        """
+        target = self._target
+        driver = self._driver
+        with _running(target):
+            skin: object = getattr(driver, "skin", None)
+            name = getattr(driver, "name", None)
+            delivers = getattr(driver, "delivers", None)
+            rate_hz = getattr(driver, "rate_hz", None)
+            n_frames = getattr(driver, "n_frames", None)
+
+        if delivers not in (None, "truth", "taxels"):
+            raise SourceError(f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels")
+        if n_frames is not None and not is_whole(n_frames, 0):
+            expected = "expected a whole number, or None if endless"
+            raise SourceError(f"{target}: n_frames = {shown(n_frames)}; {expected}")
+        check_number(target, "rate_hz", rate_hz)
+
+        self.name: str = name if isinstance(name, str) and name else target
+        self.delivers: Literal["truth", "taxels"] = "truth" if delivers == "truth" else "taxels"
+        self.rate_hz: float | None = None if rate_hz is None else float(rate_hz)
+        self.n_frames: int | None = None if n_frames is None else int(n_frames)
+        return skin
+
+    def _skin_of_first_frame(self) -> Skin:
+        """A skin of the shape of the first frame, which is pulled for it."""
+        self._checked = self._check_frames()
+        self._first = next(self._checked, None)
+        if self._first is None:
+            raise SourceError(f"{self._target}: ended before its first frame")
+        n_rows, n_cols = self._first[1].shape
+        unit = "N" if self._layout.unit is None else self._layout.unit
+        return Skin(n_rows, n_cols, self._f_max, unit)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
         """As of `Source`; the driver is closed at the end. Raises SourceError if it raises, yields
@@ -93,8 +109,9 @@ class DriverSource(LiveSource):
         self._checked = self._checked or self._check_frames()
         try:
             if self._first is not None:
-                first, self._first = self._first, None
-                yield first
+                frame = self._first
+                self._first = None
+                yield frame
             yield from self._checked
         finally:
             self.close()
@@ -103,7 +120,9 @@ class DriverSource(LiveSource):
         """Close the driver, so that its `finally` blocks run; raises SourceError if it raises
         then.
         """
-        checked, self._checked, self._first = self._checked, None, None
+        checked = self._checked
+        self._checked = None
+        self._first = None
         if checked is not None:
             with _running(self._target):
                 checked.close()
@@ -118,26 +137,21 @@ class DriverSource(LiveSource):
         self._is_one_shot = iterator is self._driver
         end = object()
         passed_ns = 0
-        last_ns = None
+        previous_ns: int | None = None
         try:
             for n in itertools.count():
                 with _running(target):
                     item = next(iterator, end)
                 if item is end:
                     return
+
                 where = f"{target}, frame {n}"
-                if not isinstance(item, tuple | list) or len(item) != 2:
-                    fault = f"delivered {type(item).__name__}; expected a pair (stamp_ns, forces)"
-                    raise SourceError(f"{where}: {fault}")
-                stamp, forces = item
-                if not is_whole(stamp):
-                    fault = f"stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
-                    raise SourceError(f"{where}: {fault}")
-                if last_ns is not None and last_ns - RESTART_NS < stamp <= last_ns:
-                    fault = f"stamp_ns {stamp} is not after the one before it, {last_ns}"
-                    raise SourceError(f"{where}: {fault}")
-                passed_ns += 0 if last_ns is None else max(1, int(stamp) - last_ns)
-                self.stamp = last_ns = int(stamp)
+                stamp_ns, forces = _checked_pair(item, previous_ns, where)
+                if previous_ns is not None:
+                    # After a restart of its clock time goes on by a nanosecond.
+                    passed_ns += max(1, stamp_ns - previous_ns)
+                previous_ns = stamp_ns
+                self.stamp = stamp_ns
                 if passed_ns > INT64_MAX:
                     raise SourceError(f"{where}: stamp_ns is more than 2**63 ns after the first")
                 yield passed_ns, self._checked_forces(forces, where)
@@ -155,27 +169,31 @@ class DriverSource(LiveSource):
             fault = f"forces have dtype {shown(array.dtype)}"
             raise SourceError(f"{where}: {fault}; allowed are integers and floating point")
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
-            what = "whole numbers, of which the driver states neither unit nor range"
-            raise SourceError(f"{where}: {what}{recording.ADD}unit={recording.COUNTS} f_max=4095")
+            fault = "whole numbers, of which the driver states neither unit nor range"
+            raise SourceError(f"{where}: {fault}{recording.ADD}unit={recording.COUNTS} f_max=4095")
+
         array = self._arranged(array, where)
         skin = self._skin
         if skin is not None and array.shape != skin.shape:
             fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
             raise SourceError(f"{where}: {fault}")
+
         with np.errstate(all="ignore"):
             values = array.astype(_exact(array.dtype))
         for number in self._layout.missing_numbers:
             values[values == number] = np.nan
         if skin is not None and skin.mask is not None:
             values[~skin.mask] = 0
+
         missing = ~np.isfinite(values)
-        if missing.any():
-            if not self._layout.accepts_missing:
-                row, col = np.argwhere(missing)[0]
-                fault = f"row {row}, column {col}: {values[row, col]} is no force"
-                hint = f"a fault of the sensor or its driver; {recording.NAN_HINT}"
-                raise SourceError(f"{where}, {fault}; {hint}")
-            values[missing] = np.nan
+        if missing.any() and not self._layout.accepts_missing:
+            row, col = np.argwhere(missing)[0]
+            fault = f"row {row}, column {col}: {values[row, col]} is no force"
+            hint = f"a fault of the sensor or its driver; {recording.NAN_HINT}"
+            raise SourceError(f"{where}, {fault}; {hint}")
+        values[missing] = np.nan
+
+        # Raw readings are clipped once a calibration has made forces of them.
         if self._raw:
             return values.astype(np.float32, copy=False)
         self.clipped.add(values, 0.0, self._f_max)
@@ -190,16 +208,19 @@ class DriverSource(LiveSource):
         frame: npt.NDArray[Any] = self._arrangement.frames(array[None])[0]
         return frame
 
-    def _own_skin(self, skin: object, f_max: float | None, unit: str | None) -> Skin:
+    def _checked_skin(self, skin: object) -> Skin:
+        """The driver's own skin. Raises SourceError if a setting contradicts it."""
         target = self._target
         if not isinstance(skin, Skin):
             expected = "expected sparseskin.nodes.sensor.source.Skin"
             raise SourceError(f"{target}: its skin is {type(skin).__name__}; {expected}")
         check_grid(skin.n_rows, skin.n_cols, target)
-        for what, stated, own in (("f_max", f_max, skin.f_max), ("unit", unit, skin.unit)):
-            if stated is not None and stated != own:
-                both = f"{what} = {stated} is stated, but the driver's skin has {own}"
-                raise SourceError(f"{target}: {both}")
+        for key in ("f_max", "unit"):
+            setting = getattr(self._layout, key)
+            value = getattr(skin, key)
+            if setting is not None and setting != value:
+                fault = f"{key} = {setting} is stated, but the driver's skin has {value}"
+                raise SourceError(f"{target}: {fault}")
         self._f_max = float(skin.f_max)
         return skin
 
@@ -222,6 +243,23 @@ def open_callable(address: Address) -> DriverSource:
         expected = "expected a generator or an iterable of (stamp_ns, forces)"
         raise SourceError(f"{target}: returned {type(driver).__name__}; {expected}")
     return DriverSource(address, driver)
+
+
+def _checked_pair(item: object, previous_ns: int | None, where: str) -> tuple[int, object]:
+    """Stamp and forces of what a driver yielded. Raises SourceError unless the stamp is a whole
+    number after the one before, or of a clock that has begun again.
+    """
+    if not isinstance(item, tuple | list) or len(item) != 2:
+        fault = f"delivered {type(item).__name__}; expected a pair (stamp_ns, forces)"
+        raise SourceError(f"{where}: {fault}")
+    stamp, forces = item
+    if not is_whole(stamp):
+        fault = f"stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
+        raise SourceError(f"{where}: {fault}")
+    if previous_ns is not None and previous_ns - RESTART_NS < stamp <= previous_ns:
+        fault = f"stamp_ns {stamp} is not after the one before it, {previous_ns}"
+        raise SourceError(f"{where}: {fault}")
+    return int(stamp), forces
 
 
 def _exact(dtype: np.dtype[Any]) -> type[np.floating[Any]]:

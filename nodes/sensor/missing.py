@@ -35,13 +35,14 @@ class MissingReadings:
         self.skin = skin
         self.is_news = False
         self.learns = learns
-        #: Missing readings so far, in the newest frame, and frames without any reading.
-        self.n_cells = self.n_now = self.n_empty = 0
+        self.n_cells = 0  # missing readings so far
+        self.n_now = 0  # missing readings of the newest frame
+        self.n_empty = 0  # frames without any reading
         self._way = way
         self._whole = skin
         self._silent: Mask = skin.exists
         self._renewed_ns: int | None = None
-        self._held: Floats = np.zeros(skin.shape, np.float32)
+        self._previous: Floats = np.zeros(skin.shape, np.float32)
         self._lines: list[str] = []
 
     def fill(
@@ -52,33 +53,39 @@ class MissingReadings:
         Returns its forces, 0 in masked cells, and the bits of those that are missing, as in
         `Sensed`; None of a frame without any reading.
         """
-        known = np.isfinite(forces) & self._whole.exists
-        if not known.any():
+        is_number = np.isfinite(forces) & self._whole.exists
+        if not is_number.any():
             self.n_empty += 1
             return None
         if self.learns:
-            self._learn(known, stamp_ns)
+            self._learn(is_number, stamp_ns)
+
         exists = self.skin.exists
-        missing = exists & ~known
-        known &= exists
-        filled: Floats = np.where(known, forces, np.float32(0))
+        missing = exists & ~is_number
+        is_number &= exists
+        filled: Floats = np.where(is_number, forces, np.float32(0))
         self.n_now = int(np.count_nonzero(missing))
-        if self.n_now:
-            if not self.n_cells:
-                line = f"missing readings are {FILLED[self._way]}"
-                self._lines.append(f"{line}: {self.n_now} at first")
-            self.n_cells += self.n_now
-            if self._way == MASK:
-                beside = np.maximum(of_nine(known.astype(np.float32), np.add), 1)
-                filled[missing] = (of_nine(filled, np.add) / beside)[missing]
-            elif self._way == HOLD:
-                filled[missing] = self._held[missing]
-        self._held = filled
-        return filled, np.packbits(missing) if self.n_now else None
+        if not self.n_now:
+            self._previous = filled
+            return filled, None
+
+        if not self.n_cells:
+            line = f"missing readings are {FILLED[self._way]}"
+            self._lines.append(f"{line}: {self.n_now} at first")
+        self.n_cells += self.n_now
+        if self._way == MASK:
+            n_neighbours = of_nine(is_number.astype(np.float32), np.add)
+            means = of_nine(filled, np.add) / np.maximum(n_neighbours, 1)
+            filled[missing] = means[missing]
+        elif self._way == HOLD:
+            filled[missing] = self._previous[missing]
+        self._previous = filled
+        return filled, np.packbits(missing)
 
     def take_lines(self) -> Iterable[str]:
         """Lines for the log since the last call."""
-        lines, self._lines = self._lines, []
+        lines = self._lines
+        self._lines = []
         return lines
 
     def state(self) -> dict[str, int]:
@@ -96,19 +103,20 @@ class MissingReadings:
         """False while the first frame is still to show which cells hold a number."""
         return not self.learns or self._renewed_ns is not None
 
-    def _learn(self, known: Mask, stamp_ns: int) -> None:
+    def _learn(self, is_number: Mask, stamp_ns: int) -> None:
         """Renew the skin by the first frame, and where cells hold a number that have held none."""
-        self._silent = self._silent & ~known
-        n_left = int(np.count_nonzero(self._silent))
+        self._silent = self._silent & ~is_number
+        n_silent = int(np.count_nonzero(self._silent))
         n_masked = self._whole.n_taxels - self.skin.n_taxels
         if self._renewed_ns is None:
-            if n_left:
-                part = f"{n_left} of {self._whole.n_taxels} taxels"
+            if n_silent:
+                part = f"{n_silent} of {self._whole.n_taxels} taxels"
                 self._lines.append(f"{part} give no number: masked until they do")
-        elif n_left < n_masked and stamp_ns - self._renewed_ns >= RENEWAL_NS:
-            self._lines.append(f"{n_masked - n_left} masked taxels give numbers now: used")
+        elif n_silent < n_masked and stamp_ns - self._renewed_ns >= RENEWAL_NS:
+            self._lines.append(f"{n_masked - n_silent} masked taxels give numbers now: used")
         else:
             return
+
         self._renewed_ns = stamp_ns
         self.is_news = True
-        self.skin = self._whole.without(self._silent) if n_left else self._whole
+        self.skin = self._whole.without(self._silent) if n_silent else self._whole

@@ -16,7 +16,7 @@ from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .calibration.chain import Chain
-from .calibration.description import of_skin
+from .calibration.description import Placement, SkinDescription, of_skin
 from .calibration.drift import DRIFT_RATE
 from .calibration.skin_file import load_skin
 from .doubt import Doubt
@@ -62,71 +62,100 @@ class Sensor(SourceNode[SensorSettings]):
 
     def __init__(self, settings: SensorSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._described = load_skin(settings.skin) if settings.skin else None
-        self._placement = self._described.placement if self._described else None
+        self._described: SkinDescription | None = None
+        self._placement: Placement | None = None
+        if settings.skin:
+            self._described = load_skin(settings.skin)
+            self._placement = self._described.placement
         if settings.points:
             self._placement = point_skins().place(settings.points)
+
         try:
-            with ExitStack() as opened:
-                source = self._source = settings.address().open()
-                opened.callback(source.close)
-                source.loops = settings.loop
-                if settings.first or settings.every > 1:
-                    source.read_part(settings.first, settings.every)
-                self._source_skin = self._placed_skin()
-                self._stage = self._made_stage()
-                opened.pop_all()
+            self._open_source()
         except SourceError as error:
             text = spelled(str(error), lambda key: f"--set {context.name}.{key}=")
             raise SourceError(text) from error
-        skin = self._stage.skin if self._stage else self._source_skin
+
+        if self._stage is not None:
+            skin = self._stage.skin
+            self._f_min = self._stage.description.f_min
+        else:
+            skin = self._source_skin
+            self._f_min = self._source.f_min
         learns = settings.nan == MASK and self._source.is_live
-        lower_end = self._stage.description.f_min if self._stage else self._source.f_min
-        self._f_min = lower_end
         self._readings = MissingReadings(settings.missing_way, skin, learns)
+        if self._source.is_live:
+            self._source.clipped.mask = skin.mask
+
         self._doubt: Doubt | None = None  # from the first frame on
         self._stated_rest = settings.tare is not None or settings.invert
         self._described_changes = bool(self._described and self._described.changes_readings)
         self._line = ""  # on rest and sign, as it was logged last
-        if self._source.is_live:
-            self._source.clipped.mask = skin.mask
+
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
         self._clock = self._source.clock if settings.clock == "source" else None
         self._stamp_ns = -1
         self._set_pace()
+
         self._next: _Frame | None = None
         # The first messages: those of later frames are like them.
         self._taxels: Taxels | None = None
         self._truth_message: Truth | None = None
-        self._n_frames = self._n_logged = self._logged_ns = 0
+        self._n_frames = 0
+        self._n_logged = 0
+        self._logged_ns = 0
         if not self._source.is_live:
             self._prepare()
 
+    def _open_source(self) -> None:
+        """Open the source and make what converts its readings; it is closed if that fails."""
+        settings = self.settings
+        with ExitStack() as opened:
+            source = settings.address().open()
+            opened.callback(source.close)
+            self._source = source
+            source.loops = settings.loop
+            if settings.first or settings.every > 1:
+                source.read_part(settings.first, settings.every)
+            self._source_skin = self._placed_skin()
+            self._stage = self._made_stage()
+            opened.pop_all()
+
     @classmethod
     def outputs(cls, settings: SensorSettings) -> tuple[str, ...]:
-        stated = (Calibration,) if settings.is_calibrated else ()
-        truth = (Truth,) if settings.address().delivers != "taxels" else ()
-        kinds: tuple[type[Message], ...] = (SkinState, *stated, Taxels, *truth)
+        kinds: list[type[Message]] = [SkinState]
+        if settings.is_calibrated:
+            kinds.append(Calibration)
+        kinds.append(Taxels)
+        if settings.address().delivers != "taxels":
+            kinds.append(Truth)
         return tuple(topic_of(settings.patch, kind.schema) for kind in kinds)
 
     @classmethod
     def facts(cls, settings: SensorSettings) -> Mapping[str, Any]:
+        n_taxels = cls._n_taxels(settings)
+        if n_taxels is None:
+            return {}
+        return {topic_of(settings.patch, SkinState.schema): n_taxels}
+
+    @classmethod
+    def _n_taxels(cls, settings: SensorSettings) -> int | None:
+        """Number of taxels before the source is open; None where only the open one shows it."""
         if settings.nan == MASK:  # the frames show which taxels give no number
-            n: int | None = None
-        elif settings.points:
-            n = point_skins().n_taxels(settings.points)
-        elif settings.skin:  # a source that masks further cells shows when it runs
-            n = load_skin(settings.skin).skin.n_taxels
-        else:
-            n = settings.address().n_taxels()
-        return {} if n is None else {topic_of(settings.patch, SkinState.schema): n}
+            return None
+        if settings.points:
+            return point_skins().n_taxels(settings.points)
+        if settings.skin:  # a source that masks further cells shows when it runs
+            return load_skin(settings.skin).skin.n_taxels
+        return settings.address().n_taxels()
 
     def start(self) -> Iterable[Message]:
         if self._placement is not None:
             for line in self._placement.summary():
                 self.context.log(line)
         self._log_lines()
+
         # First, so that a recorder knows it once the graph's other states follow from the skin.
         yield from self._calibration()
         if not self._readings.learns:
@@ -134,8 +163,9 @@ class Sensor(SourceNode[SensorSettings]):
 
     @property
     def unused(self) -> tuple[str, ...]:
-        is_true = self._source.delivers == "truth"
-        return () if is_true else (topic_of(self.settings.patch, Truth.schema),)
+        if self._source.delivers == "truth":
+            return ()
+        return (topic_of(self.settings.patch, Truth.schema),)
 
     @property
     def skin(self) -> Skin:
@@ -149,18 +179,19 @@ class Sensor(SourceNode[SensorSettings]):
             if self._stage is None or (self._described and self._described.gains is not None):
                 raise SettingsError("invert: is of a sensor with a baseline, and without gains")
             self._stage.invert()
-        new_pace = settings.rate_hz != self.settings.rate_hz
+
+        pace_changes = settings.rate_hz != self.settings.rate_hz
         self.settings = settings
         self._noise = self._chosen_noise()
-        if self._next is not None:
-            truth = self._next.truth
-            if truth is not None:  # it was computed with the noise before
-                self._next = self._next._replace(taxels=self._measured(truth))
-        if new_pace:
+        # The next frame was computed with the noise before.
+        if self._next is not None and self._next.truth is not None:
+            self._next = self._next._replace(taxels=self._measured(self._next.truth))
+        if pace_changes:
             self._set_pace()
             self.begin(self.context.clock.now_ns())
         if self._stage is not None:
             self._stage.drift.rate = self._drift_rate()
+
         if self._readings.is_known:
             yield self._describe()
 
@@ -178,11 +209,13 @@ class Sensor(SourceNode[SensorSettings]):
     def _describe(self) -> SkinState:
         self._readings.is_news = False
         has_truth = self._source.delivers == "truth"
-        noise = self._noise
-        sigmas = (noise.sigma_mid, noise.sigma_end) if has_truth else None
+        sigmas = None
         if self._stage is not None:
             sigmas = self._stage.description.sigmas
+        elif has_truth:
+            sigmas = (self._noise.sigma_mid, self._noise.sigma_end)
         sigma_mid, sigma_end = sigmas or (0.0, 0.0)
+
         return SkinState(
             stamp_ns=self.context.clock.now_ns(),
             patch=self.settings.patch,
@@ -200,9 +233,8 @@ class Sensor(SourceNode[SensorSettings]):
     def _calibration(self) -> Iterable[Message]:
         if self._stage is not None:
             self._stage.is_news = False
-            found = self._stage.description
             now_ns = self.context.clock.now_ns()
-            yield found.message(now_ns, self.settings.patch)
+            yield self._stage.description.message(now_ns, self.settings.patch)
 
     def command(self, name: str, value: Any) -> str:
         if name != "tare":
@@ -218,68 +250,100 @@ class Sensor(SourceNode[SensorSettings]):
         if source.is_live:
             self._prepare()
             stamp_ns = self._stamp_ns
+
         if self._stage is not None and self._stage.is_news:
             self._stated_rest = True
             self._doubt = None
             yield from self._calibration()
             self._readings.is_news |= self._readings.is_known
-        if self._next is None:
+
+        frame = self._next
+        if frame is None:
             return
         if self._readings.is_news:
             yield self._describe()
-        taxels, truth, missing, reason = self._next
-        yield self._taxels_of(stamp_ns, taxels, missing, reason)
-        if truth is not None:
-            yield self._truth_of(stamp_ns, truth)
+        yield self._taxels_of(stamp_ns, frame)
+        if frame.truth is not None:
+            yield self._truth_of(stamp_ns, frame.truth)
         self._n_frames += 1
         self._watch_rate(stamp_ns)
+
         if not source.is_live:
             self._prepare()
 
-    def _taxels_of(
-        self, stamp_ns: int, forces: Floats, missing: _Bits | None, reason: str
-    ) -> Taxels:
+    def _taxels_of(self, stamp_ns: int, frame: _Frame) -> Taxels:
+        settings = self.settings
+        forces = frame.taxels
         if self._taxels is None or forces.shape[-2:] != self._taxels.forces.shape[-2:]:
-            head: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
-            self._taxels = Taxels(**head, stamp_ns=stamp_ns, forces=forces, missing=missing)
-        reasons = (reason,) * self.settings.n_patches
+            self._taxels = Taxels(
+                patch=settings.patch,
+                names=settings.patches,
+                stamp_ns=stamp_ns,
+                forces=forces,
+                missing=frame.missing,
+            )
         return self._taxels.following(
-            stamp_ns=stamp_ns, forces=forces, missing=missing, reason=reasons
+            stamp_ns=stamp_ns,
+            forces=forces,
+            missing=frame.missing,
+            reason=(frame.reason,) * settings.n_patches,
         )
 
     def _truth_of(self, stamp_ns: int, forces: Floats) -> Truth:
+        settings = self.settings
         if self._truth_message is None or forces.shape != self._truth_message.forces.shape:
-            head: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
-            self._truth_message = Truth(**head, stamp_ns=stamp_ns, forces=forces)
+            self._truth_message = Truth(
+                patch=settings.patch,
+                names=settings.patches,
+                stamp_ns=stamp_ns,
+                forces=forces,
+            )
         return self._truth_message.following(stamp_ns=stamp_ns, forces=forces)
 
     def state(self) -> dict[str, Any]:
+        state = super().state()
         # Without a stated rate, the pace of a driver is its own and not known.
-        paced = self._source.is_live and self.settings.rate_hz is None
-        state = {**super().state(), **({} if paced else {"rate_hz": self.rate_hz})}
-        if self._source.is_live:
-            state |= {"clock": "arrival"} if self._clock is None else self._clock.state()
-        state |= self._stage.state() if self._stage is not None else {}
-        return state | (self._readings.state() if self.settings.accepts_missing else {})
+        if not self._source.is_live or self.settings.rate_hz is not None:
+            state["rate_hz"] = self.rate_hz
+        if self._source.is_live and self._clock is not None:
+            state |= self._clock.state()
+        elif self._source.is_live:
+            state["clock"] = "arrival"
+        if self._stage is not None:
+            state |= self._stage.state()
+        if self.settings.accepts_missing:
+            state |= self._readings.state()
+        return state
 
     def status(self) -> str:
         source = self._source
-        total = f" of {source.n_frames}" if source.n_frames and not source.loops else ""
-        text = f"{source.name}: frame {self._n_frames}{total}"
-        text += f" of {n} patches" if (n := self.settings.n_patches) > 1 else ""
-        text += f"; dropped: {dropped}" if (dropped := source.dropped()) else ""
-        text += f"; {n} readings missing" if (n := self._readings.n_now) else ""
-        return text if source.is_there else f"{text}; the device is gone"
+        text = f"{source.name}: frame {self._n_frames}"
+        if source.n_frames and not source.loops:
+            text += f" of {source.n_frames}"
+        if self.settings.n_patches > 1:
+            text += f" of {self.settings.n_patches} patches"
+
+        n_dropped = source.dropped()
+        if n_dropped:
+            text += f"; dropped: {n_dropped}"
+        if self._readings.n_now:
+            text += f"; {self._readings.n_now} readings missing"
+        if not source.is_there:
+            text += "; the device is gone"
+        return text
 
     def close(self, counts: dict[str, Any]) -> None:
         self._source.close()
 
     def report(self) -> dict[str, Any]:
-        clock = self._clock.state() if self._clock is not None else {}
-        found = {**self._clipped(), **clock, **self._source.report(), **self._readings.report()}
+        report = self._clipped()
+        if self._clock is not None:
+            report |= self._clock.state()
+        report |= self._source.report()
+        report |= self._readings.report()
         if self._line:
-            found["lines"] = [*found.get("lines", ()), self._line]
-        return found
+            report["lines"] = [*report.get("lines", ()), self._line]
+        return report
 
     def _clipped(self) -> dict[str, Any]:
         """Counts of the readings that were clipped to the range."""
@@ -291,24 +355,29 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _watch_range(self) -> None:
         """Log clipped readings at first, then when doubled, `LOG_S` apart: wrong sign or unit."""
-        n = (clipped := self._clipped())["clipped"]
+        clipped = self._clipped()
+        n_clipped = clipped["clipped"]
         now_ns = self.context.clock.now_ns()
         is_time = not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000
-        if n > 2 * self._n_logged and is_time:
-            self._n_logged = n
+        if n_clipped > 2 * self._n_logged and is_time:
+            self._n_logged = n_clipped
             self._logged_ns = now_ns
             self.context.log(clipped_text(clipped))
 
     def _chosen_noise(self) -> NoiseModel:
+        scale = self.settings.noise
         if self._source.sigmas is None:
-            return NoiseModel.for_range(self.skin.f_max, self.settings.noise)
-        return NoiseModel(self.skin.f_max, *(self.settings.noise * s for s in self._source.sigmas))
+            return NoiseModel.for_range(self.skin.f_max, scale)
+        sigmas = [scale * sigma for sigma in self._source.sigmas]
+        return NoiseModel(self.skin.f_max, *sigmas)
 
     def _set_pace(self) -> None:
-        stated = self.settings.rate_hz
-        own = self._source.pace_hz
-        own /= self.settings.every if own == self._source.rate_hz else 1
-        self.rate_hz = own if stated is None else stated
+        if self.settings.rate_hz is not None:
+            self.rate_hz = self.settings.rate_hz
+        else:
+            self.rate_hz = self._source.pace_hz
+            if self.rate_hz == self._source.rate_hz:
+                self.rate_hz /= self.settings.every
         self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
 
     def _prepare(self) -> None:
@@ -320,13 +389,16 @@ class Sensor(SourceNode[SensorSettings]):
             # A tick a frame of now, so that a slow skin answers commands meanwhile.
             if self._next is not None or source.is_live:
                 break
+
         self._watch_range()
         if source.is_live:
             self._log_lines()
+
         if source.ended:
             self.exhausted = True
             if self._stage is not None and self._stage.is_starting:
                 self.context.log(f"{source.name}: ended before its tare")
+
         if source.arrives:
             self.acquired = self._next is not None
             if frame is None:
@@ -340,17 +412,22 @@ class Sensor(SourceNode[SensorSettings]):
             if self._clock is not None:
                 arrived_ns = self._clock.map(source.stamp, arrived_ns)
             self._stamp_ns = max(arrived_ns, self._stamp_ns + 1)
+
         if self._placement is not None and not source.on_points:
             forces = self._placement.on_grid(forces)
         if self._stage is not None:
-            if (converted := self._stage.process(forces, stamp_ns)) is None:
+            converted = self._stage.process(forces, stamp_ns)
+            if converted is None:
                 return None
             forces = converted
+
         missing = None
         if self.settings.accepts_missing and forces.ndim == 2:
-            if (filled := self._readings.fill(forces, stamp_ns)) is None:
+            filled = self._readings.fill(forces, stamp_ns)
+            if filled is None:
                 return None
             forces, missing = filled
+
         if source.delivers == "taxels":
             return _Frame(forces, None, missing, self._reason(forces))
         return _Frame(self._measured(forces), self._truth(forces), missing)
@@ -358,12 +435,13 @@ class Sensor(SourceNode[SensorSettings]):
     def _reason(self, forces: Floats) -> str:
         """Why the readings of a frame are not to be trusted, "" if they are."""
         if self._doubt is None:
-            s = self.settings
-            level = not self._stated_rest
-            self._doubt = Doubt(self.skin, has_level=level, is_inverted=s.invert)
+            has_level = not self._stated_rest
+            self._doubt = Doubt(self.skin, has_level=has_level, is_inverted=self.settings.invert)
         reason = self._doubt.look(forces, self._clips)
-        if line := self._doubt.take_line():
+        line = self._doubt.take_line()
+        if line:
             self._say(line)
+
         # A level that a calibration leaves is named, but a person has seen the readings.
         if self._described_changes and reason == Reason.REST:
             return self._clips.reason(self.skin.n_taxels)
@@ -386,25 +464,31 @@ class Sensor(SourceNode[SensorSettings]):
         self._log_lines()
 
     def _made_stage(self) -> Chain | None:
-        s = self.settings
+        settings = self.settings
         source = self._source
-        if not s.is_calibrated:
+        if not settings.is_calibrated:
             return None
-        where = s.skin or source.name
+        where = settings.skin or source.name
         if source.delivers == "truth":
             raise SourceError(f"{where}: {source.name} delivers true forces, which need none")
-        described = self._described or of_skin(source.name, self._source_skin)
-        described = replace(described.on(self._source_skin, where), placement=self._placement)
-        if s.f_min is not None:
-            described = replace(described, f_min=max(s.f_min, -described.f_max))
-        self._drifts = described.changes_readings or bool(s.tare)
-        if s.invert:
-            described = described.inverted()
-        return Chain(described, self._drift_rate(), s.tare or 0, self.context.log)
+
+        description = self._described or of_skin(source.name, self._source_skin)
+        description = description.on(self._source_skin, where)
+        description = replace(description, placement=self._placement)
+        if settings.f_min is not None:
+            f_min = max(settings.f_min, -description.f_max)
+            description = replace(description, f_min=f_min)
+
+        # The sign alone is no reason to follow a drift.
+        self._drifts = description.changes_readings or bool(settings.tare)
+        if settings.invert:
+            description = description.inverted()
+        return Chain(description, self._drift_rate(), settings.tare or 0, self.context.log)
 
     def _drift_rate(self) -> float:
-        default = DRIFT_RATE if self._drifts else 0.0
-        return default if self.settings.drift is None else self.settings.drift
+        if self.settings.drift is not None:
+            return self.settings.drift
+        return DRIFT_RATE if self._drifts else 0.0
 
     def _placed_skin(self) -> Skin:
         """The skin of the source, of a layout that of its virtual grid; SourceError by its size."""
@@ -412,14 +496,16 @@ class Sensor(SourceNode[SensorSettings]):
         if self._placement is None or self._source.on_points:
             return skin
         self._placement.check_size(skin.n_rows * skin.n_cols)
-        found = self._placement.skin(skin.f_max, skin.unit)
-        return found if skin.mask is None else found.without(~self._placement.on_grid(skin.mask))
+        placed = self._placement.skin(skin.f_max, skin.unit)
+        if skin.mask is None:
+            return placed
+        return placed.without(~self._placement.on_grid(skin.mask))
 
     def _truth(self, truth: Floats) -> Floats:
         """True forces of each patch."""
-        n = self.settings.n_patches
-        if n > 1 and truth.ndim == 2:  # a scene of one patch, which all then show
-            return np.repeat(truth[np.newaxis], n, axis=0)
+        n_patches = self.settings.n_patches
+        if n_patches > 1 and truth.ndim == 2:  # a scene of one patch, which all then show
+            return np.repeat(truth[np.newaxis], n_patches, axis=0)
         return truth
 
     def _measured(self, truth: Floats) -> Floats:

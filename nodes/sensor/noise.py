@@ -64,19 +64,22 @@ class NoiseModel:
     of_touched: bool = False
 
     def __post_init__(self) -> None:
-        most = f"0 to f_max = {self.f_max!r}, both included"
+        allowed_sigma = f"0 to f_max = {self.f_max!r}, both included"
         if not (is_real(self.f_max, 0.0) and self.f_max > 0.0):
             allowed = "a finite number above 0"
             raise SettingsError(f"noise model: f_max is {self.f_max!r}; allowed is {allowed}")
         for name in ("sigma_mid", "sigma_end"):
-            if not is_real(value := getattr(self, name), 0.0, self.f_max):
-                raise SettingsError(f"noise model: {name} is {value!r}; allowed is {most}")
+            sigma = getattr(self, name)
+            if not is_real(sigma, 0.0, self.f_max):
+                raise SettingsError(f"noise model: {name} is {sigma!r}; allowed is {allowed_sigma}")
 
     @classmethod
     def for_range(cls, f_max: float, times: float = 1.0) -> NoiseModel:
         """Return `times` the paper's noise, scaled to another range; raises as the class does."""
         scale = f_max / PAPER_F_MAX_N
-        return cls(f_max, times * (scale * PAPER_SIGMA_MID_N), times * (scale * PAPER_SIGMA_END_N))
+        sigma_mid = times * (scale * PAPER_SIGMA_MID_N)
+        sigma_end = times * (scale * PAPER_SIGMA_END_N)
+        return cls(f_max, sigma_mid, sigma_end)
 
     def sigma(self, forces: Floats) -> Floats:
         """Standard deviation of the noise before clipping, in the unit and shape of the true
@@ -94,8 +97,8 @@ class NoiseModel:
 
         Arguments and result as in `sigma`, squared.
         """
-        apart = np.abs(2 / self.f_max * forces - 1).clip(None, 1)
-        sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * apart
+        distance = np.abs(2 / self.f_max * forces - 1).clip(None, 1)
+        sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * distance
         variance: Floats = sigma * sigma
         if self.clips and self.sigma_end:
             slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end

@@ -40,11 +40,11 @@ def point_skins() -> PointSkins:
     """The plug-in for skins of points. Raises SourceError if there is none."""
     if NAME not in offered(POINTS):
         raise SourceError(f"skins of points need the plug-in {NAME}, which is not installed")
-    found: PointSkins = load(POINTS, NAME, SourceError)
-    return found
+    plugin: PointSkins = load(POINTS, NAME, SourceError)
+    return plugin
 
 
 def point_scenes() -> Mapping[str, str]:
     """Scenes on skins of points; none without the plug-in."""
-    skins: PointSkins | None = loaded(POINTS).get(NAME)
-    return {} if skins is None else skins.scenes()
+    plugin: PointSkins | None = loaded(POINTS).get(NAME)
+    return {} if plugin is None else plugin.scenes()

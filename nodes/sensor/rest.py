@@ -58,9 +58,9 @@ class Rest:
         highest = self._levels.max()
         levels = f"{lowest:.2g} to {highest:.2g} {printable(self._skin.unit)}"
         part = f"{self._levels.size} of {self._skin.n_taxels}"
-        found = f"{part} taxels read {levels} at first, and may do so at rest"
+        observation = f"{part} taxels read {levels} at first, and may do so at rest"
         answers = f"tare={TARE_FRAMES} if nothing touched them, tare=0 if these are forces"
-        return f"{found}{ADD}{answers}"
+        return f"{observation}{ADD}{answers}"
 
     def update(self, forces: Floats) -> bool:
         """Add a frame, float32 (rows, cols); return True once, where a line is to be logged."""
@@ -78,6 +78,8 @@ class Rest:
             self.is_settled = float(np.median(means)) <= self._least()
         if not is_last:
             return False
+
+        # The sum begins anew; a line is due once, after the first frames.
         is_new = self._is_first and not self.is_settled
         self._is_first = False
         self._sum[:] = 0.0
@@ -90,14 +92,15 @@ class Rest:
         n_below = math.ceil(DEAD * means.size)
         if n_below >= means.size:
             return
+
         ordered = np.partition(means, (n_below, means.size // 2))
         lowest = ordered[n_below]
         median = ordered[means.size // 2]
-        least = self._least()
-        is_lifted = lowest > max(least, EVEN * median)
-        self._levels = means[means > least] if is_lifted else means[:0]
+        threshold = self._least()
+        is_lifted = lowest > max(threshold, EVEN * median)
+        self._levels = means[means > threshold] if is_lifted else means[:0]
         # Most taxels read 0: no level, and what comes later is a load.
-        self.is_settled = median <= least
+        self.is_settled = median <= threshold
 
     def _least(self) -> float:
         """Least level, in the unit of the forces."""

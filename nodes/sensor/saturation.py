@@ -50,12 +50,15 @@ class Clipped:
         margin = self._margin.of(readings, high, noise)
         self.sign.update(readings, low, margin)
         self.n_now = 0
+
         lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
         highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
-        least = low if noise is None else low - margin
-        if least <= lowest and highest <= high:
+        # Noise that is known may lie below the range: only what exceeds it counts.
+        lower_end = low if noise is None else low - margin
+        if lower_end <= lowest and highest <= high:
             return
-        self.n_below += int(np.count_nonzero(readings < least))
+
+        self.n_below += int(np.count_nonzero(readings < lower_end))
         self.n_above += int(np.count_nonzero(readings > high))
         self.lowest = min(self.lowest, lowest)
         self.highest = max(self.highest, highest)
@@ -72,9 +75,16 @@ class Clipped:
         """Counts and range for a summary, as `clipped_text` reads them."""
         if not self.n:
             return {"clipped": 0}
-        counts = {"clipped_below": self.n_below, "clipped_above": self.n_above}
-        found = {"lowest": self.lowest, "highest": self.highest}
-        return {"clipped": self.n, **counts, **found, "f_min": f_min, "f_max": f_max, "unit": unit}
+        return {
+            "clipped": self.n,
+            "clipped_below": self.n_below,
+            "clipped_above": self.n_above,
+            "lowest": self.lowest,
+            "highest": self.highest,
+            "f_min": f_min,
+            "f_max": f_max,
+            "unit": unit,
+        }
 
 
 def clipped_text(report: Mapping[str, Any]) -> str:
@@ -82,9 +92,11 @@ def clipped_text(report: Mapping[str, Any]) -> str:
     much.
     """
     unit = printable(report["unit"])
+    n_above = report["clipped_above"]
+    n_below = report["clipped_below"]
     parts = []
-    if n := report["clipped_above"]:
-        parts.append(f"{n} above {report['f_max']:g} {unit} (highest {report['highest']:g})")
-    if n := report["clipped_below"]:
-        parts.append(f"{n} below {report['f_min']:g} {unit} (lowest {report['lowest']:g})")
+    if n_above:
+        parts.append(f"{n_above} above {report['f_max']:g} {unit} (highest {report['highest']:g})")
+    if n_below:
+        parts.append(f"{n_below} below {report['f_min']:g} {unit} (lowest {report['lowest']:g})")
     return f"readings clipped to the range: {', '.join(parts)}"

@@ -91,7 +91,7 @@ class Margin:
     """What the noise of readings may exceed an end of the range by."""
 
     def __init__(self) -> None:
-        self._last: npt.NDArray[Any] | None = None
+        self._previous: npt.NDArray[Any] | None = None
         self._spreads: deque[float] = deque(maxlen=N_SPREADS)
 
     def of(self, readings: npt.NDArray[Any], f_max: float, noise: float | None) -> float:
@@ -100,33 +100,37 @@ class Margin:
         """
         if noise is not None:
             return touch_level(noise, f_max, SIGMAS)
-        least = UNKNOWN * f_max
+        floor = UNKNOWN * f_max
         step = max(readings.size // N_SHOWN, 1) | 1  # odd, as rows often have an even number
         values = readings.reshape(-1)[::step].astype(np.float64)
-        last = self._last
-        self._last = values
-        is_known = np.isfinite(values)
-        if not is_known.all():
-            values = values[is_known]
-            last = None
+        previous = self._previous
+        self._previous = values
+        is_number = np.isfinite(values)
+        if not is_number.all():
+            values = values[is_number]
+            previous = None  # its values are of other taxels
         if not values.size:
-            return least
-        self._spreads.append(_spread(values, last))
+            return floor
+
+        self._spreads.append(_spread(values, previous))
         spreads = sorted(self._spreads)
+        median_spread = spreads[(len(spreads) - 1) // 2]
         if np.array_equal(values, np.rint(values)):
-            least = max(least, min(WHOLE, MOST_WHOLE * f_max))
-        return max(SIGMAS * spreads[(len(spreads) - 1) // 2], least)
+            floor = max(floor, min(WHOLE, MOST_WHOLE * f_max))
+        return max(SIGMAS * median_spread, floor)
 
 
-def _spread(values: Doubles, last: Doubles | None) -> float:
+def _spread(values: Doubles, previous: Doubles | None) -> float:
     """Standard deviation of noise as a frame shows it: the less of that over its taxels, which a
     load raises, and of that since the frame before, which a motion raises.
     """
     over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values)))
-    if last is None or last.size != values.size:
+    if previous is None or previous.size != values.size:
         return over_taxels
-    change = _middle(np.abs(values - last)) / DIFFERENCE
-    return over_taxels if math.isnan(change) else min(over_taxels, change)
+    change = _middle(np.abs(values - previous)) / DIFFERENCE
+    if math.isnan(change):
+        return over_taxels
+    return min(over_taxels, change)
 
 
 def _middle(values: Doubles) -> float:

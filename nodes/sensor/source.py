@@ -66,8 +66,9 @@ class Source:
     @property
     def pace_hz(self) -> float:
         """Frames a second that a sensor reads where its settings state no rate; 0: as they come."""
-        default = 0.0 if self.is_live else DEFAULT_RATE_HZ
-        return default if self.rate_hz is None else self.rate_hz
+        if self.rate_hz is not None:
+            return self.rate_hz
+        return 0.0 if self.is_live else DEFAULT_RATE_HZ
 
     @property
     def is_there(self) -> bool:
@@ -88,8 +89,10 @@ class Source:
         self.ended = frame is None
         if frame is None:
             return None
-        self._last_ns = self._began_ns + frame[0]
-        return self._last_ns, frame[1]
+
+        stamp_ns, forces = frame
+        self._last_ns = self._began_ns + stamp_ns
+        return self._last_ns, forces
 
     def read_part(self, first: int, every: int) -> None:
         """Read every `every`-th frame alone, from the one of number `first` on.

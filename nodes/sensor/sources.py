@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, cast
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, added, failures, load, loaded
@@ -32,17 +32,19 @@ def find_kind(kind: str, where: str = "") -> type[Address]:
     """Class of the addresses of one of `kinds`. Raises SourceError, after `where`, if its plug-in
     cannot be imported.
     """
-    is_own = kind in KINDS
-    made: Any = find_callable(KINDS[kind], SourceError) if is_own else None
-    found: type[Address] = made or load(ADDRESSES, kind, SourceError, where)
-    return found
+    address: type[Address]
+    if kind in KINDS:
+        address = cast("type[Address]", find_callable(KINDS[kind], SourceError))
+    else:
+        address = load(ADDRESSES, kind, SourceError, where)
+    return address
 
 
 def forms() -> str:
     """The forms of addresses."""
-    known = [find_kind(kind).form for kind in KINDS]
-    offers = [made.form for kind, made in loaded(ADDRESSES).items() if kind not in KINDS]
-    return f"{', '.join(known + offers)} or {Address.form}{failures(ADDRESSES)}"
+    core = [find_kind(kind).form for kind in KINDS]
+    plugins = [address.form for kind, address in loaded(ADDRESSES).items() if kind not in KINDS]
+    return f"{', '.join(core + plugins)} or {Address.form}{failures(ADDRESSES)}"
 
 
 def find_address(source: str, **stated: Any) -> Address:
@@ -50,20 +52,29 @@ def find_address(source: str, **stated: Any) -> Address:
     `Address`. Raises SourceError if it has none of these forms, or the plug-in of its kind is
     missing, or cannot be imported.
     """
-    kind, colon, rest = source.partition(":")
-    if not (kind and colon and rest):
-        from .scenes.scenes import SCENES
-
-        meant = SCENE if source in SCENES else "file:" if os.path.exists(source) else ""
-        hint = f' (did you mean "{meant}{source}"?)' if meant else ""
+    kind, colon, name = source.partition(":")
+    if not (kind and colon and name):
+        hint = _kind_hint(source)
         raise SourceError(f'source "{source}": expected {forms()}{hint}')
+
     # Plug-ins are looked up for what is no kind of the core.
     if kind in KINDS or kind in kinds():
         return find_kind(kind, source)(source, **stated)
-    if not all(part.isidentifier() for part in rest.split(".")):
+    if not all(part.isidentifier() for part in name.split(".")):
         fault = f"no plug-in for sources {kind}: is installed{suggestion(kind, kinds())}"
         raise SourceError(f"{source}: {fault}; expected {forms()}")
     return DriverAddress(source, **stated)
+
+
+def _kind_hint(source: str) -> str:
+    """A question whether a scene or a file is meant, where the kind is missing."""
+    from .scenes.scenes import SCENES
+
+    if source in SCENES:
+        return f' (did you mean "{SCENE}{source}"?)'
+    if os.path.exists(source):
+        return f' (did you mean "{FILE}{source}"?)'
+    return ""
 
 
 class DriverAddress(Address):
@@ -88,19 +99,22 @@ def check_module(target: str) -> None:
     """
     module = target.partition(":")[0]
     package = module.rpartition(".")[0]
-    here = search_here(module)
-    found = None
+    folder = search_here(module)
+    spec = None
     try:
-        found = find_spec(module)
+        spec = find_spec(module)
     except ModuleNotFoundError as cause:
         if not is_missing(package, cause) and cause.name != module:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
     except (Exception, SystemExit) as cause:
         if package:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
-    if found is None:
-        hint = suggestion(module, kinds()) if len(module) < 8 else ""
-        raise SourceError(f"{target}: there is no module {module!r}, installed or in {here}{hint}")
+    if spec is not None:
+        return
+
+    # A short name may be a kind of source that was not spelled right.
+    hint = suggestion(module, kinds()) if len(module) < 8 else ""
+    raise SourceError(f"{target}: there is no module {module!r}, installed or in {folder}{hint}")
 
 
 def open_source(source: str, **stated: Any) -> Source:

@@ -73,13 +73,16 @@ class Zero:
                 self._baseline = np.median(self._untouched, axis=0).astype(np.float32)
             self.reason = Reason.REST
             return np.zeros_like(readings)
+
         forces = readings
         if self._baseline is not None:
             forces = forces - self._baseline
         if self._invert:
             forces = -forces
-        mask = self._skin.mask
-        existing = forces if mask is None else np.where(mask, forces, np.float32(0))
+
+        existing = forces
+        if self._skin.mask is not None:
+            existing = np.where(self._skin.mask, forces, np.float32(0))
         self._clipped.add(existing, 0.0, self._skin.f_max)
         self.reason = self.doubt.look(existing, self._clipped)
         return forces

@@ -88,7 +88,9 @@ class TopicInfo:
     def rate_hz(self) -> float:
         """Messages a second by their stamps; 0 if all have the same stamp."""
         span_ns = self.last_ns - self.first_ns
-        return (self.n_messages - 1) * 1e9 / span_ns if span_ns > 0 else 0.0
+        if span_ns <= 0:
+            return 0.0
+        return (self.n_messages - 1) * 1e9 / span_ns
 
     def add(self, schema: str, version: int, stamp_ns: int, log_time_ns: int) -> None:
         """Count one message."""
@@ -97,11 +99,14 @@ class TopicInfo:
         self.max_lag_ns = max(self.max_lag_ns, lag_ns)
         if schema == End.schema:
             return
-        begins = not self.n_messages
+
         self.schema = schema
         self.version = version
-        self.first_ns = stamp_ns if begins else min(self.first_ns, stamp_ns)
-        self.last_ns = stamp_ns if begins else max(self.last_ns, stamp_ns)
+        if not self.n_messages:
+            self.first_ns = stamp_ns
+            self.last_ns = stamp_ns
+        self.first_ns = min(self.first_ns, stamp_ns)
+        self.last_ns = max(self.last_ns, stamp_ns)
         self.n_messages += 1
 
 

@@ -49,17 +49,22 @@ def frame_topics(
 
     Raises BagError if there is none, or if a requested topic is missing or holds no frames.
     """
-    wanted = list(bag.topics) if topics is None else list(dict.fromkeys(topics))
-    bag.messages(wanted)  # refuses a topic that the bag does not hold
-    found = [topic for topic in wanted if bag.topics[topic].schema in schemas]
-    if topics is not None and found != wanted:
-        other = next(topic for topic in wanted if topic not in found)
-        allowed = f"allowed are topics of {', '.join(schemas)}"
-        raise BagError(f"{bag.path}: topic {other} holds no frames; {allowed}")
-    found = [topic for topic in found if bag.topics[topic].n_messages]
-    if not found:
+    requested = list(bag.topics if topics is None else dict.fromkeys(topics))
+    bag.messages(requested)  # refuses a topic that the bag does not hold
+    if topics is not None:
+        for topic in requested:
+            if bag.topics[topic].schema not in schemas:
+                allowed = f"allowed are topics of {', '.join(schemas)}"
+                raise BagError(f"{bag.path}: topic {topic} holds no frames; {allowed}")
+
+    with_frames = []
+    for topic in requested:
+        info = bag.topics[topic]
+        if info.schema in schemas and info.n_messages:
+            with_frames.append(topic)
+    if not with_frames:
         raise BagError(f"{bag.path}: holds no frames to export")
-    return found
+    return with_frames
 
 
 def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
@@ -69,43 +74,50 @@ def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
 
 def with_states(bag: BagReader, topics: Iterable[str]) -> list[str]:
     """Topics, and those of the states (skin, calibration, Phi, solver) of their patches."""
-    wanted = list(topics)
-    states = [topic_of(patch_of(topic), cls.schema) for topic in wanted for cls in STATES]
-    held = [topic for topic in states if topic in bag.topics and bag.topics[topic].n_messages]
-    return list(dict.fromkeys([*wanted, *held]))
+    names = list(topics)
+    for patch in [patch_of(topic) for topic in names]:
+        for cls in STATES:
+            state = topic_of(patch, cls.schema)
+            if state in bag.topics and bag.topics[state].n_messages:
+                names.append(state)
+    return list(dict.fromkeys(names))
 
 
 def last_messages(bag: BagReader, topics: Iterable[str]) -> dict[str, Message]:
     """The last message on each of some topics that the bag holds; raises as `decoded`."""
-    last = {each.topic: each for each in bag.messages(t for t in topics if t in bag.topics)}
-    return {topic: decoded(bag, each) for topic, each in last.items()}
+    in_bag = [topic for topic in topics if topic in bag.topics]
+    newest = {recorded.topic: recorded for recorded in bag.messages(in_bag)}
+    return {topic: decoded(bag, recorded) for topic, recorded in newest.items()}
 
 
 def last_states(bag: BagReader, topics: Iterable[str]) -> dict[str, dict[str, Any]]:
     """The last state of each kind of the patches of some topics, by topic: fields as JSON has
     them, a mask as rows of 0 and 1; raises as `decoded`.
     """
-    wanted = [t for t in with_states(bag, topics) if bag.topics[t].schema not in STREAM_SCHEMAS]
-    return {topic: state_json(state) for topic, state in last_messages(bag, wanted).items()}
+    states = [t for t in with_states(bag, topics) if bag.topics[t].schema not in STREAM_SCHEMAS]
+    return {topic: state_json(state) for topic, state in last_messages(bag, states).items()}
 
 
 def state_json(message: Message) -> dict[str, Any]:
     """Fields of a state as JSON has them, a mask as rows of 0 and 1."""
     names = [name for name in wire_fields(type(message)) if name not in ("run_id", "seq")]
     values = {name: getattr(message, name) for name in names}
-    if (mask := values.get("mask")) is not None:
+    mask = values.get("mask")
+    if mask is not None:
         values["mask"] = ["".join("01"[cell] for cell in row) for row in mask.astype(int)]
-    arrays = {name: value.tolist() for name, value in values.items() if hasattr(value, "tolist")}
-    return values | arrays
+    for name, value in values.items():
+        if hasattr(value, "tolist"):
+            values[name] = value.tolist()
+    return values
 
 
 def streams(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[tuple[Message, int]]:
     """All messages on some topics in recorded order, each with its time of recording, without the
     ends of streams; with a progress bar; raises as `decoded`.
     """
-    wanted = list(topics)
-    total = sum(bag.topics[topic].n_messages for topic in wanted)
-    for recorded in progress(bag.messages(wanted), total, doing):
+    topics = list(topics)
+    total = sum(bag.topics[topic].n_messages for topic in topics)
+    for recorded in progress(bag.messages(topics), total, doing):
         message = decoded(bag, recorded)
         if not isinstance(message, End):
             yield message, recorded.log_time_ns
@@ -134,7 +146,8 @@ def decoded(bag: BagReader, recorded: BagMessage) -> Message:
 
 def skin_of(bag: BagReader, patch: str) -> SkinState | None:
     """The last recorded state of a patch's skin, None if there is none; raises as `decoded`."""
-    state = last_messages(bag, [topic := topic_of(patch, SkinState.schema)]).get(topic)
+    topic = topic_of(patch, SkinState.schema)
+    state = last_messages(bag, [topic]).get(topic)
     return state if isinstance(state, SkinState) else None
 
 

@@ -90,48 +90,55 @@ class BagIndex:
                 raise BagError(f"{self.name}: more than {_MAX_CHANNELS} channels")
             self.channels[channel.id] = self._checked(channel)
         elif record.opcode == Opcode.METADATA:
-            found = record.parsed(mcap.Metadata.read)
-            self.metadata.setdefault(found.name, found.metadata)
+            metadata = record.parsed(mcap.Metadata.read)
+            self.metadata.setdefault(metadata.name, metadata.metadata)
 
     def _checked(self, channel: mcap.Channel) -> BagChannel:
         schema = self._schemas.get(channel.schema_id)
-        topic = channel.topic[:80]
-        encoding = channel.message_encoding
         schema_name = "" if schema is None else schema.name
         kind = schema_name.removeprefix(form.SCHEMA_PREFIX)
-        if encoding != form.ENCODING or kind == schema_name:
-            prefix = form.LIBRARY_PREFIX
-            hint = ""
-            is_ours = form.GRAPH_RECORD in self.metadata or self.library.startswith(prefix)
-            if encoding == "cdr":
-                hint = form.ROS2_HINT
-            elif self.library.startswith("foxglove") or schema_name.startswith("foxglove."):
-                hint = "; it is for viewers: Foxglove and Lichtblick open it"
-            whose = self.name if is_ours else f"{self.name}: {self.of_another_program}"
-            held = f"{encoding[:40]!r} messages of schema {schema_name[:80]!r}"
-            expected = f"expected {form.ENCODING!r} and {form.SCHEMA_PREFIX}...{hint}"
-            raise BagError(f"{whose}: topic {topic!r} holds {held}; {expected}")
+        if channel.message_encoding != form.ENCODING or kind == schema_name:
+            raise self._foreign(channel, schema_name)
         try:
             split_topic(channel.topic)
         except MessageError as error:
             raise BagError(f"{self.name}: {error}") from error
-        place = f"{self.name}: topic {topic}"
+
+        place = f"{self.name}: topic {channel.topic[:80]}"
         if kind not in SCHEMAS:
-            known = f"this program reads {', '.join(SCHEMAS)}"
-            raise BagError(f"{place} holds messages of schema {kind[:40]!r}; {known}")
+            allowed = f"this program reads {', '.join(SCHEMAS)}"
+            raise BagError(f"{place} holds messages of schema {kind[:40]!r}; {allowed}")
         version = channel.metadata.get(form.VERSION_KEY, "")
         if version != str(SCHEMAS[kind].version):
             fault = f"recorded with {kind} version {version[:20] or 'unknown'}"
             raise BagError(f"{place}: {fault}; this program reads {SCHEMAS[kind].version}")
         return BagChannel(channel.topic, kind, SCHEMAS[kind].version)
 
+    def _foreign(self, channel: mcap.Channel, schema_name: str) -> BagError:
+        """The error of a channel of another program, with what opens its file."""
+        encoding = channel.message_encoding
+        hint = ""
+        if encoding == "cdr":
+            hint = form.ROS2_HINT
+        elif self.library.startswith("foxglove") or schema_name.startswith("foxglove."):
+            hint = "; it is for viewers: Foxglove and Lichtblick open it"
+
+        whose = self.name
+        has_our_library = self.library.startswith(form.LIBRARY_PREFIX)
+        if not has_our_library and form.GRAPH_RECORD not in self.metadata:
+            whose = f"{self.name}: {self.of_another_program}"
+        messages = f"{encoding[:40]!r} messages of schema {schema_name[:80]!r}"
+        expected = f"expected {form.ENCODING!r} and {form.SCHEMA_PREFIX}...{hint}"
+        return BagError(f"{whose}: topic {channel.topic[:80]!r} holds {messages}; {expected}")
+
     def add_chunk(self, record: Record) -> None:
         """Add the channels and count the messages of a chunk.
 
         Raises as `describe`, and Break if a message has no channel; then it counts none.
         """
-        found: list[tuple[BagChannel, int, int]] = []
-        for opcode, content in of_file.chunk_records(of_file.open_chunk(record), record.offset):
+        messages: list[tuple[BagChannel, int, int]] = []
+        chunk = of_file.open_chunk(record)
+        for opcode, content in of_file.chunk_records(chunk, record.offset):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.describe(Record(opcode, record.offset, bytes(content)))
             elif opcode == Opcode.MESSAGE:
@@ -139,16 +146,20 @@ class BagIndex:
                 channel = self.channels.get(id)
                 if channel is None or max(log_ns, stamp_ns) > INT64_MAX:
                     raise Break(record.offset, "a message there has no channel or a wrong time")
-                found.append((channel, stamp_ns, log_ns))
-        for channel, stamp_ns, log_ns in found:
-            of_topic = TopicInfo(channel.schema, channel.version)
-            info = self.topics.setdefault(channel.topic, of_topic)
+                messages.append((channel, stamp_ns, log_ns))
+
+        # Only a chunk without a fault is counted.
+        for channel, stamp_ns, log_ns in messages:
+            empty = TopicInfo(channel.schema, channel.version)
+            info = self.topics.setdefault(channel.topic, empty)
             info.add(channel.schema, channel.version, stamp_ns, log_ns)
-        self.n_scanned += len(found)
-        if found:
-            logs = [log_ns for _, _, log_ns in found]
-            topics = frozenset(channel.topic for channel, _, _ in found)
-            self.chunks.append(ChunkSpan(record.offset, record.stop, topics, min(logs), max(logs)))
+        self.n_scanned += len(messages)
+        if messages:
+            log_times = [log_ns for _, _, log_ns in messages]
+            topics = frozenset(channel.topic for channel, _, _ in messages)
+            first_ns = min(log_times)
+            last_ns = max(log_times)
+            self.chunks.append(ChunkSpan(record.offset, record.stop, topics, first_ns, last_ns))
 
     def chunks_with(
         self, topics: frozenset[str], start_ns: int | None, stop_ns: int | None
@@ -161,7 +172,11 @@ class BagIndex:
             early_enough = stop_ns is None or chunk.first_log_ns - info.max_lag_ns < stop_ns
             return late_enough and early_enough
 
-        return [c for c in self.chunks if any(may_hold(c, topic) for topic in c.topics & topics)]
+        chunks = []
+        for chunk in self.chunks:
+            if any(may_hold(chunk, topic) for topic in chunk.topics & topics):
+                chunks.append(chunk)
+        return chunks
 
 
 def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex, str]:
@@ -171,19 +186,22 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
     the first break, the number of messages found and the place of the break. Raises BagError if the
     file is no bag that this program reads, or broken before the first record.
     """
-    first = file.read(len(MAGIC))
-    if not first:
+    begin = file.read(len(MAGIC))
+    if not begin:
         raise BagError(f"{name}: is empty")
-    if not MAGIC.startswith(first):
-        raise BagError(f"{name}: not an MCAP file (it begins with {first!r}){SOURCE_HINT}")
-    if first != MAGIC:
-        raise BagError(f"{name}: ends after {len(first)} bytes, before anything was recorded")
+    if not MAGIC.startswith(begin):
+        raise BagError(f"{name}: not an MCAP file (it begins with {begin!r}){SOURCE_HINT}")
+    if begin != MAGIC:
+        raise BagError(f"{name}: ends after {len(begin)} bytes, before anything was recorded")
+
     try:
         index, damage = _read_summary(file, name, whole)
     except Break:
         index = None
         damage = _NO_INDEX
-    return (index, "") if index is not None else _scan(file, name, damage)
+    if index is None:
+        return _scan(file, name, damage)
+    return index, ""
 
 
 def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | None, str]:
@@ -195,16 +213,19 @@ def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | No
         raise Break(size, "the file does not end as MCAP does")
     if not footer.summary_start:
         return None, ""
+
     data_end_at = footer.summary_start - _DATA_END_BYTES
     data_end = record_at(file, data_end_at, footer_at, Opcode.DATA_END)
-    stated = data_end.parsed(mcap.DataEnd.read).data_section_crc
+    data_crc = data_end.parsed(mcap.DataEnd.read).data_section_crc
     # The checksum covers the footer as well, up to the checksum itself.
-    summary_crc = of_file.crc_of(file, footer.summary_start, size - len(MAGIC) - _SUMMARY_CRC_BYTES)
+    summary_stop = size - len(MAGIC) - _SUMMARY_CRC_BYTES
+    summary_crc = of_file.crc_of(file, footer.summary_start, summary_stop)
     if footer.summary_crc and summary_crc != footer.summary_crc:
         return None, _NO_INDEX
-    if stated and whole and of_file.crc_of(file, 0, data_end_at) != stated:
+    if data_crc and whole and of_file.crc_of(file, 0, data_end_at) != data_crc:
         return None, "a record outside the messages is damaged"
-    if not (stated and footer.summary_crc):
+    # 0: not computed. Without a checksum the index is not believed.
+    if not (data_crc and footer.summary_crc):
         return None, ""
     try:
         return _from_summary(file, name, footer.summary_start, footer_at), ""
@@ -238,9 +259,12 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
             index.describe(record_at(file, offset, start, Opcode.METADATA))
     topics = json.loads(index.metadata[form.TOPICS_RECORD][form.JSON_KEY])
     index.topics = {topic: _topic_info(values) for topic, values in topics.items()}
-    recorded = set(index.channels.values())
-    stated = {BagChannel(topic, i.schema, i.version) for topic, i in index.topics.items()}
-    if index.topics.keys() != {one.topic for one in recorded} or not stated <= recorded:
+
+    # Counts of other topics than those of the channels are of no use.
+    channels = set(index.channels.values())
+    counted = {BagChannel(topic, i.schema, i.version) for topic, i in index.topics.items()}
+    channel_topics = {channel.topic for channel in channels}
+    if index.topics.keys() != channel_topics or not counted <= channels:
         return None
     return index
 
@@ -248,7 +272,8 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
 def _topic_info(values: dict[str, Any]) -> TopicInfo:
     for key, value in values.items():
         low = -INT64_MAX if key.endswith("lag_ns") else 0
-        if type(value) is not str if key == "schema" else not is_whole(value, low, INT64_MAX):
+        is_valid = type(value) is str if key == "schema" else is_whole(value, low, INT64_MAX)
+        if not is_valid:
             raise TypeError(key)
     info = TopicInfo(**values)
     if dataclasses.asdict(info).keys() != values.keys() or info.first_ns > info.last_ns:
@@ -273,8 +298,11 @@ def _scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
             fault = f"cannot be read from {place} on ({broken.why}), before anything was recorded"
             raise BagError(f"{name}: {fault}") from broken
         where = f"{place}: {broken.why}"
-    some = "1 message" if index.n_scanned == 1 else f"{index.n_scanned} messages"
-    return index, f"{some} recovered, up to {where}"
+
+    messages = f"{index.n_scanned} messages"
+    if index.n_scanned == 1:
+        messages = "1 message"
+    return index, f"{messages} recovered, up to {where}"
 
 
 def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:

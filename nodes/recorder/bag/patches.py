@@ -14,7 +14,7 @@ from .format import BagMessage, TopicInfo
 from .frames import decoded
 from .reader import BagReader
 
-Held = dict[str, dict[str, Floats]]
+Unchanged = dict[str, dict[str, Floats]]
 """Forces of the patches of each topic of reconstructions, for those that are unchanged."""
 
 
@@ -24,19 +24,25 @@ def names_of(bag: BagReader) -> dict[str, tuple[str, ...]]:
 
     Raises BagError if a message cannot be decoded.
     """
-    found = {split_topic(topic)[0]: _names_on(bag, topic) for topic in _frame_topics(bag)}
-    return {patch: names for patch, names in found.items() if names}
+    by_patch = {split_topic(topic)[0]: _names_on(bag, topic) for topic in _frame_topics(bag)}
+    return {patch: names for patch, names in by_patch.items() if names}
 
 
 def _frame_topics(bag: BagReader) -> list[str]:
-    held = {topic: SCHEMAS[info.schema] for topic, info in bag.topics.items() if info.n_messages}
-    return [topic for topic, cls in held.items() if issubclass(cls, Frames)]
+    topics = []
+    for topic, info in bag.topics.items():
+        if info.n_messages and issubclass(SCHEMAS[info.schema], Frames):
+            topics.append(topic)
+    return topics
 
 
 def _names_on(bag: BagReader, topic: str) -> tuple[str, ...]:
     """Names that the first message on a topic states; () for one patch of its own name."""
-    messages = (decoded(bag, recorded) for recorded in bag.messages([topic]))
-    return next((one.names for one in messages if isinstance(one, Frames)), ())
+    for recorded in bag.messages([topic]):
+        message = decoded(bag, recorded)
+        if isinstance(message, Frames):
+            return message.names
+    return ()
 
 
 def split_bag(bag: BagReader) -> BagReader:
@@ -61,17 +67,22 @@ class SplitBag(BagReader):
         self.recovered = bag.recovered
         self._bag = bag
         self._names = names
+
         several = [topic for topic in _frame_topics(bag) if split_topic(topic)[0] in names]
-        found: dict[str, TopicInfo] = {}
-        held: Held = {}
+        topics: dict[str, TopicInfo] = {}
+        unchanged: Unchanged = {}
         for recorded in bag.messages(several):
-            for single in self._singles(recorded, held):
+            for single in self._singles(recorded, unchanged):
                 schema = split_topic(single.topic)[1]
-                info = found.setdefault(single.topic, TopicInfo(schema, SCHEMAS[schema].version))
+                empty = TopicInfo(schema, SCHEMAS[schema].version)
+                info = topics.setdefault(single.topic, empty)
                 info.add(schema, info.version, single.stamp_ns, single.log_time_ns)
+
+        # States hold for each of the patches.
         for topic in bag.topics.keys() - set(several):
-            found |= dict.fromkeys(self._of_patches(topic), bag.topics[topic])
-        self.topics = dict(sorted(found.items()))
+            for topic_of_patch in self._of_patches(topic):
+                topics[topic_of_patch] = bag.topics[topic]
+        self.topics = dict(sorted(topics.items()))
 
     def close(self) -> None:
         """Close the file."""
@@ -86,15 +97,15 @@ class SplitBag(BagReader):
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[BagMessage]:
         topics = [t for t in self._bag.topics if not wanted.isdisjoint(self._of_patches(t))]
-        held: Held = {}
+        unchanged: Unchanged = {}
         # From the first on: a patch that is unchanged has the forces of an earlier message.
         for recorded in self._bag.messages(topics, None, stop_ns):
-            for single in self._singles(recorded, held):
-                early = start_ns is not None and single.stamp_ns < start_ns
-                if single.topic in wanted and not early:
+            for single in self._singles(recorded, unchanged):
+                is_early = start_ns is not None and single.stamp_ns < start_ns
+                if single.topic in wanted and not is_early:
                     yield single
 
-    def _singles(self, recorded: BagMessage, held: Held) -> Iterator[BagMessage]:
+    def _singles(self, recorded: BagMessage, unchanged: Unchanged) -> Iterator[BagMessage]:
         """The messages of the patches that one of the bag stands for."""
         patch = split_topic(recorded.topic)[0]
         if patch not in self._names:
@@ -104,7 +115,7 @@ class SplitBag(BagReader):
         if isinstance(message, End):
             return
         if isinstance(message, Frames):
-            parts: Iterable[Message] = message.split(held.setdefault(recorded.topic, {}))
+            parts: Iterable[Message] = message.split(unchanged.setdefault(recorded.topic, {}))
         else:
             parts = (replace(message, patch=name) for name in self._names[patch])
         for part in parts:

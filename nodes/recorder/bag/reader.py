@@ -76,11 +76,12 @@ class BagReader(AbstractContextManager["BagReader"]):
 
         Raises BagError at once if the bag has no such topic; later if the file is changed.
         """
-        wanted = frozenset(self.topics) if topics is None else frozenset(topics)
-        for topic in sorted(wanted - self.topics.keys()):
-            hint = did_you_mean(topic, self.topics)
-            raise BagError(f"{self.path}: holds no topic {topic[:80]!r}{hint}")
-        return self._messages(wanted, start_ns, stop_ns)
+        names = frozenset(self.topics if topics is None else topics)
+        missing = sorted(names - self.topics.keys())
+        if missing:
+            hint = did_you_mean(missing[0], self.topics)
+            raise BagError(f"{self.path}: holds no topic {missing[0][:80]!r}{hint}")
+        return self._messages(names, start_ns, stop_ns)
 
     def close(self) -> None:
         """Close the file."""
@@ -92,18 +93,23 @@ class BagReader(AbstractContextManager["BagReader"]):
     def _messages(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[BagMessage]:
-        channels = {id: one for id, one in self._index.channels.items() if one.topic in wanted}
+        channels = {}
+        for id, channel in self._index.channels.items():
+            if channel.topic in wanted:
+                channels[id] = channel
+
         for chunk in self._index.chunks_with(wanted, start_ns, stop_ns):
             for opcode, content in chunk_records(self._chunk(chunk), chunk.offset):
                 if opcode != Opcode.MESSAGE:
                     continue
                 id, log_ns, stamp_ns, data = message_of(content, chunk.offset)
-                channel = channels.get(id)
-                if channel is None or (start_ns is not None and stamp_ns < start_ns):
+                if id not in channels:
+                    continue
+                if start_ns is not None and stamp_ns < start_ns:
                     continue
                 if stop_ns is not None and stamp_ns >= stop_ns:
                     continue
-                yield BagMessage(*channel, log_ns, stamp_ns, bytes(data))
+                yield BagMessage(*channels[id], log_ns, stamp_ns, bytes(data))
 
     def _chunk(self, chunk: ChunkSpan) -> bytes:
         """A chunk, checked once more: time has passed since the file was opened."""
@@ -124,21 +130,28 @@ def _open(path: Path) -> BinaryIO:
         mode = os.stat(path).st_mode
         # Opening a pipe would wait for its writer.
         if not stat.S_ISREG(mode):
-            what = "is a folder" if stat.S_ISDIR(mode) else "is no regular file"
-            hint = ROS2_HINT if (path / "metadata.yaml").is_file() else ""
-            raise BagError(f"{path}: {what}; expected a recording, NAME.mcap{hint}")
+            kind = "is a folder" if stat.S_ISDIR(mode) else "is no regular file"
+            hint = ""
+            if (path / "metadata.yaml").is_file():
+                hint = ROS2_HINT
+            raise BagError(f"{path}: {kind}; expected a recording, NAME.mcap{hint}")
         return open(path, "rb")
     except FileNotFoundError as error:
         part = f"{path}{PART_SUFFIX}"
-        begun = f" ({part} is there: not complete, but can be read)" if os.path.exists(part) else ""
-        raise BagError(f"{path}: no such file{begun}") from error
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise BagError(f"{path}: {reason}") from error
+        hint = ""
+        if os.path.exists(part):
+            hint = f" ({part} is there: not complete, but can be read)"
+        raise BagError(f"{path}: no such file{hint}") from error
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror}") from error
+    except ValueError as error:  # a null character in the name
+        raise BagError(f"{path}: {error}") from error
 
 
 def _counts(record: dict[str, str]) -> dict[str, Any] | None:
-    found = None
+    counts = None
     with suppress(ValueError, RecursionError):
-        found = json.loads(record.get(JSON_KEY, ""))
-    return found if isinstance(found, dict) and is_shallow(found) else None
+        counts = json.loads(record.get(JSON_KEY, ""))
+    if isinstance(counts, dict) and is_shallow(counts):
+        return counts
+    return None

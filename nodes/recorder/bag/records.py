@@ -59,12 +59,12 @@ class Record(NamedTuple):
         """The content, parsed by the reader of its class."""
         stream = ReadDataStream(io.BytesIO(self.data))
         try:
-            found = read(stream)
+            content = read(stream)
         except Exception as error:  # EndOfFile, struct.error, UnicodeDecodeError, ValueError, ...
             raise Break(self.offset, "a record there is malformed") from error
         if stream.count != len(self.data):
             raise Break(self.offset, "a record there is malformed")
-        return found
+        return content
 
 
 def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
@@ -75,6 +75,8 @@ def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
         head = file.read(min(HEAD_BYTES, stop - offset))
         if len(head) < HEAD_BYTES:
             raise Break(offset, "the file ends in the middle of a record")
+
+        # The length is not to be believed before it is checked.
         opcode, length = _HEAD.unpack(head)
         if opcode not in _KNOWN:
             raise Break(offset, "no record begins there")
@@ -82,7 +84,9 @@ def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
             raise Break(offset, "the file ends in the middle of a record, or its length is wrong")
         if length > _MAX_RECORD_BYTES:
             raise Break(offset, f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}")
-        yield (record := Record(opcode, offset, file.read(length)))
+
+        record = Record(opcode, offset, file.read(length))
+        yield record
         offset = record.stop
 
 
@@ -105,8 +109,12 @@ def open_chunk(record: Record) -> bytes:
         plain = _decompressed(chunk)
     except Exception as error:  # lz4 and zstandard have families of their own
         raise Break(offset, "a chunk there cannot be decompressed") from error
-    stated = chunk.uncompressed_crc  # 0: not computed
-    if len(plain) != chunk.uncompressed_size or (stated and zlib.crc32(plain) != stated):
+
+    has_checksum = chunk.uncompressed_crc != 0
+    is_whole = len(plain) == chunk.uncompressed_size
+    if is_whole and has_checksum:
+        is_whole = zlib.crc32(plain) == chunk.uncompressed_crc
+    if not is_whole:
         raise Break(offset, "the checksum of a chunk there does not match")
     return plain
 
@@ -140,10 +148,13 @@ def crc_of(file: BinaryIO, start: int, stop: int) -> int:
     """CRC-32 of a part of a file, read in blocks."""
     file.seek(start)
     crc = 0
-    left = stop - start
-    while left > 0 and (block := file.read(min(_CRC_BLOCK_BYTES, left))):
+    n_remaining = stop - start
+    while n_remaining > 0:
+        block = file.read(min(_CRC_BLOCK_BYTES, n_remaining))
+        if not block:
+            break
         crc = zlib.crc32(block, crc)
-        left -= len(block)
+        n_remaining -= len(block)
     return crc
 
 

@@ -90,11 +90,12 @@ class _WholeWrites:
 
     def flush(self) -> None:
         begin = self._file.tell()
-        rest = memoryview(bytes(self.pending))
+        unwritten = memoryview(bytes(self.pending))
         self.pending.clear()
         try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
+            while unwritten:
+                n_written = self._file.write(unwritten)
+                unwritten = unwritten[n_written:]
         except OSError:
             with contextlib.suppress(OSError):
                 self._file.truncate(begin)
@@ -138,6 +139,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._closed = False
         self._channels: dict[tuple[str, str, int], int] = {}
         self._schemas: dict[tuple[str, int], int] = {}
+
         try:
             "".join([*metadata, *metadata.values()]).encode()
         except UnicodeEncodeError as error:
@@ -170,17 +172,20 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._check_open()
         topic, schema, version, log_time_ns, stamp_ns, payload = message
         channel = self._channel(topic, schema, version)
-        if (n := len(payload)) > MAX_MESSAGE_BYTES:
-            fault = f"a message of {n} bytes on {topic}, at most {MAX_MESSAGE_BYTES}"
+        n_bytes = len(payload)
+        if n_bytes > MAX_MESSAGE_BYTES:
+            fault = f"a message of {n_bytes} bytes on {topic}, at most {MAX_MESSAGE_BYTES}"
             raise BagError(f"{self.path}: {fault}")
-        for what, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
+        for name, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
             if not 0 <= time_ns <= INT64_MAX:
-                raise BagError(f"{self.path}: {topic}: {what} {time_ns} is outside 0..2**63 - 1")
+                raise BagError(f"{self.path}: {topic}: {name} {time_ns} is outside 0..2**63 - 1")
+
         info = self._topics.setdefault(topic, TopicInfo(schema, version))
         sequence = info.n_messages & 0xFFFFFFFF
         self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
         info.add(schema, version, stamp_ns, log_time_ns)
         self.n_messages += 1
+
         if self._file.pending:  # the chunk was full
             self.flush()
             return
@@ -251,14 +256,14 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if schema not in SCHEMAS:
             hint = did_you_mean(schema, SCHEMAS)
             raise BagError(f"{self.path}: {topic}: schema {schema!r} is not known{hint}")
-        made = self._mcap
+
         form = (schema, version)
         if form not in self._schemas:
             text = json.dumps(json_schema(SCHEMAS[schema], version)).encode()
             name = SCHEMA_PREFIX + schema
-            self._schemas[form] = made.register_schema(name, "jsonschema", text)
-        known = {VERSION_KEY: str(version)}
-        channel = made.register_channel(topic, ENCODING, self._schemas[form], known)
+            self._schemas[form] = self._mcap.register_schema(name, "jsonschema", text)
+        metadata = {VERSION_KEY: str(version)}
+        channel = self._mcap.register_channel(topic, ENCODING, self._schemas[form], metadata)
         self._channels[topic, schema, version] = channel
         return channel
 
@@ -292,8 +297,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         try:
             place(self.part, self.path)
         except OSError as error:
-            kept = f"the recording is complete in {self.part.name}"
-            raise BagError(f"{self.path}: {error.strerror}; {kept}") from error
+            remains = f"the recording is complete in {self.part.name}"
+            raise BagError(f"{self.path}: {error.strerror}; {remains}") from error
+        # The name is on the disk once the folder is.
         with contextlib.suppress(OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)
             try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TextIO
@@ -24,6 +24,8 @@ from sparseskin.nodes.recorder.bag.frames import (
 )
 from sparseskin.nodes.recorder.bag.reader import BagReader
 
+_NO_CELLS: Floats = np.empty(0, np.float32)
+
 
 def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
     """Write a folder `out` with PATCH_SCHEMA.csv for each topic; their paths.
@@ -39,38 +41,81 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     Raises BagError if the bag has no such frames, OutputError if the folder exists or cannot be
     written.
     """
-    wanted = stream_topics(bag, topics)
-    states = last_states(bag, wanted)
-    longest: dict[str, int] = {}
-    measured = [topic for topic in wanted if bag.topics[topic].schema == Measurements.schema]
+    topics = stream_topics(bag, topics)
+    states = last_states(bag, topics)
+    n_measurements: dict[str, int] = {}
+    measured = [topic for topic in topics if bag.topics[topic].schema == Measurements.schema]
     for message, _ in streams(bag, measured, "measure"):
-        longest[message.topic] = max(longest.get(message.topic, 0), len(_cells(message)))
-    files: dict[Path, TextIO] = {}
+        longest = n_measurements.get(message.topic, 0)
+        n_measurements[message.topic] = max(longest, len(_cells(message)))
+
     with whole_folder(out), ExitStack() as stack:
-
-        def write(topic: str, suffix: str, figures: dict[str, Any], cells: Floats) -> None:
-            patch, schema = split_topic(topic)
-            path = out / f"{patch}_{schema}{suffix}.csv"
-            if path not in files:
-                files[path] = stack.enter_context(open(path, "x", encoding="ascii"))
-                ours = {t.rpartition("/")[2]: s for t, s in states.items() if patch_of(t) == patch}
-                names = ",".join([*figures, *_cell_names(cells, longest.get(topic, 0))])
-                title = f"# sparseskin frames of {topic}{suffix}"
-                files[path].write(f"{title}\n# {json.dumps(ours)}\n{names}\n")
-            values = [*figures.values(), *cells.ravel().astype(str).tolist()]
-            texts = ("" if value is None else str(value).replace(",", ";") for value in values)
-            files[path].write(",".join(texts) + "\n")
-
-        for message, _ in streams(bag, wanted, "export"):
+        tables = _Tables(out, stack, states, n_measurements)
+        for message, _ in streams(bag, topics, "export"):
             if isinstance(message, Contacts):
-                for suffix, rows in (("", _contacts(message)), ("_events", _events(message))):
-                    for row in rows:
-                        write(message.topic, suffix, row, np.empty(0, np.float32))
+                for row in _contacts(message):
+                    tables.write(message.topic, "", row)
+                for row in _events(message):
+                    tables.write(message.topic, "_events", row)
                 continue
-            write(message.topic, "", _figures(message), _cells(message))
-            if (sd := values_alone(message).get("sd")) is not None:
-                write(message.topic, "_sd", {"stamp_ns": message.stamp_ns}, sd)
-    return list(files)
+            tables.write(message.topic, "", _figures(message), _cells(message))
+            sd = values_alone(message).get("sd")
+            if sd is not None:
+                tables.write(message.topic, "_sd", {"stamp_ns": message.stamp_ns}, sd)
+    return list(tables.files)
+
+
+class _Tables:
+    """The files of an export, each opened at its first line.
+
+    `states` are those of the patches by topic, `n_measurements` the most measurements of a message
+    on each topic.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        stack: ExitStack,
+        states: Mapping[str, dict[str, Any]],
+        n_measurements: Mapping[str, int],
+    ) -> None:
+        self.files: dict[Path, TextIO] = {}
+        self._folder = folder
+        self._stack = stack
+        self._states = states
+        self._n_measurements = n_measurements
+
+    def write(
+        self, topic: str, suffix: str, figures: Mapping[str, Any], cells: Floats = _NO_CELLS
+    ) -> None:
+        """Write a line of figures by the names of their columns, and of the cells of a frame."""
+        patch, schema = split_topic(topic)
+        path = self._folder / f"{patch}_{schema}{suffix}.csv"
+        if path not in self.files:
+            file = open(path, "x", encoding="ascii")  # noqa: SIM115 - the stack closes it
+            self.files[path] = self._stack.enter_context(file)
+            cell_names = _cell_names(cells, self._n_measurements.get(topic, 0))
+            names = ",".join([*figures, *cell_names])
+            states = json.dumps(self._states_of(patch))
+            title = f"# sparseskin frames of {topic}{suffix}"
+            self.files[path].write(f"{title}\n# {states}\n{names}\n")
+
+        texts = [_text(value) for value in figures.values()]
+        texts += cells.ravel().astype(str).tolist()
+        self.files[path].write(",".join(texts) + "\n")
+
+    def _states_of(self, patch: str) -> dict[str, Any]:
+        """The states of a patch by their schemas."""
+        by_schema = {}
+        for topic, state in self._states.items():
+            if patch_of(topic) == patch:
+                by_schema[split_topic(topic)[1]] = state
+        return by_schema
+
+
+def _text(value: object) -> str:
+    """A figure as a cell of a table: a comma would begin another one."""
+    return "" if value is None else str(value).replace(",", ";")
 
 
 def _contacts(message: Contacts) -> list[dict[str, Any]]:
@@ -88,21 +133,21 @@ def _events(message: Contacts) -> list[dict[str, Any]]:
 
 def _figures(message: Message) -> dict[str, Any]:
     """All fields but arrays and the publisher's run; the bits of rows and tree as hexadecimals."""
-    found: dict[str, Any] = {"stamp_ns": message.stamp_ns}
+    figures: dict[str, Any] = {"stamp_ns": message.stamp_ns}
     values = values_alone(message)
     for name, kind in kinds_alone(type(message)).items():
         value = values[name]
         if isinstance(kind, Array):
             if name in ("places", "nodes") and value is not None:
-                found[name] = value.tobytes().hex()
+                figures[name] = value.tobytes().hex()
         elif name not in ("patch", "run_id", "stamp_ns"):
-            found[name] = value
-    return found
+            figures[name] = value
+    return figures
 
 
 def _cells(message: Message) -> Floats:
     values = values_of(message)
-    return np.empty(0, np.float32) if values is None else np.asarray(values)
+    return _NO_CELLS if values is None else np.asarray(values)
 
 
 def _cell_names(cells: Floats, longest: int) -> list[str]:

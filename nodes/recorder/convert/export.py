@@ -43,5 +43,5 @@ def find_export(name: str) -> Export:
     """The export of a name in `export_names`; raises BagError if its plug-in cannot be imported."""
     if name in OWN:
         return OWN[name]
-    found: Export = load(EXPORTS, name, BagError, f"--to {name}")
-    return found
+    export: Export = load(EXPORTS, name, BagError, f"--to {name}")
+    return export

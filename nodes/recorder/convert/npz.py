@@ -66,36 +66,45 @@ def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     Raises BagError if the bag has no such frames or their shape changes, OutputError if a file
     exists or cannot be written.
     """
-    wanted = stream_topics(bag, topics)
-    patches = sorted({patch_of(topic) for topic in wanted})
+    by_patch: dict[str, list[str]] = {}
+    for topic in stream_topics(bag, topics):
+        by_patch.setdefault(patch_of(topic), []).append(topic)
     written = []
-    for patch in patches:
-        path = out if len(patches) == 1 else out.with_name(f"{out.stem}_{patch}{out.suffix}")
-        ours = with_states(bag, [topic for topic in wanted if patch_of(topic) == patch])
-        with (
-            whole_file(path) as draft,
-            os_errors(path),
-            tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch,
-            zipfile.ZipFile(draft, "x", allowZip64=True) as archive,
-        ):
-            arrays = _described(bag, patch)
-            for topic_arrays in _recorded(bag, ours, Path(scratch)):
-                arrays |= topic_arrays
-            for name, values in arrays.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.asanyarray(values))
+    for patch in sorted(by_patch):
+        path = out
+        if len(by_patch) > 1:
+            path = out.with_name(f"{out.stem}_{patch}{out.suffix}")
+        _export_patch(bag, patch, by_patch[patch], path)
         written.append(path)
     return written
+
+
+def _export_patch(bag: BagReader, patch: str, topics: list[str], path: Path) -> None:
+    """Write one patch. Its arrays lie in files beside `path` until all messages are read."""
+    with (
+        whole_file(path) as draft,
+        os_errors(path),
+        tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch,
+        zipfile.ZipFile(draft, "x", allowZip64=True) as archive,
+    ):
+        arrays = _described(bag, patch)
+        for topic_arrays in _recorded(bag, with_states(bag, topics), Path(scratch)):
+            arrays |= topic_arrays
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(values))
 
 
 def _recorded(bag: BagReader, topics: list[str], folder: Path) -> Iterator[dict[str, Any]]:
     """Arrays of the messages on each topic, by name."""
     columns: dict[str, _Columns | _Contacts] = {}
     for message, log_time_ns in streams(bag, topics, "export"):
-        if message.topic not in columns:
-            made = _Columns(f"{bag.path}: {message.topic}", message, folder)
-            columns[message.topic] = _Contacts() if isinstance(message, Contacts) else made
-        columns[message.topic].add(message, log_time_ns)
+        topic = message.topic
+        if topic not in columns and isinstance(message, Contacts):
+            columns[topic] = _Contacts()
+        elif topic not in columns:
+            columns[topic] = _Columns(f"{bag.path}: {topic}", message, folder)
+        columns[topic].add(message, log_time_ns)
     for topic in topics:
         if topic not in columns:
             raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
@@ -115,53 +124,67 @@ class _Columns:
             for name, kind in self._kinds.items()
         }
         self._files = {n: folder / f"{self._schema}_{n}" for n in ("y", "forces", "sd")}
-        self._held: set[str] = set()
+        self._with_frames: set[str] = set()
         self._shapes: list[tuple[int, ...]] = []
 
     def add(self, message: Message, log_time_ns: int) -> None:
         values = {**values_alone(message), LOG_TIME: log_time_ns}
         for name, column in self._columns.items():
             column.append(math.nan if values[name] is None else values[name])
-        if (frame := values_of(message)) is None:
+        frame = values_of(message)
+        if frame is None:
             return
-        before = self._shapes[-1] if self._shapes else frame.shape
-        if frame.shape != before and not isinstance(message, Measurements):
-            sizes = "a frame of {} x {} after some of {} x {}".format(*frame.shape, *before)
-            raise BagError(f"{self._place}, stamp {message.stamp_ns}: {sizes}")
+
+        self._check_shape(frame, message)
         self._shapes.append(frame.shape)
         for name in self._files.keys() & values.keys():
-            is_sent = values[name] is not None
-            value = frame if is_sent and name != "sd" else values[name]  # NaN where missing
-            self._held |= set() if value is None else {name}
+            numbers = values[name]
+            if numbers is None:
+                numbers = np.full_like(frame, np.nan)
+            else:
+                self._with_frames.add(name)
+                if name != "sd":
+                    numbers = frame  # NaN where a reading is missing
             with self._files[name].open("ab") as file:
-                shown = np.full_like(frame, np.nan) if value is None else value
-                file.write(np.ascontiguousarray(shown).data)
+                file.write(np.ascontiguousarray(numbers).data)
+
+    def _check_shape(self, frame: npt.NDArray[Any], message: Message) -> None:
+        """Raise BagError if the frame has another shape than the one before; M may change."""
+        if not self._shapes or isinstance(message, Measurements):
+            return
+        previous = self._shapes[-1]
+        if frame.shape != previous:
+            sizes = "a frame of {} x {} after some of {} x {}".format(*frame.shape, *previous)
+            raise BagError(f"{self._place}, stamp {message.stamp_ns}: {sizes}")
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file; a field that no message has gets none."""
         frames_name, stamps_name = array_names(self._schema)
         short = {"forces": frames_name, "y": frames_name, "stamp_ns": stamps_name}
-        found = {name: self._frames(self._files[name]) for name in sorted(self._held)}
+        arrays = {name: self._frames(self._files[name]) for name in sorted(self._with_frames)}
         for name, kind in self._kinds.items():
-            values = np.array(self._columns[name], _CODES.get(type(kind), ("", None))[1])
+            _, dtype = _CODES.get(type(kind), ("", None))
+            values = np.array(self._columns[name], dtype)
             if not (isinstance(kind, Real) and np.isnan(values).all()):
-                found[name] = values
-        return {short.get(name, f"{self._schema}_{name}"): one for name, one in found.items()}
+                arrays[name] = values
+        return {short.get(name, f"{self._schema}_{name}"): value for name, value in arrays.items()}
 
     def _frames(self, path: Path) -> npt.NDArray[np.float32]:
         """The frames in a file, with NaN behind those of fewer measurements."""
-        held = np.memmap(path, np.float32, "r")
+        numbers = np.memmap(path, np.float32, "r")
         shape = (len(self._shapes), *max(self._shapes))
-        if held.size == math.prod(shape):
-            return held.reshape(shape)
-        if math.prod(shape) > max(MAX_PADDED, MAX_PADDING * held.size):
-            fault = f"{held.size} numbers would be padded to {math.prod(shape)}"
+        n_padded = math.prod(shape)
+        if numbers.size == n_padded:
+            return numbers.reshape(shape)
+        if n_padded > max(MAX_PADDED, MAX_PADDING * numbers.size):
+            fault = f"{numbers.size} numbers would be padded to {n_padded}"
             allowed = f"at most {MAX_PADDING} times as many are allowed"
             raise BagError(f"{self._place}: {fault}; {allowed}; export to csv")
+
         padded = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape)
         at = 0
         for row, (m,) in zip(padded, self._shapes, strict=True):
-            row[:m] = held[at : at + m]
+            row[:m] = numbers[at : at + m]
             row[m:] = np.nan
             at += m
         return padded
@@ -182,18 +205,23 @@ class _Contacts:
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file."""
-        found = {name: np.concatenate(parts) for name, parts in self._columns.items()}
-        stamps, numbers, events = zip(*self._events, strict=True) if self._events else ((), (), ())
-        found["event_stamp_ns"] = np.array(stamps, np.int64)
-        found["event_id"] = np.array(numbers, np.int32)
-        found["event"] = np.array(events, "U8")
-        return {f"{Contacts.schema}_{name}": one for name, one in found.items()}
+        arrays = {name: np.concatenate(parts) for name, parts in self._columns.items()}
+        arrays["event_stamp_ns"] = np.array([stamp_ns for stamp_ns, _, _ in self._events], np.int64)
+        arrays["event_id"] = np.array([number for _, number, _ in self._events], np.int32)
+        arrays["event"] = np.array([event for _, _, event in self._events], "U8")
+        return {f"{Contacts.schema}_{name}": values for name, values in arrays.items()}
 
 
 def _described(bag: BagReader, patch: str) -> dict[str, Any]:
     """Description of a patch by the names of the file."""
     skin = skin_of(bag, patch)
     topics = [topic for topic in bag.topics if patch_of(topic) == patch]
-    texts = {"states": last_states(bag, topics), "metadata": bag.metadata, "counts": bag.counts}
-    arrays = {"patch": patch, **{name: json.dumps(value) for name, value in texts.items()}}
-    return arrays | ({} if skin is None else described(skin, skin.rate_hz))
+    arrays: dict[str, Any] = {
+        "patch": patch,
+        "states": json.dumps(last_states(bag, topics)),
+        "metadata": json.dumps(bag.metadata),
+        "counts": json.dumps(bag.counts),
+    }
+    if skin is not None:
+        arrays |= described(skin, skin.rate_hz)
+    return arrays

@@ -20,16 +20,20 @@ def export_skin(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     Raises BagError if there is none, or it is malformed, OutputError if a file exists or cannot be
     written.
     """
-    held = {topic for topic, info in bag.topics.items() if info.schema == Calibration.schema}
-    wanted = sorted(held if topics is None else held & set(topics))
-    if not wanted:
+    calibrated = {topic for topic, info in bag.topics.items() if info.schema == Calibration.schema}
+    if topics is not None:
+        calibrated &= set(topics)
+    if not calibrated:
         raise BagError(f"{bag.path}: holds no calibration of a skin")
-    last = last_messages(bag, wanted)
+
+    calibrations = last_messages(bag, sorted(calibrated))
     written = []
-    for topic, message in last.items():
+    for topic, message in calibrations.items():
         assert isinstance(message, Calibration)
         patch = patch_of(topic)
-        path = out if len(last) == 1 else out.with_name(f"{out.stem}_{patch}{out.suffix}")
+        path = out
+        if len(calibrations) > 1:
+            path = out.with_name(f"{out.stem}_{patch}{out.suffix}")
         state = skin_of(bag, patch)
         try:
             if state is None:

@@ -60,7 +60,7 @@ def import_file(
         patches.append(_Imported(source, f"{patch}_{channel}", of_channel, _Zeroing(0), log))
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
-        streams = [one.messages() for one in patches]
+        streams = [imported.messages() for imported in patches]
         total = (main.frames.n_frames or 0) * len(patches)
         merged = heapq.merge(*streams, key=lambda timed: timed[0])
         for stamp_ns, message, number in progress(merged, total, "import"):
@@ -117,8 +117,8 @@ class _Imported:
             )
             yield stamp_ns, taxels, self.n_frames
             self.n_frames += 1
-        if line := self._forces_of.line:
-            self._log(line)
+        if self._forces_of.line:
+            self._log(self._forces_of.line)
 
     def _skin_state(self) -> SkinState:
         frames = self.frames
@@ -169,7 +169,8 @@ class _Forces:
         if forces is None:
             return None
         reason = self._doubt.look(forces, self._clipped)
-        return forces, (reason,) if reason else ()
+        reasons = (reason,) if reason else ()
+        return forces, reasons
 
     def states(self, skin: SkinState) -> Iterator[Message]:
         """The states before the first frame: the calibration, where there is one, and the skin with

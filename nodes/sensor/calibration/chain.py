@@ -56,14 +56,14 @@ class Chain:
         tare: int = 0,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
-        d = self.description = description  # with the baseline in use; it contains no drift
-        self.skin: Skin = d.skin
-        self.drift = Drift(d.shape, d.f_max, d.noise or 0.0, drift_rate)
-        self.clipped = Clipped(
-            mask=self.skin.mask
-        )  # above f_max, and below f_min by more than noise
-        self._last: Doubles | None = None
-        self._untared: Mask = np.zeros(d.shape, np.bool_)
+        self.description = description  # with the baseline in use; it contains no drift
+        self.skin: Skin = description.skin
+        noise = description.noise or 0.0
+        self.drift = Drift(description.shape, description.f_max, noise, drift_rate)
+        # Readings above f_max, and below f_min by more than noise.
+        self.clipped = Clipped(mask=self.skin.mask)
+        self._previous: Doubles | None = None
+        self._untared: Mask = np.zeros(description.shape, np.bool_)
         self._log = log
         #: True while the tare at the start waits for frames; once a tare has changed the baseline,
         #: until whoever publishes it sets it to False.
@@ -94,18 +94,25 @@ class Chain:
 
         `raw` are its readings, any real dtype, NaN where they are missing; `stamp_ns` is its time.
         """
-        d = self.description
-        found = d.forces(raw)
-        found[self._untared] = np.nan
+        description = self.description
+        forces = description.forces(raw)
+        forces[self._untared] = np.nan
+
         # On a skin with noise, a frame that repeats the last one is of a board that hangs: what is
         # followed meanwhile would be no drift, and its frames would differ.
-        hangs = self._last is not None and np.array_equal(found, self._last, equal_nan=True)
-        self._last = found.copy() if d.noise else None
-        found -= self.drift.value
+        previous = self._previous
+        hangs = previous is not None and np.array_equal(forces, previous, equal_nan=True)
+        self._previous = forces.copy() if description.noise else None
+
+        forces -= self.drift.value
         if not hangs:
-            self.drift.update(np.nan_to_num(found), stamp_ns)
-        self.clipped.add(found, d.f_min, d.f_max, d.noise or 0.0)
-        return np.clip(found, d.f_min, d.f_max, out=found).astype(np.float32)
+            self.drift.update(np.nan_to_num(forces), stamp_ns)
+
+        f_min = description.f_min
+        f_max = description.f_max
+        self.clipped.add(forces, f_min, f_max, description.noise or 0.0)
+        np.clip(forces, f_min, f_max, out=forces)
+        return forces.astype(np.float32)
 
     def start_tare(self, value: Any) -> str:
         """Begin a tare of the next `value` frames, `TARE_FRAMES` if None; one under way is
@@ -116,9 +123,10 @@ class Chain:
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
             fault = f"{str(value)[:40]!r} is no number of frames"
             raise RefusedError(f"tare: {fault} (allowed: 1..{MAX_TARE_FRAMES})")
-        most = MAX_TARE_READINGS // (self.description.n_rows * self.description.n_cols)
-        if n_frames > most:
-            raise RefusedError(f"tare: {n_frames} frames of this skin; at most {most}")
+        limit = MAX_TARE_READINGS // (self.description.n_rows * self.description.n_cols)
+        if n_frames > limit:
+            raise RefusedError(f"tare: {n_frames} frames of this skin; at most {limit}")
+
         self._taring = []
         self._tare_left = n_frames
         return f"the baseline becomes the median of the next {n_frames} frames"
@@ -133,19 +141,25 @@ class Chain:
         missing = np.isnan(readings)
         self._untared = missing.all(axis=0)
         readings[:, self._untared] = 0.0
+
         median = np.nanmedian if missing.any() else np.median
-        before = self.description.baseline
-        old = 0.0 if before is None else before
-        baseline = np.where(self._untared, old, median(readings, axis=0).astype(np.float64))
-        moved = np.abs(self.description.forces(baseline) - self.drift.value)[self.skin.exists]
+        medians = median(readings, axis=0).astype(np.float64)
+        old_baseline = self.description.baseline
+        old_values = 0.0 if old_baseline is None else old_baseline
+        baseline = np.where(self._untared, old_values, medians)
+
+        # How far the untouched skin was off with the baseline and the drift until now.
+        untouched_forces = self.description.forces(baseline) - self.drift.value
+        moved = np.abs(untouched_forces)[self.skin.exists]
         self.description = replace(self.description, baseline=baseline)
         self.drift.reset()
         self.clipped.sign.reset()
         if self.description.noise is None and len(frames) >= LEAST_FRAMES:
             self._measure_noise(readings[:MOST_FRAMES])
+
         line = f"forces changed by at most {moved.max():.3g} {self.skin.unit}"
         n_moved = np.count_nonzero(moved > MOVED * self.skin.f_max)
-        if n_moved and before is not None:
+        if n_moved and old_baseline is not None:
             line += f", of {n_moved} taxels by more than {100 * MOVED:g} % of the range"
             line += ": a touch while taring, or a baseline that was old"
         self._tared = line
@@ -160,16 +174,25 @@ class Chain:
         self.is_news = True
 
     def _measure_noise(self, readings: npt.NDArray[Any]) -> None:
+        """State the noise of untouched frames, unless it is so large that they were touched."""
         works = self.skin.exists & ~self._untared
         forces = np.stack([self.description.forces(frame)[works] for frame in readings])
-        steady = ~np.isnan(forces).any(axis=0)
-        noise = float(np.median(forces[:, steady].std(axis=0, ddof=1))) if steady.any() else 0.0
+        has_all = ~np.isnan(forces).any(axis=0)
+        if not has_all.any():
+            return
+
+        deviations = forces[:, has_all].std(axis=0, ddof=1)
+        noise = float(np.median(deviations))
         if 0 < noise < MOVED * self.skin.f_max:
-            d = self.description = replace(self.description, noise=float(f"{noise:.3g}"))
-            self.drift = Drift(d.shape, d.f_max, noise, self.drift.rate)
+            rounded = float(f"{noise:.3g}")
+            self.description = replace(self.description, noise=rounded)
+            shape = self.description.shape
+            self.drift = Drift(shape, self.description.f_max, noise, self.drift.rate)
 
     def state(self) -> dict[str, Any]:
         """State for the operator: frames that a tare waits for, largest drift, last tare."""
         drift = float(np.abs(self.drift.value).max())
-        found = {"tare_left": self._tare_left, "drift": float(f"{drift:.3g}")}
-        return {**found, "tared": self._tared} if self._tared else found
+        state: dict[str, Any] = {"tare_left": self._tare_left, "drift": float(f"{drift:.3g}")}
+        if self._tared:
+            state["tared"] = self._tared
+        return state

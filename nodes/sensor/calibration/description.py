@@ -24,8 +24,6 @@ MAX_KNOTS = 32
 """Most knots of a response curve, chosen: a person applies fewer weights."""
 MAX_CURVES = 1 << 19
 """Most numbers of the response curves, so that a message holds them beside baseline and gains."""
-ARRAYS = ("baseline", "gains", "response_reading", "response_force")
-"""Arrays of a message of a calibration."""
 MAX_NUMBER = 1e30
 """Largest baseline, knot or range: as that of a reading, float32 holds it."""
 MIN_SLOPE = 1e-12
@@ -118,10 +116,11 @@ class Response:
     def forces(self, readings: npt.NDArray[Any]) -> Doubles:
         """Forces of readings, shape (..., n_rows, n_cols), any real dtype."""
         slopes = self.slopes
-        found: Doubles = slopes[0] * np.asarray(readings, dtype=np.float64)
+        forces: Doubles = slopes[0] * np.asarray(readings, dtype=np.float64)
+        # At each knot but the last the slope changes.
         for knot, change in zip(self.reading, np.diff(slopes, axis=0), strict=False):
-            found += change * np.maximum(0.0, readings - knot)
-        return found
+            forces += change * np.maximum(0.0, readings - knot)
+        return forces
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,12 +155,24 @@ class SkinDescription:
     placement: Placement | None = None  # of readings on that grid; None: as they come
 
     def __post_init__(self) -> None:
-        for key, longest in (("name", MAX_NAME), ("unit", MAX_UNIT)):
-            text = getattr(self, key)
-            printable = isinstance(text, str) and text.strip() and text.isprintable()
-            if not (printable and len(text) <= longest):
-                expected = f"expected 1..{longest} printable characters"
-                raise SkinFileError(f"{key}: {expected}, got {ascii(text)[:40]}")
+        self._check_text("name", MAX_NAME)
+        self._check_text("unit", MAX_UNIT)
+        self._check_numbers()
+        self._check_array("mask", np.bool_, self.shape)
+        self._check_array("baseline", np.float64, self.shape)
+        self._check_array("gains", np.float64, self.shape)
+        self._check_array("points", np.float32, (*self.shape, 6))
+        self._check_values()
+
+    def _check_text(self, key: str, longest: int) -> None:
+        text = getattr(self, key)
+        is_printable = isinstance(text, str) and text.strip() and text.isprintable()
+        if not (is_printable and len(text) <= longest):
+            expected = f"expected 1..{longest} printable characters"
+            raise SkinFileError(f"{key}: {expected}, got {ascii(text)[:40]}")
+
+    def _check_numbers(self) -> None:
+        """Check the size and range, which bound what the arrays may hold."""
         try:
             for key in ("n_rows", "n_cols"):
                 Integer(1, MAX_SIDE).check(key, getattr(self, key))
@@ -178,24 +189,24 @@ class SkinDescription:
             )
         if self.noise is None and self.noise_mid is not None:
             raise SkinFileError("noise_mid: is stated without noise")
-        for key, dtype, beyond in (
-            ("mask", np.bool_, ()),
-            ("baseline", np.float64, ()),
-            ("gains", np.float64, ()),
-            ("points", np.float32, (6,)),
-        ):
-            array = getattr(self, key)
-            shape = (*self.shape, *beyond)
-            if array is not None and (array.shape != shape or array.dtype != dtype):
-                expected = f"expected {np.dtype(dtype)} of shape {shape}"
-                raise SkinFileError(f"{key}: {array.dtype} of shape {array.shape}; {expected}")
+
+    def _check_array(self, key: str, dtype: type[np.generic], shape: tuple[int, ...]) -> None:
+        array = getattr(self, key)
+        if array is not None and (array.shape != shape or array.dtype != dtype):
+            expected = f"expected {np.dtype(dtype)} of shape {shape}"
+            raise SkinFileError(f"{key}: {array.dtype} of shape {array.shape}; {expected}")
+
+    def _check_values(self) -> None:
         if self.mask is not None and not self.mask.any():
             raise SkinFileError("mask: leaves no taxel")
         if self.baseline is not None and not (np.abs(self.baseline) <= MAX_NUMBER).all():
             raise SkinFileError(f"baseline: expected numbers of at most {MAX_NUMBER:g}")
         if self.gains is not None and not _within_slopes(np.abs(self.gains)):
             raise SkinFileError(f"gains: expected numbers of {SLOPES}, or below 0 the same")
-        reading = np.zeros(0) if self.response is None else self.response.reading
+
+        if self.response is None:
+            return
+        reading = self.response.reading
         if reading.shape[1:] not in ((), self.shape) or reading.size > MAX_CURVES:
             expected = f"K numbers, or K grids of {self.shape}, {MAX_CURVES} numbers at most"
             raise SkinFileError(f"response.reading: shape {reading.shape}; expected {expected}")
@@ -209,38 +220,54 @@ class SkinDescription:
     def skin(self) -> Skin:
         """Geometry and range, as messages carry them."""
         exists = np.ones(self.shape, np.bool_) if self.mask is None else self.mask
-        mask = None if exists.all() else exists
-        pitch_m = None if self.pitch_mm is None else self.pitch_mm / 1000.0
-        points = None if self.points is None else self.points[exists]
-        rows = None if self.placement is None else self.placement.point_rows(exists)
-        return Skin(*self.shape, self.f_max, self.unit, pitch_m, mask, points, rows)
+        pitch_m = None
+        points = None
+        point_rows = None
+        if self.pitch_mm is not None:
+            pitch_m = self.pitch_mm / 1000.0
+        if self.points is not None:
+            points = self.points[exists]
+        if self.placement is not None:
+            point_rows = self.placement.point_rows(exists)
+        return Skin(
+            *self.shape,
+            self.f_max,
+            self.unit,
+            pitch_m,
+            mask=None if exists.all() else exists,
+            points=points,
+            point_rows=point_rows,
+        )
 
     @property
     def sigmas(self) -> tuple[float, float] | None:
         """Noise of a taxel at half the range, and untouched, in `unit`; None: not known."""
         if self.noise is None:
             return None
-        return (self.noise if self.noise_mid is None else self.noise_mid), self.noise
+        if self.noise_mid is None:
+            return self.noise, self.noise
+        return self.noise_mid, self.noise
 
     @property
     def changes_readings(self) -> bool:
         """True if a reading and its force may differ: a baseline, gains or a curve."""
-        return any(one is not None for one in (self.baseline, self.gains, self.response))
+        steps = (self.baseline, self.gains, self.response)
+        return any(step is not None for step in steps)
 
     def forces(self, raw: npt.NDArray[Any]) -> Doubles:
         """Forces of raw readings, shape (..., rows, cols), not clipped to the range; 0 in masked
         cells. A fresh array.
         """
-        found: Doubles = np.array(raw, dtype=np.float64)
+        forces: Doubles = np.array(raw, dtype=np.float64)
         if self.baseline is not None:
-            found -= self.baseline
+            forces -= self.baseline
         if self.gains is not None:
-            found *= self.gains
+            forces *= self.gains
         if self.response is not None:
-            found = self.response.forces(found)
+            forces = self.response.forces(forces)
         if self.mask is not None:
-            found[..., ~self.mask] = 0.0
-        return found
+            forces[..., ~self.mask] = 0.0
+        return forces
 
     def inverted(self) -> SkinDescription:
         """This description for readings that fall where it has them rise with force."""
@@ -254,22 +281,45 @@ class SkinDescription:
         if self.shape != skin.shape:
             sizes = "{} x {} taxels, but the source has {} x {}".format(*self.shape, *skin.shape)
             raise SourceError(f"{where}: describes {sizes}")
-        points = points_on_grid(skin) if self.points is None else self.points
-        mask = self.mask if skin.mask is None else skin.exists & self.skin.exists
+
+        points = self.points
+        if points is None:
+            points = points_on_grid(skin)
+        mask = self.mask
+        if skin.mask is not None:
+            mask = skin.exists & self.skin.exists
         return replace(self, points=points, mask=mask)
 
     def message(self, stamp_ns: int, patch: str) -> Calibration:
         """The calibration as a message, in float32."""
-        reading = force = None
+        reading = None
+        force = None
         if self.response is not None:
             reading = self.response.reading
             force = self.response.force
-            reading = reading if reading.ndim == 3 else reading[:, None, None]
-        single: dict[str, Any] = {
-            key: None if array is None else np.ascontiguousarray(array, dtype=np.float32)
-            for key, array in zip(ARRAYS, (self.baseline, self.gains, reading, force), strict=True)
-        }
-        return Calibration(stamp_ns=stamp_ns, patch=patch, name=self.name, **single)
+            if reading.ndim == 1:  # of all taxels: a grid of one cell in a message
+                reading = reading[:, np.newaxis, np.newaxis]
+        return Calibration(
+            stamp_ns=stamp_ns,
+            patch=patch,
+            name=self.name,
+            baseline=_in_single(self.baseline),
+            gains=_in_single(self.gains),
+            response_reading=_in_single(reading),
+            response_force=_in_single(force),
+        )
+
+
+def _in_single(array: Doubles | None) -> Floats | None:
+    """An array in the precision of messages."""
+    if array is None:
+        return None
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _in_double(array: Floats | None) -> Doubles | None:
+    """An array of a message in the precision of a description."""
+    return None if array is None else array.astype(np.float64)
 
 
 def _within_slopes(sizes: Doubles) -> bool:
@@ -278,9 +328,13 @@ def _within_slopes(sizes: Doubles) -> bool:
 
 def of_skin(name: str, skin: Skin) -> SkinDescription:
     """Description of a skin without a calibration: its readings are forces."""
-    text = "".join(char for char in name if char.isprintable()).strip()[:MAX_NAME] or "skin"
+    text = "".join(char for char in name if char.isprintable()).strip()
     return SkinDescription(
-        *(text, skin.n_rows, skin.n_cols, float(skin.f_max), skin.unit),
+        name=text[:MAX_NAME] or "skin",
+        n_rows=skin.n_rows,
+        n_cols=skin.n_cols,
+        f_max=float(skin.f_max),
+        unit=skin.unit,
         pitch_mm=1000 * skin.pitch_m if skin.pitch_m else None,
         mask=skin.mask,
         points=points_on_grid(skin),
@@ -291,21 +345,24 @@ def of_messages(state: SkinState, calibration: Calibration) -> SkinDescription:
     """The skin that the messages of a patch describe, the inverse of `SkinDescription.message` up
     to the rounding of float32. Raises SkinFileError if they contradict each other.
     """
-    single = (getattr(calibration, key) for key in ARRAYS)
-    baseline, gains, reading, force = (
-        None if array is None else array.astype(np.float64) for array in single
-    )
+    reading = _in_double(calibration.response_reading)
+    force = _in_double(calibration.response_force)
     response = None
     if reading is not None and force is not None:
-        shared = reading.shape[1:] == (1, 1) != (state.n_rows, state.n_cols)
-        response = Response(reading[:, 0, 0] if shared else reading, force)
+        is_of_one_cell = reading.shape[1:] == (1, 1)
+        if is_of_one_cell and (state.n_rows, state.n_cols) != (1, 1):
+            reading = reading[:, 0, 0]
+        response = Response(reading, force)
+
+    noise = state.sigma_end or None
+    noise_mid = state.sigma_mid or None
     return replace(
         of_skin(calibration.name, state.skin),
-        baseline=baseline,
-        gains=gains,
+        baseline=_in_double(calibration.baseline),
+        gains=_in_double(calibration.gains),
         response=response,
-        noise=state.sigma_end or None,
-        noise_mid=state.sigma_mid if state.sigma_mid and state.sigma_end else None,
+        noise=noise,
+        noise_mid=None if noise is None else noise_mid,
         f_min=state.f_min,
     )
 
@@ -314,6 +371,6 @@ def points_on_grid(skin: Skin) -> Floats | None:
     """The points of a skin in the cells of its grid, float32 (n_rows, n_cols, 6); 0 elsewhere."""
     if skin.points is None:
         return None
-    found = np.zeros((*skin.shape, 6), dtype=np.float32)
-    found[skin.exists] = skin.points
-    return found
+    points = np.zeros((*skin.shape, 6), dtype=np.float32)
+    points[skin.exists] = skin.points
+    return points

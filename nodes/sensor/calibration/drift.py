@@ -31,7 +31,7 @@ class DriftTuning:
     """Constants of the drift that is followed, and of light presses; all chosen."""
 
     tau_s: float = 10.0  # time constant: long against a touch, short against warming up
-    most: float = 0.1  # largest drift that is followed, in parts of f_max
+    max_drift: float = 0.1  # largest drift that is followed, in parts of f_max
     #: Threshold of a touch, in standard deviations of the noise; at least `CONTACT_FRACTION` of
     #: f_max. A taxel is touched where its smoothed force is above it, or one frame above twice of
     #: it: noise is not, with a drift of half the threshold either.
@@ -85,18 +85,30 @@ class Drift:
         shape = self.value.shape
         self.value[:] = 0.0
         self._touched_ns: Doubles = np.full(shape, -np.inf)
-        self._held: Mask = np.zeros(shape, np.bool_)
-        self._sum, self._before, self._earlier = np.zeros((3, *shape))
-        self._n = self._n_updates = 0
+        self._was_touched: Mask = np.zeros(shape, np.bool_)
+
+        # Forces of the frames since the last update.
+        self._sum: Doubles = np.zeros(shape)
+        self._n = 0
+        self._n_updates = 0
+
+        # The drift at the last two times that it was kept, to return to where a press is noticed.
+        self._kept_value: Doubles = np.zeros(shape)
+        self._earlier_value: Doubles = np.zeros(shape)
         self._since_s = 0.0
-        self._fast, self._slow, self._base, self._rise = np.zeros((4, 2, *shape))
+
+        # Of each taxel, and of the mean of it and its eight neighbours: the two low passes; force
+        # before a press, and largest rise since; True while pressed.
+        self._fast: Doubles = np.zeros((2, *shape))
+        self._slow: Doubles = np.zeros((2, *shape))
+        self._base: Doubles = np.zeros((2, *shape))
+        self._rise: Doubles = np.zeros((2, *shape))
         self._risen: Mask = np.zeros((2, *shape), np.bool_)
 
     def update(self, forces: Doubles, stamp_ns: int) -> None:
         """Follow the drift by a frame of the time `stamp_ns`: forces that are left after
         subtraction of the drift, not clipped. Of frames within `period_s` the mean counts.
         """
-        t = TUNING
         if not self.rate:
             return
         if self._last_ns is None or stamp_ns < self._last_ns:
@@ -104,51 +116,66 @@ class Drift:
         dt_s = (stamp_ns - self._last_ns) / 1e9
         self._sum += forces
         self._n += 1
-        if 0 < dt_s < t.period_s:
+        if 0 < dt_s < TUNING.period_s:
             return
+
         self._last_ns = stamp_ns
         pressed = self._lightly_pressed(self._sum / self._n, dt_s)
         self._sum = np.zeros_like(forces)
         self._n = 0
         touched = (self._fast[0] > self.threshold) | (forces > 2 * self.threshold) | pressed
+        # The neighbours of a touched taxel carry a part of the load.
         touched = of_nine(touched, np.logical_or)
-        new = touched & ~self._held
-        self.value[new] = np.minimum(self.value, self._earlier)[new]
+
+        # What was followed since shortly before a touch was its onset.
+        newly_touched = touched & ~self._was_touched
+        undone = np.minimum(self.value, self._earlier_value)
+        self.value[newly_touched] = undone[newly_touched]
         self._since_s += dt_s
-        if self._since_s >= t.undo_s:
+        if self._since_s >= TUNING.undo_s:
             self._since_s = 0.0
-            self._before, self._earlier = self.value.copy(), self._before
-        self._held = touched
+            self._earlier_value = self._kept_value
+            self._kept_value = self.value.copy()
+        self._was_touched = touched
         self._touched_ns[touched] = stamp_ns
-        dt_s = min(dt_s, t.gap_s)
-        most = self.rate * self._f_max * dt_s
-        step = np.clip(self._fast[0] * (dt_s / t.tau_s), -most, most)
-        step[stamp_ns - self._touched_ns < t.hold_s * 1e9] = 0.0
+        self._follow(min(dt_s, TUNING.gap_s), stamp_ns)
+
+    def _follow(self, dt_s: float, stamp_ns: int) -> None:
+        """Add what the smoothed force shows of the drift in `dt_s`, where nothing touches."""
+        max_step = self.rate * self._f_max * dt_s
+        step = np.clip(self._fast[0] * (dt_s / TUNING.tau_s), -max_step, max_step)
+        since_touch_ns = stamp_ns - self._touched_ns
+        step[since_touch_ns < TUNING.hold_s * 1e9] = 0.0
         self.value += step
-        np.clip(self.value, -t.most * self._f_max, t.most * self._f_max, out=self.value)
+        max_value = TUNING.max_drift * self._f_max
+        np.clip(self.value, -max_value, max_value, out=self.value)
 
     def _lightly_pressed(self, mean: Doubles, dt_s: float) -> Mask:
         """Taxels under presses too light for a touch, by the mean of the last dt_s seconds."""
-        t = TUNING
         self._n_updates += 1
         means = np.stack([mean, of_nine(mean, np.add) / 9])
         # At first the mean of all: one frame would be believed for as long as the slow low pass.
-        fast = max(1 - math.exp(-dt_s / t.fast_s), 1 / self._n_updates)
-        slow = max(1 - math.exp(-dt_s / t.slow_s), 1 / self._n_updates)
+        fast = max(1 - math.exp(-dt_s / TUNING.fast_s), 1 / self._n_updates)
+        slow = max(1 - math.exp(-dt_s / TUNING.slow_s), 1 / self._n_updates)
         self._fast += fast * (means - self._fast)
         self._slow += slow * (means - self._slow)
+
         # Variance of a first-order low pass of white noise: a / (2 - a) of it.
         sigma = self._sigma * math.sqrt((fast / (2 - fast) + slow / (2 - slow)) / self._n)
-        drift = t.step_drifts * self.rate * (t.slow_s - t.fast_s)
-        least = np.maximum(t.step_sigmas * sigma, max(t.step_least, drift) * self._f_max)
+        drift = TUNING.step_drifts * self.rate * (TUNING.slow_s - TUNING.fast_s)
+        smallest = max(TUNING.step_least, drift) * self._f_max
+        threshold = np.maximum(TUNING.step_sigmas * sigma, smallest)
+
         step: Doubles = self._fast - self._slow
-        self._risen &= step > -least
-        new = (step > least) & ~self._risen
-        self._base[new] = self._slow[new]
-        self._rise[new] = 0.0
-        self._risen |= new
+        self._risen &= step > -threshold
+        begins = (step > threshold) & ~self._risen
+        self._base[begins] = self._slow[begins]
+        self._rise[begins] = 0.0
+        self._risen |= begins
+
+        # A press is over once most of its rise is gone.
         rise: Doubles = self._fast - self._base
         np.maximum(self._rise, rise, out=self._rise)
-        self._risen &= rise >= t.step_left * self._rise
-        found: Mask = np.logical_or(*self._risen)
-        return found
+        self._risen &= rise >= TUNING.step_left * self._rise
+        pressed: Mask = np.logical_or(*self._risen)
+        return pressed

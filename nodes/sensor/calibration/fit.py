@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -67,8 +67,11 @@ def read_load(text: str) -> float:
     """Newtons of a load such as "500g" or "4.9N".
     Raises CalibrationError if it is none, or 0.
     """
-    found = _LOAD.fullmatch(text.strip())
-    force = float(found[1]) * NEWTONS[found[2]] if found else 0.0
+    match = _LOAD.fullmatch(text.strip())
+    force = 0.0
+    if match is not None:
+        number, unit = match.groups()
+        force = float(number) * NEWTONS[unit]
     if not force:
         raise CalibrationError(f"{text[:40]!r} is no load; allowed are {LOADS}")
     return force
@@ -80,14 +83,15 @@ def read_area(text: str, shape: tuple[int, int]) -> Mask:
     """
     if text.strip() == "all":
         return np.ones(shape, dtype=np.bool_)
-    found = _AREA.fullmatch(text.strip())
-    if found is None:
+    match = _AREA.fullmatch(text.strip())
+    if match is None:
         raise CalibrationError(f"{text[:40]!r} is no area; allowed are {AREAS}")
-    top, bottom, left, right = map(int, found.groups())
-    if not (top <= bottom < shape[0] and left <= right < shape[1]):
-        raise CalibrationError(f"{text} is not on a skin of {shape[0]} x {shape[1]}")
+    top_row, bottom_row, left_col, right_col = map(int, match.groups())
+    n_rows, n_cols = shape
+    if not (top_row <= bottom_row < n_rows and left_col <= right_col < n_cols):
+        raise CalibrationError(f"{text} is not on a skin of {n_rows} x {n_cols}")
     area = np.zeros(shape, dtype=np.bool_)
-    area[top : bottom + 1, left : right + 1] = True
+    area[top_row : bottom_row + 1, left_col : right_col + 1] = True
     return area
 
 
@@ -158,65 +162,144 @@ def fit(
     with force, or `invert` is stated beside presses.
     """
     untouched = np.asarray(untouched)
-    if untouched.ndim != 3 or len(untouched) < 2:
-        raise CalibrationError(f"untouched: {len(untouched)} frames; at least 2 are needed")
-    shape = (untouched.shape[1], untouched.shape[2])
-    for press in presses:
-        n, *own = press.frames.shape
-        if tuple(own) != shape or not n:
-            needed = f"the untouched ones have {shape}, and at least one is needed"
-            raise CalibrationError(f"{press.label}: frames of shape {tuple(own)}; {needed}")
+    shape = _checked_shape(untouched, presses)
     exists = np.ones(shape, np.bool_) if mask is None else mask
-    baseline, noise, unsteady = steady(untouched)
-    stuck = exists & _stuck(untouched, presses)
-    works = exists & ~stuck
-    typical = float(np.median(noise[works])) if works.any() else 0.0
-    noisy = works & (noise > NOISY * typical) & (typical > 0)
-    works &= ~noisy
     remarks: list[str] = []
-    if noisy.sum() > TOUCHED_SHARE * exists.sum():
-        n = int(noisy.sum())
-        remarks.append(f"{n} taxels are noisy: was the skin touched where it should not be?")
-    elif (share := float(unsteady[exists].mean())) > OUTLIERS:
-        part = f"{100 * share:.0f} % of the untouched readings"
-        remarks.append(f"{part} come and go: was the skin touched?")
-    rises = [steady(press.frames)[0] - baseline for press in presses]
+    at_rest = _at_rest(untouched, presses, exists, remarks)
+    rises = [steady(press.frames)[0] - at_rest.baseline for press in presses]
     for press, rise in zip(presses, rises, strict=True):
-        _check_still(press, rise, baseline, noise, works)
+        _check_still(press, rise, at_rest)
+
+    even = _even_loads(presses, rises)
     dead = np.zeros(shape, np.bool_)
+    if even:
+        dead = _dead(even, at_rest.works)
+    works = at_rest.works & ~dead
     gains: Doubles | None = None
     response: Response | None = None
-    even = [(p, p.area, r) for p, r in zip(presses, rises, strict=True) if p.area is not None]
     if even:
-        dead = works & _dead(even, works)
-        works &= ~dead
         gains, response = _even_fit(even, works, curve, remarks)
     elif presses:
-        gains = np.full(shape, _common_gain(presses, rises, works, TOUCHED * noise, remarks))
+        gain = _common_gain(presses, rises, works, TOUCHED * at_rest.noise, remarks)
+        gains = np.full(shape, gain)
     elif invert:
         gains = np.full(shape, -1.0)
     if presses and invert:
         raise CalibrationError("invert: the presses show whether readings fall with force")
     if not works.any():
         raise CalibrationError("no taxel works: none changes, or all are far noisier than half")
-    arrays: Any = (None if works.all() else works, baseline, gains, response)
-    unit = "N" if presses else unit
-    skin = SkinDescription(name, *shape, MAX_NUMBER, unit, pitch_mm, *arrays)
-    forces = [skin.forces(baseline + rise) for rise in rises]
+
+    skin = SkinDescription(
+        name,
+        *shape,
+        f_max=MAX_NUMBER,  # until the forces of the presses are known
+        unit="N" if presses else unit,
+        pitch_mm=pitch_mm,
+        mask=None if works.all() else works,
+        baseline=at_rest.baseline,
+        gains=gains,
+        response=response,
+    )
+    forces = [skin.forces(at_rest.baseline + rise) for rise in rises]
     if f_max is None:
-        if not presses:
-            raise CalibrationError("the range is not known: state f_max, or add presses")
-        f_max = float(f"{HEADROOM * max(float(force[works].max()) for force in forces):.2g}")
-        remarks.append(f"f_max = {f_max:g} N is {HEADROOM:g} times the largest force of a press")
-    slope = np.ones(shape) if gains is None else np.abs(gains)  # newtons per raw reading at 0
-    if response is not None:
-        slope = slope * response.slopes[0]
-    sigma = min(float(np.median((noise * slope)[works])), f_max)
-    f_min = max(-float(f"{KEPT_SIGMAS * sigma:.1e}"), -f_max) if keep_noise else 0.0
-    skin = replace(skin, f_max=f_max, noise=float(f"{sigma:.3g}"), f_min=f_min)
-    results = [_result(*each, works) for each in zip(presses, rises, forces, strict=True)]
-    faulty = (int(stuck.sum()), int(noisy.sum()), int(dead.sum()))
-    return Fit(skin, len(untouched), typical, *faulty, results, remarks)
+        f_max = _range_of([frame[works] for frame in forces], remarks)
+    sigma = min(_noise_in_newtons(skin, at_rest.noise, works), f_max)
+    f_min = 0.0
+    if keep_noise:
+        f_min = max(-float(f"{KEPT_SIGMAS * sigma:.1e}"), -f_max)
+    return Fit(
+        replace(skin, f_max=f_max, noise=float(f"{sigma:.3g}"), f_min=f_min),
+        n_frames=len(untouched),
+        noise_raw=at_rest.typical_noise,
+        stuck=int(at_rest.stuck.sum()),
+        noisy=int(at_rest.noisy.sum()),
+        dead=int(dead.sum()),
+        presses=[_result(*each, works) for each in zip(presses, rises, forces, strict=True)],
+        remarks=remarks,
+    )
+
+
+class _Rest(NamedTuple):
+    """The readings of the untouched taxels, (rows, cols)."""
+
+    baseline: Doubles
+    noise: Doubles  # standard deviation
+    typical_noise: float  # of the median taxel
+    stuck: Mask
+    noisy: Mask
+    works: Mask  # exists, and is neither stuck nor noisy
+
+
+class _EvenLoad(NamedTuple):
+    """A press that all taxels of an area carry evenly, and how far it raised each reading."""
+
+    press: Press
+    area: Mask
+    rise: Doubles
+
+
+def _checked_shape(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> tuple[int, int]:
+    """Rows and columns of all frames; CalibrationError if they differ, or there are too few."""
+    if untouched.ndim != 3 or len(untouched) < 2:
+        raise CalibrationError(f"untouched: {len(untouched)} frames; at least 2 are needed")
+    shape = (untouched.shape[1], untouched.shape[2])
+    for press in presses:
+        n_frames = len(press.frames)
+        press_shape = press.frames.shape[1:]
+        if press_shape != shape or not n_frames:
+            needed = f"the untouched ones have {shape}, and at least one is needed"
+            raise CalibrationError(f"{press.label}: frames of shape {press_shape}; {needed}")
+    return shape
+
+
+def _at_rest(
+    untouched: npt.NDArray[Any], presses: Sequence[Press], exists: Mask, remarks: list[str]
+) -> _Rest:
+    """Baseline and noise of the taxels, and those whose readings show that they are faulty."""
+    baseline, noise, unsteady = steady(untouched)
+    stuck = exists & _stuck(untouched, presses)
+    works = exists & ~stuck
+    typical_noise = float(np.median(noise[works])) if works.any() else 0.0
+    noisy = works & (noise > NOISY * typical_noise) & (typical_noise > 0)
+
+    n_noisy = int(noisy.sum())
+    unsteady_share = float(unsteady[exists].mean())
+    if n_noisy > TOUCHED_SHARE * exists.sum():
+        remark = f"{n_noisy} taxels are noisy: was the skin touched where it should not be?"
+        remarks.append(remark)
+    elif unsteady_share > OUTLIERS:
+        part = f"{100 * unsteady_share:.0f} % of the untouched readings"
+        remarks.append(f"{part} come and go: was the skin touched?")
+    return _Rest(baseline, noise, typical_noise, stuck, noisy, works & ~noisy)
+
+
+def _even_loads(presses: Sequence[Press], rises: Sequence[Doubles]) -> list[_EvenLoad]:
+    """The presses whose area is known."""
+    loads = []
+    for press, rise in zip(presses, rises, strict=True):
+        if press.area is not None:
+            loads.append(_EvenLoad(press, press.area, rise))
+    return loads
+
+
+def _range_of(forces: Sequence[Doubles], remarks: list[str]) -> float:
+    """Range of a taxel from the forces of the presses; CalibrationError if there are none."""
+    if not forces:
+        raise CalibrationError("the range is not known: state f_max, or add presses")
+    largest = max(float(frame.max()) for frame in forces)
+    f_max = float(f"{HEADROOM * largest:.2g}")
+    remarks.append(f"f_max = {f_max:g} N is {HEADROOM:g} times the largest force of a press")
+    return f_max
+
+
+def _noise_in_newtons(skin: SkinDescription, noise: Doubles, works: Mask) -> float:
+    """Noise of the median taxel, in the unit of the forces, from that of raw readings."""
+    slope = np.ones(skin.shape)  # force per raw reading, near 0
+    if skin.gains is not None:
+        slope = np.abs(skin.gains)
+    if skin.response is not None:
+        slope = slope * skin.response.slopes[0]
+    return float(np.median((noise * slope)[works]))
 
 
 def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
@@ -228,24 +311,25 @@ def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
     """
     values = np.asarray(frames, dtype=np.float64)
     median = np.median(values, axis=0)
-    apart = values - median
-    spread = MAD_TO_SD * np.median(np.abs(apart), axis=0)
+    deviation = values - median
+    spread = MAD_TO_SD * np.median(np.abs(deviation), axis=0)
     # Of a reading coarser than its noise, half of the frames are the median: none is left out.
-    kept = (np.abs(apart) <= OUTLIER * spread) | (spread == 0)
-    mean = np.mean(apart, axis=0, where=kept)
-    return median + mean, np.std(apart, axis=0, where=kept), 1 - kept.mean(axis=0)
+    is_steady = (np.abs(deviation) <= OUTLIER * spread) | (spread == 0)
+    mean = np.mean(deviation, axis=0, where=is_steady)
+    noise = np.std(deviation, axis=0, where=is_steady)
+    unsteady_share = 1 - is_steady.mean(axis=0)
+    return median + mean, noise, unsteady_share
 
 
-def _check_still(
-    press: Press, rise: Doubles, baseline: Doubles, noise: Doubles, works: Mask
-) -> None:
+def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
     """Raise CalibrationError if the load moved: its frames read it, its steady readings do not."""
-    above = np.asarray(press.frames, dtype=np.float64)[:, works] - baseline[works]
-    read = float(np.median(above.sum(axis=1)))
-    kept = float(rise[works].sum())
-    chance = TOUCHED * math.sqrt(float(np.square(noise[works]).sum()))
-    if abs(read - kept) > MOVED * abs(read) + chance:
-        sums = f"its frames add up to {read:.4g}, the readings that stay to {kept:.4g}"
+    works = at_rest.works
+    above = np.asarray(press.frames, dtype=np.float64)[:, works] - at_rest.baseline[works]
+    frame_sum = float(np.median(above.sum(axis=1)))
+    steady_sum = float(rise[works].sum())
+    chance = TOUCHED * math.sqrt(float(np.square(at_rest.noise[works]).sum()))
+    if abs(frame_sum - steady_sum) > MOVED * abs(frame_sum) + chance:
+        sums = f"its frames add up to {frame_sum:.4g}, the readings that stay to {steady_sum:.4g}"
         raise CalibrationError(f"{press.label}: the load moves: {sums}; let it stand still")
 
 
@@ -257,59 +341,91 @@ def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
     return still if still.mean() < 0.5 else np.zeros_like(still)
 
 
-def _dead(even: Sequence[tuple[Press, Mask, Doubles]], works: Mask) -> Mask:
+def _dead(even: Sequence[_EvenLoad], works: Mask) -> Mask:
     """Taxels that respond to no even load that is on them."""
-    answered: Mask = np.zeros(works.shape, np.bool_)
+    responds: Mask = np.zeros(works.shape, np.bool_)
     covered: Mask = np.zeros(works.shape, np.bool_)
     for press, area, rise in even:
         cells = area & works
         if not cells.any():
             raise CalibrationError(f"{press.label}: no taxel under it works")
-        typical = float(np.median(rise[cells]))
+        median_rise = float(np.median(rise[cells]))
         covered |= cells
-        answered |= cells & (rise * typical > DEAD * typical**2)
-    return covered & ~answered
+        responds |= cells & (rise * median_rise > DEAD * median_rise**2)
+    return covered & ~responds
 
 
 def _even_fit(
-    even: Sequence[tuple[Press, Mask, Doubles]], works: Mask, curve: Curve, remarks: list[str]
+    even: Sequence[_EvenLoad], works: Mask, curve: Curve, remarks: list[str]
 ) -> tuple[Doubles, Response | None]:
     """Gains, and the response curve, of loads that press all taxels of an area evenly."""
-    # Dead taxels carry their part of the load. Forces that differ by rounding are equal.
-    each = [press.force / area.sum() for press, area, _ in even]
-    forces, level = np.unique([float(f"{force:.6g}") for force in each], return_inverse=True)
-    # At each force the mean rise of each taxel over its presses, NaN where none covers it.
-    total, times = np.zeros((2, len(forces), *works.shape))
-    for k, (_, area, rise) in zip(level, even, strict=True):
-        total[k] += np.where(area & works, rise, 0.0)
-        times[k] += area & works
-    rise = np.divide(total, times, out=np.full(total.shape, np.nan), where=times > 0)
-    middle = np.nanmedian(rise.reshape(len(forces), -1), axis=1)
-    if not (np.diff(math.copysign(1.0, middle[-1]) * middle, prepend=0) > 0).all():
-        read = ", ".join(f"{m:.4g} at {f:.3g} N" for m, f in zip(middle, forces, strict=True))
-        raise CalibrationError(f"readings do not rise with the force of a taxel: {read}")
+    forces, rise = _rise_by_force(even, works)
+    median_rise = np.nanmedian(rise.reshape(len(forces), -1), axis=1)
+    _check_rising(median_rise, forces)
     if len(forces) > MAX_KNOTS:
         raise CalibrationError(f"{len(forces)} different loads; at most {MAX_KNOTS}")
+
     # Without a curve the target is the force itself, else the reading of the median taxel.
-    straight = curve == "linear" or len(forces) < 2
-    scale = forces[0] / middle[0]
-    target = (forces if straight else scale * middle).reshape(-1, 1, 1)
-    filled = np.nan_to_num(rise)
-    energy = np.square(filled).sum(axis=0)
-    gains = np.full(works.shape, np.nan)
-    np.divide((filled * target).sum(axis=0), energy, out=gains, where=works & (energy > 0))
-    known = np.isfinite(gains)
-    gains[~known] = np.median(gains[known])
-    if unknown := np.count_nonzero(works & ~known):
-        remarks.append(f"{unknown} taxels lay under no even load: they have the median gain")
-    if straight:
+    is_straight = curve == "linear" or len(forces) < 2
+    scale = forces[0] / median_rise[0]
+    target = forces if is_straight else scale * median_rise
+    gains = _least_squares_gains(rise, target.reshape(-1, 1, 1), works, remarks)
+    if is_straight:
         return gains, None
     if curve == "shared":
-        return gains, Response(scale * middle, forces)
+        return gains, Response(scale * median_rise, forces)
+
     # Of each taxel; that of the median taxel where its own is not known.
-    sound = works & (np.diff(scale * rise, axis=0, prepend=0) > 0).all(axis=0)
-    reading = np.where(sound, scale * rise, scale * middle.reshape(-1, 1, 1))
-    return np.full(works.shape, scale), Response(reading, forces)
+    readings = scale * rise
+    rises_always = (np.diff(readings, axis=0, prepend=0) > 0).all(axis=0)
+    median_readings = scale * median_rise.reshape(-1, 1, 1)
+    readings = np.where(works & rises_always, readings, median_readings)
+    return np.full(works.shape, scale), Response(readings, forces)
+
+
+def _rise_by_force(even: Sequence[_EvenLoad], works: Mask) -> tuple[Doubles, Doubles]:
+    """Forces of a taxel, rising (K,), and the mean rise of each taxel over the presses of each,
+    (K, rows, cols), NaN where none covers it.
+    """
+    # Dead taxels carry their part of the load. Forces that differ by rounding are equal.
+    per_taxel = [float(f"{load.press.force / load.area.sum():.6g}") for load in even]
+    forces, index = np.unique(per_taxel, return_inverse=True)
+    total = np.zeros((len(forces), *works.shape))
+    n_presses = np.zeros((len(forces), *works.shape))
+    for k, load in zip(index, even, strict=True):
+        cells = load.area & works
+        total[k] += np.where(cells, load.rise, 0.0)
+        n_presses[k] += cells
+    rise = np.full(total.shape, np.nan)
+    np.divide(total, n_presses, out=rise, where=n_presses > 0)
+    return forces, rise
+
+
+def _check_rising(median_rise: Doubles, forces: Doubles) -> None:
+    """Raise CalibrationError unless the readings all rise, or all fall, with force."""
+    sign = math.copysign(1.0, median_rise[-1])
+    if (np.diff(sign * median_rise, prepend=0) > 0).all():
+        return
+    pairs = zip(median_rise, forces, strict=True)
+    measured = ", ".join(f"{reading:.4g} at {force:.3g} N" for reading, force in pairs)
+    raise CalibrationError(f"readings do not rise with the force of a taxel: {measured}")
+
+
+def _least_squares_gains(
+    rise: Doubles, target: Doubles, works: Mask, remarks: list[str]
+) -> Doubles:
+    """Gain of each taxel through 0 from its rise to the target; the median where none is known."""
+    rise = np.nan_to_num(rise)
+    energy = np.square(rise).sum(axis=0)
+    gains = np.full(works.shape, np.nan)
+    np.divide((rise * target).sum(axis=0), energy, out=gains, where=works & (energy > 0))
+
+    has_gain = np.isfinite(gains)
+    gains[~has_gain] = np.median(gains[has_gain])
+    n_without = np.count_nonzero(works & ~has_gain)
+    if n_without:
+        remarks.append(f"{n_without} taxels lay under no even load: they have the median gain")
+    return gains
 
 
 def _common_gain(
@@ -329,19 +445,29 @@ def _common_gain(
     total = np.array(sums)
     force = np.array([press.force for press in presses])
     gain = float(total @ force / (total @ total))
-    apart = np.abs(gain * total / force - 1)
-    if apart.max() > 0.1:
-        off = f"{presses[int(apart.argmax())].label}: {100 * apart.max():.0f} % off"
+
+    error = np.abs(gain * total / force - 1)
+    if error.max() > 0.1:
+        worst = presses[int(error.argmax())].label
         remedy = "even loads over a stated area give each taxel its own"
-        remarks.append(f"{off} one gain for all: taxels or loads differ; {remedy}")
+        remarks.append(
+            f"{worst}: {100 * error.max():.0f} % off one gain for all: "
+            f"taxels or loads differ; {remedy}"
+        )
     return gain
 
 
 def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressResult:
     if press.area is None:
         return PressResult(press.label, press.force, float(forces[works].sum()))
+
     cells = press.area & works
     mean = float(forces[cells].mean())
-    before = np.abs(rise[cells].mean())
-    spreads = float(forces[cells].std()) / mean, float(rise[cells].std() / before)
-    return PressResult(press.label, press.force, mean * int(press.area.sum()), *spreads)
+    raw_mean = np.abs(rise[cells].mean())
+    return PressResult(
+        press.label,
+        press.force,
+        measured=mean * int(press.area.sum()),
+        spread=float(forces[cells].std()) / mean,
+        spread_before=float(rise[cells].std() / raw_mean),
+    )

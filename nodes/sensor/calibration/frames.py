@@ -32,14 +32,14 @@ def read_part(text: str) -> tuple[float, float] | None:
     """Start and stop of a part of a recording, seconds; None if a text is no such part.
     Raises CalibrationError if it is empty, or numbers without their unit.
     """
-    found = _PART.fullmatch(text)
-    if found is None and _PART.fullmatch(f"{text}s"):
+    match = _PART.fullmatch(text)
+    if match is None and _PART.fullmatch(f"{text}s"):
         expected = f"expected seconds, as {text}s, or a file"
         raise CalibrationError(f"{text}: {expected}; frames are not counted")
-    if found is None:
+    if match is None:
         return None
-    start = float(found[1] or 0)
-    stop = float(found[2])
+    start = float(match[1] or 0)
+    stop = float(match[2])
     if not start < stop:
         raise CalibrationError(f"{text}: the part is empty; expected {PARTS}")
     return start, stop
@@ -59,11 +59,11 @@ class Recorded:
         """Frames with stamps in [start_s, stop_s), seconds since the first.
         Raises CalibrationError if there is none.
         """
-        found = self.frames[(self._stamps_s >= start_s) & (self._stamps_s < stop_s)]
-        if not len(found):
+        is_in_part = (self._stamps_s >= start_s) & (self._stamps_s < stop_s)
+        if not is_in_part.any():
             fault = f"no frame of the recording, which lasts {self._stamps_s[-1]:g} s"
             raise CalibrationError(f"{start_s:g}-{stop_s:g}s: {fault}")
-        return found
+        return self.frames[is_in_part]
 
     def close(self) -> None:
         """Nothing to close."""
@@ -87,17 +87,22 @@ class Live:
         """Frames of the next `stop_s - start_s` seconds.
         Raises CalibrationError if none comes, or the source fails or ends.
         """
-        most = max(2, MAX_READINGS // (self.skin.n_rows * self.skin.n_cols))
+        max_frames = max(2, MAX_READINGS // (self.skin.n_rows * self.skin.n_cols))
         end = time.monotonic() + stop_s - start_s
-        kept = self._keep = []
-        while not self._error and len(kept) < most:
-            if time.monotonic() >= (end if kept else end + SILENT_S):
+        frames: list[Frames] = []
+        self._keep = frames
+        while not self._error and len(frames) < max_frames:
+            # The first frame is waited for.
+            deadline = end if frames else end + SILENT_S
+            if time.monotonic() >= deadline:
                 break
             time.sleep(POLL_S)
         self._keep = None
-        if kept:
-            return np.stack(kept)
-        raise CalibrationError(self._error or f"{self._source.name}: no frame in {SILENT_S:g} s")
+
+        if not frames:
+            silence = f"{self._source.name}: no frame in {SILENT_S:g} s"
+            raise CalibrationError(self._error or silence)
+        return np.stack(frames)
 
     def close(self) -> None:
         """Close the source, where it can be."""
@@ -109,8 +114,10 @@ class Live:
     def _read(self) -> None:
         try:
             for _, frame in self._source:
-                if (keep := self._keep) is not None:
-                    keep.append(frame)
+                # `part` may set it to None meanwhile.
+                frames = self._keep
+                if frames is not None:
+                    frames.append(frame)
                 if self._closing:
                     return
             self._error = f"{self._source.name}: has ended"
@@ -128,5 +135,5 @@ def open_frames(source: str, layout: Layout = EMPTY) -> Recorded | Live:
         raise SourceError(f"{source}: delivers true forces, which need no calibration")
     if opened.is_live or opened.n_frames is None:
         return Live(opened)
-    stamps_ns, read = zip(*opened, strict=True)
-    return Recorded(opened.skin, list(stamps_ns), np.stack(read))
+    stamps_ns, frames = zip(*opened, strict=True)
+    return Recorded(opened.skin, list(stamps_ns), np.stack(frames))

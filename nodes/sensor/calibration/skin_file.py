@@ -91,38 +91,54 @@ def parse_skin(table: Mapping[str, Any], where: str, folder: Path) -> SkinDescri
 
 def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
     _check_keys(table, KEYS)
-    values = _placed(table, folder) if "points" in table else dict(table)
+    values = dict(table)
+    if "points" in table:
+        values = _placed(table, folder)
     for key in ("name", "n_rows", "n_cols", "f_max"):
         if key not in values:
             raise SkinFileError(f"{key}: is missing")
-    stated = {key: values.pop(key) for key in GRIDS if key in values}
+
+    inline = {key: values.pop(key) for key in GRIDS if key in values}
     curve = values.pop("response", {})
-    beside = values.pop(ARRAYS, None)
+    archive = values.pop(ARRAYS, None)
     if not isinstance(curve, Mapping):
         raise SkinFileError("response: expected a table of reading and force")
     _check_keys(curve, CURVE, "response.")
-    stated |= {CURVE[key]: value for key, value in curve.items()}
+    for name, knots in curve.items():
+        inline[CURVE[name]] = knots
+
     skin = SkinDescription(**values)  # its shape bounds the size of all arrays
-    held = {} if beside is None else _load_arrays(beside, folder, skin.n_rows * skin.n_cols)
-    for key in held:
-        if key in stated:
+    arrays: dict[str, Any] = {}
+    if archive is not None:
+        arrays = _load_arrays(archive, folder, skin.n_rows * skin.n_cols)
+    for key in arrays:
+        if key in inline:
             raise SkinFileError(f"{key}: is stated in the file and in its {ARRAYS}")
-    arrays = held | {key: _array(key, value, skin) for key, value in stated.items()}
-    if knots := {key: arrays.pop(key) for key in CURVE.values() if key in arrays}:
-        for key in CURVE.values():
-            if key not in knots:
-                raise SkinFileError(f"{key}: is missing")
-        arrays["response"] = Response(**{name: knots[key] for name, key in CURVE.items()})
+    for key, value in inline.items():
+        arrays[key] = _array(key, value, skin)
+
+    if any(key in arrays for key in CURVE.values()):
+        arrays["response"] = _take_response(arrays)
     if skin.placement is not None:
         placed = skin.placement.skin(skin.f_max, skin.unit)
-        arrays |= {"mask": placed.mask, "points": points_on_grid(placed)}
+        arrays["mask"] = placed.mask
+        arrays["points"] = points_on_grid(placed)
     return replace(skin, **arrays)
 
 
-def _check_keys(table: Iterable[str], known: Iterable[str], before: str = "") -> None:
+def _take_response(arrays: dict[str, Any]) -> Response:
+    """The response curve; its arrays are taken out of those by key."""
+    for key in CURVE.values():
+        if key not in arrays:
+            raise SkinFileError(f"{key}: is missing")
+    return Response(**{name: arrays.pop(key) for name, key in CURVE.items()})
+
+
+def _check_keys(table: Iterable[str], allowed: Iterable[str], prefix: str = "") -> None:
     for key in table:
-        if key not in known:
-            raise SkinFileError(f"{before}{key[:40]}: unknown key{did_you_mean(key[:40], known)}")
+        if key not in allowed:
+            hint = did_you_mean(key[:40], allowed)
+            raise SkinFileError(f"{prefix}{key[:40]}: unknown key{hint}")
 
 
 def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -133,24 +149,32 @@ def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     name = table["points"]
     if not isinstance(name, str) or not name:
         raise SkinFileError("points: expected the name of a file")
+
+    layout = name if name.startswith("example:") else str(folder / name)
     try:
-        found = point_skins().place(name if name.startswith("example:") else str(folder / name))
+        placement = point_skins().place(layout)
     except SourceError as error:
         raise SkinFileError(f"points: {error}") from error
-    n_rows, n_cols = found.shape
-    grid = {"n_rows": n_rows, "n_cols": n_cols, "pitch_mm": 1000 * found.pitch_m}
-    return {**table, "points": None, **grid, "placement": found}
+    n_rows, n_cols = placement.shape
+    return {
+        **table,
+        "points": None,
+        "n_rows": n_rows,
+        "n_cols": n_cols,
+        "pitch_mm": 1000 * placement.pitch_m,
+        "placement": placement,
+    }
 
 
-def _read(path: Path, most: int) -> bytes:
-    """The bytes of a regular file of at most `most`."""
+def _read(path: Path, max_bytes: int) -> bytes:
+    """The bytes of a regular file of at most `max_bytes`."""
     try:
         with reading(str(path)) as file:
-            raw = file.read(most + 1)
+            raw = file.read(max_bytes + 1)
     except SourceError as error:
         raise SkinFileError(str(error)) from error
-    if len(raw) > most:
-        raise SkinFileError(f"{path}: more than {most} bytes")
+    if len(raw) > max_bytes:
+        raise SkinFileError(f"{path}: more than {max_bytes} bytes")
     return raw
 
 
@@ -158,17 +182,22 @@ def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, Any]:
     """The arrays of the .npz that a file names, by their keys."""
     if not isinstance(name, str) or not name.endswith(".npz"):
         raise SkinFileError(f"{ARRAYS}: expected the name of an .npz, got {ascii(name)[:40]}")
+
     path = folder / name
-    beside = name == Path(name).name and "\\" not in name and name.isprintable()
-    if not beside or path.resolve().parent != folder.resolve():
+    is_plain = name == Path(name).name and "\\" not in name and name.isprintable()
+    if not is_plain or path.resolve().parent != folder.resolve():
         raise SkinFileError(f"{ARRAYS}: {ascii(name)[:80]} is not a file beside the skin's own")
-    most = n_cells * (8 * (2 + MAX_KNOTS) + 4 * 6 + 1) + (1 << 16)
+
+    # Baseline, gains and knots in float64, points in float32, the mask, and the headers.
+    bytes_per_cell = 8 * (2 + MAX_KNOTS) + 4 * 6 + 1
+    max_bytes = n_cells * bytes_per_cell + (1 << 16)
     try:
-        held = read_npz(_read(path, most), list, most)
-        _check_keys(held, BESIDE)
+        arrays = read_npz(_read(path, max_bytes), list, max_bytes)
+        _check_keys(arrays, BESIDE)
     except (ArrayFileError, SkinFileError) as error:
         raise SkinFileError(f"{ARRAYS}: {name}: {error}") from error
-    return {BESIDE[key]: array.copy() for key, array in held.items()}  # aligned
+    # A copy is aligned.
+    return {BESIDE[key]: array.copy() for key, array in arrays.items()}
 
 
 def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
@@ -176,22 +205,23 @@ def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
     if key == "mask":
         return parse_mask(value, skin.shape, key)
     try:
-        found = np.array(value)
+        array = np.array(value)
     except ValueError:  # lists of different lengths
-        found = np.array("")
-    if found.dtype.kind not in "iuf":
+        array = np.array("")
+    if array.dtype.kind not in "iuf":
         raise SkinFileError(f"{key}: expected numbers, in lists of one length each")
-    found = found.astype(np.float64)
+
+    array = array.astype(np.float64)
     if key not in GRIDS:
-        return np.atleast_1d(found)
-    if not found.ndim:
-        return np.full(skin.shape, found)
+        return np.atleast_1d(array)
+    if not array.ndim:
+        return np.full(skin.shape, array)
     if skin.placement is None:
-        return found
-    if found.ndim != 1:
+        return array
+    if array.ndim != 1:
         raise SkinFileError(f"{key}: expected one number, or a list of one a taxel")
     try:
-        return skin.placement.on_grid(found, unused=1.0)
+        return skin.placement.on_grid(array, unused=1.0)
     except SourceError as error:
         raise SkinFileError(f"{key}: {error}") from error
 
@@ -204,44 +234,70 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
     or cannot be written.
     """
     path = Path(path)
-    beside = path.with_suffix(".npz")
+    archive = path.with_suffix(".npz")
     if path.suffix != ".toml":
         raise SkinFileError(f"{path}: expected a name that ends in .toml")
-    plain = ("name", "n_rows", "n_cols", "pitch_mm", "unit", "f_max", *OF_NOISE)
-    values: dict[str, Any] = {key: getattr(skin, key) for key in (*plain, *GRIDS, "points")}
-    curve = {} if skin.response is None else dict(vars(skin.response))
-    values["response_reading"] = curve.get("reading")
-    for key in ("baseline", "gains"):
-        if values[key] is not None and np.ptp(values[key]) == 0:
-            values[key] = float(values[key].flat[0])
-    large: dict[str, Any] = {key: one for key, one in values.items() if np.ndim(one) > 1}
-    if skin.points is None and sum(array.size for array in large.values()) <= MAX_INLINE:
+
+    values = _values(skin)
+    large = {key: value for key, value in values.items() if np.ndim(value) > 1}
+    n_numbers = sum(array.size for array in large.values())
+    if skin.points is None and n_numbers <= MAX_INLINE:
         large = {}
-    if skin.mask is not None:
-        values["mask"] = ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()]
-    stated = values | {ARRAYS: beside.name if large else None, **dict.fromkeys(large)}
-    curve["reading"] = stated.pop("response_reading")
-    lines = ["# A skin of sparseskin: docs/howto/calibration.md has the meaning of each key."]
-    lines += [f"{key} = {_toml(one)}" for key, one in stated.items() if one is not None]
-    if skin.response is not None:
-        lines += ["", "[response]"]
-        lines += [f"{key} = {_toml(one)}" for key, one in curve.items() if one is not None]
-    text = "\n".join(lines) + "\n"
+    text = _text(skin, values, large, archive.name)
     # What cannot be read again is not written.
     if len(text) > MAX_FILE_CHARS:
         raise SkinFileError(f"{path}: would have {len(text)} characters; at most {MAX_FILE_CHARS}")
+
     with whole_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
         if not large:
             return [path]
-        with whole_file(beside) as arrays_draft, arrays_draft.open("wb") as file:
+        with whole_file(archive) as arrays_draft, arrays_draft.open("wb") as file:
             np.savez_compressed(file, **large)
-    return [path, beside]
+    return [path, archive]
+
+
+def _values(skin: SkinDescription) -> dict[str, Any]:
+    """The values of a description by key, one number for an array of equal ones."""
+    numbers = ("name", "n_rows", "n_cols", "pitch_mm", "unit", "f_max", *OF_NOISE)
+    values: dict[str, Any] = {key: getattr(skin, key) for key in (*numbers, *GRIDS, "points")}
+    values["response_reading"] = None if skin.response is None else skin.response.reading
+    for key in ("baseline", "gains"):
+        array = values[key]
+        if array is not None and np.ptp(array) == 0:
+            values[key] = float(array.flat[0])
+    return values
+
+
+def _text(
+    skin: SkinDescription, values: Mapping[str, Any], large: Mapping[str, Any], archive: str
+) -> str:
+    """The text of a skin.toml whose `large` arrays are in an .npz of the name `archive`."""
+    stated = {key: value for key, value in values.items() if key not in large}
+    knots = stated.pop("response_reading", None)
+    if skin.mask is not None and "mask" in stated:
+        stated["mask"] = ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()]
+    if large:
+        stated[ARRAYS] = archive
+
+    lines = ["# A skin of sparseskin: docs/howto/calibration.md has the meaning of each key."]
+    lines += _toml_lines(stated)
+    if skin.response is not None:
+        lines += ["", "[response]"]
+        lines += _toml_lines({"reading": knots, "force": skin.response.force})
+    return "\n".join(lines) + "\n"
+
+
+def _toml_lines(values: Mapping[str, Any]) -> list[str]:
+    """A line, or lines, for each key that has a value."""
+    return [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
 
 
 def _toml(value: Any) -> str:
     """Numbers, printable text and lists as TOML, which has those of JSON; a row a line."""
-    value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, list) and isinstance(value[0], list | str):
-        return "[\n" + "".join(f"    {_toml(one)},\n" for one in value) + "]"
+        rows = "".join(f"    {_toml(row)},\n" for row in value)
+        return f"[\n{rows}]"
     return json.dumps(value, ensure_ascii=False)

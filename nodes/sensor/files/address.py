@@ -46,11 +46,19 @@ class FileAddress(Address):
     def listings(cls) -> Sequence[Listing]:
         """Recordings in the current folder, and bags of ROS 2, the newest first."""
         # A .txt or .log is a recording now and then; those that are listed are mostly recordings.
-        about = {s: words for s, words in suffixes().items() if s not in TEXT_SUFFIXES}
-        found = {p: about.get(p.suffix.lower(), "") for p in Path().iterdir() if p.is_file()}
-        found |= {p.parent: "bag of ROS 2" for p in Path().glob("*/metadata.yaml")}
-        newest = sorted(filter(found.get, found), key=lambda p: -p.stat().st_mtime_ns)[:MAX_LISTED]
-        entries = [{"source": f"file:{printable(p.name)}", "about": found[p]} for p in newest]
+        by_suffix = {s: words for s, words in suffixes().items() if s not in TEXT_SUFFIXES}
+        recordings: dict[Path, str] = {}
+        for path in Path().iterdir():
+            words = by_suffix.get(path.suffix.lower(), "")
+            if words and path.is_file():
+                recordings[path] = words
+        for path in Path().glob("*/metadata.yaml"):
+            recordings[path.parent] = "bag of ROS 2"
+
+        newest = sorted(recordings, key=lambda path: -path.stat().st_mtime_ns)[:MAX_LISTED]
+        entries = [
+            {"source": f"file:{printable(path.name)}", "about": recordings[path]} for path in newest
+        ]
         return (Listing("files", "recordings in this folder", entries),)
 
     @property

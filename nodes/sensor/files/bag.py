@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 def is_bag(begin: bytes) -> bool:
     """True if a file begins as a recording of this program does: with its name as the library."""
     profile = int.from_bytes(begin[17:21], "little")
-    rest = begin[21:]
-    return profile == 0 and rest[4:].startswith(b"sparseskin ")
+    header = begin[21:]
+    return profile == 0 and header[4:].startswith(b"sparseskin ")
 
 
 class BagRecording(Recording):
@@ -42,17 +43,19 @@ class BagRecording(Recording):
 
         with self._opened() as bag:
             topic = self._topic(bag)
-            first = next(self._taxels(bag, topic))
-            skin = skin_of(bag, patch_of(topic))
-            n_rows, n_cols = first.forces.shape[1:]
-            return Head(
+            message = next(self._taxels(bag, topic))
+            n_rows, n_cols = message.forces.shape[1:]
+            head = Head(
                 (Axis(n_rows, "rows"), Axis(n_cols, "cols")),
                 is_timed=True,
                 time_unit="ns",
                 n_items=bag.topics[topic].n_messages,
                 notes=(bag.recovered,) if bag.recovered else (),
-                **({} if skin is None else described(skin, skin.rate_hz)),
             )
+            skin = skin_of(bag, patch_of(topic))
+            if skin is not None:
+                head = replace(head, **described(skin, skin.rate_hz))
+            return head
 
     def blocks(self) -> Iterator[Block]:
         from sparseskin.messages.frames import known_forces
@@ -106,8 +109,8 @@ class BagRecording(Recording):
         about = {topic: f"{n} frames" for topic, n in counts.items()}
         topic = choose(about, self._file.layout.topic, name, "topics of taxels")
         if self._file.raw and topic_of(patch_of(topic), Calibration.schema) in bag.topics:
-            what = "its taxels are forces, of a calibrated skin; expected raw readings"
-            raise SourceError(f"{name}: {what}")
+            fault = "its taxels are forces, of a calibrated skin; expected raw readings"
+            raise SourceError(f"{name}: {fault}")
         return topic
 
     def _taxels(self, bag: BagReader, topic: str) -> Iterator[Taxels]:

@@ -93,8 +93,8 @@ class DatasetRecording(Recording):
             blocks = self._arrays.blocks(plan.key, plan.frames.axis, size)
         for block in blocks:
             numbers = block.view(np.uint8) if block.dtype.kind == "b" else block
-            for first in range(0, len(numbers), size):
-                yield numbers[first : first + size]
+            for begin in range(0, len(numbers), size):
+                yield numbers[begin : begin + size]
 
     def _times(self, plan: _Plan, size: int) -> Iterator[int | float]:
         """The times of all frames, one after the other, from an array of their own."""
@@ -257,11 +257,11 @@ class DatasetRecording(Recording):
             array = np.asarray(value)
             if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.reshape(()) < np.inf:
                 by_name[name] = float(array.reshape(()))
-        listed = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
+        rates = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
         if len(set(by_name.values())) > 1:
-            return None, (f"{listed}: more than one rate is stated, and none is used",)
+            return None, (f"{rates}: more than one rate is stated, and none is used",)
         if by_name:
-            return next(iter(by_name.values())), (f"the rate is that of {listed} Hz",)
+            return next(iter(by_name.values())), (f"the rate is that of {rates} Hz",)
         return None, ()
 
     def _unit(self, plan: _Plan) -> str | None:
@@ -291,8 +291,8 @@ class DatasetRecording(Recording):
             is_iso = times.iso_ns(text_of(begin.reshape(-1)[0])) is not None
             return times.ISO if is_iso else times.CLOCK_UNIT
         attributes = dataset.attributes
-        stated = text_of(attributes.get("units", attributes.get(UNIT, ""))).lower().split()
-        unit = stated[0] if stated else ""
+        words = text_of(attributes.get("units", attributes.get(UNIT, ""))).lower().split()
+        unit = words[0] if words else ""
         if unit in NO_UNITS or self._layout.time_unit:
             return times.named_unit(self._arrays.last_part(plan.time_key))
         if unit not in TIME_UNITS:

@@ -151,16 +151,16 @@ def frames_key(arrays: ArrayFile, layout: Layout) -> str:
     topic = layout.topic.strip("/")
     if topic:
         return _stated_key(arrays, topic, candidates)
-    own = [key for key in arrays.datasets if arrays.last_part(key) == FORCES]
-    if len(own) == 1:
-        return own[0]
+    named_forces = [key for key in arrays.datasets if arrays.last_part(key) == FORCES]
+    if len(named_forces) == 1:
+        return named_forces[0]
     grids = [key for key in candidates if arrays.datasets[key].n_axes > 2]
     if len(grids) == 1:
         (grid,) = grids
         candidates = [grid, *_rivals(arrays, grid, candidates)]
     texts = {key: arrays.datasets[key].text for key in candidates}
-    what = "arrays of frames (frames, rows, columns)"
-    return choose(texts, "", arrays.name, what)
+    kind = "arrays of frames (frames, rows, columns)"
+    return choose(texts, "", arrays.name, kind)
 
 
 def _stated_key(arrays: ArrayFile, topic: str, candidates: Sequence[str]) -> str:
@@ -202,10 +202,10 @@ def _rivals(arrays: ArrayFile, grid: str, keys: Sequence[str]) -> list[str]:
     for key in keys:
         if key == grid:
             continue
-        others = [side for side in arrays.datasets[key].sides if side > 1]
-        shared = [side for side in others if side in sides]
-        n_frames = shared[0] if shared else max(others)
-        n_columns = math.prod(others) // n_frames
+        table_sides = [side for side in arrays.datasets[key].sides if side > 1]
+        shared = [side for side in table_sides if side in sides]
+        n_frames = shared[0] if shared else max(table_sides)
+        n_columns = math.prod(table_sides) // n_frames
         if n_columns > MAX_STATE or n_columns * n_frames >= math.prod(sides):
             rivals.append(key)
     return rivals
@@ -215,21 +215,21 @@ def times_keys(arrays: ArrayFile, layout: Layout) -> list[str]:
     """Arrays of one axis that hold times: the stated one, or those with a name of times, alone or
     behind another word. Raises SourceError if the stated one is none.
     """
-    stated = layout.time
-    if stated == NO_TIMES or has_time_column(layout):
+    time_name = layout.time
+    if time_name == NO_TIMES or has_time_column(layout):
         return []
     lists = [
         key
         for key, dataset in arrays.datasets.items()
         if dataset.dtype.kind in "iufMmUS" and dataset.n_axes <= 1 and math.prod(dataset.sides) > 1
     ]
-    if stated:
-        stated_keys = [key for key in lists if stated in (key, arrays.last_part(key))]
+    if time_name:
+        stated_keys = [key for key in lists if time_name in (key, arrays.last_part(key))]
         if not stated_keys:
             allowed = ", ".join(map(printable, lists[:MAX_SHOWN])) or "none"
-            fault = f"time: {shown(stated)} is no array of one axis; allowed: {allowed}, none"
+            fault = f"time: {shown(time_name)} is no array of one axis; allowed: {allowed}, none"
             raise SourceError(f"{arrays.name}: {fault}")
-        return [stated] if stated in stated_keys else stated_keys
+        return [time_name] if time_name in stated_keys else stated_keys
     exact = [key for key in lists if times.is_time_name(arrays.last_part(key))]
     return exact or [key for key in lists if times.is_time_name(_last_word(key))]
 
@@ -245,24 +245,30 @@ def times_key(
         return "", ()
     if not keys and not layout.time:
         _ask_for_times(arrays, frames, n_frames)
+    if not keys:
+        return "", ()
+
     n_times = {key: math.prod(arrays.datasets[key].sides) for key in keys}
     as_long = [key for key, n in n_times.items() if n == n_frames]
     if not as_long:
-        listed = ", ".join(f"{printable(key)} ({n})" for key, n in n_times.items())
-        note = f"not read as times of {n_frames} frames: {listed}"
-        if keys and layout.time:
+        sizes = ", ".join(f"{printable(key)} ({n})" for key, n in n_times.items())
+        note = f"not read as times of {n_frames} frames: {sizes}"
+        if layout.time:
             raise SourceError(f"{arrays.name}: time: {note}")
-        return "", (note,) * bool(keys)
+        return "", (note,)
+
     # In the same group, or with the same word at its begin.
     nearness = {key: _common_words(key, frames) for key in as_long}
     nearest = [key for key in as_long if nearness[key] == max(nearness.values())]
     if len(nearest) > 1:
-        ways = [f"time={printable(key)}" for key in nearest[:MAX_SHOWN]]
-        listed = f"{', '.join(ways)} or time=none"
-        fault = f"{len(nearest)} arrays may be the times of the frames: state {listed}"
+        ways = ", ".join(f"time={printable(key)}" for key in nearest[:MAX_SHOWN])
+        fault = f"{len(nearest)} arrays may be the times of the frames: state {ways} or time=none"
         raise UnstatedError(f"{arrays.name}: {fault}", *({"time": key} for key in nearest))
+
     ignored = [printable(key) for key in as_long if key not in nearest]
-    return nearest[0], (f"not read as times: {', '.join(ignored)}",) * bool(ignored)
+    if not ignored:
+        return nearest[0], ()
+    return nearest[0], (f"not read as times: {', '.join(ignored)}",)
 
 
 def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
@@ -292,11 +298,11 @@ def _last_word(key: str) -> str:
     return _words(key)[-1]
 
 
-def _common_words(one: str, another: str) -> int:
+def _common_words(path: str, other_path: str) -> int:
     """Words with which two paths begin alike."""
     n = 0
-    for word, other in zip(_words(one), _words(another), strict=False):
-        if word != other:
+    for word, other_word in zip(_words(path), _words(other_path), strict=False):
+        if word != other_word:
             break
         n += 1
     return n

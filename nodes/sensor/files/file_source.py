@@ -14,6 +14,7 @@ import shlex
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -337,23 +338,26 @@ def _skin(frames: Frames, survey: Survey, treatment: Treatment) -> Skin:
     head = frames.head
     layout = frames.layout
     try:
+        has_mask = frames.mask is not None and not frames.mask.all()
         skin = Skin(
             *frames.shape,
             f_max=_range(frames, survey, treatment),
             unit=_unit(frames),
             pitch_m=head.pitch_m,
-            mask=None if frames.mask is None or frames.mask.all() else frames.mask,
+            mask=frames.mask if has_mask else None,
             points=head.points,
-            point_rows=None if head.points is None else head.point_rows,
         )
-        return skin.without(treatment.gone) if treatment.n_masked else skin
-    except MessageError as error:
+        if head.points is not None:
+            skin = replace(skin, point_rows=head.point_rows)
         if treatment.n_masked:
-            fault = (
-                f"no taxel is left: all are masked (nan={layout.nan} negative={layout.negative})"
-            )
-            raise SourceError(f"{frames.name}: {fault}") from error
-        raise SourceError(f"{frames.name}: {error}") from error
+            skin = skin.without(treatment.gone)
+        return skin
+    except MessageError as error:
+        fault = str(error)
+        if treatment.n_masked:
+            settings = f"nan={layout.nan} negative={layout.negative}"
+            fault = f"no taxel is left: all are masked ({settings})"
+        raise SourceError(f"{frames.name}: {fault}") from error
 
 
 def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
@@ -380,14 +384,15 @@ def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
 
 def _unit(frames: Frames) -> str:
     """Unit of the readings: stated, that of the file, or an assumption."""
-    stated = frames.layout.unit
+    setting = frames.layout.unit
     of_file = frames.head.unit
     check_unit(frames.name, of_file)
-    if stated is not None and of_file is not None and stated != of_file:
-        contradiction = f"unit = {shown(stated)} is stated, but the file states {shown(of_file)}"
+    if setting is not None and of_file is not None and setting != of_file:
+        contradiction = f"unit = {shown(setting)} is stated, but the file states {shown(of_file)}"
         raise SourceError(f"{frames.name}: {contradiction}")
-    if stated or of_file:
-        return stated or str(of_file)
+    unit = setting or of_file
+    if unit:
+        return unit
     if frames.is_whole:
         return COUNTS
     return "raw" if frames.raw else "N"

@@ -97,21 +97,23 @@ def find_frame_axis(
     """
     names = layout.axis_names
     n_long = sum(side > 1 for side in array.sides)
+    # Names of the other axes alone say nothing of that of the frames.
     if names and "frames" not in names and len(names) == n_long - 1:
-        return _with_items(
-            names, find_frame_axis(layout.stating({"axes": ""}), array, n_times, first_is_usual)
-        )
-    stated = _stated_labels(names, array)
-    labels = stated or array.labels
+        without_axes = layout.stating({"axes": ""})
+        frame_axis = find_frame_axis(without_axes, array, n_times, first_is_usual)
+        return _with_items(names, frame_axis)
+
+    stated_labels = _stated_labels(names, array)
+    labels = stated_labels or array.labels
     array = array._replace(labels=labels)
-    ways = _labelled(labels, is_stated=bool(stated))
-    reason = "as stated" if stated else "by its label"
-    if ways is None or len(ways) > 1:
+    ways = _labelled(labels, is_stated=bool(stated_labels))
+    if ways is not None and len(ways) == 1:
+        (axis,) = ways
+        reason = "as stated" if stated_labels else "by its label"
+    else:
         candidates = range(len(array.sides)) if ways is None else ways
         fitting = _fitting(layout, array, candidates, n_times)
         axis, reason = _decided(layout, array, fitting, n_times, first_is_usual)
-    else:
-        (axis,) = ways
     way = _best_way(layout, array, axis)
     return FrameAxis(axis, tuple(_items(array, way)), reason + _said(way))
 
@@ -161,28 +163,30 @@ def _labelled(labels: Sequence[str], is_stated: bool) -> list[int | None] | None
     if is_stated:
         return [None]
     unlabelled: list[int | None] = [at for at, word in enumerate(words) if word not in TAXEL_LABELS]
-    return unlabelled if 0 < len(unlabelled) < len(words) else None
+    if 0 < len(unlabelled) < len(words):
+        return unlabelled
+    return None
 
 
 def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
     """How the axes beside that of the frames are a frame."""
-    others = [at for at in array.others(axis) if array.sides[at] > 1]
-    is_labelled = any(array.labels[at].lower() in TAXEL_LABELS for at in others)
-    grids: list[tuple[int, int | None, list[int]]] = [(_DIRECT, None, others)]
-    if len(others) > 2 or layout.channel:
-        # Several numbers per taxel stand last more often than first.
-        extra = _DIRECT if layout.channel else _CHANNELS
-        sizes = array.sides
-        channels = [at for at in reversed(others) if may_hold_channel(layout.channel, sizes[at])]
-        grids = [(extra, at, [k for k in others if k != at]) for at in channels] + grids
-    ways = [
-        _Way(axis, extra + fit, channel if layout.n_stated else None)
-        for extra, channel, grid in grids
-        for fit in _fits(layout, [array.sides[at] for at in grid])
-    ]
-    if is_labelled:
+    sides = array.sides
+    item_axes = [at for at in array.others(axis) if sides[at] > 1]
+    if any(array.labels[at].lower() in TAXEL_LABELS for at in item_axes):
         # The arrangement follows the labels, and compares the stated shape with them.
         return _Way(axis, _DIRECT, None)
+
+    ways: list[_Way] = []
+    if len(item_axes) > 2 or layout.channel:
+        extra = _DIRECT if layout.channel else _CHANNELS
+        # Several numbers per taxel stand last more often than first.
+        for channel in reversed(item_axes):
+            if may_hold_channel(layout.channel, sides[channel]):
+                grid = [sides[at] for at in item_axes if at != channel]
+                stated_channel = channel if layout.n_stated else None
+                ways += [_Way(axis, extra + fit, stated_channel) for fit in _fits(layout, grid)]
+    grid = [sides[at] for at in item_axes]
+    ways += [_Way(axis, _DIRECT + fit, None) for fit in _fits(layout, grid)]
     if not ways:
         return _Way(axis, _NO_FIT, None)
     return min(ways, key=lambda way: way.fit)
@@ -194,20 +198,21 @@ def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
     cols = layout.n_cols
     if len(sides) < 2:
         n = math.prod(sides)
-        n_wanted = layout.n_stated
+        n_taxels = layout.n_stated
         has_columns = layout.columns or has_time_column(layout)
-        if n_wanted is None:
+        if n_taxels is None:
             # Rows alone, or columns alone, have to divide the readings.
             if has_columns or n % (rows or cols or 1) == 0:
                 yield _DIRECT
-        elif n == n_wanted or (has_columns and n > n_wanted):
+        elif n == n_taxels or (has_columns and n > n_taxels):
             yield _DIRECT
-        elif n == n_wanted + 1:
+        elif n == n_taxels + 1:
             yield _WITH_TIME
     elif len(sides) == 2:
-        if sides[0] in (rows or sides[0],) and sides[1] in (cols or sides[1],):
+        outer, inner = sides
+        if outer == (rows or outer) and inner == (cols or inner):
             yield _DIRECT
-        elif sides[1] in (rows or sides[1],) and sides[0] in (cols or sides[0],):
+        elif inner == (rows or inner) and outer == (cols or outer):
             yield _TRANSPOSED
 
 
@@ -272,19 +277,21 @@ def _decided(
 
 def _first_is_plausible(sides: Sequence[int]) -> bool:
     """True if the first axis is longer than the others, or these are one, or a square."""
-    others = [side for side in sides[1:] if side > 1]
-    is_square = len(others) == 2 and others[0] == others[1]
-    return all(side < sides[0] for side in others) or len(others) == 1 or is_square
+    item_sides = [side for side in sides[1:] if side > 1]
+    is_square = len(item_sides) == 2 and item_sides[0] == item_sides[1]
+    is_longest = all(side < sides[0] for side in item_sides)
+    return is_longest or len(item_sides) == 1 or is_square
 
 
 def _axes_text(array: ArrayShape, way: _Way) -> str:
     """The setting `axes` for a way, whose rows come before its columns."""
-    others = [at for at in array.others(way.axis) if array.sides[at] > 1 and at != way.channel]
+    long_axes = [at for at in array.others(way.axis) if array.sides[at] > 1]
+    grid_axes = [at for at in long_axes if at != way.channel]
     names = ["-"] * len(array.sides)
     usual: tuple[str, ...] = ("rows", "cols", CHANNEL)
-    if len(others) == 1:
+    if len(grid_axes) == 1:
         usual = ("taxels",)
-    for at, name in zip(others, usual, strict=False):
+    for at, name in zip(grid_axes, usual, strict=False):
         names[at] = name
     if way.channel is not None:
         names[way.channel] = CHANNEL

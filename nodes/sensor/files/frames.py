@@ -58,8 +58,10 @@ class Frames:
     @property
     def n_taxels(self) -> int:
         """Number of cells that the file states to be taxels."""
+        if self.mask is not None:
+            return int(np.count_nonzero(self.mask))
         n_rows, n_cols = self.shape
-        return n_rows * n_cols if self.mask is None else int(np.count_nonzero(self.mask))
+        return n_rows * n_cols
 
     @property
     def is_timed(self) -> bool:
@@ -106,11 +108,11 @@ class Frames:
         """Lines on how the file was read, after its end."""
         lines = [*self.head.notes, *self.arrangement.notes]
         if self.is_timed:
-            time_name = f" {self.head.time_name}" if self.head.time_name else ""
+            time_name = self.head.time_name
             if not self._unit_stated:
-                lines.append(f"times:{time_name or ' of each item'}, taken as {self.time_unit}")
+                lines.append(f"times: {time_name or 'of each item'}, taken as {self.time_unit}")
             elif time_name:
-                lines.append(f"times:{time_name} in {self.time_unit}")
+                lines.append(f"times: {time_name} in {self.time_unit}")
         elif self.head.is_timed:
             time_name = self.head.time_name or "those of each item"
             lines.append(f"times: {time_name}, not read, since a rate is stated")
@@ -170,9 +172,10 @@ class Frames:
         return self.head.asks_unit and bool((readings == np.rint(readings)).all())
 
     def _unstated_unit(self, arrangement: Arrangement | None) -> UnstatedError:
-        is_whole = self._holds_whole_numbers(arrangement)
-        fault = f"{self.name}: the unit of the readings is not stated"
-        return UnstatedError(f"{fault}; {_UNIT_HINT}", *([{"unit": COUNTS}] if is_whole else []))
+        fault = f"{self.name}: the unit of the readings is not stated; {_UNIT_HINT}"
+        if self._holds_whole_numbers(arrangement):
+            return UnstatedError(fault, {"unit": COUNTS})
+        return UnstatedError(fault)
 
     def _even(self, n: int) -> npt.NDArray[np.int64]:
         """Stamps of the next n frames at an even rate."""
@@ -246,10 +249,16 @@ class Frames:
 
 def _together(faults: Sequence[UnstatedError], name: str) -> UnstatedError:
     """One error of several, whose options are combined as far as there is one of each."""
-    first, *others = faults
-    texts = [str(first), *(str(error).removeprefix(f"{name}: ") for error in others)]
+    texts = [str(faults[0])]
+    texts += [str(error).removeprefix(f"{name}: ") for error in faults[1:]]
+    text = "; ".join(texts)
     options = [error.options for error in faults if error.options]
-    if all(len(ways) == 1 for ways in options):
-        together = {key: value for (way,) in options for key, value in way.items()}
-        return UnstatedError("; ".join(texts), *([together] if together else []))
-    return UnstatedError("; ".join(texts), *first.options)
+    if any(len(ways) > 1 for ways in options):
+        return UnstatedError(text, *faults[0].options)
+
+    together: dict[str, Any] = {}
+    for (way,) in options:
+        together |= way
+    if not together:
+        return UnstatedError(text)
+    return UnstatedError(text, together)

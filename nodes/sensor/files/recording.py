@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -49,6 +49,8 @@ FILLED = {
 """What is done with missing readings, for the log."""
 BLOCK_NUMBERS = 1 << 20
 """Numbers of a block, about; chosen: 8 MB, so that memory does not grow with the file."""
+MAX_EXAMPLES = 8
+"""Most candidates that an error lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,10 +160,13 @@ class WholeRecording(Recording):
         stamps = self._parsed.stamp_ns
         self.tally.begin()
         size = frames_per_block(math.prod(forces.shape[1:]))
-        for first in range(0, len(forces), size):
-            part = forces[first : first + size]
+        for start in range(0, len(forces), size):
+            part = forces[start : start + size]
             self.tally.take(len(part), len(part))
-            yield Block(part, None if stamps is None else stamps[first : first + size])
+            if stamps is None:
+                yield Block(part)
+            else:
+                yield Block(part, stamps[start : start + size])
 
 
 def frames_per_block(n_numbers: int) -> int:
@@ -172,13 +177,16 @@ def frames_per_block(n_numbers: int) -> int:
 def shown(text: object, limit: int = 40) -> str:
     """Quote any content of a file so that it fits in one line of an error."""
     quoted = ascii(str(text))
-    return quoted if len(quoted) <= limit else quoted[: limit - 4] + "...'"
+    if len(quoted) <= limit:
+        return quoted
+    return quoted[: limit - 4] + "...'"
 
 
 def spelled(text: str, option: Callable[[str], str]) -> str:
     """An error whose missing settings, KEY=VALUE behind `ADD`, are spelled as options."""
-    what, add, settings = text.partition(ADD)
-    return what + add + re.sub(r"(?<!\S)([a-z_]+)=", lambda found: option(found[1]), settings)
+    fault, add, settings = text.partition(ADD)
+    options = re.sub(r"(?<!\S)([a-z_]+)=", lambda match: option(match[1]), settings)
+    return fault + add + options
 
 
 def choose(
@@ -188,26 +196,29 @@ def choose(
     the only one. Raises SourceError if there is none, UnstatedError if there are several; `key` is
     the setting that states it.
     """
-    listed = ", ".join(f"{printable(one)} ({about})" for one, about in [*candidates.items()][:8])
     if stated in candidates:
         return stated
+    examples = islice(candidates.items(), MAX_EXAMPLES)
+    texts = ", ".join(f"{printable(candidate)} ({about})" for candidate, about in examples)
     if stated:
-        raise SourceError(f"{name}: holds no {key} {shown(stated)}; allowed: {listed or 'none'}")
+        raise SourceError(f"{name}: holds no {key} {shown(stated)}; allowed: {texts or 'none'}")
     if not candidates:
         raise SourceError(f"{name}: holds no {what}")
     if len(candidates) > 1:
-        options = [{key: one} for one in candidates]
-        fault = f"holds {len(candidates)} {what}, which is not stated: {listed}"
+        options = [{key: candidate} for candidate in candidates]
+        fault = f"holds {len(candidates)} {what}, which is not stated: {texts}"
         raise UnstatedError(f"{name}: {fault}; state {key}", *options)
     return next(iter(candidates))
 
 
 def rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
     """Stamps since the first; None if some are repeated. SourceError if they fall."""
-    for k, (before, stamp) in enumerate(pairwise(stamps), start=2):
-        if stamp < before:
+    for k, (previous, stamp) in enumerate(pairwise(stamps), start=2):
+        if stamp < previous:
             raise SourceError(f"{name}: the time of frame {k} is before that of the one before it")
-    return tuple(s - stamps[0] for s in stamps) if len(set(stamps)) == len(stamps) else None
+    if len(set(stamps)) < len(stamps):
+        return None
+    return tuple(stamp - stamps[0] for stamp in stamps)
 
 
 @contextmanager
@@ -228,8 +239,8 @@ def reading(name: str) -> Iterator[IO[bytes]]:
         with path.open("rb") as file:
             yield file
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise SourceError(f"{shown(name, 200)}: cannot be read ({reason or error})") from error
+        reason = getattr(error, "strerror", None) or error
+        raise SourceError(f"{shown(name, 200)}: cannot be read ({reason})") from error
     except MemoryError:
         raise SourceError(f"{name}: does not fit in memory") from None
 
@@ -291,7 +302,8 @@ class Lines(Iterator[str]):
 
     def back(self) -> None:
         """Let the line that was read last be read once more."""
-        self._again, self.number = True, self.number - 1
+        self._again = True
+        self.number -= 1
 
 
 # In all that follows `where` names the place in an error, e.g. "foot.lst, line 12".

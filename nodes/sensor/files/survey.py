@@ -149,10 +149,11 @@ class Treatment:
         done = {ZERO: "set to 0", MASK: "masked", KEEP: "kept"}
         subtracted = f"{self.offset:g} {unit} subtracted from all readings"
         lines = []
-        if n := self._survey.n_missing:
+        n_missing = self._survey.n_missing
+        if n_missing:
             way = self._layout.missing_way
             in_arrays = ", NaN in arrays" if way == MASK else ""
-            lines.append(f"{n} readings of the file are missing: {FILLED[way]}{in_arrays}")
+            lines.append(f"{n_missing} readings of the file are missing: {FILLED[way]}{in_arrays}")
         is_told = self._survey.n_negative and self._layout.negative != REFUSE
         if is_told:
             way = done.get(self._negative, subtracted)

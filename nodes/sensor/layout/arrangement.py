@@ -76,19 +76,23 @@ def arrange(
         places = places[list(selection.columns)]
         notes = (*selection.notes, *_left_out(names, remaining, selection.columns))
         if selection.shape is not None:
-            places = places.reshape(selection.shape)
-            labelled = [Axis(selection.shape[0], "rows"), Axis(selection.shape[1], "cols")]
+            n_rows, n_cols = selection.shape
+            places = places.reshape(n_rows, n_cols)
+            labelled = [Axis(n_rows, "rows"), Axis(n_cols, "cols")]
         else:
             is_named = all(re.search(r"\d", names[k]) for k in selection.columns)
             is_certain = is_named or bool(layout.columns)
             labelled = [Axis(places.size, "taxels" if is_certain else UNNAMED)]
     else:
         places, labelled, notes = _one_channel(layout, places, labelled, where)
+
     places = _as_grid(layout, places, labelled, where)
-    check_grid(places.shape[0], places.shape[1], where)
+    n_rows, n_cols = places.shape
+    check_grid(n_rows, n_cols, where)
     places = _ordered(layout, places, where)
-    is_plain = places.size == n_numbers and bool((np.diff(places.ravel()) == 1).all())
-    return Arrangement((places.shape[0], places.shape[1]), None if is_plain else places, notes)
+    if places.size == n_numbers and bool((np.diff(places.ravel()) == 1).all()):
+        return Arrangement((n_rows, n_cols), None, notes)
+    return Arrangement((n_rows, n_cols), places, notes)
 
 
 def check_grid(n_rows: int, n_cols: int, where: str) -> None:
@@ -111,7 +115,9 @@ def order_of(text: str, n: int) -> list[int] | None:
     if len(parts) != n or not all(p.strip().isdecimal() and len(p.strip()) < 6 for p in parts):
         return None
     order = [int(part) for part in parts]
-    return order if sorted(order) == list(range(n)) else None
+    if sorted(order) != list(range(n)):
+        return None
+    return order
 
 
 def shapes_of(n: int) -> str:
@@ -119,7 +125,9 @@ def shapes_of(n: int) -> str:
     sides = [k for k in range(1, min(n, MAX_SIDE) + 1) if n % k == 0 and n // k <= MAX_SIDE]
     sides.sort(key=lambda k: (abs(math.log(k * k / n)), k))
     shapes = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
-    return f"{', '.join(shapes[:-1])} or {shapes[-1]}" if len(shapes) > 1 else "".join(shapes)
+    if len(shapes) < 2:
+        return "".join(shapes)
+    return f"{', '.join(shapes[:-1])} or {shapes[-1]}"
 
 
 def _left_out(
@@ -130,10 +138,11 @@ def _left_out(
     unread = [names[k] or str(k + 1) for k in usable if k not in of_taxels]
     if not unread:
         return ()
-    further = ", ..." if len(unread) > MAX_WAYS else ""
-    plural = "s" if len(unread) > 1 else ""
-    listed = ", ".join(map(printable, unread[:MAX_WAYS]))
-    return (f"left out: {len(unread)} column{plural}, {listed}{further}",)
+    columns_text = "column" if len(unread) == 1 else "columns"
+    names_text = ", ".join(map(printable, unread[:MAX_WAYS]))
+    if len(unread) > MAX_WAYS:
+        names_text += ", ..."
+    return (f"left out: {len(unread)} {columns_text}, {names_text}",)
 
 
 def _one_channel(
@@ -144,12 +153,12 @@ def _one_channel(
     remaining = remaining or [len(axes) - 1]
     places = places.reshape([axes[at].size for at in remaining])
     axes = [axes[at] for at in remaining]
+
     at = _channel_axis(layout, axes, where)
+    if at is None and len(axes) > 2:
+        hint = "state axes, as rows,cols,channel, and channel"
+        raise UnstatedError(f"{where}: an item has {len(axes)} axes, {_sides(axes)}; {hint}")
     if at is None:
-        if len(axes) > 2:
-            sides = " x ".join(str(axis.size) for axis in axes)
-            hint = "state axes, as rows,cols,channel, and channel"
-            raise UnstatedError(f"{where}: an item has {len(axes)} axes, {sides}; {hint}")
         return places, axes, ()
     entry, note = _entry(layout, axes[at], where)
     return np.take(places, entry, axis=at), axes[:at] + axes[at + 1 :], (note,)
@@ -162,8 +171,11 @@ def _channel_axis(layout: Layout, axes: list[Axis], where: str) -> int | None:
     for at, axis in enumerate(axes):
         if axis.label.lower() in CHANNELS or tuple(map(str.lower, axis.names)) == XYZ:
             return at
-    if not layout.channel or len(axes) < (3 if layout.n_stated is None else 2):
+    # An axis of two may be the channels only if the number of taxels shows it.
+    min_axes = 3 if layout.n_stated is None else 2
+    if not layout.channel or len(axes) < min_axes:
         return None
+
     n_numbers = math.prod(axis.size for axis in axes)
     fitting = []
     for at, axis in enumerate(axes):
@@ -172,15 +184,19 @@ def _channel_axis(layout: Layout, axes: list[Axis], where: str) -> int | None:
             fitting.append(at)
     if not fitting:
         return len(axes) - 1 if len(axes) == 3 else None
-    least = min(axes[at].size for at in fitting)
-    smallest = [at for at in fitting if axes[at].size == least]
+    min_size = min(axes[at].size for at in fitting)
+    smallest = [at for at in fitting if axes[at].size == min_size]
     if len(smallest) > 1:
-        sides = " x ".join(str(axis.size) for axis in axes)
-        fault = f"which axis of {sides} has channel {layout.channel} is not stated"
+        fault = f"which axis of {_sides(axes)} has channel {layout.channel} is not stated"
         options = [{"axes": _with_channel_at(at, len(axes))} for at in smallest]
         ways = " or ".join(f"axes={option['axes']}" for option in options)
         raise UnstatedError(f"{where}: {fault}: state {ways}", *options)
     return smallest[0]
+
+
+def _sides(axes: Sequence[Axis]) -> str:
+    """Sizes of axes, as "4 x 4 x 3"."""
+    return " x ".join(str(axis.size) for axis in axes)
 
 
 def _with_channel_at(at: int, n_axes: int) -> str:
@@ -204,10 +220,12 @@ def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
     channel = layout.channel.lower()
     if not channel and NORMAL in names:
         channel = NORMAL
+
     if channel in names:
         return names.index(channel), f"channel {channel} of {', '.join(names)}"
     if not names and channel in XYZ and axis.size == len(XYZ):
-        return XYZ.index(channel), f"channel {channel}, entry {XYZ.index(channel)} of {axis.size}"
+        entry = XYZ.index(channel)
+        return entry, f"channel {channel}, entry {entry} of {axis.size}"
     if channel.isdecimal() and int(channel) < axis.size:
         return int(channel), f"channel {channel} of {axis.size}"
     allowed = ", ".join(names) or f"0..{axis.size - 1}"
@@ -231,6 +249,7 @@ def _as_grid(
             check_stated_shape(grid.shape[0], grid.shape[1], n_rows, n_cols, where)
             return grid
         places = grid
+
     n = places.size
     if not (n_rows or n_cols):
         fault = f"a frame holds {n} readings, in which shape is not stated"
@@ -243,6 +262,7 @@ def _as_grid(
     if n_rows * n_cols != n:
         needed = f"n_rows x n_cols = {n_rows} x {n_cols} needs {n_rows * n_cols}"
         raise SourceError(f"{where}: a frame holds {n} readings, but {needed}")
+
     flat = places.reshape(-1)
     if layout.order == "columns":
         return flat.reshape(n_cols, n_rows).T

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from itertools import chain
 from typing import NamedTuple
 
 from sparseskin.messages.text import printable
@@ -104,8 +105,13 @@ def _families(names: Sequence[str], usable: Sequence[int]) -> dict[Family, list[
 
 def _family(name: str) -> Family:
     axis = AXIS.search(name.lower())
-    pattern = re.sub(r"\d+", "#", name)
-    return Family(pattern, axis[1] if axis else "")
+    channel = axis[1] if axis else ""
+    return Family(_pattern(name), channel)
+
+
+def _pattern(name: str) -> str:
+    """A name with # for each number."""
+    return re.sub(r"\d+", "#", name)
 
 
 def _chosen(
@@ -127,21 +133,29 @@ def _chosen(
         if layout.n_stated is None or len(columns) == layout.n_stated:
             return columns, (f"channel {channel_name} of {', '.join(channels)}",)
 
-    ways = [columns for columns in indexed.values() if len(columns) > 1]
-    ways.append(sorted(k for columns in ways for k in columns))
-    ways.append(sorted(k for columns in indexed.values() for k in columns))
-    ways.append(list(usable))
-    distinct = {tuple(sorted(columns)): columns for columns in ways if columns}
-    if layout.n_stated is not None:
-        distinct = {
-            key: columns for key, columns in distinct.items() if len(key) == layout.n_stated
-        }
-    elif len(indexed) == 1 and any(map(bool, names)):
+    if layout.n_stated is None and len(indexed) == 1 and any(map(bool, names)):
         (columns,) = indexed.values()
         return columns, ()
-    if len(distinct) == 1:
-        return next(iter(distinct.values())), ()
-    return _undecided(layout, names, indexed, usable, list(distinct.values()), where)
+    ways = _ways(indexed, usable)
+    if layout.n_stated is not None:
+        ways = [columns for columns in ways if len(columns) == layout.n_stated]
+    if len(ways) == 1:
+        return ways[0], ()
+    return _undecided(layout, names, indexed, usable, ways, where)
+
+
+def _ways(indexed: dict[Family, list[int]], usable: Sequence[int]) -> list[list[int]]:
+    """The sets of columns that may be the taxels: each family of several names, all of these, all
+    names with numbers, and all columns.
+    """
+    families = [columns for columns in indexed.values() if len(columns) > 1]
+    several = sorted(chain.from_iterable(families))
+    with_numbers = sorted(chain.from_iterable(indexed.values()))
+    distinct: dict[tuple[int, ...], list[int]] = {}
+    for columns in (*families, several, with_numbers, list(usable)):
+        if columns:
+            distinct[tuple(sorted(columns))] = columns
+    return list(distinct.values())
 
 
 def _undecided(
@@ -155,13 +169,17 @@ def _undecided(
     """Raise what is to be stated, where more than one choice of columns is possible, or none."""
     if not usable:
         raise SourceError(f"{where}: no column holds numbers; state columns")
-    kinds = "; ".join(
-        f"{len(columns)} named {printable(family.pattern)}" for family, columns in indexed.items()
-    )
-    about = f"{len(usable)} columns hold numbers" + f" ({kinds})" * bool(kinds)
+    about = f"{len(usable)} columns hold numbers"
+    if indexed:
+        kinds = [
+            f"{len(columns)} named {printable(family.pattern)}"
+            for family, columns in indexed.items()
+        ]
+        about += f" ({'; '.join(kinds)})"
     if layout.n_stated is not None and not ways:
         needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {layout.n_stated}"
         raise SourceError(f"{where}: {about}, but {needed}; state columns, or another shape")
+
     options = [{"columns": _as_text(names, columns)} for columns in ways]
     hint = "columns, or n_rows and n_cols"
     if layout.n_stated is not None:
@@ -177,7 +195,10 @@ def _channels(indexed: dict[Family, list[int]]) -> dict[str, list[int]]:
         if family.channel:
             by_channel.setdefault(family.channel, []).extend(columns)
     sizes = {len(columns) for columns in by_channel.values()}
-    return by_channel if len(by_channel) > 1 and len(sizes) == 1 and NORMAL in by_channel else {}
+    has_several = len(by_channel) > 1 and NORMAL in by_channel
+    if has_several and len(sizes) == 1:
+        return by_channel
+    return {}
 
 
 def _of_channel(channel: str, names: Sequence[str], columns: list[int], where: str) -> list[int]:
@@ -191,16 +212,18 @@ def _placed(
     layout: Layout, names: Sequence[str], columns: list[int], notes: tuple[str, ...]
 ) -> Selection:
     """The columns in the order of the numbers in their names, and their places in a grid."""
-    patterns = {re.sub(r"\d+", "#", names[k]) for k in columns} if any(names) else set()
+    patterns = {_pattern(names[k]) for k in columns}
     if len(patterns) != 1 or "#" not in next(iter(patterns)):
         return Selection(tuple(columns), None, notes)
+
     numbers = {k: tuple(map(int, re.findall(r"\d+", names[k]))) for k in columns}
-    by_number = sorted(columns, key=numbers.__getitem__)
     varying = _grid_numbers(names[columns[0]], [numbers[k] for k in columns])
     if len(varying) == 2:
         grid = _grid(layout, names[columns[0]], {k: numbers[k] for k in columns}, varying)
         if grid is not None:
             return Selection(grid.columns, grid.shape, (*notes, *grid.notes))
+
+    by_number = sorted(columns, key=numbers.__getitem__)
     if by_number != columns and len(set(numbers.values())) == len(columns):
         notes = (*notes, "columns are ordered by the numbers in their names")
         columns = by_number
@@ -209,8 +232,11 @@ def _placed(
 
 def _words(name: str) -> list[str]:
     """The word right before each number of a name, in small letters, "" where there is none."""
-    parts = re.split(r"\d+", name.lower())[:-1]
-    return [(re.findall(r"[a-z]+", part) or [""])[-1] for part in parts]
+    words = []
+    for part in re.split(r"\d+", name.lower())[:-1]:
+        words_of_part = re.findall(r"[a-z]+", part) or [""]
+        words.append(words_of_part[-1])
+    return words
 
 
 def _grid_numbers(name: str, numbers: Sequence[tuple[int, ...]]) -> list[int]:
@@ -219,7 +245,12 @@ def _grid_numbers(name: str, numbers: Sequence[tuple[int, ...]]) -> list[int]:
     labelled = [at for at, word in enumerate(words) if word in ROW_WORDS or word in COL_WORDS]
     if len(labelled) == 2:
         return labelled
-    return [at for at in range(len(words)) if len({number[at] for number in numbers}) > 1]
+    varying = []
+    for at in range(len(words)):
+        values = {of_name[at] for of_name in numbers}
+        if len(values) > 1:
+            varying.append(at)
+    return varying
 
 
 def _grid(
@@ -228,25 +259,32 @@ def _grid(
     """Columns row after row, where two numbers in each name are a row and a column, and fill a
     grid; None where they do not, or where nothing states which is which.
     """
-    pairs = {(of[varying[0]], of[varying[1]]): k for k, of in numbers.items()}
-    firsts, seconds = ({pair[side] for pair in pairs} for side in (0, 1))
-    if len(pairs) != len(numbers) or len(firsts) * len(seconds) != len(pairs):
+    outer_at, inner_at = varying
+    pairs = {(of_name[outer_at], of_name[inner_at]): k for k, of_name in numbers.items()}
+    n_outer = len({outer for outer, _ in pairs})
+    n_inner = len({inner for _, inner in pairs})
+    if len(pairs) != len(numbers) or n_outer * n_inner != len(pairs):
         return None
-    outer, inner = (_words(name)[at] for at in varying)
-    is_labelled = outer in ROW_WORDS and inner in COL_WORDS
-    is_labelled |= outer in COL_WORDS and inner in ROW_WORDS
-    if not (is_labelled or not inner):
+
+    words = _words(name)
+    outer_word = words[outer_at]
+    inner_word = words[inner_at]
+    is_labelled = outer_word in ROW_WORDS and inner_word in COL_WORDS
+    is_labelled |= outer_word in COL_WORDS and inner_word in ROW_WORDS
+    if inner_word and not is_labelled:
         return None  # two numbers that count something else, as a sensor and its taxels
-    rows_first = outer in ROW_WORDS or not is_labelled
-    shape = (len(firsts), len(seconds)) if rows_first else (len(seconds), len(firsts))
+
     notes: tuple[str, ...] = ()
-    if not is_labelled:
+    if is_labelled:
+        rows_first = outer_word in ROW_WORDS
+    else:
         # Without words the order of a matrix is meant: row, then column. A stated shape decides.
-        required_shape = (layout.n_rows, layout.n_cols)
-        if required_shape != shape and required_shape == shape[::-1]:
-            rows_first = False
-            shape = shape[::-1]
-        notes = (f"the numbers in the names are {'row, column' if rows_first else 'column, row'}",)
+        stated_shape = (layout.n_rows, layout.n_cols)
+        is_reversed = stated_shape == (n_inner, n_outer) != (n_outer, n_inner)
+        rows_first = not is_reversed
+        order = "row, column" if rows_first else "column, row"
+        notes = (f"the numbers in the names are {order}",)
+    shape = (n_outer, n_inner) if rows_first else (n_inner, n_outer)
     side = 0 if rows_first else 1
     ordered = sorted(pairs, key=lambda pair: (pair[side], pair[1 - side]))
     return Selection(tuple(pairs[pair] for pair in ordered), shape, notes)
@@ -264,4 +302,6 @@ def _as_text(names: Sequence[str], columns: Sequence[int]) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     text = ", ".join(printable(name) for name in names[:MAX_SHOWN])
-    return text + ", ..." * (len(names) > MAX_SHOWN)
+    if len(names) > MAX_SHOWN:
+        text += ", ..."
+    return text

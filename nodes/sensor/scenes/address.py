@@ -34,17 +34,16 @@ class SceneAddress(Address):
 
     def check(self) -> None:
         name = self.rest
-        on_grid = self.rest in SCENES
-        if on_grid and (self.points or "points" in (self.simulated or {})):
-            known = ", ".join(point_scenes())
-            raise SourceError(f"scene {name} presses a flat grid; allowed on points: {known}")
-        if name in TILED or (on_grid and self.n_patches > 1):
-            shape = self._described().shape if name in TILED else self.open().skin.shape
-            if self.n_patches * math.prod(shape) > MAX_ELEMENTS:
-                raise SourceError(
-                    f"{self.n_patches} patches of {shape[0]} x {shape[1]} cells; at most "
-                    f"{MAX_ELEMENTS} cells together: use more batches"
-                )
+        on_grid = name in SCENES
+        has_points = bool(self.points) or "points" in (self.simulated or {})
+        if on_grid and has_points:
+            allowed = ", ".join(point_scenes())
+            raise SourceError(f"scene {name} presses a flat grid; allowed on points: {allowed}")
+
+        if name in TILED:
+            self._check_size(self._described().shape)
+        elif on_grid and self.n_patches > 1:
+            self._check_size(self.open().skin.shape)
         elif self.points and name not in point_scenes():
             hint = did_you_mean(name, point_scenes())
             raise SourceError(f"no scene on points is called {name!r}{hint}")
@@ -54,14 +53,21 @@ class SceneAddress(Address):
                 raise SourceError(f"scene {name} presses a skin of points; {remedy}")
             check_scene(name, TILED)
 
+    def _check_size(self, shape: tuple[int, int]) -> None:
+        """Raise SourceError if the patches together have more cells than a message may hold."""
+        if self.n_patches * math.prod(shape) > MAX_ELEMENTS:
+            raise SourceError(
+                f"{self.n_patches} patches of {shape[0]} x {shape[1]} cells; at most "
+                f"{MAX_ELEMENTS} cells together: use more batches"
+            )
+
     def _described(self) -> SkinDescription:
         """The skin of each patch of a body."""
-        stated: dict[str, Any] = dict(self.simulated or {"n_rows": 64, "n_cols": 64})
-        if "points" not in stated:
-            stated.setdefault("pitch_mm", PITCH_MM)
-        return parse_skin(
-            {"name": self.rest, "f_max": PAPER_F_MAX_N, **stated}, "simulated", Path()
-        )
+        table: dict[str, Any] = {"name": self.rest, "f_max": PAPER_F_MAX_N}
+        table |= self.simulated or {"n_rows": 64, "n_cols": 64}
+        if "points" not in table:
+            table.setdefault("pitch_mm", PITCH_MM)
+        return parse_skin(table, "simulated", Path())
 
     def n_taxels(self) -> int | None:
         if self.rest in TILED:
@@ -73,8 +79,15 @@ class SceneAddress(Address):
             self.check()
         if self.rest in TILED:
             described = self._described()
-            chosen = (described.skin, self.n_patches, self.active, self.seed, described.sigmas)
-            return TiledScene(self.rest, *chosen)
+            return TiledScene(
+                self.rest,
+                described.skin,
+                self.n_patches,
+                active=self.active,
+                seed=self.seed,
+                sigmas=described.sigmas,
+            )
+
         for name in ("n_rows", "n_cols", "unit", "f_max"):
             value = getattr(self.layout, name)
             if value is not None:
@@ -88,11 +101,13 @@ class SceneAddress(Address):
     def listings(cls) -> Sequence[Listing]:
         flat = {name: about(make) for name, make in SCENES.items()}
         title = "scenes that press a skin of points: add --set sensor.points=LAYOUT"
-        return (
+        listings = [
             Listing("scenes", "scenes", _entries(flat)),
             Listing("points", title, _entries(point_scenes())),
-            *(one for skins in loaded(POINTS).values() for one in skins.listings()),
-        )
+        ]
+        for skins in loaded(POINTS).values():
+            listings += skins.listings()
+        return tuple(listings)
 
 
 def _entries(scenes: Mapping[str, str]) -> list[dict[str, str]]:

@@ -113,8 +113,8 @@ class RigidBody:
             matrix = jacobian.T @ (jacobian * (h_loaded * slope)[:, None])
             matrix.flat[:: len(w) + 1] += self.inertia
             right = self.inertia * free - (h_loaded * spring) @ jacobian
-            found = right / matrix[0] if len(w) == 1 else np.linalg.solve(matrix, right)
-            target: Doubles = np.asarray(found, dtype=np.float64)
+            solution = right / matrix[0] if len(w) == 1 else np.linalg.solve(matrix, right)
+            target: Doubles = np.asarray(solution, dtype=np.float64)
             reached = spring + slope * (jacobian @ target) < 0.0
             # With the same cells loaded, the full step has solved the equation exactly.
             if bool((reached == loaded).all()):

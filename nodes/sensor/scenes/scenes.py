@@ -126,8 +126,8 @@ def path_40() -> Scene:
     )
 
 
-_MADE = (lift_box_40, lift_wrench_40, drag_wrench_40, path_40, lift_box_64, drag_wrench_64)
-SCENES: dict[str, Callable[[], Scene]] = {made.__name__: made for made in _MADE}
+_ALL = (lift_box_40, lift_wrench_40, drag_wrench_40, path_40, lift_box_64, drag_wrench_64)
+SCENES: dict[str, Callable[[], Scene]] = {make.__name__: make for make in _ALL}
 
 
 def check_scene(name: str, others: Iterable[str] = ()) -> None:

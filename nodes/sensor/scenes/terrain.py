@@ -122,8 +122,10 @@ class Terrain:
     def _indices(self, middle: float, reach: float, count: int) -> Indices:
         """Return the indices of the rows or columns of cells within `reach` of `middle`."""
         pitch = self._surface.pitch_m
-        first = math.floor((middle - reach) / pitch + (count - 1) / 2)
+        start = math.floor((middle - reach) / pitch + (count - 1) / 2)
         stop = math.ceil((middle + reach) / pitch + (count - 1) / 2) + 1
+        # Without ground around the skin there are no cells beyond its sides.
         if self._surface.ground_drop_m is None:
-            first, stop = max(first, 0), min(stop, count)
-        return np.arange(first, max(first, stop), dtype=np.intp)
+            start = max(start, 0)
+            stop = min(stop, count)
+        return np.arange(start, max(start, stop), dtype=np.intp)

@@ -14,6 +14,7 @@ import functools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -86,8 +87,9 @@ class TiledScene(Source):
         self.sigmas = sigmas
         self.n_patches = n_patches
         self._tiling = TILED[name]
-        part = self._tiling.active if active is None else active
-        self._n_active = min(n_patches, math.ceil(part * n_patches))
+        if active is None:
+            active = self._tiling.active
+        self._n_active = min(n_patches, math.ceil(active * n_patches))
         self._order = np.random.default_rng(seed).permutation(n_patches)
         if self._tiling.alternate:
             self._order = np.arange(n_patches)
@@ -103,8 +105,11 @@ class TiledScene(Source):
         """Return true forces in N, float32, shape (n_patches, n_rows, n_cols), a fresh array."""
         out = np.zeros((self.n_patches, *self.skin.shape), np.float32)
         for patch, since_s in self._pressed(t_s):
+            # Mirrored in the rows, in the columns, or in both.
+            row_step = -1 if patch % 2 else 1
+            col_step = -1 if patch // 2 % 2 else 1
             frame = self._press[self._index(since_s)]
-            out[patch] = frame[:: 1 - 2 * (patch % 2), :: 1 - 2 * (patch // 2 % 2)]
+            out[patch] = frame[::row_step, ::col_step]
         if self.skin.mask is not None:
             out[:, ~self.skin.mask] = 0.0
         return out
@@ -113,24 +118,28 @@ class TiledScene(Source):
         """Patches pressed at a time, each with the time since its press began."""
         tiling = self._tiling
         n = self._n_active
-        found = []
-        for period in {int(t_s // tiling.period_s), int(t_s // tiling.period_s) - 1} - {-1}:
-            first = period * n if tiling.moves else 0
+        pressed = []
+        newest = int(t_s // tiling.period_s)
+        # A press may last into the next period.
+        for period in {newest, newest - 1} - {-1}:
+            begin = period * n if tiling.moves else 0
             for k in range(n):
                 late_s = tiling.spread_s * k / max(1, n - 1)
-                late_s += tiling.period_s / 2 * (tiling.alternate and k % 2)
+                if tiling.alternate and k % 2:
+                    late_s += tiling.period_s / 2
                 since_s = t_s - period * tiling.period_s - late_s
                 if 0 <= since_s < tiling.pressed_s:
-                    found.append((int(self._order[(first + k) % self.n_patches]), since_s))
-        return found
+                    patch = int(self._order[(begin + k) % self.n_patches])
+                    pressed.append((patch, since_s))
+        return pressed
 
     def _index(self, since_s: float) -> int:
         """Number of the frame of the press."""
-        left_s = self._tiling.pressed_s - since_s
-        settled = min(since_s, self._tiling.settle_s)
-        if left_s < LIFT_S:
-            settled = self._tiling.settle_s + LIFT_S - left_s
-        return min(len(self._press) - 1, int(settled / FRAME_S))
+        remaining_s = self._tiling.pressed_s - since_s
+        in_press_s = min(since_s, self._tiling.settle_s)
+        if remaining_s < LIFT_S:
+            in_press_s = self._tiling.settle_s + LIFT_S - remaining_s
+        return min(len(self._press) - 1, int(in_press_s / FRAME_S))
 
 
 @functools.lru_cache(maxsize=8)
@@ -148,9 +157,9 @@ def _press(name: str, shape: tuple[int, int], pitch_m: float, f_max: float) -> F
         motion=Lift(at_s=tiling.settle_s),
         f_max_n=f_max,
     )
-    every = round(1e3 * FRAME_S)
-    frames = [forces for k, (_, forces) in enumerate(SceneSource(scene, 0)) if k % every == 0]
-    return np.stack(frames)
+    stride = round(1e3 * FRAME_S)
+    frames = islice(SceneSource(scene, 0), 0, None, stride)
+    return np.stack([forces for _, forces in frames])
 
 
 def _limb(shape: tuple[int, int], pitch_m: float) -> Body:
@@ -158,11 +167,18 @@ def _limb(shape: tuple[int, int], pitch_m: float) -> Body:
     height = shape[0] * pitch_m
     width = shape[1] * pitch_m
     radius = 0.5 * max(min(height, width), 2 * pitch_m)
-    end = (0.25 * width, 0.0) if width >= height else (0.0, 0.25 * height)
+    end_x = 0.0
+    end_y = 0.0
+    if width >= height:
+        end_x = 0.25 * width
+    else:
+        end_y = 0.25 * height
+
+    # Half the width of the contact at that depth.
     half = math.sqrt(2 * radius * SINK_M)
-    area = (2 * math.hypot(*end) + 2 * half) * 2 * half
-    bead = capsule((-end[0], -end[1]), end, radius)
-    bounds = (-end[0] - radius, end[0] + radius, -end[1] - radius, end[1] + radius)
+    area = (2 * math.hypot(end_x, end_y) + 2 * half) * 2 * half
+    bead = capsule((-end_x, -end_y), (end_x, end_y), radius)
+    bounds = (-end_x - radius, end_x + radius, -end_y - radius, end_y + radius)
     mass = _mass(min(area, height * width), pitch_m, 0.6)
     return Body(build_sole([bead], bounds, pitch_m / 2), mass, mass * radius**2)
 
@@ -173,15 +189,24 @@ def _foot(shape: tuple[int, int], pitch_m: float) -> Body:
     width = shape[1] * pitch_m
     long = max(height, width)
     wide = min(height, width)
-    parts = [(-0.4 * long, -0.12 * long, 0.16 * wide), (0.03 * long, 0.4 * long, 0.24 * wide)]
+    heel = (-0.4 * long, -0.12 * long, 0.16 * wide)
+    ball = (0.03 * long, 0.4 * long, 0.24 * wide)
+    is_along_x = width >= height
     slabs = []
     area = 0.0
-    for start, stop, half in parts:
-        ends = (start, stop, -half, half) if width >= height else (-half, half, start, stop)
-        slabs.append(slab(*ends, 0.0))
+    for start, stop, half in (heel, ball):
+        if is_along_x:
+            slabs.append(slab(start, stop, -half, half, 0.0))
+        else:
+            slabs.append(slab(-half, half, start, stop, 0.0))
         area += (stop - start) * 2 * half
-    reach = (0.4 * long, 0.24 * wide) if width >= height else (0.24 * wide, 0.4 * long)
-    sole = build_sole(slabs, (-reach[0], reach[0], -reach[1], reach[1]), pitch_m / 2)
+
+    reach_x = 0.24 * wide
+    reach_y = 0.4 * long
+    if is_along_x:
+        reach_x = 0.4 * long
+        reach_y = 0.24 * wide
+    sole = build_sole(slabs, (-reach_x, reach_x, -reach_y, reach_y), pitch_m / 2)
     mass = _mass(area, pitch_m, 1.0)
     return Body(sole, mass, mass * long**2 / 12)
 

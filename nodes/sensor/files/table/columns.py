@@ -59,7 +59,7 @@ def time_column(head: TableHead, layout: Layout, data: Sequence[Line], name: str
         return _stated_time(head, layout.time, name)
     if head.dialect.has_prefix:
         return 0
-    by_name = [k for k, one in enumerate(head.names) if one and is_time_name(one)]
+    by_name = [k for k, label in enumerate(head.names) if label and is_time_name(label)]
     by_name = [k for k in by_name if holds_values(data, k)]
     by_name = _without_nanoseconds(head, by_name)
     texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]
@@ -155,15 +155,20 @@ def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[Line], name: 
     rising = []
     for k in head.numeric:
         is_named = is_indexed(head, k) or head.names[k].lower() in FRAME_WORDS
+        if k in taxels or is_named:
+            continue
         steps = np.diff(column_of(data, k))
-        if k not in taxels and not is_named and (steps > 0).all() and (steps != 1).any():
+        if (steps > 0).all() and (steps != 1).any():
             rising.append(k)
+    # Where all columns rise, it is the load that does.
     if not rising or len(rising) == len(head.numeric):
         return
-    labels = [f"time={head.label(k)}" for k in rising[:MAX_SHOWN]]
-    further = ", ..." if len(rising) > MAX_SHOWN else ""
+
+    labels = ", ".join(f"time={head.label(k)}" for k in rising[:MAX_SHOWN])
+    if len(rising) > MAX_SHOWN:
+        labels += ", ..."
     columns = "column rises" if len(rising) == 1 else "columns rise"
-    ways = f"state {', '.join(labels)}{further} or, if these are no times, time=none"
+    ways = f"state {labels} or, if these are no times, time=none"
     options = [{"time": head.names[k] or str(k + 1)} for k in rising]
     raise UnstatedError(f"{name}: {len(rising)} {columns} in all lines: {ways}", *options)
 
@@ -189,8 +194,8 @@ def source_column(head: TableHead, layout: Layout, data: Sequence[Line], name: s
         if layout.frame_id in values:
             return k
         if len(values) > 1:
-            listed = ", ".join(map(shown, values[:MAX_SHOWN]))
-            fault = f"column {head.label(k)} names {len(values)} skins, {listed}"
+            skins = ", ".join(map(shown, values[:MAX_SHOWN]))
+            fault = f"column {head.label(k)} names {len(values)} skins, {skins}"
             options = [{"frame_id": value} for value in values[:MAX_SHOWN]]
             raise UnstatedError(f"{name}: {fault}: state frame_id", *options)
     if layout.frame_id:
@@ -213,7 +218,9 @@ def _text_unit(data: Sequence[Line], k: int) -> str:
     cells = [line.cells[k] for line in data]
     if all(iso_ns(cell) is not None for cell in cells):
         return ISO
-    return CLOCK_UNIT if all(clock_ns(cell) is not None for cell in cells) else ""
+    if all(clock_ns(cell) is not None for cell in cells):
+        return CLOCK_UNIT
+    return ""
 
 
 def unit_of_column(head: TableHead, data: Sequence[Line], layout: Layout) -> str:

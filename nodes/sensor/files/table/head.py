@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
 
@@ -62,6 +61,7 @@ def read_head(file: File) -> TableHead:
         dialect = dialect._replace(separator=separator)
     lines = [Line(number, text, tuple(dialect.cells(text))) for number, text in bodies]
 
+    # Width, names, and where the data begin.
     head = _sized(dialect, lines)
     lines = [line for line in lines if len(line.cells) in _widths(head)]
     data = _headed(head, lines, raw, n_skipped)
@@ -81,6 +81,8 @@ def read_head(file: File) -> TableHead:
         data = [line for line in data if line.cells[head.source] == layout.frame_id]
     if head.dialect.has_decimal_comma:
         head.notes += ("commas are decimal points",)
+
+    # The lines of a block have no times of their own.
     if head.kind != GRID:
         head.time = time_column(head, layout, data, file.name)
     if head.time is not None:
@@ -97,27 +99,35 @@ def _note_texts(head: TableHead) -> None:
     texts = [k for k in range(head.width) if k not in head.numeric and k != head.time]
     if texts:
         labels = ", ".join(head.label(k) for k in texts[:MAX_SHOWN])
-        further = ", ..." if len(texts) > MAX_SHOWN else ""
-        head.notes += (f"no numbers, and left out: column {labels}{further}",)
+        if len(texts) > MAX_SHOWN:
+            labels += ", ..."
+        head.notes += (f"no numbers, and left out: column {labels}",)
 
 
 def _first_lines(file: File) -> list[tuple[int, str]]:
     """Numbers and texts of the first lines of a file."""
-    first: list[tuple[int, str]] = []
+    sample: list[tuple[int, str]] = []
     for piece in pieces(file.file, file.name):
-        texts = piece.lines[:-1] if piece.is_cut and len(piece.lines) > 2 else piece.lines
-        room = MAX_SAMPLE - len(first)
-        first += islice(enumerate(texts, start=piece.number), room)
-        if len(first) >= MAX_SAMPLE:
+        texts = piece.lines
+        # The last line of a file that is still written may be a part of one.
+        if piece.is_cut and len(texts) > 2:
+            texts = texts[:-1]
+        n_missing = MAX_SAMPLE - len(sample)
+        sample += islice(enumerate(texts, start=piece.number), n_missing)
+        if len(sample) >= MAX_SAMPLE:
             break
-    return first
+    return sample
 
 
 def _excel(raw: list[tuple[int, str]], layout: Layout) -> tuple[str, int]:
     """The separator that the first line states for Excel, and the lines that are not looked at."""
-    line = EXCEL_LINE.fullmatch(raw[0][1].strip()) if raw else None
-    separator = line[1] if line else ""
-    return separator, max(layout.skip, int(bool(separator)))
+    if not raw:
+        return "", layout.skip
+    _, text = raw[0]
+    match = EXCEL_LINE.fullmatch(text.strip())
+    if match is None:
+        return "", layout.skip
+    return match[1], max(layout.skip, 1)
 
 
 def _is_body(text: str) -> bool:
@@ -131,22 +141,28 @@ def _sized(dialect: Dialect, lines: Sequence[Line]) -> TableHead:
     may have more lines than a short table.
     """
     later = lines[len(lines) // 3 :]
-    n_lines = Counter(len(line.cells) for line in later)
-    last_lines = {len(line.cells): line for line in later}
-    n_numbers = {
-        width: n * max(1, sum(map(is_number, last_lines[width].cells)))
-        for width, n in n_lines.items()
-    }
+    by_width: dict[int, list[Line]] = {}
+    for line in later:
+        by_width.setdefault(len(line.cells), []).append(line)
+
+    # Numbers in all lines of a width, by those of its last one.
+    n_numbers = {}
+    for width, of_width in by_width.items():
+        n_in_line = sum(map(is_number, of_width[-1].cells))
+        n_numbers[width] = len(of_width) * max(1, n_in_line)
     width = max(n_numbers, key=n_numbers.__getitem__)
-    of_width = [line for line in later if len(line.cells) == width]
-    has_trailing = width > 1 and all(line.cells[-1] == "" for line in of_width)
-    has_trailing = has_trailing and dialect.separator != " "
+
+    # A separator at the end of each line begins no cell.
+    ends_empty = all(line.cells[-1] == "" for line in by_width[width])
+    has_trailing = width > 1 and ends_empty and dialect.separator != " "
     return TableHead(dialect, width - has_trailing, has_trailing)
 
 
 def _widths(head: TableHead) -> tuple[int, ...]:
     """Numbers of cells that a line may have."""
-    return (head.width, head.width + 1) if head.has_trailing else (head.width,)
+    if head.has_trailing:
+        return (head.width, head.width + 1)
+    return (head.width,)
 
 
 def _headed(
@@ -157,27 +173,34 @@ def _headed(
     # A title of as many words as the table has columns stands before the names of these.
     while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
         lines = lines[1:]
-    first = lines[0]
+    begin = lines[0]
+    cells = begin.cells[: head.width]
     later = lines[1:] or lines[:1]
-    if len(lines) > 1 and _is_header(first.cells[: head.width], later):
-        head.names = tuple(name.strip() for name in first.cells[: head.width])
-        head.header = first.text
+    if len(lines) > 1 and _is_header(cells, later):
+        head.names = tuple(name.strip() for name in cells)
+        head.header = begin.text
         head.dropped["header"] += 1
-        lines = [line for line in later if line.text != first.text]
-        units = lines[0].cells[: head.width]
-        is_units = len(lines) > 1 and _is_header(units, lines[1:])
-        if is_units and not any(map(is_number, units)):
-            head.dropped["line of units"] += 1
-            lines = lines[1:]
-    elif len(lines) == 1 and not any(map(is_number, first.cells)):
+        lines = _without_units(head, [line for line in later if line.text != begin.text])
+    elif len(lines) == 1 and not any(map(is_number, begin.cells)):
         return []
     else:
-        _named_by_comment(head, raw[n_skipped:], first.number)
-        if head.width > 1 and _counts_columns(first.cells[: head.width]):
+        _named_by_comment(head, raw[n_skipped:], begin.number)
+        if head.width > 1 and _counts_columns(cells):
             head.notes += ("the first line counts: it is read as a frame; skip=1 if it is names",)
+
     if lines and not any(is_value(cell) for cell in lines[0].cells):
         return []
     return lines
+
+
+def _without_units(head: TableHead, lines: list[Line]) -> list[Line]:
+    """The lines below the names, without that of the units."""
+    units = lines[0].cells[: head.width]
+    is_header = len(lines) > 1 and _is_header(units, lines[1:])
+    if not is_header or any(map(is_number, units)):
+        return lines
+    head.dropped["line of units"] += 1
+    return lines[1:]
 
 
 def _are_names(cells: Sequence[str]) -> bool:
@@ -339,17 +362,37 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> Long
     if col is None or value is None or not frames:
         return None
 
-    key = data[0].cells[frames[0]]
-    first = [line for line in data if line.cells[frames[0]] == key]
-    places = [[line.cells[k] for k in (row, col) if k is not None] for line in first]
-    if not all(cell.isdecimal() for place in places for cell in place):
+    # The first frame shows the sides.
+    frame = frames[0]
+    key = data[0].cells[frame]
+    in_frame = [line.cells for line in data if line.cells[frame] == key]
+    col_numbers = _whole_numbers([cells[col] for cells in in_frame])
+    if col_numbers is None:
         return None
-    numbers = np.array(places, dtype=np.int64)
-    low = numbers.min(axis=0).tolist()
-    high = numbers.max(axis=0).tolist()
-    sides = [end - begin + 1 for begin, end in zip(low, high, strict=True)]
+    first_col = min(col_numbers)
+    n_cols = max(col_numbers) - first_col + 1
     if row is None:
-        return LongColumns(frames[0], None, col, value, 0, low[0], 1, sides[0])
-    n_rows = layout.n_rows or sides[0]
-    n_cols = layout.n_cols or sides[1]
-    return LongColumns(frames[0], row, col, value, low[0], low[1], n_rows, n_cols)
+        return LongColumns(frame, None, col, value, first_col=first_col, n_cols=n_cols)
+
+    row_numbers = _whole_numbers([cells[row] for cells in in_frame])
+    if row_numbers is None:
+        return None
+    first_row = min(row_numbers)
+    n_rows = max(row_numbers) - first_row + 1
+    return LongColumns(
+        frame,
+        row,
+        col,
+        value,
+        first_row=first_row,
+        first_col=first_col,
+        n_rows=layout.n_rows or n_rows,
+        n_cols=layout.n_cols or n_cols,
+    )
+
+
+def _whole_numbers(cells: Sequence[str]) -> list[int] | None:
+    """The numbers of cells; None if one is no whole number."""
+    if not all(map(str.isdecimal, cells)):
+        return None
+    return [int(cell) for cell in cells]

@@ -54,25 +54,30 @@ class TableRecording(Recording):
 
     def head(self) -> Head:
         head = self._head
-        usable: tuple[int, ...] | None = None
-        if head.kind == GRID:
-            axes: tuple[Axis, ...] = (Axis(head.height, "rows"), Axis(head.width, "cols"))
-        elif head.long is not None:
-            axes = (Axis(head.long.n_rows, "rows"), Axis(head.long.n_cols, "cols"))
-            if head.long.row is None:
-                axes = (Axis(head.long.n_cols, "taxels"),)
-        else:
-            axes = (Axis(head.width, "columns", head.names),)
-            usable = head.usable
+        time_name = ""
+        if head.time is not None:
+            time_name = f"column {head.label(head.time)}"
+        is_of_lines = head.kind != GRID and head.long is None
         return Head(
-            axes,
-            usable,
+            self._axes(),
+            usable=head.usable if is_of_lines else None,
             is_timed=head.time is not None,
             time_unit=head.time_unit,
-            time_name=f"column {head.label(head.time)}" if head.time is not None else "",
+            time_name=time_name,
             asks_unit=True,
             notes=head.notes,
         )
+
+    def _axes(self) -> tuple[Axis, ...]:
+        """Axes of a block, of the lines of a frame, or of a line."""
+        head = self._head
+        if head.kind == GRID:
+            return (Axis(head.height, "rows"), Axis(head.width, "cols"))
+        if head.long is None:
+            return (Axis(head.width, "columns", head.names),)
+        if head.long.row is None:
+            return (Axis(head.long.n_cols, "taxels"),)
+        return (Axis(head.long.n_rows, "rows"), Axis(head.long.n_cols, "cols"))
 
     @property
     def numeric(self) -> tuple[int, ...]:
@@ -132,10 +137,12 @@ class TableRecording(Recording):
             texts: list[str] = []
             numbers: list[int] = []
             begun: list[bool] = []
-            skipped = max(0, n_before + 1 - piece.number)
-            for number, text in enumerate(piece.lines[skipped:], start=piece.number + skipped):
+            n_skipped = max(0, n_before + 1 - piece.number)
+            last_number = piece.number + len(piece.lines) - 1
+            lines = enumerate(piece.lines[n_skipped:], start=piece.number + n_skipped)
+            for number, text in lines:
                 label = self._dropped_as(text)
-                if not label and piece.is_cut and number == piece.number + len(piece.lines) - 1:
+                if not label and piece.is_cut and number == last_number:
                     label = self._cut_as(text)
                 if not label and head.source is not None:
                     label = self._of_other_skin(text)
@@ -158,30 +165,33 @@ class TableRecording(Recording):
             return "comments"
         if self._head.header and text == self._head.header:
             return "repeated headers"
-        if self._head.kind == GRID and not stripped[0].isdigit() and stripped[0] not in '+-."[(':
+        begins_row = stripped[0].isdigit() or stripped[0] in '+-."[('
+        if self._head.kind == GRID and not begins_row:
             cells = self._head.dialect.cells(text)
-            is_row = len(cells) == self._head.width and (
-                is_number(cells[0]) or is_missing(cells[0])
-            )
+            is_row = len(cells) == self._head.width
+            is_row = is_row and (is_number(cells[0]) or is_missing(cells[0]))
             if not is_row:
                 return "lines between frames"
         return ""
 
     def _of_other_skin(self, text: str) -> str:
         cells = self._head.dialect.cells(text)
-        is_other = len(cells) > (self._head.source or 0)
-        is_other = is_other and cells[self._head.source or 0] != self._layout.frame_id
-        return "lines of other skins" if is_other else ""
+        source = self._head.source or 0
+        if len(cells) > source and cells[source] != self._layout.frame_id:
+            return "lines of other skins"
+        return ""
 
     def _cut_as(self, text: str) -> str:
-        is_short = len(self._head.dialect.cells(text)) < self._head.width
-        return "cut last line" if is_short else ""
+        cells = self._head.dialect.cells(text)
+        return "cut last line" if len(cells) < self._head.width else ""
 
     def _parsed(
         self, texts: Sequence[str], numbers: Sequence[int]
     ) -> tuple[Doubles, list[int | float] | None]:
         """Numbers (k, width) and times of lines; NaN where there is no number."""
-        parsed = self._parsed_fast(texts) if self._head.dialect.is_plain else None
+        parsed = None
+        if self._head.dialect.is_plain:
+            parsed = self._parsed_fast(texts)
         if parsed is None:
             return self._parsed_slowly(texts, numbers)
         if self._head.time is None:
@@ -192,26 +202,30 @@ class TableRecording(Recording):
         """Numbers of lines that NumPy reads; None if it cannot read one, or may not."""
         head = self._head
         separator = None if head.dialect.separator == " " else head.dialect.separator
-        if head.has_trailing and separator is not None:
-            texts = [text.rstrip().removesuffix(separator) for text in texts]
-        if separator is not None and any(t.count(separator) != head.width - 1 for t in texts):
-            return None
         columns = None if len(head.numeric) == head.width else head.numeric
         if separator is None and columns is not None:
             return None  # NumPy does not check the number of cells
+        if separator is not None:
+            if head.has_trailing:
+                texts = [text.rstrip().removesuffix(separator) for text in texts]
+            if any(text.count(separator) != head.width - 1 for text in texts):
+                return None
+
         try:
-            read = np.loadtxt(texts, delimiter=separator, comments=None, ndmin=2, usecols=columns)
+            values = np.loadtxt(texts, delimiter=separator, comments=None, ndmin=2, usecols=columns)
         except ValueError:
             return None
         if columns is not None:
             parsed: Doubles = np.full((len(texts), head.width), np.nan)
-            parsed[:, list(columns)] = read
+            parsed[:, list(columns)] = values
         else:
-            parsed = read
+            parsed = values
         if parsed.shape[1] != head.width:
             return None
-        is_whole = bool(np.isfinite(parsed[:, list(head.numeric)]).all())
-        return parsed if is_whole or self._accepts_missing else None
+
+        # A reading that is missing is refused with its place, which is found line by line.
+        has_all = bool(np.isfinite(parsed[:, list(head.numeric)]).all())
+        return parsed if has_all or self._accepts_missing else None
 
     def _times(
         self, texts: Sequence[str], numbers: Sequence[int], parsed: Doubles
@@ -243,7 +257,9 @@ class TableRecording(Recording):
                 times.append(self._instant(cells, number))
             for column in head.usable or head.numeric:
                 parsed[k, column] = self._number(cells[column], number, column)
-        return parsed, times if head.time is not None else None
+        if head.time is None:
+            return parsed, None
+        return parsed, times
 
     def _number(self, cell: str, line: int, column: int) -> float:
         if is_number(cell):
@@ -273,10 +289,9 @@ class TableRecording(Recording):
             seconds = parse_number(cell, where, -1e10, 1e10)
             part_ns = parse_number(cells[head.nanoseconds], where, 0, 1e9)
             return round(seconds) * 10**9 + round(part_ns)
-        unit = head.time_unit
-        moment = {ISO: iso_ns, CLOCK_UNIT: clock_ns}.get(unit)
-        if moment is not None:
-            instant = moment(cell)
+        if head.time_unit in (ISO, CLOCK_UNIT):
+            parse = iso_ns if head.time_unit == ISO else clock_ns
+            instant = parse(cell)
             if instant is None:
                 raise SourceError(f"{where}: {shown(cell)} is no time as those before it")
             return instant
@@ -296,6 +311,8 @@ class TableRecording(Recording):
                     self._check_block(len(waiting_texts), numbers[start])
                 waiting_texts += texts[start:stop]
                 waiting_numbers += numbers[start:stop]
+
+                # Frames that are complete; the other lines wait for theirs.
                 n_whole = len(waiting_texts) // height * height
                 if n_whole:
                     parsed, _ = self._parsed(waiting_texts[:n_whole], waiting_numbers[:n_whole])
@@ -322,11 +339,12 @@ class TableRecording(Recording):
             times += new_times or []
             keys = np.array(times) if long.frame == self._head.time else rows[:, long.frame]
             begins = np.flatnonzero(np.diff(keys, prepend=np.nan) != 0)
-            last = int(begins[-1])
-            if last:
-                yield self._pivoted(rows[:last], begins[:-1], times)
-            rows = rows[last:]
-            times = times[last:]
+            # The last frame may go on in the next lines.
+            stop = int(begins[-1])
+            if stop:
+                yield self._pivoted(rows[:stop], begins[:-1], times)
+            rows = rows[stop:]
+            times = times[stop:]
         if len(rows):
             yield self._pivoted(rows, np.array([0]), times)
 
@@ -338,7 +356,9 @@ class TableRecording(Recording):
         assert long is not None
         sizes = np.diff([*begins, len(rows)])
         frame = np.repeat(np.arange(len(begins)), sizes)
-        row = np.zeros(len(rows)) if long.row is None else rows[:, long.row] - long.first_row
+        row = np.zeros(len(rows))
+        if long.row is not None:
+            row = rows[:, long.row] - long.first_row
         col = rows[:, long.col] - long.first_col
         inside = (row >= 0) & (row < long.n_rows) & (col >= 0) & (col < long.n_cols)
         if not inside.all():
@@ -346,9 +366,14 @@ class TableRecording(Recording):
             sides = f"{long.n_rows} x {long.n_cols}, as of the first frame"
             fault = f"row {row[k]:g}, column {col[k]:g} is outside {sides}"
             raise SourceError(f"{self._file.name}: {fault}")
+
         numbers = np.full((len(begins), long.n_rows, long.n_cols), np.nan)
         numbers[frame, row.astype(np.intp), col.astype(np.intp)] = rows[:, long.value]
-        if len({*zip(frame.tolist(), row.tolist(), col.tolist(), strict=True)}) != len(rows):
+        places = set(zip(frame.tolist(), row.tolist(), col.tolist(), strict=True))
+        if len(places) != len(rows):
             raise SourceError(f"{self._file.name}: a frame holds a taxel twice")
+
         self.tally.take(len(rows), len(begins))
-        return Block(numbers, [times[k] for k in begins] if times else None)
+        if not times:
+            return Block(numbers)
+        return Block(numbers, [times[k] for k in begins])

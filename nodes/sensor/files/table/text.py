@@ -58,11 +58,15 @@ class Dialect(NamedTuple):
         cells = self._split(line)
         if self.has_decimal_comma:
             cells = [cell.replace(",", ".") for cell in cells]
-        return [prefix, *cells] if self.has_prefix else cells
+        if self.has_prefix:
+            return [prefix, *cells]
+        return cells
 
     def _split(self, line: str) -> list[str]:
         if self.separator == " ":
-            return line.replace(",", " ").split() if self.has_brackets else line.split()
+            if self.has_brackets:
+                line = line.replace(",", " ")
+            return line.split()
         if '"' not in line:
             return [cell.strip() for cell in line.split(self.separator)]
         try:

@@ -61,11 +61,13 @@ class TransposedTable(Recording):
         self.tally.begin()
         frames = self._frames
         size = frames_per_block(frames.shape[1])
-        for first in range(0, len(frames), size):
-            part = frames[first : first + size]
+        for start in range(0, len(frames), size):
+            part = frames[start : start + size]
             self.tally.take(len(part), len(part))
-            times = None if self._time is None else part[:, self._time].tolist()
-            yield Block(part, times)
+            if self._time is None:
+                yield Block(part)
+            else:
+                yield Block(part, part[:, self._time].tolist())
 
     @cached_property
     def _frames(self) -> Doubles:
@@ -83,17 +85,18 @@ class TransposedTable(Recording):
     @cached_property
     def _time(self) -> int | None:
         """The line of the times."""
-        stated = self._layout.time
+        setting = self._layout.time
         names = self._names
-        if stated == "none":
+        if setting == "none":
             return None
         ends = {"first": 0, "last": len(names) - 1}
-        if stated in ends:
-            return ends[stated]
-        if stated:
-            return _only(matching(stated, names, len(names), self._file.name, "time"), self._file)
-        by_name = [k for k, name in enumerate(names) if name and is_time_name(name)]
-        return _only(by_name, self._file) if by_name else None
+        if setting in ends:
+            return ends[setting]
+        if setting:
+            lines = matching(setting, names, len(names), self._file.name, "time")
+        else:
+            lines = [k for k, name in enumerate(names) if name and is_time_name(name)]
+        return _only(lines, self._file) if lines else None
 
 
 def _only(lines: Sequence[int], file: File) -> int:
