@@ -22,6 +22,16 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 OF_A_RUN = {"stamp_ns", "run_id", "solve_ns", "done_ns"}
 EDGE = f'{SENSOR}process = "edge"\n[nodes.compressor]\ntype = "compressor"\nprocess = "edge"\n'
 KEYS = '[security]\nkeys = "keys"\nkey = "own"\n'
+DRAWN = """
+import numpy as np
+def frames():
+    rng = np.random.default_rng(54)
+    for k in range(12):
+        forces = np.zeros((24, 20))
+        i, j = rng.integers(0, 14, 2)
+        forces[i : i + 6, j : j + 6] = rng.uniform(0, 2, (6, 6))
+        yield k, forces
+"""
 ABRUPT = """
 import os
 import numpy as np
@@ -88,7 +98,8 @@ def test_one_process_and_four_record_the_same_bits(start, tmp_path):
     (tmp_path / "one.toml").write_text(
         text.replace("[graph]", f'{KEYS}[graph]\ntransport = "tcp"\nprocess = "all"')
     )
-    changes = ("sensor.first=950", "sensor.rate_hz=0", "reconstructor.iterations=3")
+    (tmp_path / "drawn.py").write_text(DRAWN)
+    changes = ("sensor.source=drawn:frames", "sensor.rate_hz=0", "reconstructor.iterations=3")
     changes += ("monitor.page=false",)
     for name in ("one", "four"):
         words = [word for change in changes for word in ("--set", change)]
