@@ -44,6 +44,7 @@ class Looped:
 # As settings of a sensor: `source = "sparseskin.studies.looped:path_40"`. The skin is touched in
 # all of their frames: an untouched one takes less time.
 path_40 = partial(Looped, "path_40", 1000, 2000, "taxels")
+drag_wrench_40 = partial(Looped, "drag_wrench_40", 1500, 2000, "taxels")
 drag_wrench_64 = partial(Looped, "drag_wrench_64", 5000, 2000, "taxels")
 truth_40 = partial(Looped, "path_40", 6100, 500, "truth")
 truth_64 = partial(Looped, "drag_wrench_64", 6300, 500, "truth")

@@ -163,9 +163,10 @@ class Program:
     def nodes(self) -> dict[str, int]:
         """Process numbers of the nodes that run, by name."""
         return {
-            found[1]: pid
+            name: pid
             for pid, line in self.survivors().items()
-            if (found := re.search(r"sparseskin\.nodes\.process\.run_node (\S+)\s*$", line))
+            if (found := re.search(r"sparseskin\.nodes\.process\.run_node (.+)$", line))
+            for name in found[1].split()
         }
 
     def pid_of(self, node: str) -> int:

@@ -117,10 +117,11 @@ def _info(arguments: argparse.Namespace) -> int:
 
 def _node_text(node: dict[str, Any]) -> list[str]:
     restarts = f", restarted {node['restarts']} times" if node["restarts"] else ""
+    shared = f", with {', '.join(node['companions'])}" if node["companions"] else ""
     named = {
         "type": node["type"],
         "condition": node["condition"] + restarts,
-        "process": f"{node['pid']} on {node['host']}",
+        "process": f"{node['pid']} on {node['host']}{shared}",
         "transport": f"{node['transport']} (ZeroMQ)",
     }
     if "cpu_s" in node:

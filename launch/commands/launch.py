@@ -113,6 +113,7 @@ def graph_text(launch: "LaunchFile") -> str:
             **{key: value for key, value in node.values.items() if key != "launch"},
             "cpus": list(node.scheduling.cpus),
             "priority": node.scheduling.priority,
+            "process": node.process,
         }
         shown = [  # of the keys of all nodes those that are stated
             f"{key} = {value!r}" for key, value in stated.items() if value or key in node.values

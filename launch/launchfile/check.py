@@ -20,6 +20,7 @@ from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
 from .hosts import check_exposure, check_place, give_ports, read_hosts, read_security
+from .processes import Composition, check_processes
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 from .tables import read_table, read_tables
 
@@ -41,7 +42,7 @@ MAX_ERROR = 1000
 
 @dataclass(frozen=True)
 class GraphTable(Settings):
-    """The table [graph], beside the keys of `RestartPolicy` and `Scheduling`."""
+    """The table [graph], beside the keys of `RestartPolicy`, `Scheduling` and `Composition`."""
 
     description: str = setting("", "one line about the graph")
     transport: str = setting("ipc", "how its nodes are joined", choices=("ipc", "tcp"))
@@ -49,8 +50,8 @@ class GraphTable(Settings):
     insecure: bool = setting(False, "true: whoever reaches its addresses may read it")
 
 
-GRAPH_TABLES = (GraphTable, RestartPolicy, Scheduling)
-"""Settings that the table [graph] states; the last two also of each node."""
+GRAPH_TABLES = (GraphTable, RestartPolicy, Scheduling, Composition)
+"""Settings that the table [graph] states; all but the first also of each node."""
 
 
 @dataclass
@@ -86,7 +87,8 @@ class Checker:
         self.launched = changes + self.text
         tables = self.expanded(tables)
         if record is not None:
-            tables[RECORDER] = {"type": "recorder", "out": record}
+            # A process of its own: that it writes a file holds up no other node.
+            tables[RECORDER] = {"type": "recorder", "out": record, "process": ""}
             self.overridden[RECORDER, "out"] = "--record"
         for node_name, table in tables.items() if hosts else ():
             if node_name != RECORDER or record is None:
@@ -117,6 +119,8 @@ class Checker:
             for name, place in self.places.items():
                 public = endpoints.get(name, "")
                 nodes[name] = replace(nodes[name], host=place, public=public)
+            stated = [name for name, table in tables.items() if "process" in table]
+            check_processes(nodes, stated, self.fault)
         if self.errors:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(
@@ -208,7 +212,7 @@ class Checker:
         except SparseskinError as error:
             self.fault(("nodes", name, "type"), str(error))
             return None
-        (restart, scheduling), values = read_table(
+        (restart, scheduling, composition), values = read_table(
             values, ("nodes", name), self.fault, *self.supervision, more=True
         )
         # A recorder, recognised by its settings: importing its class loads the writers of files.
@@ -236,7 +240,9 @@ class Checker:
                 continue
             if not decided:
                 return None
-            return NodeSpec(name, type_name, cls, values, settings, restart, scheduling)
+            policies = {"restart": restart, "scheduling": scheduling}
+            process = composition.process
+            return NodeSpec(name, type_name, cls, values, settings, **policies, process=process)
 
     def check_settings(self, name: str, settings: Settings) -> None:
         """Check settings; a device that is not on this host is looked for by the node itself where

@@ -31,7 +31,9 @@ class LaunchError(SparseskinError):
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """One node of a launch file; `public` is where other hosts find what it publishes."""
+    """One node of a launch file; `public` is where other hosts find what it publishes, `process`
+    the name of the process that it shares with others, "" for none.
+    """
 
     name: str
     type_name: str
@@ -42,6 +44,7 @@ class NodeSpec:
     scheduling: Scheduling = Scheduling()
     host: str = ""
     public: str = ""
+    process: str = ""
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -4,19 +4,20 @@ import os
 import secrets
 import selectors
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from sparseskin.launch.launchfile.hosts import Credentials
+from sparseskin.launch.launchfile.processes import by_process
 from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import Peer
 
-from .process import NodeProcess, awake_s, exit_text
+from .process import NodeProcess, awake_s, exit_text, start_process
 from .restarts import Restarts
 from .running import RunningGraph, RunningNode, control_path, page_path, socket_path
 
@@ -64,6 +65,7 @@ class Fleet:
         self._selector = selectors.DefaultSelector()
         self._links = list(launch.links)
         self._to_pause: set[str] = set()
+        self._bound: dict[str, str] = {}
         self._page_token = secrets.token_urlsafe(24)
         self.restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
         self.nodes: dict[str, NodeProcess] = {}
@@ -90,15 +92,15 @@ class Fleet:
 
     def spawn(self) -> None:
         """Start all processes of the launch file."""
-        for spec in self._launch.nodes.values():
-            self._start_process(spec, late=self._joined is not None)
+        for specs in by_process(self._launch.nodes.values()):
+            self._start_process(specs, late=self._joined is not None)
 
     def add(self, spec: NodeSpec, topics: list[str]) -> None:
         """Start one process more in a graph that runs; it reads the topics."""
         writers = {topic: node.name for node in self for topic in node.spec.outputs}
         self._links += [Link(topic, writers[topic], spec.name) for topic in topics]
         self.restarts[spec.name] = Restarts(spec.restart)
-        self._start_process(spec, late=True)
+        self._start_process([spec], late=True)
 
     def note(self) -> RunningGraph:
         """The note by which others find this graph and its topics, once all nodes are bound."""
@@ -140,6 +142,8 @@ class Fleet:
         self._listen_to_all()
         now_s = awake_s()
         for node in self:
+            if self.nodes[node.name] is not node:
+                continue  # started again meanwhile, with another node of its process
             self._check(node, now_s)
             due_s = self.restarts[node.name].due_s
             if due_s is not None and due_s <= now_s:
@@ -169,16 +173,26 @@ class Fleet:
             else:
                 data()
 
-    def _start_process(self, spec: NodeSpec, late: bool, endpoint: str = "") -> None:
+    def _start_process(self, specs: Sequence[NodeSpec], late: bool) -> None:
+        """Start a process of nodes; those that were bound before are bound there again."""
+        configs = [self._config(spec, late) for spec in specs]
+        for node in start_process(list(zip(specs, configs, strict=True))):
+            self.nodes[node.name] = node
+            for pipe in node.pipes:
+                self._selector.register(pipe, selectors.EVENT_READ, node)
+
+    def _config(self, spec: NodeSpec, late: bool) -> dict[str, Any]:
+        """Configuration of a node, as of `Runner`."""
         launch, keys, links = self._launch, self._keys, self._links
         elsewhere = launch.elsewhere
         number = list(self.restarts).index(spec.name)
         pid = self._joined.pid if self._joined else os.getpid()
+        endpoint = self._bound.get(spec.name, "")
         if not endpoint:
             endpoint = f"ipc://{socket_path(number)}" if launch.transport == "ipc" else ANY_PORT
         inputs = {link.topic: link.writer for link in links if link.reader == spec.name}
         readers = sorted({link.reader for link in links if link.writer == spec.name})
-        config = {
+        return {
             "name": spec.name,
             "type": spec.type_name,
             "settings": spec.values,
@@ -204,26 +218,33 @@ class Fleet:
             },
             "security": keys and asdict(keys),
         }
-        node = NodeProcess(spec, config)
-        self.nodes[spec.name] = node
-        for pipe in node.pipes:
-            self._selector.register(pipe, selectors.EVENT_READ, node)
+
+    def _companions(self, node: NodeProcess) -> list[NodeProcess]:
+        """The nodes of the process of a node, itself included, whose streams have not ended."""
+        return [other for other in self if other.process is node.process and not other.ended]
 
     def _start_again(self, dead: NodeProcess) -> None:
-        """Start a node that died, at its endpoint, and paused where it was."""
-        restarts = self.restarts[dead.name]
-        restarts.due_s = None
-        self._close(dead)
-        self._log(f"[launch] {dead.name} is started again (restart {restarts.total})")
-        if dead.state.get("paused"):
-            self._to_pause.add(dead.name)
-        spec = dead.spec.with_live(dead.settings).again(restarts.total)
-        bound = self._peers.get(dead.name)
+        """Start the nodes of a process that died, at their endpoints, and paused as they were."""
+        due = [node for node in self if self.restarts[node.name].due_s is not None]
+        nodes = [node for node in due if node.process is dead.process]
+        specs = []
+        for node in nodes:
+            self._close(node)
+            restarts = self.restarts[node.name]
+            self._log(f"[launch] {node.name} is started again (restart {restarts.total})")
+            if node.state.get("paused"):
+                self._to_pause.add(node.name)
+            specs.append(node.spec.with_live(node.settings).again(restarts.total))
+        # Not before: what they have reported last is no further failure.
+        for node in nodes:
+            self.restarts[node.name].due_s = None
         try:
-            self._start_process(spec, late=True, endpoint=bound.endpoint if bound else "")
-            self.nodes[dead.name].earlier = dead.counts
+            self._start_process(specs, late=True)
         except SparseskinError as error:
             self._died(dead, EXIT_FAILED, str(error))
+            return
+        for node in nodes:
+            self.nodes[node.name].earlier = node.counts
 
     def _close(self, node: NodeProcess) -> None:
         """Read what is left of a node, and close its pipes."""
@@ -246,16 +267,20 @@ class Fleet:
                 hang_s = max(hang_s, START_S)  # to import and to open a device takes its time
             hung = bool(hang_s) and now_s - node.heard_s > hang_s
             if self.supervised and hung and not node.ended and node.spec.restart.restarts:
-                self._log(f"[launch] {node.name} has been silent for {hang_s:g} s: SIGKILL")
+                nodes = self._companions(node)
+                have = "has" if len(nodes) == 1 else "have"
+                self._log(f"[launch] {_names(nodes)} {have} been silent for {hang_s:g} s: SIGKILL")
                 node.send_signal(signal.SIGKILL)
-                node.heard_s = now_s
+                for companion in nodes:
+                    companion.heard_s = now_s
         elif node.ended:
             if not node.closed:
                 self._close(node)
         elif self.restarts[node.name].due_s is None:
             self._listen(node)
-            if not node.ended:
-                self._died(node, EXIT_FAILED, f"{node.name} ended too early: {exit_text(code)}")
+            if not node.ended and self.restarts[node.name].due_s is None:
+                names = _names(self._companions(node))
+                self._died(node, EXIT_FAILED, f"{names} ended too early: {exit_text(code)}")
 
     def _listen(self, node: NodeProcess) -> None:
         if node.closed:
@@ -274,7 +299,7 @@ class Fleet:
             self._record(f"[{node.name}] {line}")
         match event["event"]:
             case "bound":
-                node.endpoint = event["endpoint"]
+                node.endpoint = self._bound[node.name] = event["endpoint"]
                 node.outputs = [t for t in node.spec.outputs if t not in event["unused"]]
                 self._peers[node.name] = Peer(node.name, node.endpoint, key=self._public)
                 if self.supervised:
@@ -311,22 +336,36 @@ class Fleet:
                 self._log(f"[{node.name}] {event}")
         self.hear(node, event)
 
-    def _died(self, node: NodeProcess, code: int, text: str) -> None:
-        """A process has ended before its time: start it again, or end the graph with it."""
-        if left := node.spec.cls.left_behind(node.spec.settings):
-            self.left.setdefault(node.name, []).append(left)
-        line = text if text.startswith("[") else f"[launch] {text}"
+    def _died(self, failed: NodeProcess, code: int, text: str) -> None:
+        """A process has ended before its time: start its nodes again, or end the graph with them.
+        `failed` is the node that is known to have failed.
+        """
+        nodes = self._companions(failed)
+        if failed not in nodes or self.restarts[failed.name].due_s is not None:
+            return  # it has ended, or another node of its process has reported it
+        for node in nodes:
+            if left := node.spec.cls.left_behind(node.spec.settings):
+                self.left.setdefault(node.name, []).append(left)
+        names = _names(nodes)
+        why = text.removeprefix(f"[{failed.name}] ").removeprefix(f"{names} ")
+        line = f"[launch] {text}"
+        if text.startswith("["):
+            others = [node for node in nodes if node is not failed]
+            line = text + (f" (of the same process: {_names(others)})" if others else "")
         if self.supervised and code != EXIT_USAGE:
-            why = text.removeprefix(f"[{node.name}] ").removeprefix(f"{node.name} ")
-            given_up = self.restarts[node.name].failed(awake_s(), why)
+            # The nodes of a process have one policy, and fail together.
+            for node in nodes:
+                given_up = self.restarts[node.name].failed(awake_s(), why)
             if given_up is None:
                 self._log(line)
                 return
             line += given_up
-        node.ended = True
+        for node in nodes:
+            node.ended = True
         self._log(line)
-        self._fail(node, code)
-        self.hear(node, {"event": "died"})
+        for node in nodes:
+            self._fail(node, code)
+            self.hear(node, {"event": "died"})
 
     def _fail(self, node: NodeProcess, code: int) -> None:
         """A node cannot go on. The graph ends with it, if it is one that it needs."""
@@ -335,3 +374,7 @@ class Fleet:
             self.exit_code = self.exit_code or code
         else:
             self.late_code = max(self.late_code, code)
+
+
+def _names(nodes: Iterable[NodeProcess]) -> str:
+    return ", ".join(node.name for node in nodes)

@@ -1,5 +1,5 @@
-"""One node process as the launcher sees it: its pipes, its state, its end; and the clock by
-which the silence of a node is measured.
+"""The nodes of one process as the launcher sees them: their pipes, their state, their end; and the
+clock by which the silence of a node is measured.
 """
 
 import json
@@ -9,8 +9,10 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from typing import IO, Any
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from itertools import chain
+from typing import Any
 
 from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.nodes.errors import SparseskinError
@@ -59,35 +61,85 @@ class LogLines:
         return found
 
 
-class NodeProcess:
-    """A node in a process of its own, in a session of its own, so that a Ctrl-C in the terminal
-    reaches the launcher alone. `config` is what `sparseskin.nodes.process.run_node` expects.
-    Raises SparseskinError if the system starts no process more.
+class NodePipes:
+    """What joins one node to the launcher: its channel, its log, the numbers of its messages.
+    Raises OSError if no descriptor is free.
     """
 
-    def __init__(self, spec: NodeSpec, config: dict[str, Any]) -> None:
+    def __init__(self, spec: NodeSpec) -> None:
+        self.channel, self._channel_of_node = socket.socketpair()
+        log, log_of_node = os.pipe()
+        self.log = os.fdopen(log, "rb", buffering=0)
+        self._log_of_node = os.fdopen(log_of_node, "wb", buffering=0)
+        os.set_blocking(log, False)
+        self.tally = Tally(spec.outputs)
+
+    @property
+    def of_node(self) -> tuple[int, int]:
+        """Descriptors of the node's ends of its channel and its log."""
+        return self._channel_of_node.fileno(), self._log_of_node.fileno()
+
+    def close_of_node(self) -> None:
+        """Close the node's ends, once it has inherited them."""
+        self._channel_of_node.close()
+        self._log_of_node.close()
+
+
+def start_process(nodes: Sequence[tuple[NodeSpec, dict[str, Any]]]) -> list["NodeProcess"]:
+    """Start one process for one node or several, each with the configuration that
+    `sparseskin.nodes.process.run_node` expects.
+
+    Raises SparseskinError if the system starts no process more.
+    """
+    names = [spec.name for spec, _ in nodes]
+    environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
+    try:
+        with ExitStack() as inherited:
+            pipes = [NodePipes(spec) for spec, _ in nodes]
+            for each in pipes:
+                inherited.callback(each.close_of_node)
+            (channel, log), *channels = (each.of_node for each in pipes)
+            tallies = [each.tally.fd for each in pipes]
+            # -P: a file of the user's that is named like a standard module must not shadow it.
+            # The names at the end are for whoever lists processes.
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", *names],
+                bufsize=0,
+                stdin=channel,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env=environment,
+                pass_fds=[*tallies, *chain(*channels)],
+            )
+    except OSError as error:
+        raise SparseskinError(f"{', '.join(names)}: cannot be started: {error.strerror}") from error
+    started = []
+    for (spec, config), each in zip(nodes, pipes, strict=True):
+        of_process: dict[str, Any] = {"companions": [name for name in names if name != spec.name]}
+        if each is pipes[0]:
+            of_process["channels"] = channels
+        started.append(NodeProcess(spec, {**config, **of_process}, process, each))
+    return started
+
+
+class NodeProcess:
+    """A node and the `process` that runs it, alone or beside others, in a session of its own, so
+    that a Ctrl-C in the terminal reaches the launcher alone.
+    """
+
+    def __init__(
+        self,
+        spec: NodeSpec,
+        config: dict[str, Any],
+        process: subprocess.Popen[bytes],
+        pipes: NodePipes,
+    ) -> None:
         self.spec = spec
-        self.name = name = spec.name
+        self.name = spec.name
         self.config = config
-        environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
-        # -P: a file of the user's that is named like a standard module must not shadow it.
-        # The name at the end is for whoever lists processes.
-        try:
-            ours, theirs = socket.socketpair()
-            self._tally = Tally(spec.outputs)
-            with theirs:
-                self._popen = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", name],
-                    bufsize=0,
-                    stdin=theirs.fileno(),
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.STDOUT,
-                    start_new_session=True,
-                    env=environment,
-                    pass_fds=(self._tally.fd,),
-                )
-        except OSError as error:
-            raise SparseskinError(f"{name}: cannot be started: {error.strerror}") from error
+        self.process = process
+        self._tally = pipes.tally
         self.endpoint = ""
         self.outputs = list(spec.outputs)
         self.ready = self.ended = self.failed = False
@@ -105,18 +157,16 @@ class NodeProcess:
         self.report: dict[str, Any] = {}
         self._said, self._said_s = "", 0.0
         self._lines = LogLines()
-        self._channel = Connection(ours)
-        assert self._popen.stdout is not None
-        self._log: IO[bytes] = self._popen.stdout
-        os.set_blocking(self._log.fileno(), False)
-        self.pipes = (ours, self._log)
+        self._channel = Connection(pipes.channel)
+        self._log = pipes.log
+        self.pipes = (pipes.channel, pipes.log)
         """Events and log lines, to be waited on."""
         self.closed_pipes: set[Any] = set()
         self._channel.send({**config, "tally": [spec.outputs, self._tally.fd]})
 
     @property
     def pid(self) -> int:
-        return self._popen.pid
+        return self.process.pid
 
     @property
     def condition(self) -> str:
@@ -153,7 +203,7 @@ class NodeProcess:
 
     def exit_code(self) -> int | None:
         """Exit code, negative for a signal; None while the process runs."""
-        return self._popen.poll()
+        return self.process.poll()
 
     def command(self, command: str, **fields: Any) -> None:
         """Send a command; a process that is gone is noticed by its exit code."""
@@ -161,7 +211,7 @@ class NodeProcess:
 
     def send_signal(self, number: signal.Signals) -> None:
         if self.exit_code() is None:
-            self._popen.send_signal(number)
+            self.process.send_signal(number)
 
     def read(self) -> tuple[list[dict[str, Any]], list[str]]:
         """Waiting (events, log lines): of each pipe a bounded part, for a flood has no end."""
@@ -183,7 +233,7 @@ class NodeProcess:
         """Collect the process and close its pipes; what has not ended by now is killed."""
         self._channel.connection.close()
         self.send_signal(signal.SIGKILL)
-        self._popen.wait()
+        self.process.wait()
         if not self.closed:
             self.counted["published"] = self._tally.close()
         self._log.close()

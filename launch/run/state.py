@@ -82,6 +82,7 @@ def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
 
     described: dict[str, Any] = {
         "pid": node.pid,
+        "companions": node.config["companions"],
         "transport": node.endpoint.partition(":")[0],
         "refused": counts.get("refused", {}),
         "inputs": [

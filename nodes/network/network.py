@@ -39,12 +39,13 @@ _REFUSED: dict[int, str] = {
 
 class Network:
     """Sockets of one node, for which `poller` waits; without other hosts and keys it adds nothing
-    to them. `heard` is True for each writer on another host that is connected, `awaits_time` if an
-    answer is expected whose arrival time matters.
+    to them. Of several nodes in one process all share the poller, and the gate of the `first`; they
+    read from each other within the process. `heard` is True for each writer on another host that is
+    connected, `awaits_time` if an answer is expected whose arrival time matters.
 
-    `config` has name, endpoint; public (endpoint for other hosts, "" for none), distant_readers
-    (their names), distant_inputs (host of each topic of another host), security (own keys, allowed
-    and known public ones; None for none).
+    `config` has name, endpoint; companions (names of the other nodes of this process), public
+    (endpoint for other hosts, "" for none), distant_readers (their names), distant_inputs (host of
+    each topic of another host), security (own keys, allowed and known public ones; None for none).
 
     Raises ZMQError if an endpoint is in use or malformed, SparseskinError if other users can enter
     the folder of its socket.
@@ -56,8 +57,10 @@ class Network:
         config: Mapping[str, Any],
         now_ns: Callable[[], int],
         log: Callable[[str], None],
+        poller: zmq.Poller | None = None,
+        first: Network | None = None,
     ) -> None:
-        self.poller = zmq.Poller()
+        self.poller = zmq.Poller() if poller is None else poller
         self.heard: dict[str, bool] = {}
         self.awaits_time = False
         self._context = context
@@ -84,14 +87,16 @@ class Network:
             self._keys = KeyPair(**security["own"])
         public = config.get("public", "")
         endpoint = config["endpoint"]
-        self._gate: Gate | None = None
-        if security or public or endpoint.startswith("tcp:"):
+        self._first = first or self
+        self._companions = frozenset(config.get("companions", ()))
+        self._gate: Gate | None = first._gate if first is not None else None
+        if self._gate is None and (security or public or endpoint.startswith("tcp:")):
             from .gate import Gate
 
             allowed = security.get("allowed", {})
             names = security.get("known", {})
             self._gate = Gate(context, self._keys, allowed, names, log)
-
+            self._first._gate = self._gate
         if endpoint.startswith("ipc:///"):
             check_private(Path(endpoint.removeprefix("ipc://")).parent)
         self.writer = Writer(
@@ -103,6 +108,8 @@ class Network:
             log=log,
             now_ns=now_ns if public else None,
         )
+        if self._companions:
+            self.writer.socket.bind(_within(self._name))
         sockets = [self.writer.socket]
         if self._gate is not None:
             sockets += self._gate.sockets
@@ -130,11 +137,14 @@ class Network:
             if peer.host:
                 self.heard[peer.writer] = False
                 self._clocks.setdefault(peer.host, ClockOffset())
-            self._reader.connect(peer.endpoint, peer.key, bool(peer.host))
+            if peer.writer in self._companions:
+                self._reader.connect(_within(peer.writer))
+            else:
+                self._reader.connect(peer.endpoint, peer.key, bool(peer.host))
 
     def serve(self) -> None:
         """Process events of the gate and of connections; connect again; ask for the time."""
-        if self._gate is not None:
+        if self._gate is not None and self._first is self:
             self._gate.serve()
         if self._monitor is None or self._reader is None:
             return
@@ -235,3 +245,8 @@ class Network:
             self._log(f"the end was not received within {END_RECEIVED_NS // 10**9} s by {names}")
             self._distant_readers.clear()
         return not self._distant_readers
+
+
+def _within(name: str) -> str:
+    """Endpoint of a node for the other nodes of its process."""
+    return f"inproc://{name}"

@@ -364,6 +364,11 @@ class Reader:
             if topic == self._tag:
                 return topic, bytes(payload)
 
+    @property
+    def has_waiting(self) -> bool:
+        """True if a message waits."""
+        return bool(self._queue) or bool(self.socket.getsockopt(_EVENTS) & _POLLIN)  # type: ignore[operator]
+
     def take(self, depth: int, streams: Container[bytes]) -> tuple[bytes, Payload, bool] | None:
         """Next waiting topic and payload, and True if `depth` newer ones of its stream, one of
         `streams`, overtake it (0: none does); or None.

@@ -1,14 +1,14 @@
 """Control channels of a launcher: one JSON object a line.
 
-The stdin of a node process is a socket, at which commands arrive and events leave. Nodes that watch
-their graph, and other programs of the user, ask at the control socket of the launcher.
+The stdin of a node process is a socket, at which commands for its first node arrive and events
+leave; further nodes have sockets of their own. Nodes that watch their graph, and other programs of
+the user, ask at the control socket of the launcher.
 """
 
 import functools
 import json
 import os
 import socket
-import sys
 import threading
 import time
 from collections.abc import Mapping
@@ -93,11 +93,12 @@ class Connection:
 
 
 class Control(Connection):
-    """The node's side of the channel, its stdin. Its end means that the launcher has ended."""
+    """The node's side of the channel, a descriptor: stdin for the first node of a process. Its end
+    means that the launcher has ended.
+    """
 
-    def __init__(self) -> None:
-        super().__init__(socket.socket(fileno=os.dup(0)))
-        sys.stdout = sys.stderr  # prints of a driver leave line by line
+    def __init__(self, fd: int = 0) -> None:
+        super().__init__(socket.socket(fileno=os.dup(fd) if fd == 0 else fd))
         self.closed = False
         self._lock = threading.Lock()
 

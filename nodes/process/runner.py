@@ -1,15 +1,12 @@
-"""A node as a process: its sockets, the handshake with the launcher, ticks and signals."""
+"""A node in a process: its sockets, the handshake with the launcher, its ticks."""
 
-import gc
 import json
 import secrets
-import signal
-import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Container, Iterable, Iterator
+from typing import Any, TextIO
 
 import zmq
 
@@ -18,7 +15,7 @@ from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import one_line, search_in, trace_of
 from sparseskin.nodes.network.network import Network
-from sparseskin.nodes.network.sockets import FAREWELL_MS, Peer, Reader, make_context
+from sparseskin.nodes.network.sockets import Peer, Reader, Writer
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.node_host import NodeHost
 from sparseskin.nodes.registry import node_class
@@ -28,11 +25,7 @@ from .memory import FreeMemory
 from .scheduling import Scheduling
 from .tally import Tally
 
-POLL_MS = 100
-"""Longest wait, so that signals are noticed."""
 HEARTBEAT_NS = 500_000_000
-SLEEP_NS = 1_500_000
-"""Last part of a wait for a tick, which is a sleep: the poller counts whole milliseconds."""
 BATCH = 64
 """Largest number of messages or ticks between two checks for commands."""
 BATCH_NS = 50_000_000
@@ -42,25 +35,25 @@ EXIT_CRASH = 1
 EXIT_USAGE = 2
 
 
-def waiting_ms(left_ns: int) -> int:
-    """Time for which the poller may wait, ms, if a tick is due in `left_ns`; 0: the rest is one
-    sleep, since a poller that does not wait would be called again and again until then.
-    """
-    return max(0, (left_ns - SLEEP_NS) // 1_000_000)
-
-
 class Runner:
-    """One node in this process.
+    """One node in this process, which a `Loop` serves; `log_file` takes its log lines.
 
     `config` has name, type, settings, endpoint, inputs (topics), readers (names of the nodes that
     read this one), offset_ns (of the graph's clock); optional max_frames (of a source), folder (in
     which modules are searched too), late (the node joins a running graph), control (path of the
     control socket, of a node that watches its graph), page_token, page_file, tally (arguments of a
-    `Tally`), cpus and priority (`Scheduling`), and the keys of `Network`.
+    `Tally`), cpus and priority (`Scheduling`), companions (names of the other nodes of the process,
+    which share `Scheduling`), and the keys of `Network`.
     """
 
-    def __init__(self, control: Control, config: dict[str, Any]) -> None:
+    network: Network
+    writer: Writer
+
+    def __init__(self, control: Control, config: dict[str, Any], log_file: TextIO) -> None:
         self.control = control
+        self.log_file = log_file
+        self._config = config
+        self._companions = bool(config.get("companions"))
         self.name: str = config["name"]
         self.clock = SystemClock(config["offset_ns"])
         if folder := config.get("folder"):
@@ -86,27 +79,16 @@ class Runner:
             self.host.published = Tally(*tally).set
         self.expected = set(config["readers"])
         self.max_frames: int | None = config.get("max_frames")
-        scheduling = Scheduling(tuple(config.get("cpus", ())), config.get("priority", 0))
-        with scheduling.applied():
-            self.context = make_context()
-            if scheduling.priority:  # what comes and goes is never behind the node's own work
-                self.context.set(zmq.THREAD_PRIORITY, scheduling.priority + 1)
-            self.network = Network(self.context, config, self.clock.now_ns, self.log)
-        self.writer = self.network.writer
+        self.scheduling = Scheduling(tuple(config.get("cpus", ())), config.get("priority", 0))
         self.reader: Reader | None = None
-        self.network.poller.register(control.connection.fileno(), zmq.POLLIN)
         self.client: ControlClient | None = None
         self.client_lock = threading.Lock()  # a node may have threads of its own
-        if path := config.get("control"):
-            self.client = ControlClient(path)
-            self.client.send({"watch": True})
-            self.network.poller.register(self.client.connection.fileno(), zmq.POLLIN)
         self.connected = self.ready = self.started = self.begun = False
         self.draining = self.stopping = self.end_reported = self.failed = self.terminated = False
         self.asks: deque[int] = deque()
         self.unanswered: deque[tuple[int, bytes]] = deque()
         self.caught_up = True
-        self.memory = FreeMemory()
+        self.memory: FreeMemory | None = None
         self.asked = False
         self.n_ticks = 0
         self.next_heartbeat_ns = 0
@@ -114,7 +96,23 @@ class Runner:
 
     def log(self, line: str) -> None:
         """Print one line for the launcher's terminal."""
-        print(line, file=sys.stderr, flush=True)
+        print(line, file=self.log_file, flush=True)
+
+    def open(
+        self, context: zmq.Context[Any], poller: zmq.Poller, first: "Runner | None" = None
+    ) -> None:
+        """Open the sockets of the node; `first` is the first node of the process, if another."""
+        config = self._config
+        of_first = first.network if first is not None else None
+        self.network = Network(context, config, self.clock.now_ns, self.log, poller, of_first)
+        self.writer = self.network.writer
+        poller.register(self.control.connection.fileno(), zmq.POLLIN)
+        if first is None:
+            self.memory = FreeMemory()
+        if path := config.get("control"):
+            self.client = ControlClient(path)
+            self.client.send({"watch": True})
+            poller.register(self.client.connection.fileno(), zmq.POLLIN)
 
     def _ask(self, request: dict[str, Any]) -> None:
         with self.client_lock:
@@ -133,54 +131,67 @@ class Runner:
             for name, value in fields.items():
                 self._command(name, value, None)
 
-    def run(self) -> None:
-        """Serve until the launcher sends "stop" or ends."""
-        signal.signal(signal.SIGINT, self._on_interrupt)
-        signal.signal(signal.SIGTERM, self._on_terminate)
+    def start(self) -> None:
+        """Name the endpoint of the node to the launcher, and publish its first messages."""
         self.control.emit("bound", endpoint=self.writer.endpoint, unused=self.host.node.unused)
         self._publish(self.host.start())
-        # Modules and compiled loops are half a million objects, which no collection need visit.
-        gc.freeze()
-        gc.enable()
-        while not (self.stopping or self.control.closed):
-            ready = self._wait()
-            if self.writer.socket in ready:  # the states for a new reader come before frames
-                self.writer.serve_subscriptions()
-            if self.reader is not None and (self.reader.socket in ready or not self.caught_up):
-                self._receive(self.reader)
-            if self.unanswered:
-                self._answer()
-            if self.control.connection.fileno() in ready:
-                self._execute_commands()
-            if self.client is not None and self.client.connection.fileno() in ready:
-                self._hear(self.client)
-            if self.draining and self._source is not None:
-                self._publish(self.host.finish(max(0, self.last_stamp_ns)))
-            self.network.serve()
-            if self.host.is_source:
-                for _ in _batch():
-                    left_ns = self._left_ns()
-                    if left_ns is None or left_ns > 0:
-                        break
-                    self._tick()
-            self.host.idle()
-            self._report()
+
+    def serve(self, ready: Container[Any]) -> None:
+        """Do all that is to be done now; `ready` are the sockets and files that can be read."""
+        if self.writer.socket in ready:  # the states for a new reader come before frames
+            self.writer.serve_subscriptions()
+        if self.reader is not None and self._has_waiting(self.reader, ready):
+            self._receive(self.reader)
+        if self.unanswered:
+            self._answer()
+        if self.control.connection.fileno() in ready:
+            self._execute_commands()
+        if self.client is not None and self.client.connection.fileno() in ready:
+            self._hear(self.client)
+        if self.draining and self._source is not None:
+            self._publish(self.host.finish(max(0, self.last_stamp_ns)))
+        self.network.serve()
+        if self.host.is_source:
+            for _ in _batch():
+                left_ns = self.left_ns()
+                if left_ns is None or left_ns > 0:
+                    break
+                self._tick()
+        self.host.idle()
+        self._report()
+
+    def _has_waiting(self, reader: Reader, ready: Container[Any]) -> bool:
+        """True if messages wait; those of a companion may have come since the loop has looked."""
+        if reader.socket in ready or not self.caught_up:
+            return True
+        return self._companions and reader.has_waiting
+
+    @property
+    def over(self) -> bool:
+        """True once the launcher has sent "stop" or has ended."""
+        return self.stopping or self.control.closed
+
+    def terminate(self) -> None:
+        """End the node by SIGTERM."""
+        self.terminated = not self.stopping
+        self.stopping = True
+
+    def finish(self) -> None:
+        """Report the end of the node; no writer is to wait for it."""
         if self.terminated:
             self.control.emit("error", text="terminated (SIGTERM)", code=EXIT_CRASH)
         if not self.end_reported:
             self._report_end()
-        for _, note in self.unanswered:  # no writer is to wait for this node
+        for _, note in self.unanswered:
             assert self.reader is not None
             self.reader.answer(note)
-        # Pending messages are still sent, for a bounded time.
-        self.context.destroy(linger=FAREWELL_MS)
 
-    def _on_interrupt(self, *_: object) -> None:
-        self.draining = True
-
-    def _on_terminate(self, *_: object) -> None:
-        self.terminated = not self.stopping
-        self.stopping = True
+    @property
+    def patience_s(self) -> float:
+        """Time for which messages may wait, s; 0 if a source waits for answers or times."""
+        if self.asked or self.network.awaits_time:
+            return 0.0
+        return self.host.node.patience_s
 
     @property
     def _source(self) -> SourceNode[Any] | None:
@@ -188,7 +199,7 @@ class Runner:
         node, may_tick = self.host.node, self.started and not self.host.finished
         return node if may_tick and isinstance(node, SourceNode) else None
 
-    def _left_ns(self) -> int | None:
+    def left_ns(self) -> int | None:
         """Time until the next tick; None if an event must come first."""
         source = self._source
         if source is None or len(self.writer.present) < source.min_readers:
@@ -202,22 +213,6 @@ class Runner:
             self.begun = True
         due_ns = source.next_tick_ns()
         return None if due_ns is None else due_ns - self.clock.now_ns()
-
-    def _wait(self) -> dict[Any, int]:
-        """Wait for an event, a signal or the next tick; return sockets and files that are ready."""
-        timeout_ms = POLL_MS if self.caught_up else 0
-        left_ns = self._left_ns()
-        if left_ns is not None:
-            timeout_ms = min(timeout_ms, waiting_ms(left_ns))
-            if timeout_ms == 0 and self.caught_up and left_ns > 0:
-                time.sleep(left_ns / 1e9)
-        ready: dict[Any, int] = dict(self.network.poller.poll(timeout_ms))
-        patience_s = self.host.node.patience_s
-        # Not while messages wait, and not if a source waits for answers.
-        waits = patience_s and self.caught_up and ready
-        if waits and not (self.asked or self.network.awaits_time):
-            time.sleep(patience_s)
-        return ready
 
     def _execute_commands(self) -> None:
         for command in self.control.commands():
@@ -323,7 +318,7 @@ class Runner:
         now_ns = time.monotonic_ns()
         if now_ns >= self.next_heartbeat_ns:
             self.next_heartbeat_ns = now_ns + HEARTBEAT_NS
-            if self.caught_up:
+            if self.memory is not None and self.caught_up:
                 self.memory.trim()
             # Where readers are far behind, an end can be dropped too: it is repeated.
             self._publish(self.host.ends)

@@ -77,7 +77,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
 def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Run a graph of nodes with stopwatches on the frames of a point; return the report of each.
 
-    `point` as of `measure`; and iterations, where their number is stated. Raises StudyError if the
+    `point` as of `measure`; and iterations, where their number is stated, priority of all nodes,
+    and processes, the name of the process of each node that shares one. Raises StudyError if the
     graph fails.
     """
     source = f"sparseskin.studies.looped:{point['scene']}"
@@ -90,7 +91,9 @@ def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
     }
     if point["monitor"]:
         nodes["monitor"] = {"type": f"{_NODES}Monitor", "page": False}
-    text = "".join(
+    for name, process in point.get("processes", {}).items():
+        nodes[name]["process"] = process
+    text = f"[graph]\npriority = {point.get('priority', 0)}\n" + "".join(
         f"[nodes.{name}]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in settings.items())
         for name, settings in nodes.items()
     )

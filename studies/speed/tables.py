@@ -1,4 +1,6 @@
-"""Study `speed`: time of solvers, of bodies, of a frame by stage, and beside lean nodes."""
+"""Study `speed`: time of solvers, of bodies, of a frame by stage, beside lean nodes, and where
+nodes share a process.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ from sparseskin.studies.harness import (
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.report import Page, cells, markdown
 
-from . import beside, latency
+from . import beside, latency, processes
 from .bodies import time_body
 
 SIDES, QUICK_SIDES = (20, 40, 64, 128), (20, 40)
@@ -45,6 +47,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     page.section("", cores=len(os.sched_getaffinity(0)))
     lines = [*solvers(page, quick, seed), bodies(page, quick, seed), *stages(page, quick, seed)]
     lines += beside_lean(page, quick, seed)
+    lines += shared_processes(page, quick, seed)
     page.write(lines)
     return lines
 
@@ -182,3 +185,39 @@ def beside_lean(page: Page, quick: bool, seed: int) -> list[str]:
     alone = rows[rows["monitor"] == "no"]
     text = "{skin} taxels at {rate_hz} Hz: {cpu ratio:.2f} times the processor time of lean nodes, "
     return cells(alone, text + "{p50 ratio:.2f} times their median age.")
+
+
+def shared_processes(page: Page, quick: bool, seed: int) -> list[str]:
+    """Processor time and age of a frame with the nodes in four processes, and in fewer, in turn."""
+    points = processes.points(quick, seed)
+    rows = pd.DataFrame(compute_rows(processes.measure, points, page.out, "serial", "processes"))
+    page.csv("processes", rows)
+    tables = [
+        pd.DataFrame(
+            {
+                "Hz": rows["rate_hz"],
+                "processes": kind,
+                "reached, Hz": rows[f"{kind} hz"],
+                "skipped": rows[f"{kind} skipped"],
+                "processor time, us": rows[f"{kind} cpu_us"],
+                "p50, p99, ms": cells(rows, f"{{{kind} p50_ms:.2f}}, {{{kind} p99_ms:.2f}}"),
+                **{f"{name} / four": rows[f"{kind} {name} ratio"] for name in processes.RATIOS},
+            }
+        )
+        for kind in processes.PROCESSES
+    ]
+    formats = {"reached, Hz": ".0f", "skipped": ".0%", "processor time, us": ".0f"}
+    formats |= {f"{name} / four": ".2f" for name in processes.RATIOS}
+    page.section(
+        "Nodes that share a process",
+        markdown(pd.concat(tables), formats),
+        scene=processes.SCENE,
+        seconds=processes.SECONDS,
+        slices=processes.SLICES,
+        steps=processes.STEPS,
+        warm_up=f"{beside.WARM_UP:.0%}",
+    )
+    text = (
+        "Edge and host in a process each at {rate_hz} Hz: {two cpu ratio:.2f} times the processor "
+    )
+    return cells(rows, text + "time of four processes, {two p50 ratio:.2f} times their median age.")

@@ -14,7 +14,7 @@ import zmq
 from processes import wait_until
 
 from sparseskin.launch.launchfile.spec import NodeSpec
-from sparseskin.launch.run.process import NodeProcess
+from sparseskin.launch.run.process import start_process
 from sparseskin.messages import End, encode
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import wire_bytes
@@ -139,7 +139,7 @@ class Harness:
         spec = NodeSpec(type_name, type_name, cls, values, cls.Settings.from_mapping(values))
         settings = {"name": type_name, "type": type_name, "settings": values, "endpoint": ANY}
         joined = {"readers": [], "inputs": topics, "offset_ns": wall_offset_ns()}
-        self.node = NodeProcess(spec, {**settings, **joined, "max_frames": None})
+        (self.node,) = start_process([(spec, {**settings, **joined, "max_frames": None})])
         self.events = []
         self._selector = selectors.DefaultSelector()
         self._selector.register(self.node.pipes[0], selectors.EVENT_READ)

@@ -15,7 +15,7 @@ from sparseskin.studies.accuracy import constants, contacts, rules
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
 from sparseskin.studies.presses import N_BEFORE
-from sparseskin.studies.speed import beside, latency
+from sparseskin.studies.speed import beside, latency, processes
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
@@ -32,6 +32,7 @@ SIZES = (
     (accuracy, {"BODIES": ("peg",), "QUICK_BODIES": ("peg",)}),
     (accuracy, {"SCENES": SHORT_SCENES, "RATED_SCENES": SHORT_SCENES, "SIDES": (12,)}),
     (beside, {"QUICK_RATES_HZ": (100,), "SECONDS": 0.5, "SLICES": 1}),
+    (processes, {"QUICK_RATES_HZ": (100,), "SECONDS": 0.5, "SLICES": 1}),
     (constants, {"VALUES": {"damping": 0.5}}),
     (contacts, {"CONTACT_RATIOS": (2,)}),
     (experiments, {"QUICK_RATIOS": (3, 8), "SUM_KINDS": ("sbhe",)}),

@@ -198,8 +198,8 @@ def hosts(tmp_path):
         yield made
 
 
-def half(start, hosts, host, name="two.toml"):
-    arguments = ("launch", name, "--host", host, "--summary", f"{host}.json")
+def half(start, hosts, host, name="two.toml", *more):
+    arguments = ("launch", name, "--host", host, "--summary", f"{host}.json", *more)
     arguments += ("--frames", str(N_FRAMES)) if name == "robot.toml" else ()
     return start(*arguments, prefix=hosts.prefix(host))
 
@@ -241,7 +241,9 @@ def test_after_a_cut_the_stream_is_back(hosts, start, tmp_path, record_property)
 def test_patches_are_reconstructed_where_they_are_and_watched_at_one_place(hosts, start, tmp_path):
     (tmp_path / "body.toml").write_text(BODY)
     (tmp_path / "robot.toml").write_text(BODY_GRAPH)
-    for program in [half(start, hosts, host, "robot.toml") for host in ADDRESSES]:
+    # On one host in a process each, on the other in one together.
+    edge = half(start, hosts, "edge", "robot.toml", "--set", "graph.process=all")
+    for program in (edge, half(start, hosts, "desk", "robot.toml")):
         program.ended(0, 1)  # 1: the monitor is on the other host
         assert program.survivors() == {}
     found = {host: json.loads((tmp_path / f"{host}.json").read_text()) for host in ADDRESSES}

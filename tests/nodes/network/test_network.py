@@ -185,6 +185,36 @@ def taxels(seq):
     return Taxels(stamp_ns=seq, patch="skin", seq=seq, forces=np.ones((2, 2), np.float32))
 
 
+def test_a_reader_knows_whether_a_message_waits(pair):
+    reader = pair.reader(TAXELS)
+    assert not reader.has_waiting
+    pair.writer.send(taxels(0))
+    wait_until(lambda: reader.has_waiting, "the message")
+    assert reader.take(1, [TAXELS.encode()]) is not None
+    assert not reader.has_waiting
+
+
+def test_nodes_of_a_process_share_poller_and_gate_and_read_within_it(context, tmp_path):
+    tmp_path.chmod(0o700)
+    config = {"endpoint": "tcp://127.0.0.1:*", "companions": ["sensor", "echo"]}
+    sensor, _ = network(context, **config, name="sensor")
+    echo = Network(
+        context,
+        {**config, "name": "echo"},
+        time.monotonic_ns,
+        print,
+        sensor.poller,
+        sensor,
+    )
+    reader = echo.make_reader([TAXELS])
+    # The endpoint for others is not that on which companions read.
+    echo.connect([Peer("sensor", "tcp://127.0.0.1:1")])
+    wait_for_reader(sensor.writer, "echo")
+    sensor.writer.send(taxels(7))
+    wait_until(lambda: reader.socket in dict(sensor.poller.poll(0)), "the message")
+    assert decode(*reader.receive()).seq == 7
+
+
 @pytest.mark.parametrize("endpoint", ["inproc://writer", "tcp://127.0.0.1:*", "ipc://{}/s"])
 def test_a_reader_misses_nothing_while_it_is_present(context, endpoint, tmp_path):
     pair = Pair(context, endpoint.format(tmp_path))

@@ -22,7 +22,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.network.sockets import Reader, Writer
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.node_host import NodeHost
-from sparseskin.nodes.process import proc, runner
+from sparseskin.nodes.process import loop, proc, runner
 from sparseskin.nodes.process.memory import EVERY, FreeMemory
 from sparseskin.nodes.process.scheduling import MAX_CPU, MAX_PRIORITY, Scheduling
 from sparseskin.nodes.process.tally import Tally
@@ -152,12 +152,12 @@ def test_slow_frames_keep_a_command_waiting_for_one_frame_at_most(frame_ns, n, m
 @given(st.integers(-(10**9), 10**11))
 def test_a_wait_for_a_tick_is_a_poll_that_waits_and_one_sleep_at_most(left_ns):
     n_polls = 0
-    while (waiting_ms := runner.waiting_ms(left_ns)) > 0:
+    while (waiting_ms := loop.waiting_ms(left_ns)) > 0:
         left_ns -= waiting_ms * 1_000_000
         n_polls += 1
         assert left_ns > 0
     assert n_polls <= 1
-    assert left_ns < runner.SLEEP_NS + 1_000_000
+    assert left_ns < loop.SLEEP_NS + 1_000_000
 
 
 def test_what_a_killed_process_has_counted_is_there_to_the_last_message():

@@ -1,0 +1,147 @@
+"""The loop of a process, which serves one node, or several one after another."""
+
+import gc
+import os
+import select
+import signal
+import sys
+import time
+from typing import Any, TextIO
+
+import zmq
+
+from sparseskin.nodes.network.sockets import FAREWELL_MS, make_context
+
+from .control import Control
+from .runner import Runner
+
+POLL_MS = 100
+"""Longest wait, so that signals are noticed."""
+SLEEP_NS = 1_500_000
+"""Last part of a wait for a tick, which is a sleep: the poller counts whole milliseconds."""
+
+
+def waiting_ms(left_ns: int) -> int:
+    """Time for which the poller may wait, ms, if a tick is due in `left_ns`; 0: the rest is one
+    sleep, since a poller that does not wait would be called again and again until then.
+    """
+    return max(0, (left_ns - SLEEP_NS) // 1_000_000)
+
+
+class Loop:
+    """Serves the nodes of this process in the order in which the launcher names them.
+
+    What a node publishes is there in the same pass for those after it, so that a frame goes from a
+    source to the last node before the next one. `control` is the channel of the node that is
+    served now: what is raised is an error of that node.
+    """
+
+    def __init__(self, control: Control) -> None:
+        self.control = control
+        self._runners: list[Runner] = []
+        self._poller = zmq.Poller()
+
+    def run(self) -> None:
+        """Serve the nodes until the launcher sends "stop" to all, or ends.
+
+        Raises SparseskinError if a node refuses its settings, ZMQError if an endpoint is in use.
+        """
+        channels = self._channels()
+        for control, config, log in channels:
+            self.control = control
+            sys.stdout = sys.stderr = log  # prints of a driver leave line by line
+            self._runners.append(Runner(control, config, log))
+        if not self._runners:
+            return
+        context = self._open_sockets()
+        signal.signal(signal.SIGINT, self._on_interrupt)
+        signal.signal(signal.SIGTERM, self._on_terminate)
+        for runner in self._runners:
+            self._turn_to(runner)
+            runner.start()
+        # Modules and compiled loops are half a million objects, which no collection need visit.
+        gc.freeze()
+        gc.enable()
+
+        while not all(runner.over for runner in self._runners):
+            ready = self._wait()
+            for runner in self._runners:
+                self._turn_to(runner)
+                runner.serve(ready)
+        for runner in self._runners:
+            self._turn_to(runner)
+            runner.finish()
+        # Pending messages are still sent, for a bounded time.
+        context.destroy(linger=FAREWELL_MS)
+
+    def _channels(self) -> list[tuple[Control, dict[str, Any], TextIO]]:
+        """Channel, configuration and log of each node; none if the launcher has ended."""
+        config = self._configuration()
+        if config is None:
+            return []
+        channels = [(self.control, config, sys.stderr)]
+        for fd, log_fd in config.get("channels", ()):
+            self.control = Control(fd)
+            config = self._configuration()
+            if config is None:
+                return []
+            channels.append((self.control, config, os.fdopen(log_fd, "w", buffering=1)))
+        return channels
+
+    def _configuration(self) -> dict[str, Any] | None:
+        """The first line of a channel; None if the launcher has ended."""
+        while not (commands := self.control.commands()):
+            if self.control.closed:
+                return None
+            select.select([self.control.connection], [], [], POLL_MS / 1000)
+        return commands[0]
+
+    def _open_sockets(self) -> zmq.Context[zmq.Socket[bytes]]:
+        """Open the sockets of all nodes, in one context; they are scheduled alike."""
+        first, *others = self._runners
+        # Nodes have been made before: no solver is compiled with real-time priority.
+        with first.scheduling.applied():
+            context = make_context()
+            if first.scheduling.priority:  # what comes and goes is never behind the nodes' work
+                context.set(zmq.THREAD_PRIORITY, first.scheduling.priority + 1)
+            self._turn_to(first)
+            first.open(context, self._poller)
+        for runner in others:
+            self._turn_to(runner)
+            runner.open(context, self._poller, first)
+        return context
+
+    def _turn_to(self, runner: Runner) -> None:
+        self.control = runner.control
+        sys.stdout = sys.stderr = runner.log_file
+
+    def _on_interrupt(self, *_: object) -> None:
+        for runner in self._runners:
+            runner.draining = True
+
+    def _on_terminate(self, *_: object) -> None:
+        for runner in self._runners:
+            runner.terminate()
+
+    def _wait(self) -> dict[Any, int]:
+        """Wait for an event, a signal or the next tick; return sockets and files that are ready."""
+        caught_up = True
+        left_ns = POLL_MS * 1_000_000
+        for runner in self._runners:
+            self._turn_to(runner)
+            caught_up = caught_up and runner.caught_up
+            of_node_ns = runner.left_ns()
+            if of_node_ns is not None:
+                left_ns = min(left_ns, of_node_ns)
+        timeout_ms = waiting_ms(left_ns) if caught_up else 0
+
+        ready: dict[Any, int] = dict(self._poller.poll(timeout_ms))
+        if timeout_ms == 0 and caught_up and left_ns > 0 and not ready:
+            time.sleep(left_ns / 1e9)
+            return ready
+
+        # No node waits for the frames of another.
+        patience_s = min(runner.patience_s for runner in self._runners)
+        if patience_s and caught_up and ready:
+            time.sleep(patience_s)
+        return ready
