@@ -136,13 +136,15 @@ class Player(SourceNode[PlayerSettings]):
             BagReader(settings.file, whole=False) as bag,
             contextlib.suppress(SparseskinError, MessageError),
         ):
-            names = {old: new for old, new in renamed_topics(settings).items() if old in bag.topics}
-            for recorded in bag.messages(filter(is_latched, names)):
+            names = renamed_topics(settings)
+            latched = [topic for topic in names if topic in bag.topics and is_latched(topic)]
+            for recorded in bag.messages(latched):
                 state = decode(recorded.topic.encode(), recorded.payload)
+                new_name = names[recorded.topic]
                 if isinstance(state, SkinState):
-                    facts.setdefault(names[recorded.topic], state.skin.n_taxels)
+                    facts.setdefault(new_name, state.skin.n_taxels)
                 elif isinstance(state, PhiState):
-                    facts.setdefault(names[recorded.topic], state.kind)
+                    facts.setdefault(new_name, state.kind)
         return facts
 
     def start(self) -> Iterable[Message]:

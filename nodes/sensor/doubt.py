@@ -53,7 +53,9 @@ class Doubt:
         """
         if self._rest is not None and self._rest.line:
             return self._rest.line
-        return self._line if self._sign_found else ""
+        if not self._sign_found:
+            return ""
+        return self._line
 
     def take_line(self) -> str:
         """That line where it is new, and there were enough frames for it; "" at other times."""

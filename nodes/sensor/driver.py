@@ -86,10 +86,18 @@ class DriverSource(LiveSource):
             raise SourceError(f"{target}: n_frames = {shown(n_frames)}; {expected}")
         check_number(target, "rate_hz", rate_hz)
 
-        self.name: str = name if isinstance(name, str) and name else target
-        self.delivers: Literal["truth", "taxels"] = "truth" if delivers == "truth" else "taxels"
-        self.rate_hz: float | None = None if rate_hz is None else float(rate_hz)
-        self.n_frames: int | None = None if n_frames is None else int(n_frames)
+        self.name: str = target
+        self.delivers: Literal["truth", "taxels"] = "taxels"
+        self.rate_hz: float | None = None
+        self.n_frames: int | None = None
+        if isinstance(name, str) and name:
+            self.name = name
+        if delivers == "truth":
+            self.delivers = "truth"
+        if rate_hz is not None:
+            self.rate_hz = float(rate_hz)
+        if n_frames is not None:
+            self.n_frames = int(n_frames)
         return skin
 
     def _skin_of_first_frame(self) -> Skin:

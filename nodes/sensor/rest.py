@@ -47,7 +47,9 @@ class Rest:
     @property
     def reason(self) -> str:
         """Why the last frame is not to be trusted: `Reason.REST`, or ""."""
-        return Reason.REST if self._levels.size and not self.is_settled else ""
+        if self.is_settled or not self._levels.size:
+            return ""
+        return Reason.REST
 
     @property
     def line(self) -> str:

@@ -51,6 +51,7 @@ class Clipped:
         self.sign.update(readings, low, margin)
         self.n_now = 0
 
+        # Without NaN, unlike min and max.
         lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
         highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
         # Noise that is known may lie below the range: only what exceeds it counts.
@@ -69,7 +70,9 @@ class Clipped:
         """Why the last frame of a skin of so many taxels is not to be trusted, "" if it is."""
         if self.sign.falls:
             return Reason.SIGN
-        return Reason.CLIPPED if self.n_now > MANY * n_taxels else ""
+        if self.n_now > MANY * n_taxels:
+            return Reason.CLIPPED
+        return ""
 
     def report(self, f_min: float, f_max: float, unit: str) -> dict[str, Any]:
         """Counts and range for a summary, as `clipped_text` reads them."""

@@ -315,8 +315,9 @@ def json_schema(cls: type[Message], version: int) -> dict[str, Any]:
     properties: dict[str, Any] = {"schema": {"const": cls.schema}, "version": {"const": version}}
     for name, kind in wire_fields(cls).items():
         json_type = _TYPES.get(type(kind), "object")
-        is_optional = getattr(kind, "optional", False)
-        properties[name] = {"type": [json_type, "null"] if is_optional else json_type}
+        properties[name] = {"type": json_type}
+        if getattr(kind, "optional", False):
+            properties[name] = {"type": [json_type, "null"]}
     return {
         "$schema": _DIALECT,
         "title": f"sparseskin/{cls.schema}",

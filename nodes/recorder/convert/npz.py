@@ -118,12 +118,18 @@ class _Columns:
         self._place = place
         self._schema = message.schema
         kinds = {**kinds_alone(type(message)), LOG_TIME: Integer()}
-        self._kinds = {n: k for n, k in kinds.items() if n != "patch" and not isinstance(k, Array)}
-        self._columns: dict[str, Any] = {
-            name: array(_CODES[type(kind)][0]) if type(kind) in _CODES else []
-            for name, kind in self._kinds.items()
-        }
-        self._files = {n: folder / f"{self._schema}_{n}" for n in ("y", "forces", "sd")}
+        self._kinds: dict[str, FieldKind] = {}
+        for name, kind in kinds.items():
+            if name != "patch" and not isinstance(kind, Array):
+                self._kinds[name] = kind
+        self._columns: dict[str, Any] = {}
+        for name, kind in self._kinds.items():
+            self._columns[name] = []
+            if type(kind) in _CODES:
+                code, _ = _CODES[type(kind)]
+                self._columns[name] = array(code)
+        frame_fields = ("y", "forces", "sd")
+        self._files = {name: folder / f"{self._schema}_{name}" for name in frame_fields}
         self._with_frames: set[str] = set()
         self._shapes: list[tuple[int, ...]] = []
 

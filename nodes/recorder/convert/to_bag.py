@@ -122,6 +122,7 @@ class _Imported:
 
     def _skin_state(self) -> SkinState:
         frames = self.frames
+        rate_hz = DEFAULT_RATE_HZ if frames.rate_hz is None else frames.rate_hz
         try:
             return SkinState(
                 stamp_ns=0,
@@ -129,7 +130,7 @@ class _Imported:
                 **vars(frames.skin),
                 source=frames.name,
                 seed=0,
-                rate_hz=frames.rate_hz if frames.rate_hz is not None else DEFAULT_RATE_HZ,
+                rate_hz=rate_hz,
                 has_truth=False,
                 sigma_mid=0.0,
                 sigma_end=0.0,

@@ -161,7 +161,8 @@ class Drift:
         self._slow += slow * (means - self._slow)
 
         # Variance of a first-order low pass of white noise: a / (2 - a) of it.
-        sigma = self._sigma * math.sqrt((fast / (2 - fast) + slow / (2 - slow)) / self._n)
+        variance = fast / (2 - fast) + slow / (2 - slow)
+        sigma = self._sigma * math.sqrt(variance / self._n)
         drift = TUNING.step_drifts * self.rate * (TUNING.slow_s - TUNING.fast_s)
         smallest = max(TUNING.step_least, drift) * self._f_max
         threshold = np.maximum(TUNING.step_sigmas * sigma, smallest)

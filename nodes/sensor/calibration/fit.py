@@ -312,9 +312,11 @@ def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
     values = np.asarray(frames, dtype=np.float64)
     median = np.median(values, axis=0)
     deviation = values - median
-    spread = MAD_TO_SD * np.median(np.abs(deviation), axis=0)
+    size = np.abs(deviation)
+    spread = MAD_TO_SD * np.median(size, axis=0)
     # Of a reading coarser than its noise, half of the frames are the median: none is left out.
-    is_steady = (np.abs(deviation) <= OUTLIER * spread) | (spread == 0)
+    is_steady = (size <= OUTLIER * spread) | (spread == 0)
+
     mean = np.mean(deviation, axis=0, where=is_steady)
     noise = np.std(deviation, axis=0, where=is_steady)
     unsteady_share = 1 - is_steady.mean(axis=0)
@@ -338,7 +340,9 @@ def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
     still = np.ones(untouched.shape[1:], dtype=np.bool_)
     for frames in (untouched, *(press.frames for press in presses)):
         still &= (frames == untouched[0]).all(axis=0)
-    return still if still.mean() < 0.5 else np.zeros_like(still)
+    if still.mean() >= 0.5:
+        return np.zeros_like(still)
+    return still
 
 
 def _dead(even: Sequence[_EvenLoad], works: Mask) -> Mask:

@@ -111,7 +111,9 @@ class ArrayFile(ABC):
 
     def where(self, key: str) -> str:
         """Place of an array, for errors."""
-        return f"{self.name}, array {shown(key)}" if key else self.name
+        if not key:
+            return self.name
+        return f"{self.name}, array {shown(key)}"
 
     def last_part(self, key: str) -> str:
         return key.rpartition(self.separator)[2]
@@ -170,7 +172,10 @@ def _stated_key(arrays: ArrayFile, topic: str, candidates: Sequence[str]) -> str
     if len(ends) == 1:
         return ends[0]
     texts = {key: arrays.datasets[key].text for key in ends or candidates}
-    return choose(texts, "" if ends else topic, arrays.name, f"arrays named {shown(topic)}")
+    kind = f"arrays named {shown(topic)}"
+    if ends:
+        return choose(texts, "", arrays.name, kind)
+    return choose(texts, topic, arrays.name, kind)
 
 
 def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
@@ -229,7 +234,10 @@ def times_keys(arrays: ArrayFile, layout: Layout) -> list[str]:
             allowed = ", ".join(map(printable, lists[:MAX_SHOWN])) or "none"
             fault = f"time: {shown(time_name)} is no array of one axis; allowed: {allowed}, none"
             raise SourceError(f"{arrays.name}: {fault}")
-        return [time_name] if time_name in stated_keys else stated_keys
+        # A path is meant before the last part of others.
+        if time_name in stated_keys:
+            return [time_name]
+        return stated_keys
     exact = [key for key in lists if times.is_time_name(arrays.last_part(key))]
     return exact or [key for key in lists if times.is_time_name(_last_word(key))]
 

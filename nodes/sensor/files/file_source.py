@@ -66,8 +66,11 @@ class RecordedSource(Source):
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
         self._is_told = False
         with opened(path, layout, raw) as frames:
-            self.name = Path(path if Path(path).is_dir() else frames.name).stem
-            survey = self._survey = self._surveyed(frames)
+            self.name = Path(frames.name).stem
+            if Path(path).is_dir():
+                self.name = Path(path).stem
+            survey = self._surveyed(frames)
+            self._survey = survey
             self._treatment = Treatment(layout, survey, raw)
             self.skin = _skin(frames, survey, self._treatment)
             self.notes = self._noted(frames, survey)
@@ -150,7 +153,9 @@ class RecordedSource(Source):
 
     def report(self) -> dict[str, Any]:
         invalid = self._treatment.counts()
-        return {"invalid": invalid} if invalid else {}
+        if not invalid:
+            return {}
+        return {"invalid": invalid}
 
     @property
     def digest(self) -> str:
@@ -267,8 +272,9 @@ def n_taxels(path: str, layout: Layout = EMPTY, raw: bool = False) -> int | None
             _HEADS.clear()
             _HEADS[key] = frames.n_taxels
         n = _HEADS[key]
-    masks = MASK in (layout.nan, layout.negative)
-    return None if masks else n
+    if MASK in (layout.nan, layout.negative):
+        return None
+    return n
 
 
 @contextmanager

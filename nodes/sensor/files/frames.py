@@ -86,7 +86,9 @@ class Frames:
 
     def blocks(self) -> Iterator[Stamped]:
         """Read all frames. Raises SourceError at the first reading, time or item that is none."""
-        stamps = Stamps(self.time_unit, self.layout.time_wrap) if self.is_timed else None
+        stamps: Stamps | None = None
+        if self.is_timed:
+            stamps = Stamps(self.time_unit, self.layout.time_wrap)
         self.n_frames = 0
         for block in self.recording.blocks():
             frames = self._checked(self.arrangement.frames(block.numbers))
@@ -98,6 +100,7 @@ class Frames:
             self.n_frames += len(frames)
             self.last_ns = int(stamp_ns[-1])
             yield stamp_ns, frames
+
         if stamps is not None:
             stamps.check(self.name)
         self.recording.tally.check(self.name)
@@ -243,7 +246,9 @@ class Frames:
         if is_marker and other_readings.min() > marker + ISOLATED * abs(marker):
             option = {"missing": f"{marker:g}"}
             raise UnstatedError(f"{place} is below 0, as no other reading", option)
-        hint = f"; or missing={marker:g}, if it stands for no reading" if is_marker else ""
+        hint = ""
+        if is_marker:
+            hint = f"; or missing={marker:g}, if it stands for no reading"
         raise UnstatedError(f"{place} is below 0; {ways}{hint}")
 
 

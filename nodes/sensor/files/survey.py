@@ -75,7 +75,9 @@ class Survey:
     @property
     def exists(self) -> Mask:
         """True where the file states a taxel."""
-        return np.ones(self.shape, dtype=np.bool_) if self.mask is None else self.mask
+        if self.mask is not None:
+            return self.mask
+        return np.ones(self.shape, dtype=np.bool_)
 
     def add(self, frames: Floats) -> None:
         """Add frames."""
@@ -109,8 +111,10 @@ class Treatment:
     def __init__(self, layout: Layout, survey: Survey, raw: bool) -> None:
         self._layout = layout
         self._survey = survey
-        is_raw = raw and layout.negative == REFUSE
-        self._negative = KEEP if is_raw else layout.negative
+        # A calibration converts readings below 0, too.
+        self._negative = layout.negative
+        if raw and layout.negative == REFUSE:
+            self._negative = KEEP
         gone = np.zeros(survey.shape, dtype=np.bool_)
         if layout.nan == MASK:
             gone |= ~survey.has_number
@@ -127,7 +131,9 @@ class Treatment:
     @property
     def lower_end(self) -> float:
         """Lower end of the range: below 0 where readings below 0 are kept."""
-        return self._survey.lowest if self._layout.negative == KEEP else 0.0
+        if self._layout.negative == KEEP:
+            return self._survey.lowest
+        return 0.0
 
     @property
     def n_masked(self) -> int:
@@ -152,8 +158,10 @@ class Treatment:
         n_missing = self._survey.n_missing
         if n_missing:
             way = self._layout.missing_way
-            in_arrays = ", NaN in arrays" if way == MASK else ""
-            lines.append(f"{n_missing} readings of the file are missing: {FILLED[way]}{in_arrays}")
+            line = f"{n_missing} readings of the file are missing: {FILLED[way]}"
+            if way == MASK:
+                line += ", NaN in arrays"
+            lines.append(line)
         is_told = self._survey.n_negative and self._layout.negative != REFUSE
         if is_told:
             way = done.get(self._negative, subtracted)

@@ -216,10 +216,13 @@ def _placed(
     if len(patterns) != 1 or "#" not in next(iter(patterns)):
         return Selection(tuple(columns), None, notes)
 
-    numbers = {k: tuple(map(int, re.findall(r"\d+", names[k]))) for k in columns}
+    numbers: dict[int, tuple[int, ...]] = {}
+    for k in columns:
+        texts = re.findall(r"\d+", names[k])
+        numbers[k] = tuple(map(int, texts))
     varying = _grid_numbers(names[columns[0]], [numbers[k] for k in columns])
     if len(varying) == 2:
-        grid = _grid(layout, names[columns[0]], {k: numbers[k] for k in columns}, varying)
+        grid = _grid(layout, names[columns[0]], numbers, varying)
         if grid is not None:
             return Selection(grid.columns, grid.shape, (*notes, *grid.notes))
 

@@ -129,12 +129,17 @@ def _time_at_an_end(head: TableHead, layout: Layout, data: Sequence[Line], name:
     is_one_more = layout.n_stated is not None and len(head.numeric) == layout.n_stated + 1
     if head.header or layout.columns or not is_one_more or len(data) < 2:
         return None
+
     ends = {"first": head.numeric[0], "last": head.numeric[-1]}
-    rising = {word: k for word, k in ends.items() if _rises(column_of(data, k))}
+    rising: dict[str, int] = {}
+    for word, k in ends.items():
+        if _rises(column_of(data, k)):
+            rising[word] = k
     if len(rising) > 1:
         options = [{"time": word} for word in rising]
         fault = "the first and the last column rise: state time=first or time=last, or columns"
         raise UnstatedError(f"{name}: {fault}", *options)
+    # A column 0, 1, 2, ... counts the lines: it is no time.
     for k in rising.values():
         if not _counts(column_of(data, k)):
             head.notes += (f"column {head.label(k)} rises in all lines: the times",)

@@ -261,9 +261,13 @@ def _count_before(
     head.dropped["line of the separator"] += int(has_sep)
     n_skipped = max(0, min(layout.skip, len(texts_before)) - int(has_sep))
     head.dropped["skipped lines"] += n_skipped
-    unskipped = texts_before[max(layout.skip, int(has_sep)) :]
-    n_blank = sum(not text.strip() for text in unskipped)
-    n_comments = sum(not _is_body(text) and bool(text.strip()) for text in unskipped)
+    n_blank = 0
+    n_comments = 0
+    for text in texts_before[max(layout.skip, int(has_sep)) :]:
+        if not text.strip():
+            n_blank += 1
+        elif not _is_body(text):
+            n_comments += 1
     head.dropped["blank lines"] += n_blank
     head.dropped["comments"] += n_comments
     n_others = len(texts_before) - head.dropped.total()
@@ -330,7 +334,9 @@ def _block_heights(head: TableHead, raw: list[tuple[int, str]], first_number: in
     for number, text in raw:
         if number < first_number:
             continue
-        cells = head.dialect.cells(text) if text.strip() else []
+        cells = head.dialect.cells(text)
+        if not text.strip():
+            cells = []
         is_row = any(map(is_number, cells)) and len(cells) in _widths(head)
         if is_row and is_within:
             heights[-1] += 1
@@ -348,7 +354,9 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> Long
 
     def only(words: Sequence[str]) -> int | None:
         columns = [k for k in head.numeric if names[k] in words]
-        return columns[0] if len(columns) == 1 else None
+        if len(columns) != 1:
+            return None
+        return columns[0]
 
     row = only((*ROW_WORDS, "i"))
     col = only((*COL_WORDS, "j"))
