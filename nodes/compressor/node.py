@@ -112,6 +112,7 @@ class CompressorSettings(PatchesSettings):
         if self.n_patches > 1 and phi_fact(made_by, "choice"):
             allowed = "allowed for several patches: a Phi that all patches share, as sbhe"
             raise SettingsError(f"phi: {self.phi} chooses other rows for each patch; {allowed}")
+        # A function that makes a Phi shows its rows only once it is called.
         if self.rows == ROTATING and isinstance(made_by, type):
             check_rotates(made_by, self.phi)
 
@@ -140,6 +141,7 @@ class CompressorSettings(PatchesSettings):
 
             matrices = load_matrices(kind.removeprefix(STORED))
             m = matrices[0].shape[0]
+        # Whether rows can rotate follows from M, and M is rounded by whether they do.
         if rows is None:
             made_by = phi_class(kind)
             cls = made_by if isinstance(made_by, type) else None
@@ -182,6 +184,7 @@ def compression_warnings(
     reconstruct badly: a line each with the setting, its effect, the advised value.
     """
     warnings = []
+
     if n > MAX_RATIO * m:
         warnings.append(
             f"m = {m} of n = {n} taxels: more than one small contact is not reconstructed; "
@@ -239,6 +242,7 @@ class Compressor(Node[CompressorSettings]):
             return
 
         rows, m = settings.rows_and_m(n)
+
         made_by = phi_class(settings.phi)
         key = "ratio" if settings.m is None else "m"
         with naming(key):
@@ -336,6 +340,7 @@ class Compressor(Node[CompressorSettings]):
         if taxels.names != self.settings.patches:
             raise RefusedError(f"{taxels.topic}: of other patches than this node serves")
         forces = taxels.forces
+
         skin_shape = (self._state.n_rows, self._state.n_cols)
         frame_shape = forces.shape[1:]
         if frame_shape != skin_shape:
@@ -350,6 +355,8 @@ class Compressor(Node[CompressorSettings]):
     def _compress(self, taxels: Taxels) -> Measurements:
         x = self._existing(taxels)
         phi = self._subsets[self._subset]
+
+        # Row subsets take turns, frame by frame.
         self._subset = (self._subset + 1) % len(self._subsets)
 
         fields: dict[str, Any] = {

@@ -115,6 +115,7 @@ class Network:
         """
         name = self._name
         keys = self._keys
+
         self._reader = Reader(self._context, name, (), topics, keys=keys, observes=observes)
         self.poller.register(self._reader.socket, zmq.POLLIN)
         if keys is not None or self._distant_inputs:
@@ -128,6 +129,7 @@ class Network:
         for peer in peers:
             self._by_endpoint[peer.endpoint] = peer
             if peer.host:
+                # The clock of another host has to be known before its stamps can be used.
                 self.heard[peer.writer] = False
                 self._clocks.setdefault(peer.host, ClockOffset())
             self._reader.connect(peer.endpoint, peer.key, bool(peer.host))
@@ -199,6 +201,8 @@ class Network:
         if not peer.host or self.heard[peer.writer] == connected:
             return
         self.heard[peer.writer] = connected
+
+        # A refusal after a connection is news again.
         if connected:
             self._logged.clear()
         change = "connected" if connected else "disconnected"
@@ -223,6 +227,8 @@ class Network:
         if not self._distant_readers:
             return True
         now_ns = self._now_ns()
+
+        # The time begins with the first question.
         if self._end_ask is None:
             self._end_due_ns = now_ns + END_RECEIVED_NS
             self._end_ask = self.writer.ask()

@@ -90,6 +90,8 @@ class Player(SourceNode[PlayerSettings]):
 
     def __init__(self, settings: PlayerSettings, context: Context) -> None:
         super().__init__(settings, context)
+
+        # Not the whole file is read: what is damaged is reported as it is played.
         self._bag = BagReader(settings.file, whole=False)
         names = renamed_topics(settings)
         self._names = {topic: new for topic, new in names.items() if topic in self._bag.topics}
@@ -228,6 +230,8 @@ class Player(SourceNode[PlayerSettings]):
 
     def state(self) -> dict[str, Any]:
         """Pause, rate, and position in recorded seconds."""
+
+        # Stamps of a loop are shifted: the position is that within the recording.
         position_ns = self._stop_ns
         if self._next is not None:
             position_ns = min(self._next.stamp_ns - self._shift_ns, self._stop_ns)
@@ -313,6 +317,7 @@ class Player(SourceNode[PlayerSettings]):
         except MessageError as error:
             raise SparseskinError(f"{self.settings.file}: {topic}: {error}") from error
         if isinstance(message, SkinState):
+            # A recording without its truth must not promise one.
             truth = topic_of(split_topic(topic)[0], Truth.schema)
             has_truth = message.has_truth and truth in self._names
             # Recorded frames wait, whatever they were when they were sensed.

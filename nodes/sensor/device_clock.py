@@ -134,6 +134,7 @@ class DeviceClock:
         """
         if not self._is_settled:
             return {"clock": "arrival", "clock_restarts": self._n_restarts}
+        # The sd of the slope falls with the number of points and the length of the line.
         heights = [height - self._line(x) for x, height in self._points]
         length = len(heights) * (self._points[-1][0] - self._points[0][0])
         drift = 1 / (1 + self._slope) - 1
@@ -220,7 +221,10 @@ class DeviceClock:
 
     def _add(self, late_ns: float) -> None:
         """Add a frame that is later than the line by `late_ns`."""
+
         point = self._x, self._y - self._x
+
+        # A frame that is earlier than all others moves the line down to it.
         if late_ns < 0:
             self._at = self._at[0], self._at[1] + late_ns
         if late_ns < TUNING.step_ns or not self._is_settled:
@@ -228,6 +232,7 @@ class DeviceClock:
         if self._y - self._begun < self._period_ns:
             self._least = self._lower(self._least, point)
             return
+        # Late frames alone, for long: the clock was set.
         if self._y - self._in_time > TUNING.patience_ns:
             self._restart(self._stamp, self._origin_ns + round(self._y))
             return
@@ -239,6 +244,8 @@ class DeviceClock:
         points.append(self._least)
         self._least = point
         self._begun = self._y
+
+        # Longer periods from now on: of two neighbours the lower point stays.
         if len(points) == TUNING.n_periods and self._period_ns < TUNING.period_ns:
             points[:] = map(self._lower, points[::2], points[1::2])
             self._period_ns *= 2

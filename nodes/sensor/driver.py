@@ -169,6 +169,7 @@ class DriverSource(LiveSource):
 
     def _checked_forces(self, forces: object, where: str) -> Floats:
         try:
+            # A driver may return anything that NumPy reads.
             array = np.asarray(forces)
         except Exception as error:
             fault = f"forces are no array of numbers ({shown(error, 120)})"
@@ -176,17 +177,21 @@ class DriverSource(LiveSource):
         if array.dtype.kind not in "iuf":
             fault = f"forces have dtype {shown(array.dtype)}"
             raise SourceError(f"{where}: {fault}; allowed are integers and floating point")
+        # Counts of a converter would be read as newtons.
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
             fault = "whole numbers, of which the driver states neither unit nor range"
             raise SourceError(f"{where}: {fault}{recording.ADD}unit={recording.COUNTS} f_max=4095")
 
         array = self._arranged(array, where)
+
+        # The first frame makes the skin; all later ones have its shape.
         skin = self._skin
         if skin is not None and array.shape != skin.shape:
             fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
             raise SourceError(f"{where}: {fault}")
 
         with np.errstate(all="ignore"):
+            # Compared below with numbers as they are stated, so without rounding.
             values = array.astype(_exact(array.dtype))
         for number in self._layout.missing_numbers:
             values[values == number] = np.nan

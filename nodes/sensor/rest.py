@@ -71,6 +71,7 @@ class Rest:
         self._sum += forces
         self._n_frames += 1
         is_last = self._n_frames == TARE_FRAMES
+
         if self._is_first:
             self._noise.update(forces)
             self._look()
@@ -99,6 +100,8 @@ class Rest:
         lowest = ordered[n_below]
         median = ordered[means.size // 2]
         threshold = self._least()
+
+        # Of one kind: the lowest of nearly all taxels is near the median.
         is_lifted = lowest > max(threshold, EVEN * median)
         self._levels = means[means > threshold] if is_lifted else means[:0]
         # Most taxels read 0: no level, and what comes later is a load.

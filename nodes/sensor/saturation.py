@@ -63,6 +63,8 @@ class Clipped:
         self.n_above += int(np.count_nonzero(readings > high))
         self.lowest = min(self.lowest, lowest)
         self.highest = max(self.highest, highest)
+
+        # What noise alone may do is no reason to doubt a frame.
         beyond = (readings < low - margin) | (readings > high + margin)
         self.n_now = int(np.count_nonzero(beyond))
 

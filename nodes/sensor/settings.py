@@ -161,6 +161,7 @@ class SensorSettings(Layout, PatchesSettings):
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")
+        # What a kind of source does not use must not be stated: it would be without effect.
         for key in KEYS:
             is_used = key == "rate_hz" or key in address.keys
             if not is_used and getattr(self, key) != getattr(EMPTY, key):

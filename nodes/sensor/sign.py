@@ -115,6 +115,8 @@ class Margin:
         self._spreads.append(_spread(values, previous))
         spreads = sorted(self._spreads)
         median_spread = spreads[(len(spreads) - 1) // 2]
+
+        # The steps of a converter hide the noise.
         if np.array_equal(values, np.rint(values)):
             floor = max(floor, min(WHOLE, MOST_WHOLE * f_max))
         return max(SIGMAS * median_spread, floor)

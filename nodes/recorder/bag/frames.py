@@ -116,6 +116,7 @@ def streams(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[tuple
     ends of streams; with a progress bar; raises as `decoded`.
     """
     topics = list(topics)
+
     total = sum(bag.topics[topic].n_messages for topic in topics)
     for recorded in progress(bag.messages(topics), total, doing):
         message = decoded(bag, recorded)

@@ -155,6 +155,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             compression=CompressionType.LZ4,
             enable_data_crcs=True,
         )
+
         self._mcap.start(library=LIBRARY_PREFIX + version_of("sparseskin"))
         self._mcap.add_metadata(GRAPH_RECORD, dict(metadata))
         try:
@@ -278,6 +279,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         try:
             yield
         except OSError as error:
+            # Each later call raises the same line.
             self._failure = f"{self.part}: {error.strerror}; {KEPT}"
             self._file.close(sync=False)
             raise BagError(self._failure) from error

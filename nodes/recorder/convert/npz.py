@@ -166,6 +166,8 @@ class _Columns:
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file; a field that no message has gets none."""
         frames_name, stamps_name = array_names(self._schema)
+
+        # As the sensor reads them from a file.
         short = {"forces": frames_name, "y": frames_name, "stamp_ns": stamps_name}
         arrays = {name: self._frames(self._files[name]) for name in sorted(self._with_frames)}
         for name, kind in self._kinds.items():
@@ -188,6 +190,8 @@ class _Columns:
             raise BagError(f"{self._place}: {fault}; {allowed}; export to csv")
 
         padded = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape)
+
+        # M may change between messages: the rest of a row is NaN.
         at = 0
         for row, (m,) in zip(padded, self._shapes, strict=True):
             row[:m] = numbers[at : at + m]

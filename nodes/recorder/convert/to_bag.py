@@ -60,6 +60,7 @@ def import_file(
         patches.append(_Imported(source, f"{patch}_{channel}", of_channel, _Zeroing(0), log))
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
+        # All patches by time, as a recorder would have received them.
         streams = [imported.messages() for imported in patches]
         total = (main.frames.n_frames or 0) * len(patches)
         merged = heapq.merge(*streams, key=lambda timed: timed[0])
@@ -104,6 +105,7 @@ class _Imported:
             frame = self._forces_of.frame(readings, stamp_ns)
             if frame is None:
                 continue
+            # States come before the first frame that is no part of the tare.
             if self.n_frames == 0:
                 for state in self._forces_of.states(self._skin_state()):
                     yield 0, state, 0

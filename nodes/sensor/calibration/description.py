@@ -100,6 +100,7 @@ class Response:
             if not ((steps > 0).all() and values.max() <= MAX_NUMBER):
                 allowed = f"must be above 0, at most {MAX_NUMBER:g}, and rise from knot to knot"
                 raise SkinFileError(f"response.{name}: {allowed}")
+        # Slopes of knots that are too close overflow, which the check refuses.
         with np.errstate(all="ignore"):
             is_allowed = _within_slopes(self.slopes)
         if not is_allowed:
@@ -354,6 +355,7 @@ def of_messages(state: SkinState, calibration: Calibration) -> SkinDescription:
             reading = reading[:, 0, 0]
         response = Response(reading, force)
 
+    # A message has 0 for noise that is not known.
     noise = state.sigma_end or None
     noise_mid = state.sigma_mid or None
     return replace(

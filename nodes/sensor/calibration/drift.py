@@ -123,7 +123,8 @@ class Drift:
         pressed = self._lightly_pressed(self._sum / self._n, dt_s)
         self._sum = np.zeros_like(forces)
         self._n = 0
-        touched = (self._fast[0] > self.threshold) | (forces > 2 * self.threshold) | pressed
+        touched = pressed | (forces > 2 * self.threshold)
+        touched |= self._fast[0] > self.threshold
         # The neighbours of a touched taxel carry a part of the load.
         touched = of_nine(touched, np.logical_or)
 
@@ -131,6 +132,7 @@ class Drift:
         newly_touched = touched & ~self._was_touched
         undone = np.minimum(self.value, self._earlier_value)
         self.value[newly_touched] = undone[newly_touched]
+
         self._since_s += dt_s
         if self._since_s >= TUNING.undo_s:
             self._since_s = 0.0
@@ -143,10 +145,12 @@ class Drift:
     def _follow(self, dt_s: float, stamp_ns: int) -> None:
         """Add what the smoothed force shows of the drift in `dt_s`, where nothing touches."""
         max_step = self.rate * self._f_max * dt_s
+
         step = np.clip(self._fast[0] * (dt_s / TUNING.tau_s), -max_step, max_step)
         since_touch_ns = stamp_ns - self._touched_ns
         step[since_touch_ns < TUNING.hold_s * 1e9] = 0.0
         self.value += step
+
         max_value = TUNING.max_drift * self._f_max
         np.clip(self.value, -max_value, max_value, out=self.value)
 
@@ -168,6 +172,8 @@ class Drift:
         threshold = np.maximum(TUNING.step_sigmas * sigma, smallest)
 
         step: Doubles = self._fast - self._slow
+
+        # A fall of the same size ends a press, too.
         self._risen &= step > -threshold
         begins = (step > threshold) & ~self._risen
         self._base[begins] = self._slow[begins]
@@ -178,5 +184,6 @@ class Drift:
         rise: Doubles = self._fast - self._base
         np.maximum(self._rise, rise, out=self._rise)
         self._risen &= rise >= TUNING.step_left * self._rise
+
         pressed: Mask = np.logical_or(*self._risen)
         return pressed

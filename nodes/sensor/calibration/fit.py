@@ -175,6 +175,7 @@ def fit(
     if even:
         dead = _dead(even, at_rest.works)
     works = at_rest.works & ~dead
+
     gains: Doubles | None = None
     response: Response | None = None
     if even:
@@ -326,6 +327,7 @@ def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
 def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
     """Raise CalibrationError if the load moved: its frames read it, its steady readings do not."""
     works = at_rest.works
+
     above = np.asarray(press.frames, dtype=np.float64)[:, works] - at_rest.baseline[works]
     frame_sum = float(np.median(above.sum(axis=1)))
     steady_sum = float(rise[works].sum())
@@ -337,6 +339,8 @@ def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
 
 def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
     """Taxels whose reading never changes, where that of most does."""
+
+    # A skin that is silent as a whole is no set of stuck taxels: see the end.
     still = np.ones(untouched.shape[1:], dtype=np.bool_)
     for frames in (untouched, *(press.frames for press in presses)):
         still &= (frames == untouched[0]).all(axis=0)
@@ -353,6 +357,7 @@ def _dead(even: Sequence[_EvenLoad], works: Mask) -> Mask:
         cells = area & works
         if not cells.any():
             raise CalibrationError(f"{press.label}: no taxel under it works")
+        # Readings may fall with force: the sign of the median taxel is that of all.
         median_rise = float(np.median(rise[cells]))
         covered |= cells
         responds |= cells & (rise * median_rise > DEAD * median_rise**2)
@@ -394,13 +399,15 @@ def _rise_by_force(even: Sequence[_EvenLoad], works: Mask) -> tuple[Doubles, Dou
     # Dead taxels carry their part of the load. Forces that differ by rounding are equal.
     per_taxel = [float(f"{load.press.force / load.area.sum():.6g}") for load in even]
     forces, index = np.unique(per_taxel, return_inverse=True)
-    total = np.zeros((len(forces), *works.shape))
-    n_presses = np.zeros((len(forces), *works.shape))
+    shape = (len(forces), *works.shape)
+    total = np.zeros(shape)
+    n_presses = np.zeros(shape)
     for k, load in zip(index, even, strict=True):
         cells = load.area & works
         total[k] += np.where(cells, load.rise, 0.0)
         n_presses[k] += cells
-    rise = np.full(total.shape, np.nan)
+
+    rise = np.full(shape, np.nan)
     np.divide(total, n_presses, out=rise, where=n_presses > 0)
     return forces, rise
 
@@ -448,6 +455,8 @@ def _common_gain(
         sums.append(float(rise[pressed].sum()))
     total = np.array(sums)
     force = np.array([press.force for press in presses])
+
+    # Least squares through 0.
     gain = float(total @ force / (total @ total))
 
     error = np.abs(gain * total / force - 1)

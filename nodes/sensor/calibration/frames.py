@@ -87,6 +87,7 @@ class Live:
         """Frames of the next `stop_s - start_s` seconds.
         Raises CalibrationError if none comes, or the source fails or ends.
         """
+
         max_frames = max(2, MAX_READINGS // (self.skin.n_rows * self.skin.n_cols))
         end = time.monotonic() + stop_s - start_s
         frames: list[Frames] = []
@@ -130,6 +131,7 @@ def open_frames(source: str, layout: Layout = EMPTY) -> Recorded | Live:
     Raises SourceError if it cannot be opened, or delivers forces, as a scene does.
     """
     opened = open_source(source, seed=0, layout=layout, raw=True)
+
     if opened.delivers == "truth":
         opened.close()
         raise SourceError(f"{source}: delivers true forces, which need no calibration")

@@ -98,6 +98,7 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
         if key not in values:
             raise SkinFileError(f"{key}: is missing")
 
+    # No array may be both in the file and in its .npz.
     inline = {key: values.pop(key) for key in GRIDS if key in values}
     curve = values.pop("response", {})
     archive = values.pop(ARRAYS, None)

@@ -275,14 +275,16 @@ class DatasetRecording(Recording):
         attributes = self._arrays.datasets[plan.key].attributes
         by_name: dict[str, float] = {}
         for name in RATES[1:]:
-            path = self._arrays.nearest(plan.key, (name,))
-            is_number = path and math.prod(self._arrays.datasets[path].sides) == 1
             value = attributes.get(name, np.nan)
-            if is_number:
+            path = self._arrays.nearest(plan.key, (name,))
+            if path and math.prod(self._arrays.datasets[path].sides) == 1:
                 value = self._arrays.whole(path)
             array = np.asarray(value)
-            if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.reshape(()) < np.inf:
-                by_name[name] = float(array.reshape(()))
+            if array.size != 1 or array.dtype.kind not in "iuf":
+                continue
+            number = array.reshape(())
+            if 0 < number < np.inf:
+                by_name[name] = float(number)
         rates = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
         if len(set(by_name.values())) > 1:
             return None, (f"{rates}: more than one rate is stated, and none is used",)
@@ -339,10 +341,13 @@ class DatasetRecording(Recording):
             return None, ()
         where = self._arrays.where(path)
         items = plan.frames.items
+
         sides = [axis.size for axis in items if axis.label != CHANNEL and axis.size > 1]
         if plan.time_column is not None:
             sides = [sides[0] - 1]
         shape = [side for side in self._arrays.datasets[path].sides if side > 1]
+
+        # Of a frame that is a list of taxels, the mask may be a grid.
         is_flat = len(sides) == 1 and math.prod(shape) == sides[0]
         if shape not in (sides, sides[::-1]) and not is_flat:
             if self._arrays.last_part(plan.key) != FORCES:

@@ -149,10 +149,12 @@ def frames_key(arrays: ArrayFile, layout: Layout) -> str:
     array of three axes or more, or else of two, that can have the stated shape. Raises SourceError
     if there is none, UnstatedError if there are several.
     """
+
     candidates = _candidates(arrays, layout)
     topic = layout.topic.strip("/")
     if topic:
         return _stated_key(arrays, topic, candidates)
+    # What this program writes has its array named so.
     named_forces = [key for key in arrays.datasets if arrays.last_part(key) == FORCES]
     if len(named_forces) == 1:
         return named_forces[0]
@@ -193,6 +195,8 @@ def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
     # Where arrays are labelled as tactile data, others are none.
     tactile = {key: kind for key, kind in readable.items() if TACTILE in arrays.last_part(key)}
     readable = tactile or readable
+
+    # Masks are of bool.
     numbers = [key for key, kind in readable.items() if kind != "b"]
     keys = numbers or [*readable]
     if layout.axes:

@@ -186,6 +186,7 @@ class RecordedSource(Source):
                 continue
             store = None
             self._reads_twice = needs_range and not self._needs.digest
+
             if not needs_all:
                 survey.n_frames = 0  # not known
                 return survey

@@ -129,6 +129,8 @@ class Frames:
         readings, unit of the times.
         """
         faults: list[UnstatedError] = []
+
+        # All that is missing is named at once.
         arrangement: Arrangement | None = None
         try:
             arrangement = arrange(self.layout, self.head.axes, self.name, self.head.usable)
@@ -171,6 +173,7 @@ class Frames:
             numbers = arrangement.frames(numbers)
         elif self.head.usable is not None:
             numbers = numbers[:, list(self.head.usable)]
+        # A file that holds floats may hold counts.
         readings = numbers[np.isfinite(numbers)]
         return self.head.asks_unit and bool((readings == np.rint(readings)).all())
 
@@ -183,6 +186,7 @@ class Frames:
     def _even(self, n: int) -> npt.NDArray[np.int64]:
         """Stamps of the next n frames at an even rate."""
         rate_hz = self.layout.rate_hz or self.head.rate_hz
+
         period_ns = UNTIMED_PERIOD_NS if rate_hz is None else 1e9 / rate_hz
         stamps = np.rint(np.arange(self.n_frames, self.n_frames + n) * period_ns)
         if stamps[-1] > INT64_MAX:

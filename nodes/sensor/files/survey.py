@@ -97,6 +97,7 @@ class Survey:
             self.has_number |= is_number.any(axis=0)
         self.lowest = min(self.lowest, lowest)
         self.highest = max(self.highest, highest)
+
         if lowest < 0:
             is_negative = frames < 0
             self.n_negative += int(np.count_nonzero(is_negative))

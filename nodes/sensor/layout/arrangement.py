@@ -90,6 +90,7 @@ def arrange(
 
     places = _as_grid(layout, places, labelled, where)
     n_rows, n_cols = places.shape
+
     check_grid(n_rows, n_cols, where)
     places = _ordered(layout, places, where)
     if places.size == n_numbers and bool((np.diff(places.ravel()) == 1).all()):

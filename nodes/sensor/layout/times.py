@@ -111,6 +111,7 @@ def unit_of(times: Sequence[float], where: str) -> str:
     of a rate at which skins are read. Raises UnstatedError if there are several, or none.
     """
     numbers = np.asarray(times, dtype=np.float64)
+
     of_dates = epoch_unit(numbers)
     if of_dates:
         return of_dates
@@ -178,6 +179,7 @@ class Stamps:
 
     def _rising(self, time_ns: int, where: str) -> int:
         """The stamp of a time, after the one before it."""
+
         fall_ns = self._last_time_ns - time_ns
         if self._turn_ns and fall_ns > self._turn_ns // 2:
             self._turns_ns += self._turn_ns

@@ -165,6 +165,7 @@ def build_sole(
     along_x = x_min + GRID_M * np.arange(n_x)
     along_y = y_min + GRID_M * np.arange(n_y)
     x, y = np.meshgrid(along_x, along_y)
+
     heights = np.full((n_y, n_x), FAR_M)
     for underside in primitives:
         np.minimum(heights, underside(x, y), out=heights)

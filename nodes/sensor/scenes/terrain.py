@@ -117,6 +117,7 @@ class Terrain:
         ground = np.flatnonzero(near & ~on_skin)
         order = np.concatenate([skin, ground])
         sizes = [skin.size, ground.size]
+
         self._taxels = (row * n_cols + col)[skin]
         self._body_x = body_x[order]
         self._body_y = body_y[order]

@@ -246,6 +246,7 @@ def _named_by_comment(head: TableHead, raw: list[tuple[int, str]], first_number:
     if not texts_before or not texts_before[-1].startswith(COMMENTS):
         return
     text = texts_before[-1].lstrip("#%/ ")
+
     names = tuple(cell.strip() for cell in head.dialect.cells(text))
     has_names = any(map(is_time_name, names)) or any(re.search(r"\d", name) for name in names)
     if len(names) == head.width and has_names and not any(map(is_number, names)):
@@ -270,6 +271,7 @@ def _count_before(
             n_comments += 1
     head.dropped["blank lines"] += n_blank
     head.dropped["comments"] += n_comments
+
     n_others = len(texts_before) - head.dropped.total()
     if n_others:
         head.dropped["lines before the table"] += n_others

@@ -163,6 +163,7 @@ class TableRecording(Recording):
             return "blank lines"
         if stripped[0] in "#%" or stripped.startswith("//"):
             return "comments"
+        # A logger that was started again appends to its file.
         if self._head.header and text == self._head.header:
             return "repeated headers"
         begins_row = stripped[0].isdigit() or stripped[0] in '+-."[('
@@ -354,6 +355,8 @@ class TableRecording(Recording):
         """Frames of lines, of which each of `begins` is the first of a frame."""
         long = self._head.long
         assert long is not None
+
+        # Number of the frame, row and column of each line.
         sizes = np.diff([*begins, len(rows)])
         frame = np.repeat(np.arange(len(begins)), sizes)
         row = np.zeros(len(rows))
@@ -367,6 +370,7 @@ class TableRecording(Recording):
             fault = f"row {row[k]:g}, column {col[k]:g} is outside {sides}"
             raise SourceError(f"{self._file.name}: {fault}")
 
+        # Taxels that have no line in a frame are missing.
         numbers = np.full((len(begins), long.n_rows, long.n_cols), np.nan)
         numbers[frame, row.astype(np.intp), col.astype(np.intp)] = rows[:, long.value]
         places = set(zip(frame.tolist(), row.tolist(), col.tolist(), strict=True))
