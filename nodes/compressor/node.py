@@ -214,6 +214,8 @@ class Compressor(Node[CompressorSettings]):
 
     def __init__(self, settings: CompressorSettings, context: Context) -> None:
         super().__init__(settings, context)
+
+        # A compressor may be made without a launch, which checks before.
         settings.check()
         self._state: SkinState | None = None
         self._subsets: list[Phi] = []  # one matrix a row subset

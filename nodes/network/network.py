@@ -92,6 +92,7 @@ class Network:
             names = security.get("known", {})
             self._gate = Gate(context, self._keys, allowed, names, log)
 
+        # Whoever can enter the folder of a socket can read the graph.
         if endpoint.startswith("ipc:///"):
             check_private(Path(endpoint.removeprefix("ipc://")).parent)
         self.writer = Writer(
@@ -175,6 +176,7 @@ class Network:
 
     def take_time(self, note: bytes) -> bool:
         """Process the answer to a question for the time; False if the note is none."""
+
         times = read_times(note)
         if times is None:
             return False

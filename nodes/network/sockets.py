@@ -202,6 +202,7 @@ class Writer:
                 if topic not in self._prefixes and len(self._prefixes) < MAX_SUBSCRIPTIONS:
                     self._prefixes.add(topic)
                     self._is_wanted.clear()
+                # A reader that comes late gets the state that holds.
                 if topic in self._latched:
                     self.socket.send(self._latched[topic])
 
@@ -271,6 +272,7 @@ class Writer:
 
     def _note_answer(self, reader: str, answer: str) -> None:
         """Note that a reader has processed all messages before an ask of this writer."""
+
         writer, _, number = answer.partition(":")
         is_for_us = writer == self._name and reader in self._answered
         if is_for_us and number.isdecimal():

@@ -190,6 +190,7 @@ class Player(SourceNode[PlayerSettings]):
         and reconstructions are; they are looked for until each stream has passed the last frame.
         """
         frame_ns = self._frame_ns
+
         behind = {self._names[topic] for topic in self._streams}
         for _ in range(MAX_STAMPS):
             message = self._next
@@ -266,6 +267,7 @@ class Player(SourceNode[PlayerSettings]):
             states = [s.moved(stamp_ns - s.stamp_ns) for s in self._states_at(stamp_ns)]
             self._messages = chain(states[1:], [message], messages)
             self._next = states[0]
+        # Frames in flight are of the part before the jump.
         self._stamps.clear()
         self._schedule.seek(stamp_ns, now_ns)
 
@@ -365,6 +367,7 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
 
     topics = list(settings.topics or _of_schemas(recorded, settings) or recorded)
     names = {topic: topic for topic in topics}
+
     for pair in settings.remap:
         old, new = (side.strip().rstrip("/") for side in pair.split(":="))
         matching = [topic for topic in topics if topic == old or topic.startswith(old + "/")]

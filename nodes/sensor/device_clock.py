@@ -118,6 +118,7 @@ class DeviceClock:
                     time_ns -= max(0, round(late_ns))
                 self._add(late_ns)
 
+        # Stamps rise, by a nanosecond at least.
         if self._last_ns is not None:
             time_ns = max(time_ns, self._last_ns + 1)
         self._last_ns = time_ns
@@ -188,6 +189,7 @@ class DeviceClock:
     def _advance(self, stamp: int, arrived_ns: int) -> bool:
         """Set both times to those of a frame; False if a line begins with it."""
         y = float(arrived_ns - self._origin_ns)
+
         if not self._n or y - self._y > TUNING.n_periods * TUNING.period_ns:
             self._begin(stamp, arrived_ns)  # a drift does not last for a silence as long
             return False
@@ -255,6 +257,7 @@ class DeviceClock:
         line = line_below(self._points)
         if line is not None:
             self._at, self._slope = line
+        # A line is used once it is long enough, and its drift can be that of a clock.
         is_good = line is not None and abs(self._slope) <= TUNING.most_drift
         is_long = self._y >= TUNING.settle_ns and self._n >= TUNING.settle_frames
         self._is_settled = is_good and is_long

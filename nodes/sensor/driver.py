@@ -39,6 +39,7 @@ class DriverSource(LiveSource):
     def __init__(self, address: Address, driver: Iterable[object]) -> None:
         super().__init__()
         layout = address.layout
+
         self._target = address.source
         self._driver = driver
         self._layout = layout
@@ -141,8 +142,11 @@ class DriverSource(LiveSource):
         if self._is_one_shot:
             raise SourceError(f"{target}: is a generator and was read before; open it anew")
         with _running(target):
+            # An iterator of its own, as a generator is, cannot be read twice.
             iterator = iter(self._driver)
         self._is_one_shot = iterator is self._driver
+
+        # A mark that no driver can yield.
         end = object()
         passed_ns = 0
         previous_ns: int | None = None

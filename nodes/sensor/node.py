@@ -347,6 +347,7 @@ class Sensor(SourceNode[SensorSettings]):
             report |= self._clock.state()
         report |= self._source.report()
         report |= self._readings.report()
+
         if self._line:
             report["lines"] = [*report.get("lines", ()), self._line]
         return report
@@ -465,6 +466,7 @@ class Sensor(SourceNode[SensorSettings]):
             self.context.log(line)
 
     def idle(self) -> None:
+        # Frames that arrive before the start, or in a pause, would be old later.
         if self.paused or not self._t0_ns:
             self._source.discard()
         elif self.rate_hz:
@@ -497,6 +499,7 @@ class Sensor(SourceNode[SensorSettings]):
     def _drift_rate(self) -> float:
         if self.settings.drift is not None:
             return self.settings.drift
+        # Readings that are forces already have no baseline that could drift.
         return DRIFT_RATE if self._drifts else 0.0
 
     def _placed_skin(self) -> Skin:
@@ -521,5 +524,6 @@ class Sensor(SourceNode[SensorSettings]):
         """Readings of true forces, of each patch."""
         taxels = self._noise.apply(self._truth(truth), self._rng)
         if self.skin.mask is not None:
+            # Noise would show in cells without a taxel.
             taxels[..., ~self.skin.mask] = 0.0
         return taxels

@@ -92,6 +92,8 @@ class Rest:
     def _look(self) -> None:
         """Find whether the mean of the frames so far is a level."""
         means = self._sum[self._skin.exists] / self._n_frames
+
+        # Dead taxels read 0, and are no sign of rest.
         n_below = math.ceil(DEAD * means.size)
         if n_below >= means.size:
             return

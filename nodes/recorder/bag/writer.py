@@ -98,6 +98,7 @@ class _WholeWrites:
                 unwritten = unwritten[n_written:]
         except OSError:
             with contextlib.suppress(OSError):
+                # A part of a chunk would break the file there.
                 self._file.truncate(begin)
             raise
 
@@ -141,6 +142,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._schemas: dict[tuple[str, int], int] = {}
 
         try:
+            # Found now: the library would fail in the middle of the file.
             "".join([*metadata, *metadata.values()]).encode()
         except UnicodeEncodeError as error:
             raise BagError(f"{self.path}: metadata: no valid Unicode") from error
@@ -172,6 +174,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """
         self._check_open()
         topic, schema, version, log_time_ns, stamp_ns, payload = message
+
         channel = self._channel(topic, schema, version)
         n_bytes = len(payload)
         if n_bytes > MAX_MESSAGE_BYTES:
@@ -182,6 +185,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 raise BagError(f"{self.path}: {topic}: {name} {time_ns} is outside 0..2**63 - 1")
 
         info = self._topics.setdefault(topic, TopicInfo(schema, version))
+
+        # 32 bits in the file.
         sequence = info.n_messages & 0xFFFFFFFF
         self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
         info.add(schema, version, stamp_ns, log_time_ns)

@@ -173,6 +173,8 @@ class _Columns:
         for name, kind in self._kinds.items():
             _, dtype = _CODES.get(type(kind), ("", None))
             values = np.array(self._columns[name], dtype)
+
+            # A number that no message has is left out.
             if not (isinstance(kind, Real) and np.isnan(values).all()):
                 arrays[name] = values
         return {short.get(name, f"{self._schema}_{name}"): value for name, value in arrays.items()}

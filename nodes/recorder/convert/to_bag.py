@@ -193,6 +193,7 @@ def recover_bag(bag: BagReader, out: Path) -> int:
     The new metadata have the entry "recovered", a line on the damage. Returns the number of
     messages. Raises BagError if the new bag exists or cannot be written.
     """
+
     metadata = dict(bag.metadata)
     if bag.recovered:
         metadata["recovered"] = bag.recovered

@@ -112,6 +112,8 @@ class Chain:
 
         f_min = description.f_min
         f_max = description.f_max
+
+        # Counted before they are clipped.
         self.clipped.add(forces, f_min, f_max, description.noise or 0.0)
         np.clip(forces, f_min, f_max, out=forces)
         return forces.astype(np.float32)
@@ -141,6 +143,7 @@ class Chain:
         """
 
         readings = np.array(frames)
+
         missing = np.isnan(readings)
         self._untared = missing.all(axis=0)
         readings[:, self._untared] = 0.0

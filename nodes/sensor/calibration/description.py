@@ -109,6 +109,8 @@ class Response:
     @property
     def slopes(self) -> Doubles:
         """Slopes of the K segments, shape of `reading`, in force per reading."""
+
+        # The curve begins at (0, 0).
         rise = np.diff(self.force, prepend=0.0)
         shape = (-1, *(1,) * (self.reading.ndim - 1))
         slopes: Doubles = rise.reshape(shape) / np.diff(self.reading, axis=0, prepend=0.0)
@@ -272,6 +274,7 @@ class SkinDescription:
 
     def inverted(self) -> SkinDescription:
         """This description for readings that fall where it has them rise with force."""
+
         gains = np.ones(self.shape) if self.gains is None else self.gains
         return replace(self, gains=-gains)
 

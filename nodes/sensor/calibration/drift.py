@@ -111,6 +111,7 @@ class Drift:
         """
         if not self.rate:
             return
+        # A recording that begins again has earlier stamps.
         if self._last_ns is None or stamp_ns < self._last_ns:
             self._last_ns = stamp_ns
         dt_s = (stamp_ns - self._last_ns) / 1e9
@@ -139,6 +140,7 @@ class Drift:
             self._earlier_value = self._kept_value
             self._kept_value = self.value.copy()
         self._was_touched = touched
+
         self._touched_ns[touched] = stamp_ns
         self._follow(min(dt_s, TUNING.gap_s), stamp_ns)
 

@@ -258,6 +258,7 @@ def _at_rest(
 ) -> _Rest:
     """Baseline and noise of the taxels, and those whose readings show that they are faulty."""
     baseline, noise, unsteady = steady(untouched)
+
     stuck = exists & _stuck(untouched, presses)
     works = exists & ~stuck
     typical_noise = float(np.median(noise[works])) if works.any() else 0.0
@@ -328,6 +329,7 @@ def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
     """Raise CalibrationError if the load moved: its frames read it, its steady readings do not."""
     works = at_rest.works
 
+    # Sums over all taxels: a load that moves keeps its sum, frame by frame.
     above = np.asarray(press.frames, dtype=np.float64)[:, works] - at_rest.baseline[works]
     frame_sum = float(np.median(above.sum(axis=1)))
     steady_sum = float(rise[works].sum())
@@ -449,6 +451,7 @@ def _common_gain(
     """One gain of all taxels from totals: force = gain x the sum of the readings."""
     sums = []
     for press, rise in zip(presses, rises, strict=True):
+        # Noise of untouched taxels would add up.
         pressed = works & (np.abs(rise) > floor / math.sqrt(len(press.frames)))
         if not pressed.any():
             raise CalibrationError(f"{press.label}: no taxel reads more than its noise")
@@ -475,6 +478,8 @@ def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressR
         return PressResult(press.label, press.force, float(forces[works].sum()))
 
     cells = press.area & works
+
+    # Taxels that do not work carry their part of the load.
     mean = float(forces[cells].mean())
     raw_mean = np.abs(rise[cells].mean())
     return PressResult(

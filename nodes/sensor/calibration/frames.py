@@ -108,6 +108,8 @@ class Live:
     def close(self) -> None:
         """Close the source, where it can be."""
         self._closing = True
+
+        # A device that is silent holds its reader: it is left to the end of the process.
         self._thread.join(1.0)
         if not self._thread.is_alive():
             self._source.close()
@@ -135,6 +137,7 @@ def open_frames(source: str, layout: Layout = EMPTY) -> Recorded | Live:
     if opened.delivers == "truth":
         opened.close()
         raise SourceError(f"{source}: delivers true forces, which need no calibration")
+    # What has no end is read as it comes.
     if opened.is_live or opened.n_frames is None:
         return Live(opened)
     stamps_ns, frames = zip(*opened, strict=True)

@@ -71,6 +71,8 @@ def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
     unknown or missing, or a value is not allowed.
     """
     path = Path(path)
+
+    # UTF-8 has at most four bytes for a character.
     text = _read(path, 4 * MAX_FILE_CHARS)
     try:
         table = parse_toml(text.decode("utf-8"), MAX_FILE_CHARS)
@@ -171,6 +173,7 @@ def _read(path: Path, max_bytes: int) -> bytes:
     """The bytes of a regular file of at most `max_bytes`."""
     try:
         with reading(str(path)) as file:
+            # One byte more shows that the file is too large.
             raw = file.read(max_bytes + 1)
     except SourceError as error:
         raise SkinFileError(str(error)) from error

@@ -122,6 +122,8 @@ class ArrayFile(ABC):
         """The path of the array with one of these names in the group of an array, or else in the
         nearest group around it; "" if there is none.
         """
+
+        # From the group of the array outwards.
         group = key
         while group:
             group = group.rpartition(self.separator)[0]
@@ -159,6 +161,8 @@ def frames_key(arrays: ArrayFile, layout: Layout) -> str:
     if len(named_forces) == 1:
         return named_forces[0]
     grids = [key for key in candidates if arrays.datasets[key].n_axes > 2]
+
+    # One grid among tables is the skin, unless a table is as large.
     if len(grids) == 1:
         (grid,) = grids
         candidates = [grid, *_rivals(arrays, grid, candidates)]

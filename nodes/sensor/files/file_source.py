@@ -86,6 +86,7 @@ class RecordedSource(Source):
     def blocks(self) -> Iterator[Stamped]:
         """Yield blocks of stamps and frames, as `Stamped`."""
         if self._store is not None:
+            # A copy: the frames in memory are read again in the next round.
             for stamp_ns, part in self._store.blocks():
                 yield stamp_ns, self._treatment.apply(part.copy())
             return
@@ -178,6 +179,7 @@ class RecordedSource(Source):
         store: FrameStore | None = FrameStore(frames.shape)
         for stamp_ns, part in frames.blocks():
             survey.add(part)
+
             if survey.n_frames > MAX_FRAMES:
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")
             if store is not None:
@@ -265,6 +267,7 @@ def n_taxels(path: str, layout: Layout = EMPTY, raw: bool = False) -> int | None
     where later frames decide it. Raises SourceError as `open_file`.
     """
     with proposing(path, layout, raw), located(path) as (name, parts), reading(name) as file:
+        # A launch asks several times: the answer holds until the file changes.
         status = os.fstat(file.fileno())
         key = (name, status.st_mtime_ns, status.st_size, layout, raw)
         if key not in _HEADS:
@@ -309,6 +312,8 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
         yield
     except UnstatedError as error:
         text = str(error)
+
+        # A way that fails later in the file is none to propose.
         ways = [option for option in error.options if _reads(path, layout, raw, option)]
         if len(ways) == 1:
             settings = [f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()]

@@ -105,6 +105,7 @@ def recording_of(file: File) -> Recording:
 
 def _recognised(file: File, fitting: list[Format]) -> list[Format]:
     """The formats that recognise the begin of a file, or else those that take every file."""
+
     begin = file.file.read(HEAD_BYTES)
     file.file.seek(0)
     sure = []

@@ -217,6 +217,7 @@ class Frames:
         is_number = np.isfinite(frames)
         if not layout.accepts_missing:
             self._refuse(readings, ~is_number, f"is not finite; {NAN_HINT}")
+        # Infinite readings are missing, too.
         frames[~is_number] = np.nan
         with np.errstate(invalid="ignore"):
             too_large = frames > MAX_READING
@@ -245,6 +246,7 @@ class Frames:
         other_readings = frames[~below & np.isfinite(frames)]
         place = self._place(readings, below)
         ways = f"state negative={KEEP}, zero, offset or mask"
+
         is_marker = values.size == 1 and other_readings.size > 0
         marker = float(values[0])
         if is_marker and other_readings.min() > marker + ISOLATED * abs(marker):

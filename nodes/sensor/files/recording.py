@@ -292,6 +292,7 @@ class Lines(Iterator[str]):
             raw = self._file.readline(MAX_LINE_BYTES)
             if not raw:
                 raise StopIteration
+            # Some programs begin a text with a mark of UTF-8.
             text = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
             self._line = text.removesuffix("\n").removesuffix("\r")
 

@@ -41,6 +41,8 @@ class FrameStore:
     def add(self, stamp_ns: npt.NDArray[np.int64], frames: Floats) -> None:
         """Add frames. No part of the array may be in use."""
         n = len(self.frames)
+
+        # In place, so that no second copy is needed while it grows.
         self.frames.resize((n + len(frames), *self.frames.shape[1:]), refcheck=False)
         self.frames[n:] = frames
         self._stamps.append(stamp_ns)
@@ -143,6 +145,7 @@ class Treatment:
 
     def apply(self, frames: Floats) -> Floats:
         """Treated frames; the array is changed."""
+
         if self.gone.any():
             frames[:, self.gone] = 0
         if self._negative == ZERO:

@@ -266,6 +266,7 @@ def _as_grid(
         raise SourceError(f"{where}: a frame holds {n} readings, but {needed}")
 
     flat = places.reshape(-1)
+
     if layout.order == "columns":
         return flat.reshape(n_cols, n_rows).T
     return flat.reshape(n_rows, n_cols)
@@ -291,5 +292,6 @@ def _ordered(layout: Layout, places: npt.NDArray[Any], where: str) -> npt.NDArra
         if order is None:
             allowed = f"allowed: forward, reversed, or each of 0..{n - 1} once, with commas"
             raise SourceError(f"{where}: {key}: {text[:40]!r} is not allowed; {allowed}")
+        # The inverse of the order: entry k is put at order[k].
         places = np.take(places, np.argsort(order), axis=axis)
     return places

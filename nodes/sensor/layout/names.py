@@ -135,6 +135,7 @@ def _chosen(
         if layout.n_stated is None or len(columns) == layout.n_stated:
             return columns, (f"channel {channel_name} of {', '.join(channels)}",)
 
+    # One family of names: its columns are the taxels.
     if layout.n_stated is None and len(indexed) == 1 and any(map(bool, names)):
         (columns,) = indexed.values()
         return columns, ()

@@ -117,6 +117,7 @@ class RigidBody:
             matrix.flat[:: len(w) + 1] += self.inertia
             right = self.inertia * free - (h_loaded * spring) @ jacobian
             solution = right / matrix[0] if len(w) == 1 else np.linalg.solve(matrix, right)
+
             target: Doubles = np.asarray(solution, dtype=np.float64)
             reached = spring + slope * (jacobian @ target) < 0.0
             # With the same cells loaded, the full step has solved the equation exactly.

@@ -198,6 +198,8 @@ class SceneSource(Source):
         body = RigidBody(inertia, load)
         q = np.zeros(n_dof)
         v = np.zeros(n_dof)
+
+        # At rest in the air.
         q[0] = scene.drop_height_m
 
         dt_s = scene.dt_ns * 1e-9
@@ -208,6 +210,8 @@ class SceneSource(Source):
         for step in range(scene.n_steps):
             yield State(bed, taxels, q, v)
             t_s = step * dt_s
+
+            # A body that is lifted moves as prescribed, whatever the skin does.
             if isinstance(motion, Lift) and t_s >= motion.at_s:
                 v = np.zeros(n_dof)
                 v[0] = motion.speed_m_s

@@ -223,6 +223,8 @@ def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
             continue
         below = [line.cells[k] for line in later if k < len(line.cells)]
         n_values = sum(map(is_value, below))
+
+        # A single text above numbers is enough: a name.
         if cell and 2 * n_values > len(below):
             return True
     return False
@@ -316,6 +318,7 @@ def _find_kind(
     n_cols = layout.n_cols
     n_stated = layout.n_stated or 0
     fits = n_stated > head.width == n_cols and n_rows is not None
+
     heights = _block_heights(head, raw, data[0].number)
     if fits and n_rows is not None:
         head.height = n_rows
@@ -374,6 +377,7 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> Long
 
     # The first frame shows the sides.
     frame = frames[0]
+
     key = data[0].cells[frame]
     in_frame = [line.cells for line in data if line.cells[frame] == key]
     col_numbers = _whole_numbers([cells[col] for cells in in_frame])

@@ -141,6 +141,7 @@ class TableRecording(Recording):
             last_number = piece.number + len(piece.lines) - 1
             lines = enumerate(piece.lines[n_skipped:], start=piece.number + n_skipped)
             for number, text in lines:
+                # The first reason counts.
                 label = self._dropped_as(text)
                 if not label and piece.is_cut and number == last_number:
                     label = self._cut_as(text)
@@ -202,6 +203,8 @@ class TableRecording(Recording):
     def _parsed_fast(self, texts: Sequence[str]) -> Doubles | None:
         """Numbers of lines that NumPy reads; None if it cannot read one, or may not."""
         head = self._head
+
+        # NumPy splits at any white space where no separator is stated.
         separator = None if head.dialect.separator == " " else head.dialect.separator
         columns = None if len(head.numeric) == head.width else head.numeric
         if separator is None and columns is not None:

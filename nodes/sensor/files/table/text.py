@@ -85,6 +85,7 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
     is_first = True
     while data := file.read(PIECE_BYTES):
         if not data.endswith(b"\n"):
+            # A piece ends with a line.
             line_end = file.readline(MAX_LINE_BYTES)
             if len(line_end) == MAX_LINE_BYTES:
                 line = number + data.count(b"\n")
