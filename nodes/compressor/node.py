@@ -112,31 +112,40 @@ class CompressorSettings(PatchesSettings):
         if self.n_patches > 1 and phi_fact(made_by, "choice"):
             allowed = "allowed for several patches: a Phi that all patches share, as sbhe"
             raise SettingsError(f"phi: {self.phi} chooses other rows for each patch; {allowed}")
+        # A function that makes a Phi shows its rows only once it is called.
         if self.rows == ROTATING and isinstance(made_by, type):
             check_rotates(made_by, self.phi)
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
         """As in `Settings`; a newly stated ratio replaces an earlier M."""
-        return super().changed({"m": None, **changes} if "ratio" in changes else changes)
+        if "ratio" in changes:
+            changes = {"m": None, **changes}
+        return super().changed(changes)
 
     def rows_and_m(self, n: int) -> tuple[str, int]:
         """Return rows ("fixed" or "rotating") and M for a skin of `n` taxels: "full" has M = N
         whatever is stated, "file:PATH" that of its file. Raises PhiError if M would be 0, or the
         kind is not known.
         """
-        kind, m, rows = self.phi, self.m, FIXED if self.rows == PAPER else self.rows
+        kind = self.phi
+        rows = FIXED if self.rows == PAPER else self.rows
         if kind == "full":
             return rows or FIXED, n
-        if m is None and self.ratio > n:
+        if self.m is None and self.ratio > n:
             fault = f"{self.ratio:g} leaves no measurement of {n} taxels"
             raise PhiError(f"ratio: {fault}; allowed: 1..{n}")
+
+        m = self.m
         if m is None and kind.startswith(STORED):
             from .phi.stored import load_matrices  # needs scipy
 
-            m = load_matrices(kind.removeprefix(STORED))[0].shape[0]
+            matrices = load_matrices(kind.removeprefix(STORED))
+            m = matrices[0].shape[0]
+        # Whether rows can rotate follows from M, and M is rounded by whether they do.
         if rows is None:
-            made_by, most = phi_class(kind), m or m_of(n, self.ratio, ROTATING)
-            rows = default_rows(made_by if isinstance(made_by, type) else None, kind, n, most)
+            made_by = phi_class(kind)
+            cls = made_by if isinstance(made_by, type) else None
+            rows = default_rows(cls, kind, n, m or m_of(n, self.ratio, ROTATING))
         return rows, m or m_of(n, self.ratio, rows)
 
     def block_and_rule(self) -> tuple[int, int]:
@@ -153,9 +162,19 @@ class CompressorSettings(PatchesSettings):
         `sigma_end` and `clips_noise` state the skin's noise, as in `SkinState`.
         Raises PhiError if they cannot be made.
         """
-        (rows, m), (block, rule) = self.rows_and_m(skin.n_taxels), self.block_and_rule()
-        of_phi = {"kind": self.phi, "m": m, "seed": self.seed, "block": block, "rule": rule}
-        return phis_for(skin, sigma_end, clips_noise, rows, **of_phi)
+        rows, m = self.rows_and_m(skin.n_taxels)
+        block, rule = self.block_and_rule()
+        return phis_for(
+            skin,
+            sigma_end,
+            clips_noise,
+            rows,
+            kind=self.phi,
+            m=m,
+            seed=self.seed,
+            block=block,
+            rule=rule,
+        )
 
 
 def compression_warnings(
@@ -165,6 +184,7 @@ def compression_warnings(
     reconstruct badly: a line each with the setting, its effect, the advised value.
     """
     warnings = []
+
     if n > MAX_RATIO * m:
         warnings.append(
             f"m = {m} of n = {n} taxels: more than one small contact is not reconstructed; "
@@ -194,9 +214,12 @@ class Compressor(Node[CompressorSettings]):
 
     def __init__(self, settings: CompressorSettings, context: Context) -> None:
         super().__init__(settings, context)
+
+        # A compressor may be made without a launch, which checks before.
         settings.check()
         self._state: SkinState | None = None
-        self._subset, self._subsets = 0, list[Phi]()  # one matrix a row subset
+        self._subsets: list[Phi] = []  # one matrix a row subset
+        self._subset = 0  # the one that measures the next frame
         self._rows = settings.rows  # in use: resolved once the skin is known
         #: The first message by a matrix: those of later frames are like it.
         self._first: Measurements | None = None
@@ -216,16 +239,19 @@ class Compressor(Node[CompressorSettings]):
 
     @classmethod
     def check_inputs(cls, settings: CompressorSettings, facts: Mapping[str, Any]) -> None:
-        s, n = settings, facts.get(topic_of(settings.patch, SkinState.schema))
+        n = facts.get(topic_of(settings.patch, SkinState.schema))
         if n is None:
             return
-        rows, m = s.rows_and_m(n)
-        made_by = phi_class(s.phi)
-        with naming("ratio" if s.m is None else "m"):
-            block, _ = s.block_and_rule()
-            check_parameters(n, m, s.seed, block)
+
+        rows, m = settings.rows_and_m(n)
+
+        made_by = phi_class(settings.phi)
+        key = "ratio" if settings.m is None else "m"
+        with naming(key):
+            block, _ = settings.block_and_rule()
+            check_parameters(n, m, settings.seed, block)
             if isinstance(made_by, type) and issubclass(made_by, Phi):
-                made_by.check_size(n, m, s.seed, block)
+                made_by.check_size(n, m, settings.seed, block)
         if rows == ROTATING:
             check_subsets(n, m)
 
@@ -236,60 +262,77 @@ class Compressor(Node[CompressorSettings]):
             yield self._compress(message)
 
     def change(self, settings: CompressorSettings) -> Iterable[Message]:
-        before, self.settings = self.settings, settings
+        old_settings = self.settings
+        self.settings = settings
         if self._state is None:
             return ()
-        if replace(settings, bits=before.bits) == before and self._subsets:
+        is_same_phi = replace(settings, bits=old_settings.bits) == old_settings
+        if is_same_phi and self._subsets:
             self._warn(self._subsets[0])
-            return ()  # the same Phi
+            return ()
         try:
             return (self._learn_skin(self._state, self.context.clock.now_ns()),)
         except Exception:  # a user's own Phi may raise anything
-            self.settings = before
+            self.settings = old_settings
             raise
 
     def state(self) -> dict[str, Any]:
-        known = {"m": self._subsets[0].m, "n": self._subsets[0].n} if self._subsets else {}
-        return {**known, "bits": self.settings.bits, "rows": self._rows}
+        state: dict[str, Any] = {}
+        if self._subsets:
+            state["m"] = self._subsets[0].m
+            state["n"] = self._subsets[0].n
+        state["bits"] = self.settings.bits
+        state["rows"] = self._rows
+        return state
 
     def status(self) -> str:
         if not self._subsets:
             return ""
         phi = self._subsets[0]
-        rotating = ", rotating rows" if len(self._subsets) > 1 else ""
-        return f"{phi.kind} {phi.m} x {phi.n}{rotating}"
+        text = f"{phi.kind} {phi.m} x {phi.n}"
+        if len(self._subsets) > 1:
+            text += ", rotating rows"
+        return text
 
     def _learn_skin(self, state: SkinState, stamp_ns: int) -> PhiState:
         """Make Phi for a skin; return its description, valid from `stamp_ns` on."""
-        s = self.settings
-        subsets = s.phis(state.skin, state.sigma_end, state.clips_noise)
+        settings = self.settings
+        subsets = settings.phis(state.skin, state.sigma_end, state.clips_noise)
         if state.rate_hz >= COMPILED_HZ and use_compiled("auto"):
             for subset in subsets:
                 if isinstance(subset, Phi):  # a user's own need not be one
                     subset.compile_loops()
-        rows = ROTATING if len(subsets) > 1 else FIXED
         phi = subsets[0]
         self._warn(phi)
-        self._state, self._subsets, self._subset, self._rows = state, subsets, 0, rows
+
+        # Only a Phi that could be made replaces the one before.
+        self._state = state
+        self._subsets = subsets
+        self._subset = 0
+        self._rows = ROTATING if len(subsets) > 1 else FIXED
         self._first = None
-        self._cells = None if state.mask is None else np.flatnonzero(state.mask)
-        block, rule = s.block_and_rule()
+        self._cells = None
+        if state.mask is not None:
+            self._cells = np.flatnonzero(state.mask)
+
+        block, rule = settings.block_and_rule()
         return PhiState(
             stamp_ns=stamp_ns,
-            patch=s.patch,
-            kind=phi.kind if s.phi == phi.kind else s.phi,
+            patch=settings.patch,
+            kind=settings.phi,
             n=phi.n,
             m=phi.m,
             block=block,
-            seed=s.seed,
+            seed=settings.seed,
             fingerprint=phi.fingerprint,
-            rows=rows,
+            rows=self._rows,
             rule=rule,
         )
 
     def _warn(self, phi: Phi) -> None:
-        s = self.settings
-        for warning in compression_warnings(s.phi, phi.n, phi.m, phi.block, s.bits):
+        settings = self.settings
+        warnings = compression_warnings(settings.phi, phi.n, phi.m, phi.block, settings.bits)
+        for warning in warnings:
             self.context.log(warning)
 
     def _existing(self, taxels: Taxels) -> Floats:
@@ -298,33 +341,46 @@ class Compressor(Node[CompressorSettings]):
             raise RefusedError(f"{taxels.topic}: the skin is not known yet")
         if taxels.names != self.settings.patches:
             raise RefusedError(f"{taxels.topic}: of other patches than this node serves")
-        shape, forces = (self._state.n_rows, self._state.n_cols), taxels.forces
-        if (own := forces.shape[1:]) != shape:
-            fault = f"forces of shape {own}, but the skin has {shape}"
+        forces = taxels.forces
+
+        skin_shape = (self._state.n_rows, self._state.n_cols)
+        frame_shape = forces.shape[1:]
+        if frame_shape != skin_shape:
+            fault = f"forces of shape {frame_shape}, but the skin has {skin_shape}"
             raise RefusedError(f"{taxels.topic}: {fault}")
+
         x = forces.reshape(len(forces), -1)
-        return x if self._cells is None else x[:, self._cells]
+        if self._cells is None:
+            return x
+        return x[:, self._cells]
 
     def _compress(self, taxels: Taxels) -> Measurements:
         x = self._existing(taxels)
         phi = self._subsets[self._subset]
+
+        # Row subsets take turns, frame by frame.
         self._subset = (self._subset + 1) % len(self._subsets)
-        choice = phi_fact(phi, "choice")
-        if choice:
-            y, code = phi.measure(x[0])
-        else:
-            y = phi.forward(x if len(x) > 1 else x[0])
-        bits = self.settings.bits
-        changes: dict[str, Any] = {
+
+        fields: dict[str, Any] = {
             "stamp_ns": taxels.stamp_ns,
-            "y": y if bits is None else quantised(y, bits),
             "phi": phi.fingerprint,
             "missing": taxels.missing,
             "reason": taxels.reason,
         }
+        # A Phi that chooses its rows for each frame sends the choice along.
+        choice = phi_fact(phi, "choice")
         if choice:
-            changes[choice] = code
+            y, fields[choice] = phi.measure(x[0])
+        elif len(x) > 1:
+            y = phi.forward(x)
+        else:
+            y = phi.forward(x[0])
+        if self.settings.bits is not None:
+            y = quantised(y, self.settings.bits)
+        fields["y"] = y
+
         if self._first is None:
-            of_node: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
-            self._first = Measurements(**of_node, **changes)
-        return self._first.following(**changes)
+            self._first = Measurements(
+                patch=self.settings.patch, names=self.settings.patches, **fields
+            )
+        return self._first.following(**fields)

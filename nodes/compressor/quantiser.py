@@ -21,8 +21,12 @@ def quantised(y: Floats, bits: int) -> Quantised:
     Source: uniform mid-tread quantiser; Widrow, Kollar, "Quantization Noise", Cambridge
     University Press, 2008, chapter 1.
     """
+
+    # The largest measurement of the frame has the largest code.
     top = largest_code(bits)
-    step = np.float32(max(float(np.abs(y).max()), SMALLEST) / top)
+    largest = max(float(np.abs(y).max()), SMALLEST)
+    step = np.float32(largest / top)
     # In float64: at 16 bits the rounding of a float32 quotient would show.
-    codes = np.clip(np.rint(np.divide(y, step, dtype=np.float64)), -top, top).astype(np.int32)
+    steps = np.rint(np.divide(y, step, dtype=np.float64))
+    codes = np.clip(steps, -top, top).astype(np.int32)
     return Quantised.of(codes, bits, float(step))

@@ -62,12 +62,16 @@ class Gate:
         self._pending: dict[int, str] = {}
         self._decided: Counter[str] = Counter()
         self._failure = ""
+
+        # ZeroMQ asks this socket, of the same context, about each connection.
         self._zap = context.socket(zmq.REP)
         self._zap.bind(ZAP_ENDPOINT)
         self.sockets: list[zmq.Socket[bytes]] = [self._zap]
 
     def guard(self, writer: zmq.Socket[bytes]) -> None:
         """Guard a socket; call it before the socket is bound."""
+
+        # Without a domain ZeroMQ asks nobody.
         writer.setsockopt(zmq.ZAP_DOMAIN, ZAP_DOMAIN)
         writer.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
         if self._keys is not None:
@@ -157,14 +161,18 @@ class Gate:
 
     def _close_one(self) -> None:
         """Close the oldest pending connection of the address that has the most."""
+
+        # One address that floods must not shut out the others.
         ((host, _),) = Counter(map(_host, self._pending.values())).most_common(1)
         fd = next(fd for fd, address in self._pending.items() if _host(address) == host)
         address = self._pending.pop(fd)
+
         _shut_down(fd, address)
         self._log_refusal(address, "too many connections that read no topic")
 
     def _log_refusal(self, address: str, reason: str) -> None:
         """Log some of the refusals: a refused peer may try without end."""
+
         kind = (_host(address), reason)
         if kind not in self._refused and len(self._refused) >= MAX_REFUSALS:
             kind = OTHERS

@@ -122,6 +122,7 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
             f"{path}: belongs to user {status.st_uid}, who can replace the key "
             "(allowed: files of your own or of root)"
         )
+    # In a folder with the sticky bit, as /tmp, only the owner replaces a file.
     sticky = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
     if status.st_mode & stat.S_IWOTH and not sticky:
         mode = stat.S_IMODE(status.st_mode)
@@ -141,6 +142,7 @@ def _key_in(path: Path, check: Callable[[os.stat_result], None]) -> str:
     """The only key in a file that passes a check of its owner and mode."""
     try:
         with path.open("rb") as file:
+            # Of the open file: the path may name another one a moment later.
             check(os.fstat(file.fileno()))
             lines = file.read(MAX_KEY_FILE_BYTES).decode(errors="replace").splitlines()
     except OSError as error:

@@ -97,6 +97,8 @@ class Network:
             names = security.get("known", {})
             self._gate = Gate(context, self._keys, allowed, names, log)
             self._first._gate = self._gate
+
+        # Whoever can enter the folder of a socket can read the graph.
         if endpoint.startswith("ipc:///"):
             check_private(Path(endpoint.removeprefix("ipc://")).parent)
         self.writer = Writer(
@@ -122,6 +124,7 @@ class Network:
         """
         name = self._name
         keys = self._keys
+
         self._reader = Reader(self._context, name, (), topics, keys=keys, observes=observes)
         self.poller.register(self._reader.socket, zmq.POLLIN)
         if keys is not None or self._distant_inputs:
@@ -135,6 +138,7 @@ class Network:
         for peer in peers:
             self._by_endpoint[peer.endpoint] = peer
             if peer.host:
+                # The clock of another host has to be known before its stamps can be used.
                 self.heard[peer.writer] = False
                 self._clocks.setdefault(peer.host, ClockOffset())
             if peer.writer in self._companions:
@@ -183,6 +187,7 @@ class Network:
 
     def take_time(self, note: bytes) -> bool:
         """Process the answer to a question for the time; False if the note is none."""
+
         times = read_times(note)
         if times is None:
             return False
@@ -209,6 +214,8 @@ class Network:
         if not peer.host or self.heard[peer.writer] == connected:
             return
         self.heard[peer.writer] = connected
+
+        # A refusal after a connection is news again.
         if connected:
             self._logged.clear()
         change = "connected" if connected else "disconnected"
@@ -233,6 +240,8 @@ class Network:
         if not self._distant_readers:
             return True
         now_ns = self._now_ns()
+
+        # The time begins with the first question.
         if self._end_ask is None:
             self._end_due_ns = now_ns + END_RECEIVED_NS
             self._end_ask = self.writer.ask()

@@ -134,6 +134,7 @@ class Writer:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
         options = {zmq.XPUB_VERBOSE: 1, zmq.SNDHWM: QUEUE_FRAMES, zmq.MAXMSGSIZE: MAX_NOTE_BYTES}
         _set_options(self.socket, options)
+
         self._gate = gate
         if gate is not None:
             gate.guard(self.socket)
@@ -201,6 +202,7 @@ class Writer:
                 if topic not in self._prefixes and len(self._prefixes) < MAX_SUBSCRIPTIONS:
                     self._prefixes.add(topic)
                     self._is_wanted.clear()
+                # A reader that comes late gets the state that holds.
                 if topic in self._latched:
                     self.socket.send(self._latched[topic])
 
@@ -224,6 +226,7 @@ class Writer:
 
     def ask(self) -> int:
         """Ask all present readers to answer when they have processed all messages sent so far."""
+
         self._asks += 1
         for reader in self.present - self._observers:
             self._answered.setdefault(reader, self._asks - 1)
@@ -269,6 +272,7 @@ class Writer:
 
     def _note_answer(self, reader: str, answer: str) -> None:
         """Note that a reader has processed all messages before an ask of this writer."""
+
         writer, _, number = answer.partition(":")
         is_for_us = writer == self._name and reader in self._answered
         if is_for_us and number.isdecimal():
@@ -410,6 +414,8 @@ class Reader:
 
     def ask_time(self, now_ns: int) -> None:
         """Ask all writers for the time on their clocks; the answers arrive like asks."""
+
+        # The new question comes first, so that a reader has one at all times.
         tag = self._tag + b"!%d" % now_ns
         self.socket.subscribe(tag)
         if self._time_tag:
@@ -418,6 +424,7 @@ class Reader:
 
     def answer(self, note: bytes) -> None:
         """Answer the writer of an ask that all messages before it are processed."""
+
         writer = note.partition(b":")[0]
         if len(note) > MAX_ASK_BYTES or len(self._answers) >= MAX_WRITERS:
             return  # not one of the writers
@@ -431,6 +438,7 @@ class Reader:
 def read_times(note: bytes) -> tuple[str, int, int, int] | None:
     """Writer, t1, t2 and t3 (ns) in an answer to `Reader.ask_time`; None for anything else."""
     writer, is_time, times = note[:MAX_TIMES_BYTES].decode(errors="replace").partition("!")
+
     parts = times.split(":")
     if not is_time or len(parts) != 3:
         return None

@@ -90,6 +90,8 @@ class Player(SourceNode[PlayerSettings]):
 
     def __init__(self, settings: PlayerSettings, context: Context) -> None:
         super().__init__(settings, context)
+
+        # Not the whole file is read: what is damaged is reported as it is played.
         self._bag = BagReader(settings.file, whole=False)
         names = renamed_topics(settings)
         self._names = {topic: new for topic, new in names.items() if topic in self._bag.topics}
@@ -136,13 +138,15 @@ class Player(SourceNode[PlayerSettings]):
             BagReader(settings.file, whole=False) as bag,
             contextlib.suppress(SparseskinError, MessageError),
         ):
-            names = {old: new for old, new in renamed_topics(settings).items() if old in bag.topics}
-            for recorded in bag.messages(filter(is_latched, names)):
+            names = renamed_topics(settings)
+            latched = [topic for topic in names if topic in bag.topics and is_latched(topic)]
+            for recorded in bag.messages(latched):
                 state = decode(recorded.topic.encode(), recorded.payload)
+                new_name = names[recorded.topic]
                 if isinstance(state, SkinState):
-                    facts.setdefault(names[recorded.topic], state.skin.n_taxels)
+                    facts.setdefault(new_name, state.skin.n_taxels)
                 elif isinstance(state, PhiState):
-                    facts.setdefault(names[recorded.topic], state.kind)
+                    facts.setdefault(new_name, state.kind)
         return facts
 
     def start(self) -> Iterable[Message]:
@@ -186,6 +190,7 @@ class Player(SourceNode[PlayerSettings]):
         and reconstructions are; they are looked for until each stream has passed the last frame.
         """
         frame_ns = self._frame_ns
+
         behind = {self._names[topic] for topic in self._streams}
         for _ in range(MAX_STAMPS):
             message = self._next
@@ -226,6 +231,8 @@ class Player(SourceNode[PlayerSettings]):
 
     def state(self) -> dict[str, Any]:
         """Pause, rate, and position in recorded seconds."""
+
+        # Stamps of a loop are shifted: the position is that within the recording.
         position_ns = self._stop_ns
         if self._next is not None:
             position_ns = min(self._next.stamp_ns - self._shift_ns, self._stop_ns)
@@ -260,6 +267,7 @@ class Player(SourceNode[PlayerSettings]):
             states = [s.moved(stamp_ns - s.stamp_ns) for s in self._states_at(stamp_ns)]
             self._messages = chain(states[1:], [message], messages)
             self._next = states[0]
+        # Frames in flight are of the part before the jump.
         self._stamps.clear()
         self._schedule.seek(stamp_ns, now_ns)
 
@@ -311,6 +319,7 @@ class Player(SourceNode[PlayerSettings]):
         except MessageError as error:
             raise SparseskinError(f"{self.settings.file}: {topic}: {error}") from error
         if isinstance(message, SkinState):
+            # A recording without its truth must not promise one.
             truth = topic_of(split_topic(topic)[0], Truth.schema)
             has_truth = message.has_truth and truth in self._names
             # Recorded frames wait, whatever they were when they were sensed.
@@ -358,6 +367,7 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
 
     topics = list(settings.topics or _of_schemas(recorded, settings) or recorded)
     names = {topic: topic for topic in topics}
+
     for pair in settings.remap:
         old, new = (side.strip().rstrip("/") for side in pair.split(":="))
         matching = [topic for topic in topics if topic == old or topic.startswith(old + "/")]

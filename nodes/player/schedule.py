@@ -29,6 +29,7 @@ class Schedule:
             return 0 if self._steps else None
         if not self.rate:
             return 0
+        # Each target follows from t0 alone, so that no rounding adds up.
         return self._t0_ns + round((stamp_ns - self._first_ns) / self.rate)
 
     def stepped(self, stamp_ns: int) -> None:

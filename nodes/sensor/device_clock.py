@@ -118,6 +118,7 @@ class DeviceClock:
                     time_ns -= max(0, round(late_ns))
                 self._add(late_ns)
 
+        # Stamps rise, by a nanosecond at least.
         if self._last_ns is not None:
             time_ns = max(time_ns, self._last_ns + 1)
         self._last_ns = time_ns
@@ -134,6 +135,7 @@ class DeviceClock:
         """
         if not self._is_settled:
             return {"clock": "arrival", "clock_restarts": self._n_restarts}
+        # The sd of the slope falls with the number of points and the length of the line.
         heights = [height - self._line(x) for x, height in self._points]
         length = len(heights) * (self._points[-1][0] - self._points[0][0])
         drift = 1 / (1 + self._slope) - 1
@@ -187,6 +189,7 @@ class DeviceClock:
     def _advance(self, stamp: int, arrived_ns: int) -> bool:
         """Set both times to those of a frame; False if a line begins with it."""
         y = float(arrived_ns - self._origin_ns)
+
         if not self._n or y - self._y > TUNING.n_periods * TUNING.period_ns:
             self._begin(stamp, arrived_ns)  # a drift does not last for a silence as long
             return False
@@ -220,7 +223,10 @@ class DeviceClock:
 
     def _add(self, late_ns: float) -> None:
         """Add a frame that is later than the line by `late_ns`."""
+
         point = self._x, self._y - self._x
+
+        # A frame that is earlier than all others moves the line down to it.
         if late_ns < 0:
             self._at = self._at[0], self._at[1] + late_ns
         if late_ns < TUNING.step_ns or not self._is_settled:
@@ -228,6 +234,7 @@ class DeviceClock:
         if self._y - self._begun < self._period_ns:
             self._least = self._lower(self._least, point)
             return
+        # Late frames alone, for long: the clock was set.
         if self._y - self._in_time > TUNING.patience_ns:
             self._restart(self._stamp, self._origin_ns + round(self._y))
             return
@@ -239,6 +246,8 @@ class DeviceClock:
         points.append(self._least)
         self._least = point
         self._begun = self._y
+
+        # Longer periods from now on: of two neighbours the lower point stays.
         if len(points) == TUNING.n_periods and self._period_ns < TUNING.period_ns:
             points[:] = map(self._lower, points[::2], points[1::2])
             self._period_ns *= 2
@@ -248,6 +257,7 @@ class DeviceClock:
         line = line_below(self._points)
         if line is not None:
             self._at, self._slope = line
+        # A line is used once it is long enough, and its drift can be that of a clock.
         is_good = line is not None and abs(self._slope) <= TUNING.most_drift
         is_long = self._y >= TUNING.settle_ns and self._n >= TUNING.settle_frames
         self._is_settled = is_good and is_long

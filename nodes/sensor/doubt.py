@@ -55,7 +55,9 @@ class Doubt:
         """
         if self._rest is not None and self._rest.line:
             return self._rest.line
-        return self._line if self._sign_found else ""
+        if not self._sign_found:
+            return ""
+        return self._line
 
     def take_line(self) -> str:
         """That line where it is new, and there were enough frames for it; "" at other times."""
@@ -68,6 +70,7 @@ class Doubt:
         """Reason of a frame, float32 (n_rows, n_cols), 0 in masked cells; "" if there is none.
         `clipped` are the counts to which it was added before it was clipped.
         """
+
         if self._rest is not None and self._rest.update(forces):
             self._is_new = True
 
@@ -92,6 +95,8 @@ def line_on_sign(described: SkinDescription, frames: npt.NDArray[Any], is_invert
     """Line on the sign of raw frames, (n, n_rows, n_cols), of a skin that was calibrated without a
     press, as `Doubt.line`.
     """
+
+    # The baseline is that of these frames: none of them has a level.
     doubt = Doubt(described.skin, has_level=False, is_inverted=is_inverted)
     clipped = Clipped(mask=described.mask)
     for raw in frames:

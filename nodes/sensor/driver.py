@@ -39,6 +39,7 @@ class DriverSource(LiveSource):
     def __init__(self, address: Address, driver: Iterable[object]) -> None:
         super().__init__()
         layout = address.layout
+
         self._target = address.source
         self._driver = driver
         self._layout = layout
@@ -86,10 +87,18 @@ class DriverSource(LiveSource):
             raise SourceError(f"{target}: n_frames = {shown(n_frames)}; {expected}")
         check_number(target, "rate_hz", rate_hz)
 
-        self.name: str = name if isinstance(name, str) and name else target
-        self.delivers: Literal["truth", "taxels"] = "truth" if delivers == "truth" else "taxels"
-        self.rate_hz: float | None = None if rate_hz is None else float(rate_hz)
-        self.n_frames: int | None = None if n_frames is None else int(n_frames)
+        self.name: str = target
+        self.delivers: Literal["truth", "taxels"] = "taxels"
+        self.rate_hz: float | None = None
+        self.n_frames: int | None = None
+        if isinstance(name, str) and name:
+            self.name = name
+        if delivers == "truth":
+            self.delivers = "truth"
+        if rate_hz is not None:
+            self.rate_hz = float(rate_hz)
+        if n_frames is not None:
+            self.n_frames = int(n_frames)
         return skin
 
     def _skin_of_first_frame(self) -> Skin:
@@ -133,8 +142,11 @@ class DriverSource(LiveSource):
         if self._is_one_shot:
             raise SourceError(f"{target}: is a generator and was read before; open it anew")
         with _running(target):
+            # An iterator of its own, as a generator is, cannot be read twice.
             iterator = iter(self._driver)
         self._is_one_shot = iterator is self._driver
+
+        # A mark that no driver can yield.
         end = object()
         passed_ns = 0
         previous_ns: int | None = None
@@ -161,6 +173,7 @@ class DriverSource(LiveSource):
 
     def _checked_forces(self, forces: object, where: str) -> Floats:
         try:
+            # A driver may return anything that NumPy reads.
             array = np.asarray(forces)
         except Exception as error:
             fault = f"forces are no array of numbers ({shown(error, 120)})"
@@ -168,17 +181,21 @@ class DriverSource(LiveSource):
         if array.dtype.kind not in "iuf":
             fault = f"forces have dtype {shown(array.dtype)}"
             raise SourceError(f"{where}: {fault}; allowed are integers and floating point")
+        # Counts of a converter would be read as newtons.
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
             fault = "whole numbers, of which the driver states neither unit nor range"
             raise SourceError(f"{where}: {fault}{recording.ADD}unit={recording.COUNTS} f_max=4095")
 
         array = self._arranged(array, where)
+
+        # The first frame makes the skin; all later ones have its shape.
         skin = self._skin
         if skin is not None and array.shape != skin.shape:
             fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
             raise SourceError(f"{where}: {fault}")
 
         with np.errstate(all="ignore"):
+            # Compared below with numbers as they are stated, so without rounding.
             values = array.astype(_exact(array.dtype))
         for number in self._layout.missing_numbers:
             values[values == number] = np.nan

@@ -69,6 +69,7 @@ class MissingReadings:
             self._previous = filled
             return filled, None
 
+        # The first time is worth a line.
         if not self.n_cells:
             line = f"missing readings are {FILLED[self._way]}"
             self._lines.append(f"{line}: {self.n_now} at first")

@@ -83,6 +83,8 @@ class Sensor(SourceNode[SensorSettings]):
             skin = self._source_skin
             self._f_min = self._source.f_min
         learns = settings.nan == MASK and self._source.is_live
+
+        # Only a live source shows by its frames which taxels give no number.
         self._readings = MissingReadings(settings.missing_way, skin, learns)
         if self._source.is_live:
             self._source.clipped.mask = skin.mask
@@ -105,6 +107,7 @@ class Sensor(SourceNode[SensorSettings]):
         self._n_frames = 0
         self._n_logged = 0
         self._logged_ns = 0
+
         if not self._source.is_live:
             self._prepare()
 
@@ -176,6 +179,7 @@ class Sensor(SourceNode[SensorSettings]):
         if settings.noise != self.settings.noise and self._source.delivers != "truth":
             raise SettingsError(NO_TRUTH)
         if settings.invert != self.settings.invert:
+            # Gains of presses have the sign that the presses showed.
             if self._stage is None or (self._described and self._described.gains is not None):
                 raise SettingsError("invert: is of a sensor with a baseline, and without gains")
             self._stage.invert()
@@ -251,6 +255,7 @@ class Sensor(SourceNode[SensorSettings]):
             self._prepare()
             stamp_ns = self._stamp_ns
 
+        # After a tare or a change of sign: what was in doubt before is no longer.
         if self._stage is not None and self._stage.is_news:
             self._stated_rest = True
             self._doubt = None
@@ -318,6 +323,7 @@ class Sensor(SourceNode[SensorSettings]):
     def status(self) -> str:
         source = self._source
         text = f"{source.name}: frame {self._n_frames}"
+
         if source.n_frames and not source.loops:
             text += f" of {source.n_frames}"
         if self.settings.n_patches > 1:
@@ -341,6 +347,7 @@ class Sensor(SourceNode[SensorSettings]):
             report |= self._clock.state()
         report |= self._source.report()
         report |= self._readings.report()
+
         if self._line:
             report["lines"] = [*report.get("lines", ()), self._line]
         return report
@@ -408,11 +415,13 @@ class Sensor(SourceNode[SensorSettings]):
         """Convert a frame of the source; None during a tare."""
         source = self._source
         if source.is_live:
+            # Stamps rise, whatever the clocks do.
             arrived_ns = self.context.clock.now_ns() - source.age_ns(stamp_ns)
             if self._clock is not None:
                 arrived_ns = self._clock.map(source.stamp, arrived_ns)
             self._stamp_ns = max(arrived_ns, self._stamp_ns + 1)
 
+        # Readings in the order of the file of points become a grid.
         if self._placement is not None and not source.on_points:
             forces = self._placement.on_grid(forces)
         if self._stage is not None:
@@ -457,6 +466,7 @@ class Sensor(SourceNode[SensorSettings]):
             self.context.log(line)
 
     def idle(self) -> None:
+        # Frames that arrive before the start, or in a pause, would be old later.
         if self.paused or not self._t0_ns:
             self._source.discard()
         elif self.rate_hz:
@@ -475,6 +485,7 @@ class Sensor(SourceNode[SensorSettings]):
         description = self._described or of_skin(source.name, self._source_skin)
         description = description.on(self._source_skin, where)
         description = replace(description, placement=self._placement)
+
         if settings.f_min is not None:
             f_min = max(settings.f_min, -description.f_max)
             description = replace(description, f_min=f_min)
@@ -488,6 +499,7 @@ class Sensor(SourceNode[SensorSettings]):
     def _drift_rate(self) -> float:
         if self.settings.drift is not None:
             return self.settings.drift
+        # Readings that are forces already have no baseline that could drift.
         return DRIFT_RATE if self._drifts else 0.0
 
     def _placed_skin(self) -> Skin:
@@ -512,5 +524,6 @@ class Sensor(SourceNode[SensorSettings]):
         """Readings of true forces, of each patch."""
         taxels = self._noise.apply(self._truth(truth), self._rng)
         if self.skin.mask is not None:
+            # Noise would show in cells without a taxel.
             taxels[..., ~self.skin.mask] = 0.0
         return taxels

@@ -100,6 +100,8 @@ class NoiseModel:
         distance = np.abs(2 / self.f_max * forces - 1).clip(None, 1)
         sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * distance
         variance: Floats = sigma * sigma
+
+        # An untouched taxel loses the half of its noise that is below 0.
         if self.clips and self.sigma_end:
             slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end
             variance = variance * (CLIPPED + slope * forces).clip(None, 1)
@@ -111,6 +113,8 @@ class NoiseModel:
         """Readings of a noisy skin, a fresh array in [0, f_max], of true forces in that range,
         float32 of any shape. The same state of `rng` gives the same readings.
         """
+
+        # In place: a large skin has a million taxels.
         taxels = rng.standard_normal(truth.shape, dtype=np.float32)
         taxels *= self.sigma(truth)
         taxels += truth

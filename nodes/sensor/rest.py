@@ -47,7 +47,9 @@ class Rest:
     @property
     def reason(self) -> str:
         """Why the last frame is not to be trusted: `Reason.REST`, or ""."""
-        return Reason.REST if self._levels.size and not self.is_settled else ""
+        if self.is_settled or not self._levels.size:
+            return ""
+        return Reason.REST
 
     @property
     def line(self) -> str:
@@ -69,6 +71,7 @@ class Rest:
         self._sum += forces
         self._n_frames += 1
         is_last = self._n_frames == TARE_FRAMES
+
         if self._is_first:
             self._noise.update(forces)
             self._look()
@@ -89,6 +92,8 @@ class Rest:
     def _look(self) -> None:
         """Find whether the mean of the frames so far is a level."""
         means = self._sum[self._skin.exists] / self._n_frames
+
+        # Dead taxels read 0, and are no sign of rest.
         n_below = math.ceil(DEAD * means.size)
         if n_below >= means.size:
             return
@@ -97,6 +102,8 @@ class Rest:
         lowest = ordered[n_below]
         median = ordered[means.size // 2]
         threshold = self._least()
+
+        # Of one kind: the lowest of nearly all taxels is near the median.
         is_lifted = lowest > max(threshold, EVEN * median)
         self._levels = means[means > threshold] if is_lifted else means[:0]
         # Most taxels read 0: no level, and what comes later is a load.

@@ -53,6 +53,7 @@ class Clipped:
         self.margin = margin
         self.n_now = 0
 
+        # Without NaN, unlike min and max.
         lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
         highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
         # Noise that is known may lie below the range: only what exceeds it counts.
@@ -64,6 +65,8 @@ class Clipped:
         self.n_above += int(np.count_nonzero(readings > high))
         self.lowest = min(self.lowest, lowest)
         self.highest = max(self.highest, highest)
+
+        # What noise alone may do is no reason to doubt a frame.
         beyond = (readings < low - margin) | (readings > high + margin)
         self.n_now = int(np.count_nonzero(beyond))
 
@@ -71,7 +74,9 @@ class Clipped:
         """Why the last frame of a skin of so many taxels is not to be trusted, "" if it is."""
         if self.sign.falls:
             return Reason.SIGN
-        return Reason.CLIPPED if self.n_now > MANY * n_taxels else ""
+        if self.n_now > MANY * n_taxels:
+            return Reason.CLIPPED
+        return ""
 
     def report(self, f_min: float, f_max: float, unit: str) -> dict[str, Any]:
         """Counts and range for a summary, as `clipped_text` reads them."""

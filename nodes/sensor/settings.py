@@ -120,13 +120,19 @@ class SensorSettings(Layout, PatchesSettings):
 
     def address(self) -> Address:
         """The source, as these settings state it. Raises SourceError if it has no known form."""
-        same = ("seed", "points", "n_patches", "simulated", "active")
+        described = None
+        if self.skin:
+            described = load_skin(self.skin)
         return find_address(
             self.source,
             layout=self.layout,
+            seed=self.seed,
             raw=self.is_calibrated,
-            described=load_skin(self.skin) if self.skin else None,
-            **{key: getattr(self, key) for key in same},
+            points=self.points,
+            described=described,
+            n_patches=self.n_patches,
+            simulated=self.simulated,
+            active=self.active,
         )
 
     @property
@@ -137,16 +143,8 @@ class SensorSettings(Layout, PatchesSettings):
 
     def check(self) -> None:
         if self.skin:
-            for key in ("unit", "f_max"):
-                if getattr(self, key) is not None:
-                    raise SettingsError(f"{key}: the file of the skin has its own")
-            with naming("skin"):
-                described = load_skin(self.skin)
-            if self.invert and described.gains is not None:
-                raise SettingsError("invert: the gains in the file of the skin have a sign")
+            self._check_skin()
         if self.points:
-            if self.skin and load_skin(self.skin).placement is not None:
-                raise SettingsError("points: the file of the skin has its own")
             with naming("points"):
                 point_skins().n_taxels(self.points)
         with naming("source"):
@@ -163,6 +161,20 @@ class SensorSettings(Layout, PatchesSettings):
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")
+        # What a kind of source does not use must not be stated: it would be without effect.
         for key in KEYS:
-            if key not in ("rate_hz", *address.keys) and getattr(self, key) != getattr(EMPTY, key):
+            is_used = key == "rate_hz" or key in address.keys
+            if not is_used and getattr(self, key) != getattr(EMPTY, key):
                 raise SettingsError(f"{key}: does not go with a {address.kind} source")
+
+    def _check_skin(self) -> None:
+        """Check the file of the skin, and the settings that it states itself."""
+        for key in ("unit", "f_max"):
+            if getattr(self, key) is not None:
+                raise SettingsError(f"{key}: the file of the skin has its own")
+        with naming("skin"):
+            described = load_skin(self.skin)
+        if self.invert and described.gains is not None:
+            raise SettingsError("invert: the gains in the file of the skin have a sign")
+        if self.points and described.placement is not None:
+            raise SettingsError("points: the file of the skin has its own")

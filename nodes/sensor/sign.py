@@ -101,6 +101,7 @@ class Margin:
         if noise is not None:
             return touch_level(noise, f_max, SIGMAS)
         floor = UNKNOWN * f_max
+
         step = max(readings.size // N_SHOWN, 1) | 1  # odd, as rows often have an even number
         values = readings.reshape(-1)[::step].astype(np.float64)
         previous = self._previous
@@ -115,6 +116,8 @@ class Margin:
         self._spreads.append(_spread(values, previous))
         spreads = sorted(self._spreads)
         median_spread = spreads[(len(spreads) - 1) // 2]
+
+        # The steps of a converter hide the noise.
         if np.array_equal(values, np.rint(values)):
             floor = max(floor, min(WHOLE, MOST_WHOLE * f_max))
         return max(SIGMAS * median_spread, floor)
@@ -124,6 +127,7 @@ def _spread(values: Doubles, previous: Doubles | None) -> float:
     """Standard deviation of noise as a frame shows it: the less of that over its taxels, which a
     load raises, and of that since the frame before, which a motion raises.
     """
+
     over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values)))
     if previous is None or previous.size != values.size:
         return over_taxels

@@ -82,6 +82,8 @@ class Source:
         """
         self._frames = self._frames or iter(self)
         frame = next(self._frames, None)
+
+        # The next round begins one period after the last frame.
         if frame is None and self.loops:
             self._began_ns = self._last_ns + round(1e9 * self.period_s)
             self._frames = iter(self)
@@ -104,6 +106,7 @@ class Source:
             if first >= self.n_frames:
                 raise SourceError(f"{self.name}: first: {first}: allowed: 0..{self.n_frames - 1}")
             self.n_frames = len(range(first, self.n_frames, every))
+        # A simulation that need not compute the others overrides this.
         self._frames = islice(iter(self), first, None, every)
 
     def age_ns(self, arrived_ns: int) -> int:

@@ -106,6 +106,7 @@ def check_module(target: str) -> None:
     except ModuleNotFoundError as cause:
         if not is_missing(package, cause) and cause.name != module:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
+    # A package of a user's own may do anything as it is imported.
     except (Exception, SystemExit) as cause:
         if package:
             raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause

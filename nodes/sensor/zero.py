@@ -69,6 +69,7 @@ class Zero:
         """Forces of a frame, float32 (n_rows, n_cols), 0 in those of the tare; not clipped."""
         if len(self._untouched) < self._n_tare:
             self._untouched.append(readings.copy())
+
             if len(self._untouched) == self._n_tare:
                 self._baseline = np.median(self._untouched, axis=0).astype(np.float32)
             self.reason = Reason.REST

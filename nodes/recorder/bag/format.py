@@ -94,6 +94,8 @@ class TopicInfo:
 
     def add(self, schema: str, version: int, stamp_ns: int, log_time_ns: int) -> None:
         """Count one message."""
+
+        # The end of a stream counts for the lags alone.
         lag_ns = log_time_ns - stamp_ns
         self.min_lag_ns = min(self.min_lag_ns, lag_ns)
         self.max_lag_ns = max(self.max_lag_ns, lag_ns)

@@ -85,6 +85,8 @@ def with_states(bag: BagReader, topics: Iterable[str]) -> list[str]:
 
 def last_messages(bag: BagReader, topics: Iterable[str]) -> dict[str, Message]:
     """The last message on each of some topics that the bag holds; raises as `decoded`."""
+
+    # Messages of a topic come in the order of recording: the last one stays.
     in_bag = [topic for topic in topics if topic in bag.topics]
     newest = {recorded.topic: recorded for recorded in bag.messages(in_bag)}
     return {topic: decoded(bag, recorded) for topic, recorded in newest.items()}
@@ -116,6 +118,7 @@ def streams(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[tuple
     ends of streams; with a progress bar; raises as `decoded`.
     """
     topics = list(topics)
+
     total = sum(bag.topics[topic].n_messages for topic in topics)
     for recorded in progress(bag.messages(topics), total, doing):
         message = decoded(bag, recorded)

@@ -86,6 +86,7 @@ class BagIndex:
             self._schemas[schema.id] = schema
         elif record.opcode == Opcode.CHANNEL:
             channel = record.parsed(mcap.Channel.read)
+
             if len(self.channels) >= _MAX_CHANNELS and channel.id not in self.channels:
                 raise BagError(f"{self.name}: more than {_MAX_CHANNELS} channels")
             self.channels[channel.id] = self._checked(channel)
@@ -161,6 +162,25 @@ class BagIndex:
             last_ns = max(log_times)
             self.chunks.append(ChunkSpan(record.offset, record.stop, topics, first_ns, last_ns))
 
+    def list_chunk(self, record: Record) -> None:
+        """Add a chunk of which the index at the end states position, topics and times. Raises Break
+        if it is listed twice.
+        """
+        chunk = record.parsed(mcap.ChunkIndex.read)
+        start = chunk.chunk_start_offset
+        if self.chunks and start < self.chunks[-1].stop:
+            raise Break(record.offset, "a chunk is listed twice")
+        topics = frozenset(self.channels[id].topic for id in chunk.message_index_offsets)
+        self.chunks.append(
+            ChunkSpan(
+                offset=start,
+                stop=start + chunk.chunk_length,
+                topics=topics,
+                first_log_ns=chunk.message_start_time,
+                last_log_ns=chunk.message_end_time,
+            )
+        )
+
     def chunks_with(
         self, topics: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> list[ChunkSpan]:
@@ -168,6 +188,8 @@ class BagIndex:
 
         def may_hold(chunk: ChunkSpan, topic: str) -> bool:
             info = self.topics[topic]
+
+            # Chunks are known by log times: a stamp lies a lag before its own.
             late_enough = start_ns is None or chunk.last_log_ns - info.min_lag_ns >= start_ns
             early_enough = stop_ns is None or chunk.first_log_ns - info.max_lag_ns < stop_ns
             return late_enough and early_enough
@@ -247,16 +269,11 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             index.describe(record)
         elif record.opcode == Opcode.CHUNK_INDEX:
-            chunk = record.parsed(mcap.ChunkIndex.read)
-            offset = chunk.chunk_start_offset
-            if index.chunks and offset < index.chunks[-1].stop:
-                raise Break(record.offset, "a chunk is listed twice")
-            topics = frozenset(index.channels[id].topic for id in chunk.message_index_offsets)
-            times = (chunk.message_start_time, chunk.message_end_time)
-            index.chunks.append(ChunkSpan(offset, offset + chunk.chunk_length, topics, *times))
+            index.list_chunk(record)
         elif record.opcode == Opcode.METADATA_INDEX:
             offset = int.from_bytes(record.data[:8], "little")
             index.describe(record_at(file, offset, start, Opcode.METADATA))
+    # Counts by topic, which no record of MCAP has.
     topics = json.loads(index.metadata[form.TOPICS_RECORD][form.JSON_KEY])
     index.topics = {topic: _topic_info(values) for topic, values in topics.items()}
 

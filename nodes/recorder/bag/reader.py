@@ -99,6 +99,7 @@ class BagReader(AbstractContextManager["BagReader"]):
                 channels[id] = channel
 
         for chunk in self._index.chunks_with(wanted, start_ns, stop_ns):
+            # A chunk holds messages of any topics and times.
             for opcode, content in chunk_records(self._chunk(chunk), chunk.offset):
                 if opcode != Opcode.MESSAGE:
                     continue

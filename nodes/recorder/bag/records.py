@@ -102,6 +102,8 @@ def open_chunk(record: Record) -> bytes:
     """Decompress the records of a chunk."""
     chunk = record.parsed(Chunk.read)
     offset = record.offset
+
+    # A small chunk can claim to become any size.
     limit = MAX_CHUNK_BYTES
     if chunk.uncompressed_size > limit:
         raise Break(offset, f"a chunk of {chunk.uncompressed_size} bytes, at most {limit}")

@@ -98,6 +98,7 @@ class _WholeWrites:
                 unwritten = unwritten[n_written:]
         except OSError:
             with contextlib.suppress(OSError):
+                # A part of a chunk would break the file there.
                 self._file.truncate(begin)
             raise
 
@@ -141,6 +142,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._schemas: dict[tuple[str, int], int] = {}
 
         try:
+            # Found now: the library would fail in the middle of the file.
             "".join([*metadata, *metadata.values()]).encode()
         except UnicodeEncodeError as error:
             raise BagError(f"{self.path}: metadata: no valid Unicode") from error
@@ -155,6 +157,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             compression=CompressionType.LZ4,
             enable_data_crcs=True,
         )
+
         self._mcap.start(library=LIBRARY_PREFIX + version_of("sparseskin"))
         self._mcap.add_metadata(GRAPH_RECORD, dict(metadata))
         try:
@@ -171,6 +174,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """
         self._check_open()
         topic, schema, version, log_time_ns, stamp_ns, payload = message
+
         channel = self._channel(topic, schema, version)
         n_bytes = len(payload)
         if n_bytes > MAX_MESSAGE_BYTES:
@@ -181,6 +185,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 raise BagError(f"{self.path}: {topic}: {name} {time_ns} is outside 0..2**63 - 1")
 
         info = self._topics.setdefault(topic, TopicInfo(schema, version))
+
+        # 32 bits in the file.
         sequence = info.n_messages & 0xFFFFFFFF
         self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
         info.add(schema, version, stamp_ns, log_time_ns)
@@ -278,6 +284,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         try:
             yield
         except OSError as error:
+            # Each later call raises the same line.
             self._failure = f"{self.part}: {error.strerror}; {KEPT}"
             self._file.close(sync=False)
             raise BagError(self._failure) from error
@@ -315,8 +322,9 @@ def json_schema(cls: type[Message], version: int) -> dict[str, Any]:
     properties: dict[str, Any] = {"schema": {"const": cls.schema}, "version": {"const": version}}
     for name, kind in wire_fields(cls).items():
         json_type = _TYPES.get(type(kind), "object")
-        is_optional = getattr(kind, "optional", False)
-        properties[name] = {"type": [json_type, "null"] if is_optional else json_type}
+        properties[name] = {"type": json_type}
+        if getattr(kind, "optional", False):
+            properties[name] = {"type": [json_type, "null"]}
     return {
         "$schema": _DIALECT,
         "title": f"sparseskin/{cls.schema}",

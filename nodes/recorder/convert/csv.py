@@ -44,6 +44,8 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     topics = stream_topics(bag, topics)
     states = last_states(bag, topics)
     n_measurements: dict[str, int] = {}
+
+    # A header needs the most measurements of a message, so these are counted first.
     measured = [topic for topic in topics if bag.topics[topic].schema == Measurements.schema]
     for message, _ in streams(bag, measured, "measure"):
         longest = n_measurements.get(message.topic, 0)

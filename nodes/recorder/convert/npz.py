@@ -118,12 +118,18 @@ class _Columns:
         self._place = place
         self._schema = message.schema
         kinds = {**kinds_alone(type(message)), LOG_TIME: Integer()}
-        self._kinds = {n: k for n, k in kinds.items() if n != "patch" and not isinstance(k, Array)}
-        self._columns: dict[str, Any] = {
-            name: array(_CODES[type(kind)][0]) if type(kind) in _CODES else []
-            for name, kind in self._kinds.items()
-        }
-        self._files = {n: folder / f"{self._schema}_{n}" for n in ("y", "forces", "sd")}
+        self._kinds: dict[str, FieldKind] = {}
+        for name, kind in kinds.items():
+            if name != "patch" and not isinstance(kind, Array):
+                self._kinds[name] = kind
+        self._columns: dict[str, Any] = {}
+        for name, kind in self._kinds.items():
+            self._columns[name] = []
+            if type(kind) in _CODES:
+                code, _ = _CODES[type(kind)]
+                self._columns[name] = array(code)
+        frame_fields = ("y", "forces", "sd")
+        self._files = {name: folder / f"{self._schema}_{name}" for name in frame_fields}
         self._with_frames: set[str] = set()
         self._shapes: list[tuple[int, ...]] = []
 
@@ -160,11 +166,15 @@ class _Columns:
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file; a field that no message has gets none."""
         frames_name, stamps_name = array_names(self._schema)
+
+        # As the sensor reads them from a file.
         short = {"forces": frames_name, "y": frames_name, "stamp_ns": stamps_name}
         arrays = {name: self._frames(self._files[name]) for name in sorted(self._with_frames)}
         for name, kind in self._kinds.items():
             _, dtype = _CODES.get(type(kind), ("", None))
             values = np.array(self._columns[name], dtype)
+
+            # A number that no message has is left out.
             if not (isinstance(kind, Real) and np.isnan(values).all()):
                 arrays[name] = values
         return {short.get(name, f"{self._schema}_{name}"): value for name, value in arrays.items()}
@@ -182,6 +192,8 @@ class _Columns:
             raise BagError(f"{self._place}: {fault}; {allowed}; export to csv")
 
         padded = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape)
+
+        # M may change between messages: the rest of a row is NaN.
         at = 0
         for row, (m,) in zip(padded, self._shapes, strict=True):
             row[:m] = numbers[at : at + m]

@@ -60,6 +60,7 @@ def import_file(
         patches.append(_Imported(source, f"{patch}_{channel}", of_channel, _Zeroing(0), log))
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
+        # All patches by time, as a recorder would have received them.
         streams = [imported.messages() for imported in patches]
         total = (main.frames.n_frames or 0) * len(patches)
         merged = heapq.merge(*streams, key=lambda timed: timed[0])
@@ -104,6 +105,7 @@ class _Imported:
             frame = self._forces_of.frame(readings, stamp_ns)
             if frame is None:
                 continue
+            # States come before the first frame that is no part of the tare.
             if self.n_frames == 0:
                 for state in self._forces_of.states(self._skin_state()):
                     yield 0, state, 0
@@ -122,6 +124,7 @@ class _Imported:
 
     def _skin_state(self) -> SkinState:
         frames = self.frames
+        rate_hz = DEFAULT_RATE_HZ if frames.rate_hz is None else frames.rate_hz
         try:
             return SkinState(
                 stamp_ns=0,
@@ -129,7 +132,7 @@ class _Imported:
                 **vars(frames.skin),
                 source=frames.name,
                 seed=0,
-                rate_hz=frames.rate_hz if frames.rate_hz is not None else DEFAULT_RATE_HZ,
+                rate_hz=rate_hz,
                 has_truth=False,
                 sigma_mid=0.0,
                 sigma_end=0.0,
@@ -190,6 +193,7 @@ def recover_bag(bag: BagReader, out: Path) -> int:
     The new metadata have the entry "recovered", a line on the damage. Returns the number of
     messages. Raises BagError if the new bag exists or cannot be written.
     """
+
     metadata = dict(bag.metadata)
     if bag.recovered:
         metadata["recovered"] = bag.recovered

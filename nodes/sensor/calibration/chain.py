@@ -77,12 +77,14 @@ class Chain:
 
     def process(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats | None:
         """Return the forces of a frame as `apply`; None for one of the tare at the start."""
+
         if self._tare_left:
             self._taring.append(np.array(raw, dtype=np.float32))
             self._tare_left -= 1
             if not self._tare_left:
                 self.tare(self._taring)
                 self._taring = []
+        # A touch as the graph starts is not converted with a baseline that is not known yet.
         if self.is_starting:
             self.is_starting = self._tare_left > 0
             return None
@@ -110,6 +112,8 @@ class Chain:
 
         f_min = description.f_min
         f_max = description.f_max
+
+        # Counted before they are clipped.
         self.clipped.add(forces, f_min, f_max, description.noise or 0.0)
         np.clip(forces, f_min, f_max, out=forces)
         return forces.astype(np.float32)
@@ -137,7 +141,9 @@ class Chain:
         all of them has no baseline, and no force until the next tare. Noise that is not stated is
         that of these frames.
         """
+
         readings = np.array(frames)
+
         missing = np.isnan(readings)
         self._untared = missing.all(axis=0)
         readings[:, self._untared] = 0.0
@@ -176,7 +182,8 @@ class Chain:
     def _measure_noise(self, readings: npt.NDArray[Any]) -> None:
         """State the noise of untouched frames, unless it is so large that they were touched."""
         works = self.skin.exists & ~self._untared
-        forces = np.stack([self.description.forces(frame)[works] for frame in readings])
+        frames = [self.description.forces(frame)[works] for frame in readings]
+        forces = np.stack(frames)
         has_all = ~np.isnan(forces).any(axis=0)
         if not has_all.any():
             return

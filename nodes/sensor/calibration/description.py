@@ -100,6 +100,7 @@ class Response:
             if not ((steps > 0).all() and values.max() <= MAX_NUMBER):
                 allowed = f"must be above 0, at most {MAX_NUMBER:g}, and rise from knot to knot"
                 raise SkinFileError(f"response.{name}: {allowed}")
+        # Slopes of knots that are too close overflow, which the check refuses.
         with np.errstate(all="ignore"):
             is_allowed = _within_slopes(self.slopes)
         if not is_allowed:
@@ -108,6 +109,8 @@ class Response:
     @property
     def slopes(self) -> Doubles:
         """Slopes of the K segments, shape of `reading`, in force per reading."""
+
+        # The curve begins at (0, 0).
         rise = np.diff(self.force, prepend=0.0)
         shape = (-1, *(1,) * (self.reading.ndim - 1))
         slopes: Doubles = rise.reshape(shape) / np.diff(self.reading, axis=0, prepend=0.0)
@@ -271,6 +274,7 @@ class SkinDescription:
 
     def inverted(self) -> SkinDescription:
         """This description for readings that fall where it has them rise with force."""
+
         gains = np.ones(self.shape) if self.gains is None else self.gains
         return replace(self, gains=-gains)
 
@@ -354,6 +358,7 @@ def of_messages(state: SkinState, calibration: Calibration) -> SkinDescription:
             reading = reading[:, 0, 0]
         response = Response(reading, force)
 
+    # A message has 0 for noise that is not known.
     noise = state.sigma_end or None
     noise_mid = state.sigma_mid or None
     return replace(

@@ -111,6 +111,7 @@ class Drift:
         """
         if not self.rate:
             return
+        # A recording that begins again has earlier stamps.
         if self._last_ns is None or stamp_ns < self._last_ns:
             self._last_ns = stamp_ns
         dt_s = (stamp_ns - self._last_ns) / 1e9
@@ -123,7 +124,8 @@ class Drift:
         pressed = self._lightly_pressed(self._sum / self._n, dt_s)
         self._sum = np.zeros_like(forces)
         self._n = 0
-        touched = (self._fast[0] > self.threshold) | (forces > 2 * self.threshold) | pressed
+        touched = pressed | (forces > 2 * self.threshold)
+        touched |= self._fast[0] > self.threshold
         # The neighbours of a touched taxel carry a part of the load.
         touched = of_nine(touched, np.logical_or)
 
@@ -131,22 +133,26 @@ class Drift:
         newly_touched = touched & ~self._was_touched
         undone = np.minimum(self.value, self._earlier_value)
         self.value[newly_touched] = undone[newly_touched]
+
         self._since_s += dt_s
         if self._since_s >= TUNING.undo_s:
             self._since_s = 0.0
             self._earlier_value = self._kept_value
             self._kept_value = self.value.copy()
         self._was_touched = touched
+
         self._touched_ns[touched] = stamp_ns
         self._follow(min(dt_s, TUNING.gap_s), stamp_ns)
 
     def _follow(self, dt_s: float, stamp_ns: int) -> None:
         """Add what the smoothed force shows of the drift in `dt_s`, where nothing touches."""
         max_step = self.rate * self._f_max * dt_s
+
         step = np.clip(self._fast[0] * (dt_s / TUNING.tau_s), -max_step, max_step)
         since_touch_ns = stamp_ns - self._touched_ns
         step[since_touch_ns < TUNING.hold_s * 1e9] = 0.0
         self.value += step
+
         max_value = TUNING.max_drift * self._f_max
         np.clip(self.value, -max_value, max_value, out=self.value)
 
@@ -161,12 +167,15 @@ class Drift:
         self._slow += slow * (means - self._slow)
 
         # Variance of a first-order low pass of white noise: a / (2 - a) of it.
-        sigma = self._sigma * math.sqrt((fast / (2 - fast) + slow / (2 - slow)) / self._n)
+        variance = fast / (2 - fast) + slow / (2 - slow)
+        sigma = self._sigma * math.sqrt(variance / self._n)
         drift = TUNING.step_drifts * self.rate * (TUNING.slow_s - TUNING.fast_s)
         smallest = max(TUNING.step_least, drift) * self._f_max
         threshold = np.maximum(TUNING.step_sigmas * sigma, smallest)
 
         step: Doubles = self._fast - self._slow
+
+        # A fall of the same size ends a press, too.
         self._risen &= step > -threshold
         begins = (step > threshold) & ~self._risen
         self._base[begins] = self._slow[begins]
@@ -177,5 +186,6 @@ class Drift:
         rise: Doubles = self._fast - self._base
         np.maximum(self._rise, rise, out=self._rise)
         self._risen &= rise >= TUNING.step_left * self._rise
+
         pressed: Mask = np.logical_or(*self._risen)
         return pressed

@@ -175,6 +175,7 @@ def fit(
     if even:
         dead = _dead(even, at_rest.works)
     works = at_rest.works & ~dead
+
     gains: Doubles | None = None
     response: Response | None = None
     if even:
@@ -257,6 +258,7 @@ def _at_rest(
 ) -> _Rest:
     """Baseline and noise of the taxels, and those whose readings show that they are faulty."""
     baseline, noise, unsteady = steady(untouched)
+
     stuck = exists & _stuck(untouched, presses)
     works = exists & ~stuck
     typical_noise = float(np.median(noise[works])) if works.any() else 0.0
@@ -312,9 +314,11 @@ def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
     values = np.asarray(frames, dtype=np.float64)
     median = np.median(values, axis=0)
     deviation = values - median
-    spread = MAD_TO_SD * np.median(np.abs(deviation), axis=0)
+    size = np.abs(deviation)
+    spread = MAD_TO_SD * np.median(size, axis=0)
     # Of a reading coarser than its noise, half of the frames are the median: none is left out.
-    is_steady = (np.abs(deviation) <= OUTLIER * spread) | (spread == 0)
+    is_steady = (size <= OUTLIER * spread) | (spread == 0)
+
     mean = np.mean(deviation, axis=0, where=is_steady)
     noise = np.std(deviation, axis=0, where=is_steady)
     unsteady_share = 1 - is_steady.mean(axis=0)
@@ -324,6 +328,8 @@ def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
 def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
     """Raise CalibrationError if the load moved: its frames read it, its steady readings do not."""
     works = at_rest.works
+
+    # Sums over all taxels: a load that moves keeps its sum, frame by frame.
     above = np.asarray(press.frames, dtype=np.float64)[:, works] - at_rest.baseline[works]
     frame_sum = float(np.median(above.sum(axis=1)))
     steady_sum = float(rise[works].sum())
@@ -335,10 +341,14 @@ def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
 
 def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
     """Taxels whose reading never changes, where that of most does."""
+
+    # A skin that is silent as a whole is no set of stuck taxels: see the end.
     still = np.ones(untouched.shape[1:], dtype=np.bool_)
     for frames in (untouched, *(press.frames for press in presses)):
         still &= (frames == untouched[0]).all(axis=0)
-    return still if still.mean() < 0.5 else np.zeros_like(still)
+    if still.mean() >= 0.5:
+        return np.zeros_like(still)
+    return still
 
 
 def _dead(even: Sequence[_EvenLoad], works: Mask) -> Mask:
@@ -349,6 +359,7 @@ def _dead(even: Sequence[_EvenLoad], works: Mask) -> Mask:
         cells = area & works
         if not cells.any():
             raise CalibrationError(f"{press.label}: no taxel under it works")
+        # Readings may fall with force: the sign of the median taxel is that of all.
         median_rise = float(np.median(rise[cells]))
         covered |= cells
         responds |= cells & (rise * median_rise > DEAD * median_rise**2)
@@ -390,13 +401,15 @@ def _rise_by_force(even: Sequence[_EvenLoad], works: Mask) -> tuple[Doubles, Dou
     # Dead taxels carry their part of the load. Forces that differ by rounding are equal.
     per_taxel = [float(f"{load.press.force / load.area.sum():.6g}") for load in even]
     forces, index = np.unique(per_taxel, return_inverse=True)
-    total = np.zeros((len(forces), *works.shape))
-    n_presses = np.zeros((len(forces), *works.shape))
+    shape = (len(forces), *works.shape)
+    total = np.zeros(shape)
+    n_presses = np.zeros(shape)
     for k, load in zip(index, even, strict=True):
         cells = load.area & works
         total[k] += np.where(cells, load.rise, 0.0)
         n_presses[k] += cells
-    rise = np.full(total.shape, np.nan)
+
+    rise = np.full(shape, np.nan)
     np.divide(total, n_presses, out=rise, where=n_presses > 0)
     return forces, rise
 
@@ -438,12 +451,15 @@ def _common_gain(
     """One gain of all taxels from totals: force = gain x the sum of the readings."""
     sums = []
     for press, rise in zip(presses, rises, strict=True):
+        # Noise of untouched taxels would add up.
         pressed = works & (np.abs(rise) > floor / math.sqrt(len(press.frames)))
         if not pressed.any():
             raise CalibrationError(f"{press.label}: no taxel reads more than its noise")
         sums.append(float(rise[pressed].sum()))
     total = np.array(sums)
     force = np.array([press.force for press in presses])
+
+    # Least squares through 0.
     gain = float(total @ force / (total @ total))
 
     error = np.abs(gain * total / force - 1)
@@ -462,6 +478,8 @@ def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressR
         return PressResult(press.label, press.force, float(forces[works].sum()))
 
     cells = press.area & works
+
+    # Taxels that do not work carry their part of the load.
     mean = float(forces[cells].mean())
     raw_mean = np.abs(rise[cells].mean())
     return PressResult(

@@ -87,6 +87,7 @@ class Live:
         """Frames of the next `stop_s - start_s` seconds.
         Raises CalibrationError if none comes, or the source fails or ends.
         """
+
         max_frames = max(2, MAX_READINGS // (self.skin.n_rows * self.skin.n_cols))
         end = time.monotonic() + stop_s - start_s
         frames: list[Frames] = []
@@ -107,6 +108,8 @@ class Live:
     def close(self) -> None:
         """Close the source, where it can be."""
         self._closing = True
+
+        # A device that is silent holds its reader: it is left to the end of the process.
         self._thread.join(1.0)
         if not self._thread.is_alive():
             self._source.close()
@@ -130,9 +133,11 @@ def open_frames(source: str, layout: Layout = EMPTY) -> Recorded | Live:
     Raises SourceError if it cannot be opened, or delivers forces, as a scene does.
     """
     opened = open_source(source, seed=0, layout=layout, raw=True)
+
     if opened.delivers == "truth":
         opened.close()
         raise SourceError(f"{source}: delivers true forces, which need no calibration")
+    # What has no end is read as it comes.
     if opened.is_live or opened.n_frames is None:
         return Live(opened)
     stamps_ns, frames = zip(*opened, strict=True)

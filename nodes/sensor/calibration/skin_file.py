@@ -71,6 +71,8 @@ def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
     unknown or missing, or a value is not allowed.
     """
     path = Path(path)
+
+    # UTF-8 has at most four bytes for a character.
     text = _read(path, 4 * MAX_FILE_CHARS)
     try:
         table = parse_toml(text.decode("utf-8"), MAX_FILE_CHARS)
@@ -98,6 +100,7 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
         if key not in values:
             raise SkinFileError(f"{key}: is missing")
 
+    # No array may be both in the file and in its .npz.
     inline = {key: values.pop(key) for key in GRIDS if key in values}
     curve = values.pop("response", {})
     archive = values.pop(ARRAYS, None)
@@ -170,6 +173,7 @@ def _read(path: Path, max_bytes: int) -> bytes:
     """The bytes of a regular file of at most `max_bytes`."""
     try:
         with reading(str(path)) as file:
+            # One byte more shows that the file is too large.
             raw = file.read(max_bytes + 1)
     except SourceError as error:
         raise SkinFileError(str(error)) from error

@@ -90,6 +90,7 @@ class NumpyFile(StoredArrays):
         yield self._file
 
     def _add_members(self, n_bytes: int) -> None:
+        # A small .npz can claim to become any size.
         limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
         with opened_npz(self._file) as (archive, members):
             arrays = [item for item in members.items() if item[1].filename.endswith(".npy")]

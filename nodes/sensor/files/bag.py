@@ -63,6 +63,7 @@ class BagRecording(Recording):
         self.tally.begin()
         with self._opened() as bag:
             topic = self._topic(bag)
+
             frames: list[np.ndarray[tuple[int, ...], np.dtype[np.float32]]] = []
             stamps: list[int] = []
             for message in self._taxels(bag, topic):
@@ -73,6 +74,7 @@ class BagRecording(Recording):
                     )
                 frames.append(forces)
                 stamps.append(message.stamp_ns)
+
                 if len(frames) == frames_per_block(forces.size):
                     self.tally.take(len(frames), len(frames))
                     yield Block(np.stack(frames), stamps)
@@ -106,6 +108,7 @@ class BagRecording(Recording):
             for topic, info in bag.topics.items()
             if info.schema == Taxels.schema and info.n_messages
         }
+
         about = {topic: f"{n} frames" for topic, n in counts.items()}
         topic = choose(about, self._file.layout.topic, name, "topics of taxels")
         if self._file.raw and topic_of(patch_of(topic), Calibration.schema) in bag.topics:

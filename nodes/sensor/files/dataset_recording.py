@@ -92,9 +92,10 @@ class DatasetRecording(Recording):
         else:
             blocks = self._arrays.blocks(plan.key, plan.frames.axis, size)
         for block in blocks:
-            numbers = block.view(np.uint8) if block.dtype.kind == "b" else block
-            for begin in range(0, len(numbers), size):
-                yield numbers[begin : begin + size]
+            if block.dtype.kind == "b":
+                block = block.view(np.uint8)
+            for begin in range(0, len(block), size):
+                yield block[begin : begin + size]
 
     def _times(self, plan: _Plan, size: int) -> Iterator[int | float]:
         """The times of all frames, one after the other, from an array of their own."""
@@ -111,27 +112,23 @@ class DatasetRecording(Recording):
         arrays = self._arrays
         layout = self._layout
         key = frames_key(arrays, layout)
+        self._check_dataset(key)
         dataset = arrays.datasets[key]
-        if dataset.dtype.kind not in "iufb":
-            kind = "Python objects" if dataset.dtype.hasobject else f"dtype {dataset.dtype}"
-            allowed = "allowed are integers, floating point and bool"
-            raise SourceError(f"{arrays.where(key)}: holds {kind[:60]}; {allowed}")
-        if len(dataset.sides) < 2:
-            fault = f"has {len(dataset.sides)} axes, {dataset.text}"
-            expected = "expected frames, rows and columns, or frames and readings"
-            raise SourceError(f"{arrays.where(key)}: {fault}; {expected}")
 
         # Times are found first: their number shows which axis is that of the frames.
         keys = times_keys(arrays, layout)
         n_times = {math.prod(arrays.datasets[name].sides) for name in keys}
-        first_is_usual = None if arrays.last_part(key) == FORCES else arrays.has_frames_first
+        first_is_usual: bool | None = arrays.has_frames_first
+        if arrays.last_part(key) == FORCES:
+            first_is_usual = None
         frames = find_frame_axis(layout, arrays.shape(key), n_times, first_is_usual)
-        n_frames = 1 if frames.axis is None else dataset.sides[frames.axis]
-        time_key, time_notes = times_key(arrays, layout, key, keys, n_frames)
-
+        n_frames = 1
         place = "one frame"
         if frames.axis is not None:
+            n_frames = dataset.sides[frames.axis]
             place = f"axis {frames.axis + 1} counts frames"
+        time_key, time_notes = times_key(arrays, layout, key, keys, n_frames)
+
         about = dataset.text
         if key:
             about = f"array {printable(key)}, {about}"
@@ -141,6 +138,21 @@ class DatasetRecording(Recording):
         plan = _Plan(key, frames, time_key, None, tuple(notes))
         return self._with_time_column(plan)
 
+    def _check_dataset(self, key: str) -> None:
+        """Raise SourceError unless an array holds numbers, of two axes or more."""
+        dataset = self._arrays.datasets[key]
+        where = self._arrays.where(key)
+        if dataset.dtype.kind not in "iufb":
+            kind = f"dtype {dataset.dtype}"
+            if dataset.dtype.hasobject:
+                kind = "Python objects"
+            allowed = "allowed are integers, floating point and bool"
+            raise SourceError(f"{where}: holds {kind[:60]}; {allowed}")
+        if len(dataset.sides) < 2:
+            fault = f"has {len(dataset.sides)} axes, {dataset.text}"
+            expected = "expected frames, rows and columns, or frames and readings"
+            raise SourceError(f"{where}: {fault}; {expected}")
+
     def _with_time_column(self, plan: _Plan) -> _Plan:
         """With the column of a table that holds the times: the stated one, or dates since 1970 in
         the first or the last one. UnstatedError if a column may be the times, as the stated shape
@@ -148,36 +160,45 @@ class DatasetRecording(Recording):
         """
         layout = self._layout
         items = plan.frames.items
-        stated = has_time_column(layout)
-        if len(items) != 1 or plan.frames.axis is None:
-            if stated:
-                where = self._arrays.where(plan.key)
-                fault = f"time = {layout.time}, but a frame is no row of numbers"
-                raise SourceError(f"{where}: {fault}; state none, or the name of an array")
+        is_stated = has_time_column(layout)
+        is_row = len(items) == 1 and plan.frames.axis is not None
+        if is_stated and not is_row:
+            where = self._arrays.where(plan.key)
+            fault = f"time = {layout.time}, but a frame is no row of numbers"
+            raise SourceError(f"{where}: {fault}; state none, or the name of an array")
+        if not is_row:
             return plan
         n = items[0].size
-        if stated:
-            ends_at = {"first": 0, "last": n - 1}
-            column = ends_at[layout.time] if layout.time in ends_at else int(layout.time) - 1
-            if not 0 <= column < n:
-                where = self._arrays.where(plan.key)
-                raise SourceError(f"{where}: time = {layout.time}; allowed: columns 1..{n}")
-            return plan._replace(time_column=column)
+        if is_stated:
+            return plan._replace(time_column=self._stated_column(plan, n))
+
         # Without a statement, only what no reading can be is taken as times: dates.
         is_open = not (plan.time_key or layout.time or layout.columns or layout.n_stated == n)
         if not is_open or n < 2:
             return plan
         begin = next(self._numbers(plan, frames_per_block(n)), np.empty((0, n)))
-        columns = zip(ENDS, (0, n - 1), strict=True)
-        ends = {word: begin[:, column].astype(np.float64) for word, column in columns}
+        places = dict(zip(ENDS, (0, n - 1), strict=True))
+        ends = {word: begin[:, column].astype(np.float64) for word, column in places.items()}
         dates = [word for word, numbers in ends.items() if times.is_epoch(numbers)]
         if len(dates) == 1:
-            note = f"the {dates[0]} column holds dates: it is read as the times"
-            at = 0 if dates[0] == "first" else n - 1
-            return plan._replace(time_column=at, notes=(*plan.notes, note))
+            (word,) = dates
+            note = f"the {word} column holds dates: it is read as the times"
+            return plan._replace(time_column=places[word], notes=(*plan.notes, note))
         if layout.n_stated == n - 1:
-            self._ask_column(plan, [w for w, column in ends.items() if (np.diff(column) > 0).all()])
+            rising = [word for word, numbers in ends.items() if (np.diff(numbers) > 0).all()]
+            self._ask_column(plan, rising)
         return plan
+
+    def _stated_column(self, plan: _Plan, n: int) -> int:
+        """The stated column of the times, of n. Raises SourceError if there is none."""
+        text = self._layout.time
+        column = {"first": 0, "last": n - 1}.get(text)
+        if column is None:
+            column = int(text) - 1
+        if not 0 <= column < n:
+            where = self._arrays.where(plan.key)
+            raise SourceError(f"{where}: time = {text}; allowed: columns 1..{n}")
+        return column
 
     def _ask_column(self, plan: _Plan, rising: Sequence[str]) -> None:
         n = plan.frames.items[0].size
@@ -202,6 +223,9 @@ class DatasetRecording(Recording):
         title: tuple[str, ...] = ()
         if long_name:
             title = (f"long name: {printable(text_of(long_name))[:60]}",)
+        n_items = 1
+        if plan.frames.axis is not None:
+            n_items = dataset.sides[plan.frames.axis]
         return Head(
             items,
             usable,
@@ -215,13 +239,15 @@ class DatasetRecording(Recording):
             mask=mask,
             points=self._array(plan.key, POINTS),
             point_rows=self._array(plan.key, POINT_ROWS),
-            n_items=1 if plan.frames.axis is None else dataset.sides[plan.frames.axis],
+            n_items=n_items,
             notes=(*plan.notes, *title, *rate_notes, *mask_notes),
         )
 
     def _array(self, key: str, name: str) -> npt.NDArray[Any] | None:
         path = self._arrays.nearest(key, (name,))
-        return self._arrays.property_array(path) if path else None
+        if not path:
+            return None
+        return self._arrays.property_array(path)
 
     def _number(self, key: str, name: str) -> float | None:
         """A number above 0, of an array of its own or an attribute."""
@@ -249,14 +275,16 @@ class DatasetRecording(Recording):
         attributes = self._arrays.datasets[plan.key].attributes
         by_name: dict[str, float] = {}
         for name in RATES[1:]:
-            path = self._arrays.nearest(plan.key, (name,))
-            is_number = path and math.prod(self._arrays.datasets[path].sides) == 1
             value = attributes.get(name, np.nan)
-            if is_number:
+            path = self._arrays.nearest(plan.key, (name,))
+            if path and math.prod(self._arrays.datasets[path].sides) == 1:
                 value = self._arrays.whole(path)
             array = np.asarray(value)
-            if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.reshape(()) < np.inf:
-                by_name[name] = float(array.reshape(()))
+            if array.size != 1 or array.dtype.kind not in "iuf":
+                continue
+            number = array.reshape(())
+            if 0 < number < np.inf:
+                by_name[name] = float(number)
         rates = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
         if len(set(by_name.values())) > 1:
             return None, (f"{rates}: more than one rate is stated, and none is used",)
@@ -274,7 +302,9 @@ class DatasetRecording(Recording):
             return text_of(unit.reshape(())[()])
         attributes = self._arrays.datasets[plan.key].attributes
         unit_text = text_of(attributes.get(UNIT, attributes.get("units", ""))).strip()
-        return None if unit_text.lower() in NO_UNITS else unit_text
+        if unit_text.lower() in NO_UNITS:
+            return None
+        return unit_text
 
     def _time_unit(self, plan: _Plan) -> str:
         """Unit of the times as the file states it, "" where it does not."""
@@ -285,11 +315,13 @@ class DatasetRecording(Recording):
         if dataset.dtype.kind in "Mm":
             return "ns"
         if dataset.dtype.kind in "US":
-            begin = next(
-                self._arrays.blocks(plan.time_key, dataset.sides.index(max(dataset.sides)), 1)
-            )
-            is_iso = times.iso_ns(text_of(begin.reshape(-1)[0])) is not None
-            return times.ISO if is_iso else times.CLOCK_UNIT
+            long_axis = dataset.sides.index(max(dataset.sides))
+            begin = next(self._arrays.blocks(plan.time_key, long_axis, 1))
+            if times.iso_ns(text_of(begin.reshape(-1)[0])) is not None:
+                return times.ISO
+            return times.CLOCK_UNIT
+
+        # As "seconds since 2026-03-12": the unit comes first.
         attributes = dataset.attributes
         words = text_of(attributes.get("units", attributes.get(UNIT, ""))).lower().split()
         unit = words[0] if words else ""
@@ -309,10 +341,13 @@ class DatasetRecording(Recording):
             return None, ()
         where = self._arrays.where(path)
         items = plan.frames.items
+
         sides = [axis.size for axis in items if axis.label != CHANNEL and axis.size > 1]
         if plan.time_column is not None:
             sides = [sides[0] - 1]
         shape = [side for side in self._arrays.datasets[path].sides if side > 1]
+
+        # Of a frame that is a list of taxels, the mask may be a grid.
         is_flat = len(sides) == 1 and math.prod(shape) == sides[0]
         if shape not in (sides, sides[::-1]) and not is_flat:
             if self._arrays.last_part(plan.key) != FORCES:
@@ -324,14 +359,20 @@ class DatasetRecording(Recording):
         if mask.dtype.kind not in "biu" or not np.isin(mask, (0, 1)).all():
             raise SourceError(f"{where}: expected bool (True where a taxel exists), or 0 and 1")
         if is_flat:
-            mask = mask.ravel(order="F" if self._layout.order == "columns" else "C")
+            if self._layout.order == "columns":
+                mask = mask.transpose()
+            mask = mask.ravel()
             if plan.time_column is not None:
                 mask = np.insert(mask, plan.time_column, 1)
         elif shape != sides:
             mask = mask.transpose()
         # A taxel exists, or not, with all of its channels.
-        places = [1 if axis.label == CHANNEL else axis.size for axis in items]
-        whole = np.broadcast_to(mask.reshape(places), [axis.size for axis in items])
+        item_sides = [axis.size for axis in items]
+        mask_sides = item_sides.copy()
+        for at, axis in enumerate(items):
+            if axis.label == CHANNEL:
+                mask_sides[at] = 1
+        whole = np.broadcast_to(mask.reshape(mask_sides), item_sides)
         return whole.astype(np.bool_), ()
 
 
@@ -343,7 +384,9 @@ def text_of(value: object) -> str:
     """A text of a file: bytes are decoded, anything else is written out."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(())[()]
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return str(value)
 
 
 def checked_times(numbers: npt.NDArray[Any], where: str) -> list[int | float]:
@@ -366,7 +409,8 @@ def checked_times(numbers: npt.NDArray[Any], where: str) -> list[int | float]:
 
 def _text_time(text: str, where: str) -> int:
     stamp = times.iso_ns(text.strip())
-    stamp = times.clock_ns(text.strip()) if stamp is None else stamp
+    if stamp is None:
+        stamp = times.clock_ns(text.strip())
     if stamp is None:
         raise SourceError(f"{where}: {shown(text)} is no time, as 2026-11-03T10:15:02.120")
     return stamp

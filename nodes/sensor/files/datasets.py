@@ -111,7 +111,9 @@ class ArrayFile(ABC):
 
     def where(self, key: str) -> str:
         """Place of an array, for errors."""
-        return f"{self.name}, array {shown(key)}" if key else self.name
+        if not key:
+            return self.name
+        return f"{self.name}, array {shown(key)}"
 
     def last_part(self, key: str) -> str:
         return key.rpartition(self.separator)[2]
@@ -120,6 +122,8 @@ class ArrayFile(ABC):
         """The path of the array with one of these names in the group of an array, or else in the
         nearest group around it; "" if there is none.
         """
+
+        # From the group of the array outwards.
         group = key
         while group:
             group = group.rpartition(self.separator)[0]
@@ -147,14 +151,18 @@ def frames_key(arrays: ArrayFile, layout: Layout) -> str:
     array of three axes or more, or else of two, that can have the stated shape. Raises SourceError
     if there is none, UnstatedError if there are several.
     """
+
     candidates = _candidates(arrays, layout)
     topic = layout.topic.strip("/")
     if topic:
         return _stated_key(arrays, topic, candidates)
+    # What this program writes has its array named so.
     named_forces = [key for key in arrays.datasets if arrays.last_part(key) == FORCES]
     if len(named_forces) == 1:
         return named_forces[0]
     grids = [key for key in candidates if arrays.datasets[key].n_axes > 2]
+
+    # One grid among tables is the skin, unless a table is as large.
     if len(grids) == 1:
         (grid,) = grids
         candidates = [grid, *_rivals(arrays, grid, candidates)]
@@ -170,7 +178,10 @@ def _stated_key(arrays: ArrayFile, topic: str, candidates: Sequence[str]) -> str
     if len(ends) == 1:
         return ends[0]
     texts = {key: arrays.datasets[key].text for key in ends or candidates}
-    return choose(texts, "" if ends else topic, arrays.name, f"arrays named {shown(topic)}")
+    kind = f"arrays named {shown(topic)}"
+    if ends:
+        return choose(texts, "", arrays.name, kind)
+    return choose(texts, topic, arrays.name, kind)
 
 
 def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
@@ -188,6 +199,8 @@ def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
     # Where arrays are labelled as tactile data, others are none.
     tactile = {key: kind for key, kind in readable.items() if TACTILE in arrays.last_part(key)}
     readable = tactile or readable
+
+    # Masks are of bool.
     numbers = [key for key, kind in readable.items() if kind != "b"]
     keys = numbers or [*readable]
     if layout.axes:
@@ -229,7 +242,10 @@ def times_keys(arrays: ArrayFile, layout: Layout) -> list[str]:
             allowed = ", ".join(map(printable, lists[:MAX_SHOWN])) or "none"
             fault = f"time: {shown(time_name)} is no array of one axis; allowed: {allowed}, none"
             raise SourceError(f"{arrays.name}: {fault}")
-        return [time_name] if time_name in stated_keys else stated_keys
+        # A path is meant before the last part of others.
+        if time_name in stated_keys:
+            return [time_name]
+        return stated_keys
     exact = [key for key in lists if times.is_time_name(arrays.last_part(key))]
     return exact or [key for key in lists if times.is_time_name(_last_word(key))]
 

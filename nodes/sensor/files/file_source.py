@@ -66,8 +66,11 @@ class RecordedSource(Source):
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
         self._is_told = False
         with opened(path, layout, raw) as frames:
-            self.name = Path(path if Path(path).is_dir() else frames.name).stem
-            survey = self._survey = self._surveyed(frames)
+            self.name = Path(frames.name).stem
+            if Path(path).is_dir():
+                self.name = Path(path).stem
+            survey = self._surveyed(frames)
+            self._survey = survey
             self._treatment = Treatment(layout, survey, raw)
             self.skin = _skin(frames, survey, self._treatment)
             self.notes = self._noted(frames, survey)
@@ -83,6 +86,7 @@ class RecordedSource(Source):
     def blocks(self) -> Iterator[Stamped]:
         """Yield blocks of stamps and frames, as `Stamped`."""
         if self._store is not None:
+            # A copy: the frames in memory are read again in the next round.
             for stamp_ns, part in self._store.blocks():
                 yield stamp_ns, self._treatment.apply(part.copy())
             return
@@ -150,7 +154,9 @@ class RecordedSource(Source):
 
     def report(self) -> dict[str, Any]:
         invalid = self._treatment.counts()
-        return {"invalid": invalid} if invalid else {}
+        if not invalid:
+            return {}
+        return {"invalid": invalid}
 
     @property
     def digest(self) -> str:
@@ -173,6 +179,7 @@ class RecordedSource(Source):
         store: FrameStore | None = FrameStore(frames.shape)
         for stamp_ns, part in frames.blocks():
             survey.add(part)
+
             if survey.n_frames > MAX_FRAMES:
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")
             if store is not None:
@@ -181,6 +188,7 @@ class RecordedSource(Source):
                 continue
             store = None
             self._reads_twice = needs_range and not self._needs.digest
+
             if not needs_all:
                 survey.n_frames = 0  # not known
                 return survey
@@ -259,6 +267,7 @@ def n_taxels(path: str, layout: Layout = EMPTY, raw: bool = False) -> int | None
     where later frames decide it. Raises SourceError as `open_file`.
     """
     with proposing(path, layout, raw), located(path) as (name, parts), reading(name) as file:
+        # A launch asks several times: the answer holds until the file changes.
         status = os.fstat(file.fileno())
         key = (name, status.st_mtime_ns, status.st_size, layout, raw)
         if key not in _HEADS:
@@ -267,8 +276,9 @@ def n_taxels(path: str, layout: Layout = EMPTY, raw: bool = False) -> int | None
             _HEADS.clear()
             _HEADS[key] = frames.n_taxels
         n = _HEADS[key]
-    masks = MASK in (layout.nan, layout.negative)
-    return None if masks else n
+    if MASK in (layout.nan, layout.negative):
+        return None
+    return n
 
 
 @contextmanager
@@ -302,6 +312,8 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
         yield
     except UnstatedError as error:
         text = str(error)
+
+        # A way that fails later in the file is none to propose.
         ways = [option for option in error.options if _reads(path, layout, raw, option)]
         if len(ways) == 1:
             settings = [f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()]

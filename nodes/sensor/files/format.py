@@ -105,6 +105,7 @@ def recording_of(file: File) -> Recording:
 
 def _recognised(file: File, fitting: list[Format]) -> list[Format]:
     """The formats that recognise the begin of a file, or else those that take every file."""
+
     begin = file.file.read(HEAD_BYTES)
     file.file.seek(0)
     sure = []
@@ -156,5 +157,10 @@ def _listed(folder: Path) -> Iterator[Path]:
 
 def _natural(name: str) -> list[tuple[int, str]]:
     """Key that puts bag_2 before bag_10."""
-    parts = re.split(r"(\d+)", name)
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+    key: list[tuple[int, str]] = []
+    for part in re.split(r"(\d+)", name):
+        if part.isdecimal():
+            key.append((int(part), ""))
+        else:
+            key.append((-1, part))
+    return key

@@ -136,6 +136,7 @@ def _stated_labels(names: Sequence[str], array: ArrayShape) -> tuple[str, ...]:
     if not names:
         return ()
     sides = array.sides
+
     long_axes = [at for at, side in enumerate(sides) if side > 1]
     wrong = f"{array.where}: axes = {','.join(names)}, but the array is {array.text}"
     if len(names) == len(sides):
@@ -181,12 +182,15 @@ def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
         extra = _DIRECT if layout.channel else _CHANNELS
         # Several numbers per taxel stand last more often than first.
         for channel in reversed(item_axes):
-            if may_hold_channel(layout.channel, sides[channel]):
-                grid = [sides[at] for at in item_axes if at != channel]
-                stated_channel = channel if layout.n_stated else None
-                ways += [_Way(axis, extra + fit, stated_channel) for fit in _fits(layout, grid)]
+            if not may_hold_channel(layout.channel, sides[channel]):
+                continue
+            grid = [sides[at] for at in item_axes if at != channel]
+            stated_channel = channel if layout.n_stated else None
+            for fit in _fits(layout, grid):
+                ways.append(_Way(axis, extra + fit, stated_channel))
     grid = [sides[at] for at in item_axes]
-    ways += [_Way(axis, _DIRECT + fit, None) for fit in _fits(layout, grid)]
+    for fit in _fits(layout, grid):
+        ways.append(_Way(axis, _DIRECT + fit, None))
     if not ways:
         return _Way(axis, _NO_FIT, None)
     return min(ways, key=lambda way: way.fit)

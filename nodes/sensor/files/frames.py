@@ -86,7 +86,9 @@ class Frames:
 
     def blocks(self) -> Iterator[Stamped]:
         """Read all frames. Raises SourceError at the first reading, time or item that is none."""
-        stamps = Stamps(self.time_unit, self.layout.time_wrap) if self.is_timed else None
+        stamps: Stamps | None = None
+        if self.is_timed:
+            stamps = Stamps(self.time_unit, self.layout.time_wrap)
         self.n_frames = 0
         for block in self.recording.blocks():
             frames = self._checked(self.arrangement.frames(block.numbers))
@@ -98,6 +100,7 @@ class Frames:
             self.n_frames += len(frames)
             self.last_ns = int(stamp_ns[-1])
             yield stamp_ns, frames
+
         if stamps is not None:
             stamps.check(self.name)
         self.recording.tally.check(self.name)
@@ -126,6 +129,8 @@ class Frames:
         readings, unit of the times.
         """
         faults: list[UnstatedError] = []
+
+        # All that is missing is named at once.
         arrangement: Arrangement | None = None
         try:
             arrangement = arrange(self.layout, self.head.axes, self.name, self.head.usable)
@@ -168,6 +173,7 @@ class Frames:
             numbers = arrangement.frames(numbers)
         elif self.head.usable is not None:
             numbers = numbers[:, list(self.head.usable)]
+        # A file that holds floats may hold counts.
         readings = numbers[np.isfinite(numbers)]
         return self.head.asks_unit and bool((readings == np.rint(readings)).all())
 
@@ -180,6 +186,7 @@ class Frames:
     def _even(self, n: int) -> npt.NDArray[np.int64]:
         """Stamps of the next n frames at an even rate."""
         rate_hz = self.layout.rate_hz or self.head.rate_hz
+
         period_ns = UNTIMED_PERIOD_NS if rate_hz is None else 1e9 / rate_hz
         stamps = np.rint(np.arange(self.n_frames, self.n_frames + n) * period_ns)
         if stamps[-1] > INT64_MAX:
@@ -210,6 +217,7 @@ class Frames:
         is_number = np.isfinite(frames)
         if not layout.accepts_missing:
             self._refuse(readings, ~is_number, f"is not finite; {NAN_HINT}")
+        # Infinite readings are missing, too.
         frames[~is_number] = np.nan
         with np.errstate(invalid="ignore"):
             too_large = frames > MAX_READING
@@ -238,12 +246,15 @@ class Frames:
         other_readings = frames[~below & np.isfinite(frames)]
         place = self._place(readings, below)
         ways = f"state negative={KEEP}, zero, offset or mask"
+
         is_marker = values.size == 1 and other_readings.size > 0
         marker = float(values[0])
         if is_marker and other_readings.min() > marker + ISOLATED * abs(marker):
             option = {"missing": f"{marker:g}"}
             raise UnstatedError(f"{place} is below 0, as no other reading", option)
-        hint = f"; or missing={marker:g}, if it stands for no reading" if is_marker else ""
+        hint = ""
+        if is_marker:
+            hint = f"; or missing={marker:g}, if it stands for no reading"
         raise UnstatedError(f"{place} is below 0; {ways}{hint}")
 
 

@@ -292,8 +292,10 @@ class Lines(Iterator[str]):
             raw = self._file.readline(MAX_LINE_BYTES)
             if not raw:
                 raise StopIteration
+            # Some programs begin a text with a mark of UTF-8.
             text = raw.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
             self._line = text.removesuffix("\n").removesuffix("\r")
+
             if len(raw) == MAX_LINE_BYTES:
                 raise SourceError(f"{self.where}: is followed by one of {len(raw)} bytes or more")
         self._again = False
@@ -344,6 +346,7 @@ def parse_mask(rows: Any, shape: tuple[int, int], where: str) -> Mask:
     shape.
     """
     n_rows, n_cols = shape
+
     row_of = re.compile(f"[01]{{{n_cols}}}")
     texts = isinstance(rows, list) and all(isinstance(row, str) for row in rows)
     if not (texts and len(rows) == n_rows and all(map(row_of.fullmatch, rows))):

@@ -41,6 +41,8 @@ class FrameStore:
     def add(self, stamp_ns: npt.NDArray[np.int64], frames: Floats) -> None:
         """Add frames. No part of the array may be in use."""
         n = len(self.frames)
+
+        # In place, so that no second copy is needed while it grows.
         self.frames.resize((n + len(frames), *self.frames.shape[1:]), refcheck=False)
         self.frames[n:] = frames
         self._stamps.append(stamp_ns)
@@ -75,7 +77,9 @@ class Survey:
     @property
     def exists(self) -> Mask:
         """True where the file states a taxel."""
-        return np.ones(self.shape, dtype=np.bool_) if self.mask is None else self.mask
+        if self.mask is not None:
+            return self.mask
+        return np.ones(self.shape, dtype=np.bool_)
 
     def add(self, frames: Floats) -> None:
         """Add frames."""
@@ -95,6 +99,7 @@ class Survey:
             self.has_number |= is_number.any(axis=0)
         self.lowest = min(self.lowest, lowest)
         self.highest = max(self.highest, highest)
+
         if lowest < 0:
             is_negative = frames < 0
             self.n_negative += int(np.count_nonzero(is_negative))
@@ -109,8 +114,10 @@ class Treatment:
     def __init__(self, layout: Layout, survey: Survey, raw: bool) -> None:
         self._layout = layout
         self._survey = survey
-        is_raw = raw and layout.negative == REFUSE
-        self._negative = KEEP if is_raw else layout.negative
+        # A calibration converts readings below 0, too.
+        self._negative = layout.negative
+        if raw and layout.negative == REFUSE:
+            self._negative = KEEP
         gone = np.zeros(survey.shape, dtype=np.bool_)
         if layout.nan == MASK:
             gone |= ~survey.has_number
@@ -127,7 +134,9 @@ class Treatment:
     @property
     def lower_end(self) -> float:
         """Lower end of the range: below 0 where readings below 0 are kept."""
-        return self._survey.lowest if self._layout.negative == KEEP else 0.0
+        if self._layout.negative == KEEP:
+            return self._survey.lowest
+        return 0.0
 
     @property
     def n_masked(self) -> int:
@@ -136,6 +145,7 @@ class Treatment:
 
     def apply(self, frames: Floats) -> Floats:
         """Treated frames; the array is changed."""
+
         if self.gone.any():
             frames[:, self.gone] = 0
         if self._negative == ZERO:
@@ -152,8 +162,10 @@ class Treatment:
         n_missing = self._survey.n_missing
         if n_missing:
             way = self._layout.missing_way
-            in_arrays = ", NaN in arrays" if way == MASK else ""
-            lines.append(f"{n_missing} readings of the file are missing: {FILLED[way]}{in_arrays}")
+            line = f"{n_missing} readings of the file are missing: {FILLED[way]}"
+            if way == MASK:
+                line += ", NaN in arrays"
+            lines.append(line)
         is_told = self._survey.n_negative and self._layout.negative != REFUSE
         if is_told:
             way = done.get(self._negative, subtracted)

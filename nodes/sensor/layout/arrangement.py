@@ -61,17 +61,19 @@ def arrange(
     of the source come first, then what is stated; of x, y and z the normal one is read. Raises
     SourceError if what is stated contradicts the source, UnstatedError if the shape is missing.
     """
-    n_numbers = math.prod(axis.size for axis in axes)
+    sizes = [axis.size for axis in axes]
+    n_numbers = math.prod(sizes)
     if not 1 <= n_numbers <= 16 * MAX_ELEMENTS:
         raise SourceError(f"{where}: an item holds {n_numbers} numbers; allowed: 1..{MAX_ELEMENTS}")
-    places = np.arange(n_numbers).reshape([axis.size for axis in axes])
+    places = np.arange(n_numbers).reshape(sizes)
     labelled = list(axes)
     notes: tuple[str, ...] = ()
 
-    with_names = [at for at, axis in enumerate(labelled) if axis.names]
-    if len(labelled) == 1 and (with_names or usable is not None):
-        names = labelled[0].names or ("",) * labelled[0].size
-        remaining = range(labelled[0].size) if usable is None else usable
+    is_named = any(axis.names for axis in axes)
+    if len(axes) == 1 and (is_named or usable is not None):
+        # Columns, of which some may be no taxels.
+        names = axes[0].names or ("",) * n_numbers
+        remaining = range(n_numbers) if usable is None else usable
         selection = select(layout, names, remaining, where)
         places = places[list(selection.columns)]
         notes = (*selection.notes, *_left_out(names, remaining, selection.columns))
@@ -80,14 +82,15 @@ def arrange(
             places = places.reshape(n_rows, n_cols)
             labelled = [Axis(n_rows, "rows"), Axis(n_cols, "cols")]
         else:
-            is_named = all(re.search(r"\d", names[k]) for k in selection.columns)
-            is_certain = is_named or bool(layout.columns)
+            have_numbers = all(re.search(r"\d", names[k]) for k in selection.columns)
+            is_certain = have_numbers or bool(layout.columns)
             labelled = [Axis(places.size, "taxels" if is_certain else UNNAMED)]
     else:
         places, labelled, notes = _one_channel(layout, places, labelled, where)
 
     places = _as_grid(layout, places, labelled, where)
     n_rows, n_cols = places.shape
+
     check_grid(n_rows, n_cols, where)
     places = _ordered(layout, places, where)
     if places.size == n_numbers and bool((np.diff(places.ravel()) == 1).all()):
@@ -149,10 +152,9 @@ def _one_channel(
     layout: Layout, places: npt.NDArray[Any], axes: list[Axis], where: str
 ) -> tuple[npt.NDArray[Any], list[Axis], tuple[str, ...]]:
     """The places of one channel, without axes of one entry."""
-    remaining = [at for at, axis in enumerate(axes) if axis.size > 1 or len(axes) <= 2]
-    remaining = remaining or [len(axes) - 1]
-    places = places.reshape([axes[at].size for at in remaining])
-    axes = [axes[at] for at in remaining]
+    if len(axes) > 2:
+        axes = [axis for axis in axes if axis.size > 1] or axes[-1:]
+    places = places.reshape([axis.size for axis in axes])
 
     at = _channel_axis(layout, axes, where)
     if at is None and len(axes) > 2:
@@ -264,6 +266,7 @@ def _as_grid(
         raise SourceError(f"{where}: a frame holds {n} readings, but {needed}")
 
     flat = places.reshape(-1)
+
     if layout.order == "columns":
         return flat.reshape(n_cols, n_rows).T
     return flat.reshape(n_rows, n_cols)
@@ -289,5 +292,6 @@ def _ordered(layout: Layout, places: npt.NDArray[Any], where: str) -> npt.NDArra
         if order is None:
             allowed = f"allowed: forward, reversed, or each of 0..{n - 1} once, with commas"
             raise SourceError(f"{where}: {key}: {text[:40]!r} is not allowed; {allowed}")
+        # The inverse of the order: entry k is put at order[k].
         places = np.take(places, np.argsort(order), axis=axis)
     return places

@@ -72,7 +72,9 @@ class GridLayout(Settings):
     @property
     def n_stated(self) -> int | None:
         """Number of taxels, where both sides are stated."""
-        return self.n_rows * self.n_cols if self.n_rows and self.n_cols else None
+        if not (self.n_rows and self.n_cols):
+            return None
+        return self.n_rows * self.n_cols
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,9 @@ class Layout(GridLayout):
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Names of the axes, () where none are stated."""
-        return tuple(name.strip() for name in self.axes.split(",")) if self.axes.strip() else ()
+        if not self.axes.strip():
+            return ()
+        return tuple(name.strip() for name in self.axes.split(","))
 
     @property
     def accepts_missing(self) -> bool:
@@ -168,7 +172,9 @@ class Layout(GridLayout):
     @property
     def missing_way(self) -> str:
         """The way to fill readings that are missing, of `NAN_WAYS`."""
-        return MASK if self.missing and self.nan == REFUSE else self.nan
+        if self.missing and self.nan == REFUSE:
+            return MASK
+        return self.nan
 
     @property
     def missing_texts(self) -> frozenset[str]:

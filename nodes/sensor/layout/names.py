@@ -74,6 +74,8 @@ def stated_columns(text: str, names: Sequence[str], n: int, where: str) -> list[
 
 def matching(part: str, names: Sequence[str], n: int, where: str, key: str) -> list[int]:
     """The columns of a name, a pattern, a number from 1 or a range. Raises SourceError if none."""
+
+    # A number may be a name, too: then it is the name.
     numbers = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", part)
     columns: list[int] = []
     if numbers and part not in names:
@@ -133,6 +135,7 @@ def _chosen(
         if layout.n_stated is None or len(columns) == layout.n_stated:
             return columns, (f"channel {channel_name} of {', '.join(channels)}",)
 
+    # One family of names: its columns are the taxels.
     if layout.n_stated is None and len(indexed) == 1 and any(map(bool, names)):
         (columns,) = indexed.values()
         return columns, ()
@@ -216,10 +219,14 @@ def _placed(
     if len(patterns) != 1 or "#" not in next(iter(patterns)):
         return Selection(tuple(columns), None, notes)
 
-    numbers = {k: tuple(map(int, re.findall(r"\d+", names[k]))) for k in columns}
+    numbers: dict[int, tuple[int, ...]] = {}
+    for k in columns:
+        texts = re.findall(r"\d+", names[k])
+        numbers[k] = tuple(map(int, texts))
     varying = _grid_numbers(names[columns[0]], [numbers[k] for k in columns])
+
     if len(varying) == 2:
-        grid = _grid(layout, names[columns[0]], {k: numbers[k] for k in columns}, varying)
+        grid = _grid(layout, names[columns[0]], numbers, varying)
         if grid is not None:
             return Selection(grid.columns, grid.shape, (*notes, *grid.notes))
 
@@ -286,6 +293,7 @@ def _grid(
         notes = (f"the numbers in the names are {order}",)
     shape = (n_outer, n_inner) if rows_first else (n_inner, n_outer)
     side = 0 if rows_first else 1
+
     ordered = sorted(pairs, key=lambda pair: (pair[side], pair[1 - side]))
     return Selection(tuple(pairs[pair] for pair in ordered), shape, notes)
 

@@ -62,16 +62,23 @@ def iso_ns(text: str) -> int | None:
     """
     date = OTHER_DATE.match(text)
     if date is not None:
-        year, month, day = (date[3], date[2], date[1]) if date[3] else (date[4], date[5], date[6])
-        text = f"{year}-{int(month):02}-{int(day):02}{text[date.end() :].replace(',', '.')}"
+        time = text[date.end() :].replace(",", ".")
+        if date[3]:
+            day, month, year = date.group(1, 2, 3)
+        else:
+            year, month, day = date.group(4, 5, 6)
+        text = f"{year}-{int(month):02}-{int(day):02}{time}"
     if "-" not in text[1:]:
         return None
+
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
         return None
-    zoned = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-    return (zoned - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+    if not moment.tzinfo:
+        moment = moment.replace(tzinfo=UTC)
+    since_epoch = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return since_epoch // timedelta(microseconds=1) * 1000
 
 
 def clock_ns(text: str) -> int | None:
@@ -104,6 +111,7 @@ def unit_of(times: Sequence[float], where: str) -> str:
     of a rate at which skins are read. Raises UnstatedError if there are several, or none.
     """
     numbers = np.asarray(times, dtype=np.float64)
+
     of_dates = epoch_unit(numbers)
     if of_dates:
         return of_dates
@@ -111,11 +119,14 @@ def unit_of(times: Sequence[float], where: str) -> str:
     steps = steps[steps > 0]
     if not steps.size:
         return "s"
-    rates_hz = {
-        unit: 1e9 / (float(np.median(steps)) * NS[unit]) for unit in ("s", "ms", "us", "ns")
-    }
-    low, high = RATES_HZ
-    usual = {unit: rate for unit, rate in rates_hz.items() if low <= rate <= high}
+
+    median_step = float(np.median(steps))
+    low_hz, high_hz = RATES_HZ
+    usual: dict[str, float] = {}
+    for unit in ("s", "ms", "us", "ns"):
+        rate_hz = 1e9 / (median_step * NS[unit])
+        if low_hz <= rate_hz <= high_hz:
+            usual[unit] = rate_hz
     if len(usual) == 1:
         return next(iter(usual))
     ways = " or ".join(f"time_unit={unit} ({rate:.4g} Hz)" for unit, rate in usual.items())
@@ -168,6 +179,7 @@ class Stamps:
 
     def _rising(self, time_ns: int, where: str) -> int:
         """The stamp of a time, after the one before it."""
+
         fall_ns = self._last_time_ns - time_ns
         if self._turn_ns and fall_ns > self._turn_ns // 2:
             self._turns_ns += self._turn_ns

@@ -64,6 +64,7 @@ class SceneAddress(Address):
     def _described(self) -> SkinDescription:
         """The skin of each patch of a body."""
         table: dict[str, Any] = {"name": self.rest, "f_max": PAPER_F_MAX_N}
+
         table |= self.simulated or {"n_rows": 64, "n_cols": 64}
         if "points" not in table:
             table.setdefault("pitch_mm", PITCH_MM)

@@ -58,20 +58,23 @@ class Sole:
         row = np.minimum(np.maximum((y - self.y_min) / self.grid_m, 0.0), n_y - 1.001)
         j = col.astype(np.intp)
         i = row.astype(np.intp)
+        # Parts of the grid that a point is beyond the one below it.
         col -= j
         row -= i
-        i *= n_x
-        i += j
+
         flat = self.heights.reshape(-1)
-        near: Doubles = flat.take(i)
-        near += (flat.take(i + 1) - near) * col
-        i += n_x
-        far = flat.take(i)
-        far += (flat.take(i + 1) - far) * col
-        far -= near
-        far *= row
-        near += far
-        return near
+        at = i * n_x + j
+        lower: Doubles = flat.take(at)
+        lower += (flat.take(at + 1) - lower) * col
+        at += n_x
+        upper = flat.take(at)
+        upper += (flat.take(at + 1) - upper) * col
+
+        # lower + (upper - lower) * row, in place.
+        upper -= lower
+        upper *= row
+        lower += upper
+        return lower
 
 
 def slab(x_min: float, x_max: float, y_min: float, y_max: float, height: float) -> Primitive:
@@ -153,12 +156,16 @@ def build_sole(
     An edge of the body meets the flank of a sphere before its top: while it slides across, the
     force grows over a radius, where it would jump on a needle. `bounds` are those of the body.
     """
+    body_x_min, body_x_max, body_y_min, body_y_max = bounds
     margin = taxel_radius_m + 2 * GRID_M
-    x_min = bounds[0] - margin
-    y_min = bounds[2] - margin
-    n_x = math.ceil((bounds[1] + margin - x_min) / GRID_M) + 1
-    n_y = math.ceil((bounds[3] + margin - y_min) / GRID_M) + 1
-    x, y = np.meshgrid(x_min + GRID_M * np.arange(n_x), y_min + GRID_M * np.arange(n_y))
+    x_min = body_x_min - margin
+    y_min = body_y_min - margin
+    n_x = math.ceil((body_x_max + margin - x_min) / GRID_M) + 1
+    n_y = math.ceil((body_y_max + margin - y_min) / GRID_M) + 1
+    along_x = x_min + GRID_M * np.arange(n_x)
+    along_y = y_min + GRID_M * np.arange(n_y)
+    x, y = np.meshgrid(along_x, along_y)
+
     heights = np.full((n_y, n_x), FAR_M)
     for underside in primitives:
         np.minimum(heights, underside(x, y), out=heights)
@@ -169,15 +176,19 @@ def _eroded(heights: Doubles, radius_m: float) -> Doubles:
     """Return a height map as a sphere feels it; see the module. A needle feels the map itself."""
     reach = int(radius_m / GRID_M + 1e-9)
     offsets = GRID_M * np.arange(-reach, reach + 1)
-    away2 = offsets[:, None] ** 2 + offsets[None, :] ** 2
-    # Strictly inside the radius: at the radius itself the sphere is only touched on its equator.
-    within = away2 < radius_m**2 * (1 - 1e-9) if reach else away2 <= 0.0
-    lift = np.sqrt(np.maximum(radius_m**2 - away2, 0.0)) - radius_m
+    distance2 = offsets[:, None] ** 2 + offsets[None, :] ** 2
+    within = distance2 <= 0.0
+    if reach:
+        # Strictly inside the radius: at the radius itself the sphere is touched on its equator.
+        within = distance2 < radius_m**2 * (1 - 1e-9)
+    lift = np.sqrt(np.maximum(radius_m**2 - distance2, 0.0)) - radius_m
+
     n_y, n_x = heights.shape
     padded = np.pad(heights, reach, constant_values=FAR_M)
     felt = np.full(heights.shape, FAR_M)
     for i, j in np.argwhere(within):
-        np.minimum(felt, padded[i : i + n_y, j : j + n_x] - lift[i, j], out=felt)
+        shifted = padded[i : i + n_y, j : j + n_x]
+        np.minimum(felt, shifted - lift[i, j], out=felt)
     return felt
 
 

@@ -65,6 +65,7 @@ class RigidBody:
         """q and v of the body after a time step (see the module) on the cells of `bed`, from those
         at its beginning (`Bed.forces`). It may be halved `splits` times.
         """
+
         loaded0 = bed.forces(q, v).nonzero()[0]
         h = _GAMMA * dt_s
         v1, loaded1 = self._solve_stage(bed, q, v, h)
@@ -90,6 +91,8 @@ class RigidBody:
         continuous, piecewise linear and monotone in w, and the equation is the gradient of a
         convex function: Newton's method on the set of loaded cells, with step halving, converges.
         """
+
+        # Cells that even the free motion does not reach press on nothing.
         free = v + h / self.inertia * self.load
         gap = bed.gap + bed.jacobian @ q
         lowest = np.minimum(gap, gap + bed.jacobian @ (h * free))
@@ -114,6 +117,7 @@ class RigidBody:
             matrix.flat[:: len(w) + 1] += self.inertia
             right = self.inertia * free - (h_loaded * spring) @ jacobian
             solution = right / matrix[0] if len(w) == 1 else np.linalg.solve(matrix, right)
+
             target: Doubles = np.asarray(solution, dtype=np.float64)
             reached = spring + slope * (jacobian @ target) < 0.0
             # With the same cells loaded, the full step has solved the equation exactly.

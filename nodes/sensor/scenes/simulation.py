@@ -70,14 +70,22 @@ class RandomPath:
         """
         half = np.array([half_width_m, half_height_m])
         start = rng.uniform(-half, half)
-        corners = [start]
-        times = [self.at_s]
-        while times[-1] <= end_s:
-            corners.append(rng.uniform(-half, half))
-            length = float(np.hypot(*(corners[-1] - corners[-2])))
-            times.append(times[-1] + length / self.speed_m_s)
-        offsets = [(float(x - start[0]), float(y - start[1])) for x, y in corners]
-        return (float(start[0]), float(start[1])), PolygonalCourse(tuple(times), tuple(offsets))
+        corner = start
+        time_s = self.at_s
+        times = [time_s]
+        offsets = [(0.0, 0.0)]
+        while time_s <= end_s:
+            next_corner = rng.uniform(-half, half)
+            length = float(np.hypot(*(next_corner - corner)))
+            time_s += length / self.speed_m_s
+            corner = next_corner
+            times.append(time_s)
+            x, y = corner - start
+            offsets.append((float(x), float(y)))
+
+        start_x, start_y = start
+        course = PolygonalCourse(tuple(times), tuple(offsets))
+        return (float(start_x), float(start_y)), course
 
 
 @dataclass(frozen=True)
@@ -161,10 +169,12 @@ class SceneSource(Source):
         scene = self.scene
         average = MovingAverage(SMOOTHING_STEPS, scene.shape)
         for step, state in enumerate(self.states()):
-            n_steps_left = first - step if step < first else (first - step) % every
-            if n_steps_left < SMOOTHING_STEPS:
+            n_until_next = first - step
+            if step >= first:
+                n_until_next %= every
+            if n_until_next < SMOOTHING_STEPS:
                 state.write_forces(average.newest)
-            if n_steps_left > 0:
+            if n_until_next > 0:
                 average.skip()
                 continue
             forces = average.step()
@@ -181,31 +191,39 @@ class SceneSource(Source):
         n_dof = len(self.scene.dof)
         place, course = self._course()
         terrain = Terrain(scene.surface, scene.shape, scene.body.sole, scene.yaw_rad, scene.dof)
-        weight = scene.body.mass_kg * GRAVITY_M_S2
         inertia = np.full(n_dof, scene.body.inertia_kg_m2)
         inertia[0] = scene.body.mass_kg
-        body = RigidBody(inertia, np.array([-weight] + [0.0] * (n_dof - 1)))
+        load = np.zeros(n_dof)
+        load[0] = -scene.body.mass_kg * GRAVITY_M_S2
+        body = RigidBody(inertia, load)
         q = np.zeros(n_dof)
         v = np.zeros(n_dof)
+
+        # At rest in the air.
         q[0] = scene.drop_height_m
 
         dt_s = scene.dt_ns * 1e-9
         motion = scene.motion
-        here = course.place(0.0)
-        bed, taxels = terrain.under((place[0] + here[0], place[1] + here[1]))
+        drop_x, drop_y = place
+        offset = course.place(0.0)
+        bed, taxels = terrain.under((drop_x + offset[0], drop_y + offset[1]))
         for step in range(scene.n_steps):
             yield State(bed, taxels, q, v)
             t_s = step * dt_s
+
+            # A body that is lifted moves as prescribed, whatever the skin does.
             if isinstance(motion, Lift) and t_s >= motion.at_s:
                 v = np.zeros(n_dof)
                 v[0] = motion.speed_m_s
                 q = q + dt_s * v
             else:
                 q, v = body.step(bed, q, v, dt_s)
-            there = course.place(t_s + dt_s)
-            if there != here:
-                here = there
-                bed, taxels = terrain.under((place[0] + here[0], place[1] + here[1]))
+
+            # The cells under the body are found anew only where it has moved along the skin.
+            next_offset = course.place(t_s + dt_s)
+            if next_offset != offset:
+                offset = next_offset
+                bed, taxels = terrain.under((drop_x + offset[0], drop_y + offset[1]))
 
     def _course(self) -> tuple[Place, Course]:
         """Return the place of the drop and the course from there."""

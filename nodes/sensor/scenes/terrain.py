@@ -99,18 +99,25 @@ class Terrain:
         n_rows, n_cols = self._shape
         x_min, x_max, y_min, y_max = self._sole.bounds
         reach = math.hypot(max(-x_min, x_max), max(-y_min, y_max)) + 2 * surface.pitch_m
-        sides = self._indices(place[0], reach, n_cols), self._indices(place[1], reach, n_rows)
-        col, row = (index.ravel() for index in np.meshgrid(*sides))
+        cols = self._indices(place[0], reach, n_cols)
+        rows = self._indices(place[1], reach, n_rows)
+        col, row = (index.ravel() for index in np.meshgrid(cols, rows))
+
+        # Places of their centres, and which of them the body can cover.
         skin_x = np.asarray((col - (n_cols - 1) / 2) * surface.pitch_m, dtype=np.float64)
         skin_y = np.asarray((row - (n_rows - 1) / 2) * surface.pitch_m, dtype=np.float64)
         body_x, body_y = self._to_body(skin_x, skin_y)
         x, y = self._to_body(*place)
         near = self._vicinity.sample(body_x - x, body_y - y) > 0.0
-        on_skin = (col >= 0) & (col < n_cols) & (row >= 0) & (row < n_rows)
+        on_skin = (col >= 0) & (col < n_cols)
+        on_skin &= (row >= 0) & (row < n_rows)
+
+        # Taxels first, as the bed has them.
         skin = np.flatnonzero(near & on_skin)
         ground = np.flatnonzero(near & ~on_skin)
         order = np.concatenate([skin, ground])
         sizes = [skin.size, ground.size]
+
         self._taxels = (row * n_cols + col)[skin]
         self._body_x = body_x[order]
         self._body_y = body_y[order]

@@ -179,6 +179,7 @@ def _limb(shape: tuple[int, int], pitch_m: float) -> Body:
     area = (2 * math.hypot(end_x, end_y) + 2 * half) * 2 * half
     bead = capsule((-end_x, -end_y), (end_x, end_y), radius)
     bounds = (-end_x - radius, end_x + radius, -end_y - radius, end_y + radius)
+
     mass = _mass(min(area, height * width), pitch_m, 0.6)
     return Body(build_sole([bead], bounds, pitch_m / 2), mass, mass * radius**2)
 
@@ -207,6 +208,7 @@ def _foot(shape: tuple[int, int], pitch_m: float) -> Body:
         reach_x = 0.4 * long
         reach_y = 0.24 * wide
     sole = build_sole(slabs, (-reach_x, reach_x, -reach_y, reach_y), pitch_m / 2)
+
     mass = _mass(area, pitch_m, 1.0)
     return Body(sole, mass, mass * long**2 / 12)
 

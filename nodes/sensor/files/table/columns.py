@@ -62,9 +62,12 @@ def time_column(head: TableHead, layout: Layout, data: Sequence[Line], name: str
     by_name = [k for k, label in enumerate(head.names) if label and is_time_name(label)]
     by_name = [k for k in by_name if holds_values(data, k)]
     by_name = _without_nanoseconds(head, by_name)
+
     texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]
     dates = [k for k in head.numeric if not is_indexed(head, k) and is_epoch(column_of(data, k))]
     dates = _without_nanoseconds(head, dates)
+
+    # Names first, then texts that are times, then dates.
     for candidates, note in ((by_name, ""), (texts, ""), (dates, "holds dates")):
         if len(candidates) > 1:
             labels = " or ".join(f"time={head.label(k)}" for k in candidates)
@@ -75,6 +78,7 @@ def time_column(head: TableHead, layout: Layout, data: Sequence[Line], name: str
             if note:
                 head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
             return candidates[0]
+    # With a stated rate the file is read without times.
     if layout.rate_hz is None:
         _ask_for_texts(head, data, name)
     column = _time_at_an_end(head, layout, data, name)
@@ -129,12 +133,17 @@ def _time_at_an_end(head: TableHead, layout: Layout, data: Sequence[Line], name:
     is_one_more = layout.n_stated is not None and len(head.numeric) == layout.n_stated + 1
     if head.header or layout.columns or not is_one_more or len(data) < 2:
         return None
+
     ends = {"first": head.numeric[0], "last": head.numeric[-1]}
-    rising = {word: k for word, k in ends.items() if _rises(column_of(data, k))}
+    rising: dict[str, int] = {}
+    for word, k in ends.items():
+        if _rises(column_of(data, k)):
+            rising[word] = k
     if len(rising) > 1:
         options = [{"time": word} for word in rising]
         fault = "the first and the last column rise: state time=first or time=last, or columns"
         raise UnstatedError(f"{name}: {fault}", *options)
+    # A column 0, 1, 2, ... counts the lines: it is no time.
     for k in rising.values():
         if not _counts(column_of(data, k)):
             head.notes += (f"column {head.label(k)} rises in all lines: the times",)

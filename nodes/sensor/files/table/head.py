@@ -223,6 +223,8 @@ def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
             continue
         below = [line.cells[k] for line in later if k < len(line.cells)]
         n_values = sum(map(is_value, below))
+
+        # A single text above numbers is enough: a name.
         if cell and 2 * n_values > len(below):
             return True
     return False
@@ -246,6 +248,7 @@ def _named_by_comment(head: TableHead, raw: list[tuple[int, str]], first_number:
     if not texts_before or not texts_before[-1].startswith(COMMENTS):
         return
     text = texts_before[-1].lstrip("#%/ ")
+
     names = tuple(cell.strip() for cell in head.dialect.cells(text))
     has_names = any(map(is_time_name, names)) or any(re.search(r"\d", name) for name in names)
     if len(names) == head.width and has_names and not any(map(is_number, names)):
@@ -261,11 +264,16 @@ def _count_before(
     head.dropped["line of the separator"] += int(has_sep)
     n_skipped = max(0, min(layout.skip, len(texts_before)) - int(has_sep))
     head.dropped["skipped lines"] += n_skipped
-    unskipped = texts_before[max(layout.skip, int(has_sep)) :]
-    n_blank = sum(not text.strip() for text in unskipped)
-    n_comments = sum(not _is_body(text) and bool(text.strip()) for text in unskipped)
+    n_blank = 0
+    n_comments = 0
+    for text in texts_before[max(layout.skip, int(has_sep)) :]:
+        if not text.strip():
+            n_blank += 1
+        elif not _is_body(text):
+            n_comments += 1
     head.dropped["blank lines"] += n_blank
     head.dropped["comments"] += n_comments
+
     n_others = len(texts_before) - head.dropped.total()
     if n_others:
         head.dropped["lines before the table"] += n_others
@@ -310,6 +318,7 @@ def _find_kind(
     n_cols = layout.n_cols
     n_stated = layout.n_stated or 0
     fits = n_stated > head.width == n_cols and n_rows is not None
+
     heights = _block_heights(head, raw, data[0].number)
     if fits and n_rows is not None:
         head.height = n_rows
@@ -330,7 +339,9 @@ def _block_heights(head: TableHead, raw: list[tuple[int, str]], first_number: in
     for number, text in raw:
         if number < first_number:
             continue
-        cells = head.dialect.cells(text) if text.strip() else []
+        cells = head.dialect.cells(text)
+        if not text.strip():
+            cells = []
         is_row = any(map(is_number, cells)) and len(cells) in _widths(head)
         if is_row and is_within:
             heights[-1] += 1
@@ -348,7 +359,9 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> Long
 
     def only(words: Sequence[str]) -> int | None:
         columns = [k for k in head.numeric if names[k] in words]
-        return columns[0] if len(columns) == 1 else None
+        if len(columns) != 1:
+            return None
+        return columns[0]
 
     row = only((*ROW_WORDS, "i"))
     col = only((*COL_WORDS, "j"))
@@ -364,6 +377,7 @@ def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> Long
 
     # The first frame shows the sides.
     frame = frames[0]
+
     key = data[0].cells[frame]
     in_frame = [line.cells for line in data if line.cells[frame] == key]
     col_numbers = _whole_numbers([cells[col] for cells in in_frame])

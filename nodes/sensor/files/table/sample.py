@@ -48,7 +48,8 @@ class TableHead:
 
     def label(self, column: int) -> str:
         """The name of a column, or its number from 1."""
-        return shown(self.names[column]) if self.names[column] else str(column + 1)
+        name = self.names[column]
+        return shown(name) if name else str(column + 1)
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,11 @@ def holds_values(data: Sequence[Line], k: int) -> bool:
 
 def column_of(data: Sequence[Line], k: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Numbers of a column of the sample; NaN where there is none."""
-    cells = [line.cells[k] for line in data]
-    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+    numbers = np.full(len(data), np.nan)
+    for row, line in enumerate(data):
+        if is_number(line.cells[k]):
+            numbers[row] = float(line.cells[k])
+    return numbers
 
 
 def is_indexed(head: TableHead, k: int) -> bool:

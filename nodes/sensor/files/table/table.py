@@ -141,6 +141,7 @@ class TableRecording(Recording):
             last_number = piece.number + len(piece.lines) - 1
             lines = enumerate(piece.lines[n_skipped:], start=piece.number + n_skipped)
             for number, text in lines:
+                # The first reason counts.
                 label = self._dropped_as(text)
                 if not label and piece.is_cut and number == last_number:
                     label = self._cut_as(text)
@@ -163,6 +164,7 @@ class TableRecording(Recording):
             return "blank lines"
         if stripped[0] in "#%" or stripped.startswith("//"):
             return "comments"
+        # A logger that was started again appends to its file.
         if self._head.header and text == self._head.header:
             return "repeated headers"
         begins_row = stripped[0].isdigit() or stripped[0] in '+-."[('
@@ -201,6 +203,8 @@ class TableRecording(Recording):
     def _parsed_fast(self, texts: Sequence[str]) -> Doubles | None:
         """Numbers of lines that NumPy reads; None if it cannot read one, or may not."""
         head = self._head
+
+        # NumPy splits at any white space where no separator is stated.
         separator = None if head.dialect.separator == " " else head.dialect.separator
         columns = None if len(head.numeric) == head.width else head.numeric
         if separator is None and columns is not None:
@@ -354,6 +358,8 @@ class TableRecording(Recording):
         """Frames of lines, of which each of `begins` is the first of a frame."""
         long = self._head.long
         assert long is not None
+
+        # Number of the frame, row and column of each line.
         sizes = np.diff([*begins, len(rows)])
         frame = np.repeat(np.arange(len(begins)), sizes)
         row = np.zeros(len(rows))
@@ -367,6 +373,7 @@ class TableRecording(Recording):
             fault = f"row {row[k]:g}, column {col[k]:g} is outside {sides}"
             raise SourceError(f"{self._file.name}: {fault}")
 
+        # Taxels that have no line in a frame are missing.
         numbers = np.full((len(begins), long.n_rows, long.n_cols), np.nan)
         numbers[frame, row.astype(np.intp), col.astype(np.intp)] = rows[:, long.value]
         places = set(zip(frame.tolist(), row.tolist(), col.tolist(), strict=True))

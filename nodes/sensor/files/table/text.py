@@ -85,6 +85,7 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
     is_first = True
     while data := file.read(PIECE_BYTES):
         if not data.endswith(b"\n"):
+            # A piece ends with a line.
             line_end = file.readline(MAX_LINE_BYTES)
             if len(line_end) == MAX_LINE_BYTES:
                 line = number + data.count(b"\n")
@@ -109,7 +110,9 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
 def dialect_of(lines: Sequence[str]) -> Dialect:
     """The dialect of lines, of which most hold data."""
     has_prefix = _are_most(lines, lambda line: PREFIX.match(line) is not None)
-    bodies = [PREFIX.sub("", line, count=1) if has_prefix else line for line in lines]
+    bodies = list(lines)
+    if has_prefix:
+        bodies = [PREFIX.sub("", line, count=1) for line in lines]
     has_brackets = _are_most(bodies, lambda line: re.search(r"[\[(]\s*[-+.\d]", line) is not None)
     separator = _separator(bodies)
     has_decimal_comma = separator in (";", "\t", " ") and _have_decimal_commas(bodies, separator)

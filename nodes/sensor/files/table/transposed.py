@@ -46,6 +46,7 @@ class TransposedTable(Recording):
         time = self._time
         axis = Axis(len(names), "lines", names)
         usable = tuple(k for k in range(len(names)) if k != time)
+
         if time is None:
             return Head((axis,), usable, asks_unit=True)
         return Head(
