@@ -48,10 +48,10 @@ class Message:
     @classmethod
     def assembled(cls, values: dict[str, Any]) -> Self:
         """Message of fields that were checked one by one, as by `decode`."""
-        made = object.__new__(cls)
-        made.__dict__.update(values)
-        made.validate()
-        return made
+        message = object.__new__(cls)
+        message.__dict__.update(values)
+        message.validate()
+        return message
 
     @property
     def topic(self) -> str:
@@ -64,7 +64,8 @@ class Message:
 
     def moved(self, by_ns: int) -> Self:
         """Copy `by_ns` nanoseconds later: its stamp and all other times on the graph's clock."""
-        return self._copy(**{name: getattr(self, name) + by_ns for name in self.times})
+        times = {name: getattr(self, name) + by_ns for name in self.times}
+        return self._copy(**times)
 
     def following(self, **changes: Any) -> Self:
         """Message of the same node with the fields of its next frame. Of these, arrays are checked
@@ -85,16 +86,18 @@ class Message:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return all(
-            _same(getattr(self, name), getattr(other, name)) for name in wire_fields(type(self))
-        )
+        names = wire_fields(type(self))
+        return all(_same(getattr(self, name), getattr(other, name)) for name in names)
 
     __hash__ = None  # type: ignore[assignment]
 
 
 def _same(a: Any, b: Any) -> bool:
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+        if a.dtype != b.dtype or a.shape != b.shape:
+            return False
+        # By bytes: NaN equals itself, 0 and -0 differ.
+        return a.tobytes() == b.tobytes()
     return bool(a == b)
 
 
@@ -106,16 +109,19 @@ def once_a_class(make: Callable[[type[Message]], Made]) -> Callable[[type[Messag
 @once_a_class
 def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
     """Name and kind of each field of a message class, in order of declaration."""
-    return {f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)}
+    fields = dataclasses.fields(cls)
+    return {field.name: cast(FieldKind, field.metadata["wire"]) for field in fields}
 
 
 @once_a_class
 def array_fields(cls: type[Message]) -> dict[str, Array]:
     """Name and kind of the fields of a message class that are arrays."""
-    return {name: kind for name, kind in wire_fields(cls).items() if isinstance(kind, Array)}
+    fields = wire_fields(cls).items()
+    return {name: kind for name, kind in fields if isinstance(kind, Array)}
 
 
 @once_a_class
 def omitted_fields(cls: type[Message]) -> dict[str, Any]:
     """Name and default of the fields that are sent only where they differ from the default."""
-    return {f.name: f.default for f in dataclasses.fields(cls) if f.metadata["omitted"]}
+    fields = dataclasses.fields(cls)
+    return {field.name: field.default for field in fields if field.metadata["omitted"]}

@@ -51,36 +51,44 @@ class Frames(Message):
         for name, kind in of_patches(type(self)).items():
             if isinstance(kind, Each) and not values[name]:
                 values[name] = kind.unstated * n
+
             rows = values[name]
-            if rows is not None and len(rows) != n and not self._may_have(name, len(rows)):
+            if rows is None or len(rows) == n:
+                continue
+            if not self._may_have(name, len(rows)):
                 raise ShapeError(f"{name}: {len(rows)} rows for {n} patches")
 
     def _may_have(self, name: str, n_rows: int) -> bool:
         """True if a field may have so many rows, another number than there are patches."""
         return False
 
-    def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
-        """Messages of the single patches, arrays being views. `held` keeps the last forces of each
-        patch by its name, for those that a later `Reconstruction` does not send; a patch of which
-        nothing is known is left out.
+    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+        """Messages of the single patches, arrays being views. `last_forces` keeps the last forces
+        of each patch by its name, for those that a later `Reconstruction` does not send; a patch
+        of which nothing is known is left out.
         """
-        return [self._single(k) for k in range(len(self.names))] if self.names else [self]
+        if not self.names:
+            return [self]
+        return [self._single(k) for k in range(len(self.names))]
 
     def _single(self, k: int, **changes: Any) -> Self:
         """Message of patch k alone."""
         values = self.__dict__
-        parts = {
-            name: values[name][k : k + 1]
-            for name in of_patches(type(self))
-            if name not in changes and values[name] is not None
-        }
+        parts = {}
+        for name in of_patches(type(self)):
+            if name not in changes and values[name] is not None:
+                parts[name] = values[name][k : k + 1]
         return self._copy(patch=self.patches[k], names=(), **parts, **changes)
 
 
 def kinds_alone(cls: type[Message]) -> dict[str, FieldKind]:
     """Kinds of the fields of a message of one patch as `values_alone` returns them, by name."""
-    fields = wire_fields(cls).items()
-    return {n: kind.kind if isinstance(kind, Each) else kind for n, kind in fields if n != "names"}
+    kinds = dict(wire_fields(cls))
+    kinds.pop("names", None)
+    for name, kind in kinds.items():
+        if isinstance(kind, Each):
+            kinds[name] = kind.kind
+    return kinds
 
 
 def values_alone(message: Message) -> dict[str, Any]:
@@ -88,9 +96,11 @@ def values_alone(message: Message) -> dict[str, Any]:
     numbers in place of tuples.
     """
     values = {name: value for name, value in message.__dict__.items() if name != "names"}
-    if isinstance(message, Frames):
-        rows = {name: values[name] for name in of_patches(type(message))}
-        values |= {name: row[0] for name, row in rows.items() if row is not None}
+    if not isinstance(message, Frames):
+        return values
+    for name in of_patches(type(message)):
+        if values[name] is not None:
+            values[name] = values[name][0]
     return values
 
 
@@ -120,18 +130,24 @@ class Sensed(Frames):
         if self.missing is None:
             return None
         n = math.prod(shape)
-        if self.missing.size != -(-n // 8):
+        n_bytes = -(-n // 8)
+        if self.missing.size != n_bytes:
             raise ShapeError(f"missing: {self.missing.size} bytes for {n} cells")
-        return np.unpackbits(self.missing, count=n).reshape(shape).view(np.bool_)
+        bits = np.unpackbits(self.missing, count=n)
+        return bits.reshape(shape).view(np.bool_)
 
 
 def known_forces(message: "Taxels | Truth | Reconstruction") -> Floats:
     """Forces of a message of one patch, float32 (n_rows, n_cols), NaN where the reading is missing.
     Raises ShapeError if `missing` is of another shape.
     """
-    forces = message.forces[0]
-    missing = None if isinstance(message, Truth) else message.missing_cells(forces.shape)
-    return forces if missing is None else np.where(missing, np.float32(np.nan), forces)
+    forces: Floats = message.forces[0]
+    if isinstance(message, Truth):
+        return forces
+    missing = message.missing_cells(forces.shape)
+    if missing is None:
+        return forces
+    return np.where(missing, np.float32(np.nan), forces)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -234,18 +250,20 @@ class Reconstruction(Sensed):
     def _may_have(self, name: str, n_rows: int) -> bool:
         return name == "forces" and n_rows == self.unchanged.count(False)
 
-    def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
-        held = {} if held is None else held
+    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+        if last_forces is None:
+            last_forces = {}
         all_sent = len(self.forces) == len(self.patches)
         if all_sent and not self.names:
-            held[self.patch] = self.forces
+            last_forces[self.patch] = self.forces
             return [self]
+
         row = 0
         parts = []
         for k, name in enumerate(self.patches):
             if all_sent or not self.unchanged[k]:
-                held[name] = self.forces[row : row + 1]
+                last_forces[name] = self.forces[row : row + 1]
                 row += 1
-            if name in held:
-                parts.append(self._single(k, forces=held[name]))
+            if name in last_forces:
+                parts.append(self._single(k, forces=last_forces[name]))
         return parts

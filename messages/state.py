@@ -63,8 +63,16 @@ class SkinState(Message):
     @property
     def skin(self) -> Skin:
         """The skin itself."""
-        grid = (self.n_rows, self.n_cols, self.f_max, self.unit, self.pitch_m, self.mask)
-        return Skin(*grid, self.points, self.point_rows)
+        return Skin(
+            n_rows=self.n_rows,
+            n_cols=self.n_cols,
+            f_max=self.f_max,
+            unit=self.unit,
+            pitch_m=self.pitch_m,
+            mask=self.mask,
+            points=self.points,
+            point_rows=self.point_rows,
+        )
 
     @property
     def clips_noise(self) -> bool:
@@ -76,7 +84,10 @@ class SkinState(Message):
         """Least standard deviation of the stated noise of a taxel, in `unit`: that of an untouched
         one where the range clips it; 0 where no noise is stated.
         """
-        return min(self.sigma_mid, self.sigma_end) * (CLIP_SD if self.clips_noise else 1.0)
+        sd = min(self.sigma_mid, self.sigma_end)
+        if self.clips_noise:
+            sd *= CLIP_SD
+        return sd
 
 
 def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
@@ -90,8 +101,8 @@ def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
         "pitch_m": skin.pitch_m or None,
         "rate_hz": rate_hz or None,
     }
-    known = {name: value for name, value in optional.items() if value is not None}
-    return {"f_max": skin.f_max, "unit": skin.unit, **known}
+    stated = {name: value for name, value in optional.items() if value is not None}
+    return {"f_max": skin.f_max, "unit": skin.unit, **stated}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,10 +131,12 @@ class Calibration(Message):
             raise ShapeError("response_reading, response_force: expected both of them or none")
         if reading is not None and force is not None and len(reading) != len(force):
             raise ShapeError(f"response_reading: {len(reading)} knots, but {len(force)} forces")
-        grids = [one for one in (self.baseline, self.gains) if one is not None]
+
+        shapes = {grid.shape for grid in (self.baseline, self.gains) if grid is not None}
+        # A response of shape (K, 1, 1) is that of all taxels.
         if reading is not None and reading.shape[1:] != (1, 1):
-            grids.append(reading[0])
-        if len({grid.shape for grid in grids}) > 1:
+            shapes.add(reading.shape[1:])
+        if len(shapes) > 1:
             raise ShapeError("baseline, gains, response_reading: expected one shape")
 
 

@@ -85,24 +85,32 @@ def decode(topic: bytes, payload: Payload) -> Message:
         raise TruncatedError("no payload follows the topic: the sender runs another version")
     if payload[0] == MARK:
         return decode_frame(topic, payload)
-    body: dict[object, object] = unpacked(payload, dict, n_bytes)
-    cls = class_of(body)
-    fields = wire_fields(cls)
-    omitted = omitted_fields(cls)
-    held = body.keys() - {"schema", "version"}
-    wrong = (held - fields.keys()) | (fields.keys() - omitted.keys() - held)
-    if wrong:
-        names = ", ".join(sorted(map(str, wrong)))
-        raise MalformedError(f"{cls.schema}: missing or unknown fields {names[:200]}")
-    message = cls.assembled(
-        {
-            name: kind.unpack(name, body[name]) if name in held else omitted[name]
-            for name, kind in fields.items()
-        }
-    )
+    message = _of_map(unpacked(payload, dict, n_bytes))
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
     return message
+
+
+def _of_map(body: dict[object, object]) -> Message:
+    """Message of a map, or MessageError."""
+    cls = class_of(body)
+    fields = wire_fields(cls)
+    omitted = omitted_fields(cls)
+
+    sent = body.keys() - {"schema", "version"}
+    unknown = sent - fields.keys()
+    missing = fields.keys() - omitted.keys() - sent
+    if unknown or missing:
+        names = ", ".join(sorted(map(str, unknown | missing)))
+        raise MalformedError(f"{cls.schema}: missing or unknown fields {names[:200]}")
+
+    values = {}
+    for name, kind in fields.items():
+        if name in sent:
+            values[name] = kind.unpack(name, body[name])
+        else:
+            values[name] = omitted[name]
+    return cls.assembled(values)
 
 
 def size_bytes(message: Message) -> int:
