@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -77,24 +77,23 @@ class MonitorSettings(Settings):
             check_patch(f"patches[{k}]", patch)
         for batch, names in (self.batches or {}).items():
             with naming(f"batches.{batch}"):
-                check_patch("name", batch)
-                if not isinstance(names, list | tuple) or not names:
-                    raise SettingsError(f"expected a list of names, got {names!r}")
-                check_patches("patches", tuple(names))
+                _check_batch(batch, names)
+
+        all_patches = self.all_patches
         for patch, pose in (self.poses or {}).items():
-            if patch not in self.all_patches:
-                raise SettingsError(
-                    f"poses.{patch}: no patch{did_you_mean(patch, self.all_patches)}"
-                )
+            if patch not in all_patches:
+                raise SettingsError(f"poses.{patch}: no patch{did_you_mean(patch, all_patches)}")
             check_pose(f"poses.{patch}", pose)
-        if len(set(self.all_patches)) < len(self.all_patches):
+        if len(set(all_patches)) < len(all_patches):
             raise SettingsError("batches: a patch occurs twice")
 
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Names of the patches of each batch, by its name; of a single patch its own."""
-        batches = {batch: tuple(names) for batch, names in (self.batches or {}).items()}
-        return {patch: (patch,) for patch in self.patches} | batches
+        groups: dict[str, tuple[str, ...]] = {patch: (patch,) for patch in self.patches}
+        for batch, names in (self.batches or {}).items():
+            groups[batch] = tuple(names)
+        return groups
 
     @property
     def all_patches(self) -> tuple[str, ...]:
@@ -117,12 +116,12 @@ class Monitor(Node[MonitorSettings]):
         super().__init__(settings, context)
         since_ns = context.clock.now_ns() if context.late else None
         self._groups = settings.groups
-        self._patches = {
-            name: PatchMetrics(since_ns, partial(_clock_of, context, group))
-            for group, names in self._groups.items()
-            for name in names
-        }
-        self._held: dict[str, Any] = {}
+        self._patches: dict[str, PatchMetrics] = {}
+        for group, names in self._groups.items():
+            clock_of = partial(_clock_of, context, group)
+            for name in names:
+                self._patches[name] = PatchMetrics(since_ns, clock_of)
+        self._last_forces: dict[str, Any] = {}
         self._feed: Feed | None = None
         self._page: PageServer | None = None
         self._opener: Path | None = None
@@ -147,51 +146,51 @@ class Monitor(Node[MonitorSettings]):
         again: bool,
     ) -> dict[str, Any]:
         group_of = {name: group for group, names in settings.groups.items() for name in names}
-        by = {topic: found for found in counts for topic in found["published"]}
+        counts_of = {topic: of_node for of_node in counts for topic in of_node["published"]}
         patches = dict(report.get("patches", {}))
         for name, patch in patches.items():
-            taxels, measured, answered = (
-                topic_of(group_of[name], kind.schema)
-                for kind in (Taxels, Measurements, Reconstruction)
-            )
-            sensed = taxels if taxels in by else measured
-            if not ({sensed, answered} if again else {sensed}) <= by.keys():
-                continue  # some are of another host
-            found = {**patch["frames"], "sensed": by[sensed]["published"][sensed]}
-            if again:
-                found["reconstructed"] = by[answered]["published"][answered]
-                found["skipped"] = by[answered]["skipped"].get(measured, 0)
-            found["lost"] = max(0, found["sensed"] - found["reconstructed"] - found["skipped"])
-            patches[name] = {**patch, "frames": found}
+            frames = _published_frames(patch["frames"], group_of[name], counts_of, again)
+            patches[name] = {**patch, "frames": frames}
         return {"patches": patches}
 
     def start(self) -> Iterable[Message]:
-        ask = self.context.ask
-        if (self.settings.page and ask is not None) or self.settings.screen:
-            from .live.feed import Feed
-            from .live.notices import Notices
+        ask = self.context.ask if self.settings.page else None
+        if ask is None and not self.settings.screen:
+            return ()
 
-            self._feed = Feed(self.settings.all_patches, self.settings.poses)
-            self._notices = Notices(self._feed)
-        if self._feed is not None and self.settings.page and ask is not None:
-            from .live.server import PageServer
+        from .live.feed import Feed
+        from .live.notices import Notices
 
-            port = self.settings.port
-            token = self.context.page_token if self.settings.token else ""
-            self._page = PageServer(self._feed, self._notices, port, ask, token)
-            taken = f" (port {port} is taken)" if port not in (0, self._page.port) else ""
-            self.context.log(f"live page: {self._page.url}{taken}")
-            if self.settings.browser and not self._open_browser(self._page.url):
-                self.context.log("no browser could be opened here; open the address yourself")
+        self._feed = Feed(self.settings.all_patches, self.settings.poses)
+        self._notices = Notices(self._feed)
+        if ask is not None:
+            self._serve_page(self._feed, ask)
         return ()
+
+    def _serve_page(self, feed: Feed, ask: Callable[[dict[str, Any]], None]) -> None:
+        from .live.server import PageServer
+
+        port = self.settings.port
+        token = self.context.page_token if self.settings.token else ""
+        self._page = PageServer(feed, self._notices, port, ask, token)
+        line = f"live page: {self._page.url}"
+        if port not in (0, self._page.port):
+            line += f" (port {port} is taken)"
+        self.context.log(line)
+        if self.settings.browser and not self._open_browser(self._page.url):
+            self.context.log("no browser could be opened here; open the address yourself")
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, Frames):
-            for part in message.split(self._held):
+            for part in message.split(self._last_forces):
                 self._add(part)
-        else:
-            for name in self._groups.get(message.patch, (message.patch,)):
-                self._add(replace(message, patch=name) if name != message.patch else message)
+            return ()
+        # A state of a batch is one of each of its patches.
+        for name in self._groups.get(message.patch, (message.patch,)):
+            if name == message.patch:
+                self._add(message)
+            else:
+                self._add(replace(message, patch=name))
         return ()
 
     def _add(self, message: Message) -> None:
@@ -246,14 +245,19 @@ class Monitor(Node[MonitorSettings]):
         return screen(self._feed, self._notices, line)
 
     def _status_line(self) -> str:
-        earlier, self._status_ns = self._status_ns, self.context.clock.now_ns()
-        seconds = max(self._status_ns - earlier, 1) / 1e9
-        each = [{name: metrics} for name, metrics in self._patches.items()]
-        before = self._status_frames
+        now_ns = self.context.clock.now_ns()
+        seconds = max(now_ns - self._status_ns, 1) / 1e9
+        self._status_ns = now_ns
+
+        parts = [{name: metrics} for name, metrics in self._patches.items()]
+        if len(parts) > FEW:
+            parts = [self._patches]
         lines = []
-        for patches in [self._patches] if len(each) > FEW else each:
-            new = sum(m.reconstructed - before[name] for name, m in patches.items())
-            lines.append(status_line(patches, new / seconds / len(patches)))
+        for patches in parts:
+            n_new = 0
+            for name, metrics in patches.items():
+                n_new += metrics.reconstructed - self._status_frames[name]
+            lines.append(status_line(patches, n_new / seconds / len(patches)))
         self._status_frames = {name: m.reconstructed for name, m in self._patches.items()}
         return "\n".join(lines)
 
@@ -267,6 +271,7 @@ class Monitor(Node[MonitorSettings]):
         has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
         if not has_display or not self.context.page_file:
             return False
+
         # Any user can list the arguments of a browser: its token is in a file of this user's.
         self._opener = Path(self.context.page_file)
         self._opener.unlink(missing_ok=True)  # the monitor has been killed and started again
@@ -278,10 +283,40 @@ class Monitor(Node[MonitorSettings]):
 
 def check_pose(place: str, pose: object) -> None:
     """Raise SettingsError unless this is x, y, z in mm and three angles in degrees."""
-    if not isinstance(pose, list | tuple) or [is_real(v, -1e6, 1e6) for v in pose] != [True] * 6:
-        raise SettingsError(
-            f"{place}: expected [x, y, z, roll, pitch, yaw], in mm and degrees, got {pose!r:.80}"
-        )
+    is_pose = isinstance(pose, list | tuple) and [is_real(v, -1e6, 1e6) for v in pose] == [True] * 6
+    if not is_pose:
+        expected = "expected [x, y, z, roll, pitch, yaw], in mm and degrees"
+        raise SettingsError(f"{place}: {expected}, got {pose!r:.80}")
+
+
+def _check_batch(batch: str, names: Any) -> None:
+    check_patch("name", batch)
+    if not isinstance(names, list | tuple) or not names:
+        raise SettingsError(f"expected a list of names, got {names!r}")
+    check_patches("patches", tuple(names))
+
+
+def _published_frames(
+    frames: Mapping[str, Any], group: str, counts_of: Mapping[str, Any], again: bool
+) -> Mapping[str, Any]:
+    """Numbers of frames of a patch by the counts of the nodes that publish them; as they are where
+    one of these is on another host.
+    """
+    taxels = topic_of(group, Taxels.schema)
+    measured = topic_of(group, Measurements.schema)
+    answered = topic_of(group, Reconstruction.schema)
+    sensed = taxels if taxels in counts_of else measured
+    needed = {sensed, answered} if again else {sensed}
+    if not needed <= counts_of.keys():
+        return frames
+
+    published = {**frames, "sensed": counts_of[sensed]["published"][sensed]}
+    if again:
+        published["reconstructed"] = counts_of[answered]["published"][answered]
+        published["skipped"] = counts_of[answered]["skipped"].get(measured, 0)
+    n_lost = published["sensed"] - published["reconstructed"] - published["skipped"]
+    published["lost"] = max(0, n_lost)
+    return published
 
 
 def _topics(settings: MonitorSettings, classes: tuple[type[Message], ...]) -> tuple[str, ...]:

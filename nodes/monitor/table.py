@@ -278,9 +278,9 @@ def _since(stamp_ns: Any) -> str:
 
 def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
     """One row a patch: counts of frames, mean PSNR of all and of contact frames, latency."""
-    first = next(iter(patches.values()))
+    scene = next(iter(patches.values()))["scene"]
     rows = [
-        f" {len(patches)} patches: {printable(str(first['scene']))} ".center(WIDTH, "="),
+        f" {len(patches)} patches: {printable(str(scene))} ".center(WIDTH, "="),
         f"{'':<12}{'frames':>8}{'skipped':>8}{'lost':>6}{'idle':>7}"
         f"{'PSNR dB':>10}{'contact':>8}{'latency p50':>12}{'p99 ms':>7}",
     ]
