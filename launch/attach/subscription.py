@@ -59,6 +59,7 @@ class Subscription:
             allowed = f"allowed: 0 to {MAX_TIMEOUT_S:g} seconds, or None"
             raise SettingsError(f"subscribe: timeout_s = {timeout_s!r} is not allowed; {allowed}")
         running = choose_graph(graph, option="graph")
+
         self.topic = find_topic(running, topic)
         self.graph = running.label
         self.age_s = math.nan
@@ -186,8 +187,8 @@ class Subscription:
         if self._newest:
             # The end of the stream replaces no message.
             n_ends = sum(arrival.ends for arrival in arrivals)
-            first = max(0, len(arrivals) - n_ends - 1)
-            arrivals = arrivals[first:]
+            n_skipped = max(0, len(arrivals) - n_ends - 1)
+            arrivals = arrivals[n_skipped:]
         self._arrivals.extend(arrivals)
         if has_ended and not arrivals:
             self.close()

@@ -161,9 +161,10 @@ def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bo
         raise PhiError(f"compress: tare = {tare}: there are {len(frames)} frames")
     readings = frames[:, exists]
     f_max = float(np.abs(readings).max(initial=0.0)) or 1.0
-    mask = None if exists.all() else exists
+    n_rows, n_cols = exists.shape
+    skin = Skin(n_rows, n_cols, f_max, mask=None if exists.all() else exists)
     try:
-        zero = Zero(Skin(*exists.shape, f_max, mask=mask), tare, invert)
+        zero = Zero(skin, tare, invert)
     except SettingsError as error:
         raise PhiError(f"compress: {error}") from error
 
@@ -268,6 +269,8 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     >>> bool(sparseskin.psnr_db(forces, truth).min() > 30)
     True
     """
+    if solver_fact(solver, "uses_blas"):
+        warn_of_threads()
     _check_solver(solver)
     y = real_floats(measurements, "measurements", SolverError)
     if y.ndim not in (1, 2):
@@ -288,15 +291,13 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
 
 def _check_solver(solver: Solver) -> None:
     """Raise SolverError if this is no solver, or what was set of its noise is not allowed."""
-    if solver_fact(solver, "uses_blas"):
-        warn_of_threads()
     if not hasattr(solver, "solve"):
         raise SolverError(f"solver: got {type(solver).__name__}; expected what make_solver returns")
     newtons("solver", "noise_sd", getattr(solver, "noise_sd", 0.0))
     model = getattr(solver, "noise_model", None)
     if model is not None and not isinstance(model, NoiseModel):
-        text = f"noise_model = {f'{model!r:.60}'} is not allowed; allowed: a NoiseModel"
-        raise SolverError(f"solver: {text}")
+        allowed = "allowed: a NoiseModel"
+        raise SolverError(f"solver: noise_model = {model!r:.60} is not allowed; {allowed}")
 
 
 def _reconstructed(y: Floats, solver: Solver) -> Floats:
@@ -358,7 +359,7 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
             f"psnr_db: shapes {forces.shape} and {truth.shape}; "
             "expected the same, (n_rows, n_cols) or (k, n_rows, n_cols)"
         )
-    peak = float(truth.max(initial=-np.inf))
+    peak = float(truth.max()) if truth.size else 0.0
     if peak > f_max:
         text = f"the reference reaches {peak:g}, above f_max = {f_max:g}"
         raise SparseskinError(f"psnr_db: {text}; state f_max, the upper end of its range")

@@ -154,26 +154,26 @@ class _Test:
         self._kind = kind
         self._name = name
 
-    def fail(self, what: str, found: object, expected: str) -> NoReturn:
-        raise self._kind(f"{self._name}{what}: {found}; expected: {expected}")
+    def fail(self, place: str, result: object, expected: str) -> NoReturn:
+        raise self._kind(f"{self._name}{place}: {result}; expected: {expected}")
 
     def applied(
         self, name: str, apply: Callable[[Floats], Floats], batch: Floats, shape: tuple[int, ...]
     ) -> Floats:
         """Apply to a batch of two frames, with checks of shape, type, values and bits."""
-        what = f": {name}"
+        place = f": {name}"
         copy = batch.copy()
         result = apply(batch)
         if result.shape != shape or result.dtype != np.float32:
-            self.fail(what, f"{result.dtype} of shape {result.shape}", f"float32 of shape {shape}")
+            self.fail(place, f"{result.dtype} of shape {result.shape}", f"float32 of shape {shape}")
         if not np.isfinite(result).all():
-            self.fail(what, "not finite", "finite numbers")
+            self.fail(place, "not finite", "finite numbers")
         if not np.array_equal(batch, copy):
-            self.fail(what, "its input is changed", "an input that is left as it is")
+            self.fail(place, "its input is changed", "an input that is left as it is")
 
         frame_by_frame = np.stack([apply(frame) for frame in batch])
         if not np.array_equal(frame_by_frame, result):
-            self.fail(what, "other bits on a second call", "the same bits, alone and in a batch")
+            self.fail(place, "other bits on a second call", "the same bits, alone and in a batch")
         return result
 
     def dot_error(

@@ -246,9 +246,8 @@ class Stream:
             text = f"a taxel reads {largest:g}, far beyond f_max = {self._skin.f_max:g}"
             raise SparseskinError(f"stream: {text}; state f_max in the unit of the readings")
         if abs(largest) > LARGEST:
-            raise SparseskinError(
-                f"stream: a taxel reads {largest:g}; allowed: within +-{LARGEST:g}"
-            )
+            allowed = f"allowed: within +-{LARGEST:g}"
+            raise SparseskinError(f"stream: a taxel reads {largest:g}; {allowed}")
 
     def _note_doubt(self) -> None:
         """Keep what is found of the readings of the next frame for its reconstruction."""
