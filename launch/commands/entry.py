@@ -16,7 +16,7 @@ def main() -> int:
     try:
         return _run()
     except KeyboardInterrupt as error:
-        return getattr(error, "exit_code", EXIT_INTERRUPTED)
+        return getattr(error, "exit_code", EXIT_INTERRUPTED)  # that of `Terminated`
     except OSError as error:
         # stdout is closed or full; the rest of its buffer must not be written again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

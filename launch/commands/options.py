@@ -41,9 +41,9 @@ def add_commands(
     kinds = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def add(name: str, run: Run, about: str) -> argparse.ArgumentParser:
-        made = kinds.add_parser(name, help=about, description=inspect.getdoc(run))
-        made.set_defaults(run=run)
-        return made
+        command = kinds.add_parser(name, help=about, description=inspect.getdoc(run))
+        command.set_defaults(run=run)
+        return command
 
     return add
 
@@ -54,8 +54,10 @@ RARE = "rarely used options"
 
 def rare(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """The group of the options of a command that are rarely used."""
-    found = (group for group in parser._action_groups if group.title == RARE)
-    return next(found, None) or parser.add_argument_group(RARE)
+    for group in parser._action_groups:
+        if group.title == RARE:
+            return group
+    return parser.add_argument_group(RARE)
 
 
 def add_graph(parser: argparse.ArgumentParser, document: str = "") -> None:
@@ -93,52 +95,60 @@ def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None
     """Add an option for each key of `Layout`, spelled as the settings of the sensor, `but` some."""
     from sparseskin.nodes.sensor.layout.layout import Layout  # with NumPy, which takes time
 
-    more = rare(parser)
+    rarely_used = rare(parser)
     for entry in Layout.described():
         key = entry["key"]
         if key in but:
             continue
-        name = f"--{key.replace('_', '-')}"
-        group = parser if key in USUAL_KEYS else more
+        group = parser if key in USUAL_KEYS else rarely_used
         about = entry["doc"].partition(";")[0]
-        if entry["choices"]:
-            choices = [choice for choice in entry["choices"] if choice]
-            group.add_argument(name, choices=choices, default=None, help=about)
-        else:
-            kind: Any = str
-            if entry["type"].startswith("int"):
-                kind = whole(int(entry["low"]))
-            elif entry["type"].startswith("float"):
-                kind = real(above_0=True)
-            metavar = "TEXT" if kind is str else "N"
-            group.add_argument(name, metavar=metavar, type=kind, default=None, help=about)
+        group.add_argument(_option_of(key), default=None, help=about, **_kind_of(entry))
+
+
+def _option_of(key: str) -> str:
+    """The option of a key of a layout."""
+    return f"--{key.replace('_', '-')}"
+
+
+def _kind_of(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `add_argument` for the values of a described setting."""
+    if entry["choices"]:
+        return {"choices": [choice for choice in entry["choices"] if choice]}
+    if entry["type"].startswith("int"):
+        return {"metavar": "N", "type": whole(int(entry["low"]))}
+    if entry["type"].startswith("float"):
+        return {"metavar": "N", "type": real(above_0=True)}
+    return {"metavar": "TEXT", "type": str}
 
 
 def layout_of(arguments: argparse.Namespace) -> "Layout":
     """The layout that options state. Raises SettingsError, with the option, if a value is wrong."""
     from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 
-    stated = {key: getattr(arguments, key, None) for key in KEYS}
+    values = {key: getattr(arguments, key, None) for key in KEYS}
+    stated = {key: value for key, value in values.items() if value is not None}
     try:
-        return Layout(**{key: value for key, value in stated.items() if value is not None})
+        return Layout(**stated)
     except SettingsError as error:
-        key, colon, rest = str(error).partition(":")
-        raise SettingsError(f"--{key.replace('_', '-')}{colon}{rest}") from error
+        key, colon, reason = str(error).partition(":")
+        raise SettingsError(f"{_option_of(key)}{colon}{reason}") from error
 
 
 def as_options(text: str) -> str:
     """A line on a file in which the keys of a layout that are to be stated are options."""
     from sparseskin.nodes.sensor.files.recording import spelled
 
-    def option(key: str) -> str:
-        return f"--{key.replace('_', '-')} "
+    def with_value(key: str) -> str:
+        return f"{_option_of(key)} "
+
+    def option(match: re.Match[str]) -> str:
+        key, equals = match.groups()
+        return with_value(key) if equals else _option_of(key)
 
     def clause(match: re.Match[str]) -> str:
-        return _stated_key().sub(
-            lambda key: option(key[1]) if key[2] else option(key[1])[:-1], match[0]
-        )
+        return _stated_key().sub(option, match[0])
 
-    return TO_STATE.sub(clause, spelled(text, option))
+    return TO_STATE.sub(clause, spelled(text, with_value))
 
 
 def bag_names(names: Sequence[str], out: str) -> list[str]:
@@ -155,8 +165,9 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
         if not out.endswith(FILE_SUFFIX):
             raise SettingsError(f"--out {out}: expected a name that ends in {FILE_SUFFIX}")
         return [out]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise SettingsError(f"--out {out}: two of the files would become {twice[0]}")
+    for name in names:
+        if names.count(name) > 1:
+            raise SettingsError(f"--out {out}: two of the files would become {name}")
     if not folder.is_dir():
         if folder.suffix == FILE_SUFFIX:
             raise SettingsError(f"--out {out}: several files need a folder, one recording each")
@@ -177,15 +188,15 @@ def stated_values(words: Iterable[str], entries: Iterable[Mapping[str, Any]]) ->
     `entries` describe the settings that are allowed, as `Settings.described`. Raises SettingsError
     if a text has no `=`, or the key is none of them.
     """
-    known = {entry["key"]: entry for entry in entries}
+    allowed = {entry["key"]: entry for entry in entries}
     values: dict[str, Any] = {}
     for word in words:
         key, equals, text = word.partition("=")
         if not equals:
             raise SettingsError(f"--set {word}: expected KEY=VALUE")
-        if key not in known:
-            raise SettingsError(f"--set {word}: unknown key{did_you_mean(key, known)}")
-        values[key] = typed_value(text, known[key])
+        if key not in allowed:
+            raise SettingsError(f"--set {word}: unknown key{did_you_mean(key, allowed)}")
+        values[key] = typed_value(text, allowed[key])
     return values
 
 
@@ -208,7 +219,8 @@ def check_summary(path: Path | None) -> None:
         raise OutputError(f"--summary {path}: is a folder")
     if not folder.is_dir():
         raise OutputError(f"--summary {path}: {NO_FOLDER}")
-    if not os.access(path if path.exists() else folder, os.W_OK):
+    written = path if path.exists() else folder
+    if not os.access(written, os.W_OK):
         raise OutputError(f"--summary {path}: {NO_WRITING}")
 
 
@@ -218,12 +230,14 @@ def write_summary(path: Path | None, name: str, summary: Mapping[str, Any]) -> N
     """
     from importlib.metadata import version
 
-    if path is not None:
-        document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
-        try:
-            overwrite(path, (json.dumps(document, indent=2) + "\n").encode())
-        except OSError as error:
-            raise SettingsError(f"--summary {path}: {error.strerror}") from error
+    if path is None:
+        return
+    document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
+    text = json.dumps(document, indent=2) + "\n"
+    try:
+        overwrite(path, text.encode())
+    except OSError as error:
+        raise SettingsError(f"--summary {path}: {error.strerror}") from error
 
 
 @contextlib.contextmanager
@@ -232,10 +246,10 @@ def naming_options(options: Mapping[str, str]) -> Iterator[None]:
     try:
         yield
     except SparseskinError as error:
-        key, colon, rest = str(error).partition(":")
+        key, colon, reason = str(error).partition(":")
         if key not in options:
             raise
-        raise SettingsError(f"{options[key]}{colon}{rest}") from error
+        raise SettingsError(f"{options[key]}{colon}{reason}") from error
 
 
 def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
@@ -243,36 +257,62 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
     wrote and players played.
     """
     for name, node in nodes.items():
-        if n := node.get("restarts", 0):
-            times = "time" if n == 1 else "times"
-            last = printable(node["failures"][-1])
-            print(f"{name}: restarted {n} {times} after a failure; the last: {last}")
-        for line in node.get("lines", ()):
-            print(f"{name}: {line}")
-        if n := node.get("missing"):
-            print(f"{name}: {n} readings were missing")
-        if node["type"] == "sensor" and node.get("clipped"):
-            from sparseskin.nodes.sensor.saturation import clipped_text
+        for line in _end_lines(name, node):
+            print(line)
 
-            print(f"{name}: {clipped_text(node)}")
-        elif node["type"] == "sensor" and (invalid := node.get("invalid")):
-            print(
-                f"{name}: of the file's readings {invalid['not_finite']} were not finite and "
-                f"{invalid['negative']} below 0 ({invalid['masked_taxels']} taxels masked)"
-            )
-        elif node["type"] == "recorder" and (recording := node.get("recording")):
-            dropped = sum(node.get("lost", {}).values())
-            if not recording["error"]:
-                n = recording["n_messages"]
-                count = f"{n} messages recorded" if n else "no message came, so there is no file"
-                count += f", {dropped} dropped" if n or dropped else ""
-                print(f"{printable(recording['out'])}: {count}")
-        elif bridge := node.get("bridge"):
-            dropped = bridge["dropped"] + sum(node.get("lost", {}).values())
-            where = printable(bridge["where"])
-            print(f"{name}: {bridge['sent']} frames published at {where}, {dropped} dropped")
-        elif node["type"] == "player" and "played" in node:
-            print(f"{printable(node['played']['file'])}: {node['played']['frames']} frames played")
+
+def _end_lines(name: str, node: Mapping[str, Any]) -> Iterator[str]:
+    """Lines about one node, by its report."""
+    n_restarts = node.get("restarts", 0)
+    if n_restarts:
+        times = "time" if n_restarts == 1 else "times"
+        failure = printable(node["failures"][-1])
+        yield f"{name}: restarted {n_restarts} {times} after a failure; the last: {failure}"
+    for line in node.get("lines", ()):
+        yield f"{name}: {line}"
+    if node.get("missing"):
+        yield f"{name}: {node['missing']} readings were missing"
+
+    kind = node["type"]
+    if kind == "sensor" and node.get("clipped"):
+        from sparseskin.nodes.sensor.saturation import clipped_text
+
+        yield f"{name}: {clipped_text(node)}"
+    elif kind == "sensor" and node.get("invalid"):
+        invalid = node["invalid"]
+        yield (
+            f"{name}: of the file's readings {invalid['not_finite']} were not finite and "
+            f"{invalid['negative']} below 0 ({invalid['masked_taxels']} taxels masked)"
+        )
+    elif kind == "recorder" and node.get("recording"):
+        if not node["recording"]["error"]:
+            yield _recording_line(node)
+    elif node.get("bridge"):
+        bridge = node["bridge"]
+        n_dropped = bridge["dropped"] + _n_lost(node)
+        where = printable(bridge["where"])
+        yield f"{name}: {bridge['sent']} frames published at {where}, {n_dropped} dropped"
+    elif kind == "player" and "played" in node:
+        played = node["played"]
+        yield f"{printable(played['file'])}: {played['frames']} frames played"
+
+
+def _recording_line(node: Mapping[str, Any]) -> str:
+    """What a recorder wrote."""
+    recording = node["recording"]
+    n_messages = recording["n_messages"]
+    n_dropped = _n_lost(node)
+    text = "no message came, so there is no file"
+    if n_messages:
+        text = f"{n_messages} messages recorded"
+    if n_messages or n_dropped:
+        text += f", {n_dropped} dropped"
+    return f"{printable(recording['out'])}: {text}"
+
+
+def _n_lost(node: Mapping[str, Any]) -> int:
+    """Number of messages that a node lost, of all topics."""
+    return sum(node.get("lost", {}).values())
 
 
 def show(
