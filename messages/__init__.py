@@ -48,6 +48,7 @@ def __getattr__(name: str) -> Any:
         for module in _MODULES:
             value = vars(import_module(f".{module}", __name__)).get(name)
             if value is not None:
+                # Found without this function from now on.
                 globals()[name] = value
                 return value
     raise AttributeError(f"module 'sparseskin.messages' has no attribute {name!r}")

@@ -37,6 +37,7 @@ class Message:
     """0, 1, 2, ... of a publisher run and topic; a gap is a loss."""
 
     def __post_init__(self) -> None:
+        # The dataclass is frozen: values in canonical form go to its dictionary.
         values = self.__dict__
         for name, kind in wire_fields(type(self)).items():
             values[name] = kind.check(name, values[name])
@@ -48,6 +49,7 @@ class Message:
     @classmethod
     def assembled(cls, values: dict[str, Any]) -> Self:
         """Message of fields that were checked one by one, as by `decode`."""
+        # Without `__init__`, which would check each field once more.
         message = object.__new__(cls)
         message.__dict__.update(values)
         message.validate()
@@ -73,6 +75,7 @@ class Message:
         node itself has made, which its readers check again.
         """
         for name, kind in array_fields(type(self)).items():
+            # None is allowed where the field is optional, which does not change.
             if changes.get(name) is not None:
                 changes[name] = kind.check(name, changes[name])
         return self._copy(**changes)

@@ -64,6 +64,7 @@ def _form(cls: type[Message]) -> _Form:
     def of(*kinds: type[FieldKind]) -> Any:
         return tuple((name, kind) for name, kind in fields.items() if isinstance(kind, kinds))
 
+    # Words are of kind `Each`, but travel as texts.
     words = of(Words)
     each = tuple(field for field in of(Each) if field not in words)
     return _Form(
@@ -126,10 +127,12 @@ def frame_pieces(message: Message) -> list[Any]:
     stream = _described(message)
     form = stream.form
     values = message.__dict__
+    # Numbers of the message come first, then those of its patches, field by field.
     numbers = [values[name] for name, _ in form.numbers]
     for name, _ in form.each:
         numbers += values[name]
 
+    # Arrays are not copied; quantised ones state their step among the numbers.
     data = []
     for name, kind in form.arrays:
         value = values[name]
@@ -140,10 +143,12 @@ def frame_pieces(message: Message) -> list[Any]:
             continue
         numbers += kind.extra_of(value)
         data.append(kind.data_of(value))
+    # A number that is optional and not stated travels as NaN.
     if None in numbers:
         numbers = [math.nan if number is None else number for number in numbers]
 
     pieces: list[Any] = [stream.begin, stream.numbers.pack(*numbers)]
+    # Zeros between the arrays keep each of them aligned.
     end = stream.arrays[0].begin
     for place, piece in zip(stream.arrays, data, strict=True):
         if place.begin > end:
@@ -163,6 +168,7 @@ def _described(message: Message) -> _Stream:
     """The stream of a message, which is described where it is new."""
     form = _form(type(message))
     values = message.__dict__
+    # All that stays the same from frame to frame, as the description has it.
     properties: list[Any] = [form.cls]
     properties += [values[name] for name, _ in form.texts]
     for name, kind in form.arrays:
@@ -193,8 +199,10 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
         text = f"{form.cls.schema}: {n_bytes} bytes, expected {stream.n_bytes}"
         raise (TruncatedError if n_bytes < stream.n_bytes else OversizedError)(text)
 
+    # Texts are those of the description, which was checked when it first came.
     values = stream.values.copy()
     numbers = stream.numbers.unpack_from(payload, stream.numbers_at)
+    # `checks` is shorter where several patches have numbers of their own.
     for (name, check), number in zip(stream.checks, numbers, strict=False):
         values[name] = check(name, number)
     n_read = len(stream.checks)
@@ -230,7 +238,9 @@ def unpacked(raw: Payload, expected: type, n_bytes: int) -> Any:
         value = msgpack.unpackb(raw, raw=False, strict_map_key=True, **_LIMITS)
     except msgpack.exceptions.ExtraData as error:
         raise MalformedError("more than one msgpack object in a message") from error
-    except Exception as error:  # msgpack documents no narrower class for malformed bytes
+    except Exception as error:
+        # msgpack documents no narrower class for malformed bytes.
+        # msgpack has no class of its own for bytes that end too early.
         if "incomplete" in str(error):
             raise TruncatedError(f"message cut off after {n_bytes} bytes") from error
         raise MalformedError(f"not a msgpack {expected.__name__}: {str(error)[:120]}") from error
@@ -251,6 +261,7 @@ def _describe(message: Message) -> _Stream:
     """The stream of a message that was checked."""
     form = _form(type(message))
     values = message.__dict__
+    # In the order of the form; a reader takes them by their place.
     texts = [kind.pack(values[name]) for name, kind in form.texts]
     # The last words are left out where none is stated.
     while isinstance(form.texts[len(texts) - 1][1], Words) and not texts[-1].strip():
@@ -285,9 +296,11 @@ def _stream_of(topic: bytes, payload: Payload) -> _Stream:
     if size > MAX_DESCRIPTION_BYTES:
         raise OversizedError(f"description of {size} bytes, at most {MAX_DESCRIPTION_BYTES}")
 
+    # Equal bytes stand for a description that was checked before.
     description = bytes(payload[_BEGIN.size : _BEGIN.size + size])
     stream = _STREAMS.get(description)
     if stream is None:
+        # A known description is whole: only a new one can be cut off.
         if len(description) < size:
             raise TruncatedError(f"message cut off after {n_bytes} bytes")
         stream = _learn(description)
@@ -321,6 +334,7 @@ def _form_of(body: dict[Any, Any]) -> _Form:
         raise MalformedError(f"{cls.schema}: not the description of a stream")
 
     texts = body["texts"]
+    # Words come last among the texts, and may be left out.
     n_texts = len(form.texts)
     n_words = sum(isinstance(kind, Words) for _, kind in form.texts)
     if not isinstance(texts, list) or not n_texts - n_words <= len(texts) <= n_texts:
@@ -358,6 +372,7 @@ def _described_arrays(form: _Form, described: dict[str, Any]) -> list[_SentArray
     for name, kind in form.arrays:
         if name in described:
             dtype, shape, n_bytes = kind.checked_form(name, described[name])
+            # Its place is not known before the numbers are counted.
             arrays.append(_SentArray(name, kind, dtype, shape, 0, n_bytes))
         elif not kind.optional:
             raise MalformedError(f"{form.cls.schema}: missing array {name}")
@@ -374,6 +389,7 @@ def _laid_out(
     """The stream of a checked description: where its numbers and arrays are in the payload."""
     topic = topic_of(values["patch"], form.cls.schema).encode()
     begin = topic + b"\0" + _BEGIN.pack(MARK, len(description)) + description
+    # Arrays are aligned from the begin of the topic, which the payload lacks.
     n_topic = len(topic) + 1
     numbers_at = len(begin) - n_topic
     numbers = _numbers_struct(form, n_patches, arrays, len(begin))
@@ -386,6 +402,7 @@ def _laid_out(
         placed.append(array._replace(begin=first_byte, end=end))
 
     checks = [(name, kind.of_number) for name, kind in form.numbers]
+    # The number of a single patch is checked like those of the message.
     each: list[_Check] = []
     if n_patches == 1:
         checks += [(name, tuples.of_number) for name, tuples in form.each]
@@ -414,7 +431,8 @@ def _numbers_struct(
     codes += "".join(tuples.kind.code * n_patches for _, tuples in form.each)
     for array in arrays:
         if array.dtype != array.kind.dtype:
-            codes += "d"  # the step of a quantised one
+            # The step of a quantised one.
+            codes += "d"
     n_numbers = struct.calcsize(f"<{codes}")
     n_zeros = -(n_before + n_numbers) % ALIGNMENT
     return struct.Struct(f"<{codes}{n_zeros}x")

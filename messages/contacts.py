@@ -85,6 +85,7 @@ class Contacts(Frames):
             raise ShapeError(f"patch_of: a row outside 0..{n_patches - 1}")
         if self.events is None:
             return
+        # Of another width, the columns below would not be what they are named.
         if self.events.shape[1] != 3:
             raise ShapeError(f"events: shape {self.events.shape}, expected rows of 3")
         patches = self.events[:, 0]
@@ -102,6 +103,7 @@ class Contacts(Frames):
         patch_of = self.patch_of
         if patch_of is None:
             patch_of = np.zeros(self.id.size, np.int32)
+        # Rows of the contacts of this patch, in all columns that are known.
         columns = {name: self.__dict__[name] for name in _SIDES if name != "patch_of"}
         for name, column in columns.items():
             if column is not None:
@@ -136,6 +138,7 @@ class Contacts(Frames):
             if name == "patch_of":
                 continue
             values = self.__dict__[name]
+            # A table has the columns of a message whose pitch is not known, too.
             if values is None:
                 values = np.full((n, *sides), np.nan, np.float32)
             if not sides:

@@ -102,7 +102,8 @@ class Real(Number):
         return self.check
 
     def _known_number(self, name: str, number: Any) -> float | None:
-        if number != number:  # NaN
+        if number != number:
+            # Only NaN differs from itself: it stands for None.
             return None
         return self.check(name, number)
 
@@ -132,7 +133,9 @@ class Each(FieldKind):
     def check(self, name: str, value: Any) -> tuple[Any, ...]:
         if type(value) is not tuple:
             value = (value,)
+        # Looked up once, since this runs in each frame.
         check = self.kind.check
+        # The usual case, of one patch, without a list.
         if len(value) == 1:
             return (check(name, value[0]),)
         return tuple([check(name, number) for number in value])
@@ -255,6 +258,7 @@ class Array(FieldKind):
             return None
         if not isinstance(value, np.ndarray):
             raise FieldError(f"{name}: expected an array, got {type(value).__name__}")
+        # A message of one patch may be made without the axis of patches.
         if self.patches and value.ndim == self.ndim - 1:
             value = value[np.newaxis]
         if value.dtype != self._dtype:
@@ -322,6 +326,7 @@ class Array(FieldKind):
         self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         """The array of bytes, as many as `checked_form` returned; MessageError if not finite."""
+        # numpy would take any byte but 0 for true, and keep it.
         if self._dtype.kind == "b" and max(data, default=0) > 1:
             raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
         value: npt.NDArray[Any] = np.ndarray(shape, self._dtype, data)
@@ -344,6 +349,7 @@ class Array(FieldKind):
         # The sum of squares is not finite if a value is not, or if values are huge.
         if math.isfinite(np.vdot(value, value)) or np.isfinite(value).all():
             return
+        # The first one is named, without the axis of patches where there is one patch.
         place = np.argwhere(~np.isfinite(value))[0].tolist()
         indices = place
         if self.patches and len(value) == 1:
@@ -351,11 +357,13 @@ class Array(FieldKind):
         raise NotFiniteError(f"{name}{indices}: {value[tuple(place)]} is not a finite number")
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
+        # A side that counts what is sent may be 0.
         is_allowed = len(shape) == self.ndim and min(shape[self.sparse :], default=1) >= 1
         if not is_allowed:
             expected = f"expected {self.ndim} dimensions, none empty"
             raise ShapeError(f"{name}: {expected}, got {list(shape)}")
 
+        # An array of one dimension is limited by its number of elements.
         is_too_long = self.ndim > 1 and max(shape) > self.longest
         if is_too_long or math.prod(shape) > MAX_ELEMENTS:
             allowed = f"at most {MAX_ELEMENTS} elements and {self.longest} a side"

@@ -50,9 +50,11 @@ class Frames(Message):
         n = len(self.names) or 1
         for name, kind in of_patches(type(self)).items():
             if isinstance(kind, Each) and not values[name]:
+                # A number that is not stated is that of each patch.
                 values[name] = kind.unstated * n
 
             rows = values[name]
+            # An optional array that is not sent has no rows.
             if rows is None or len(rows) == n:
                 continue
             if not self._may_have(name, len(rows)):
@@ -130,6 +132,7 @@ class Sensed(Frames):
         if self.missing is None:
             return None
         n = math.prod(shape)
+        # Rounded up: bits of the last byte may be unused.
         n_bytes = -(-n // 8)
         if self.missing.size != n_bytes:
             raise ShapeError(f"missing: {self.missing.size} bytes for {n} cells")
@@ -202,6 +205,7 @@ class Measurements(Sensed):
             raise FieldError("places, nodes: are those of one patch")
         if self.places is None:
             return
+        # Each marked taxel gives one measurement.
         n_places = int(np.unpackbits(self.places).sum())
         if n_places != self.y.shape[1]:
             raise ShapeError(f"places: {n_places} of them for {self.y.shape[1]} measurements")
@@ -258,6 +262,7 @@ class Reconstruction(Sensed):
             last_forces[self.patch] = self.forces
             return [self]
 
+        # Forces that are sent are in the order of the patches that have changed.
         row = 0
         parts = []
         for k, name in enumerate(self.patches):

@@ -19,7 +19,8 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
     step: float
 
     def __array_finalize__(self, of: Any) -> None:
-        if isinstance(of, Quantised):  # a view, as of the samples of one patch
+        if isinstance(of, Quantised):
+            # A view, as of the samples of one patch.
             self.bits = of.bits
             self.step = of.step
 
@@ -29,6 +30,7 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
     @classmethod
     def of(cls, codes: npt.NDArray[np.int32], bits: int, step: float) -> Self:
         """Values of codes: int32, of any shape, each of at most `bits` bits."""
+        # The step that a reader gets is a float32, too.
         step_32 = np.float32(step)
         values = (codes * step_32).astype(np.float32).view(cls)
         values.bits = int(bits)
@@ -56,7 +58,8 @@ def largest_code(bits: int) -> int:
 
 def packed(codes: npt.NDArray[np.int32], bits: int) -> bytes:
     """Codes as bytes: `bits` bits each without gaps, the highest bit first."""
-    shifted = (codes + largest_code(bits)).astype(">u4")  # 0 or more, 4 bytes each
+    # 0 or more, 4 bytes each.
+    shifted = (codes + largest_code(bits)).astype(">u4")
     code_bytes = shifted.view(np.uint8).reshape(-1, 4)
     all_bits = np.unpackbits(code_bytes, axis=1)
     return np.packbits(all_bits[:, 32 - bits :]).tobytes()
@@ -64,6 +67,7 @@ def packed(codes: npt.NDArray[np.int32], bits: int) -> bytes:
 
 def unpacked(data: bytes | memoryview, m: int, bits: int) -> npt.NDArray[np.int32]:
     """Inverse of `packed`: m codes, int32, from `n_bytes(m, bits)` bytes."""
+    # The highest bits of the 4 bytes of each code are 0.
     all_bits = np.unpackbits(np.frombuffer(data, np.uint8), count=m * bits)
     wide = np.zeros((m, 32), np.uint8)
     wide[:, 32 - bits :] = all_bits.reshape(m, bits)

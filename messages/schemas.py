@@ -17,6 +17,7 @@ SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
 
 def class_of(body: dict[object, object]) -> type[Message]:
     """Class of a message, by the schema and version in its map, or MessageError."""
+    # Any object may stand here: the message has not been checked.
     name = body.get("schema")
     if not isinstance(name, str) or name not in SCHEMAS:
         raise UnknownSchemaError(f"schema {str(name)[:64]!r} (known: {', '.join(SCHEMAS)})")

@@ -94,6 +94,7 @@ class Skin:
         Raises MessageError if the shape differs, or no taxel is left.
         """
         exists = self.exists
+        # Points have a row for each taxel that exists, in row-major order.
         remains = ~cells[exists]
         points = self.points
         rows = self.point_rows
@@ -130,6 +131,7 @@ def _check_points(points: npt.NDArray[np.float32], n: int) -> None:
         raise FieldError(f"skin: point {k} is not within {MAX_COORDINATE_M:g} m")
 
     normals = points[:, 3:].astype(np.float64)
+    # In float64, so that huge values do not overflow.
     lengths = np.linalg.norm(normals, axis=1)
     # Not `>`: a length that is not a number is wrong, too.
     wrong = ~(np.abs(lengths - 1) <= NORM_TOLERANCE)

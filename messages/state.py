@@ -58,7 +58,8 @@ class SkinState(Message):
     )
 
     def validate(self) -> None:
-        _ = self.skin  # raises where the mask or the points do not fit the grid
+        # Raises where the mask or the points do not fit the grid.
+        _ = self.skin
 
     @property
     def skin(self) -> Skin:

@@ -35,6 +35,7 @@ def check_name(place: str, name: object) -> str:
 @functools.lru_cache(maxsize=1024)
 def split_topic(topic: str) -> tuple[str, str]:
     """Split "/PATCH/SCHEMA" into (patch, schema), or raise MessageError."""
+    # An absolute name begins with an empty part.
     parts = topic.split("/")
     if len(parts) != 3 or parts[0]:
         raise FieldError(f"topic {topic[:MAX_TOPIC_BYTES]!r}: expected /PATCH/SCHEMA")

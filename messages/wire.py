@@ -76,6 +76,7 @@ def decode(topic: bytes, payload: Payload) -> Message:
     malformed, truncated, oversized, an unknown schema or version, a wrong shape, a value out of
     range, NaN or infinity, or another topic than the message's own.
     """
+    # Sizes first: nothing below reads more than they allow.
     n_bytes = len(payload)
     if len(topic) > MAX_TOPIC_BYTES:
         raise OversizedError(f"topic of {len(topic)} bytes, at most {MAX_TOPIC_BYTES}")
@@ -98,12 +99,14 @@ def _of_map(body: dict[object, object]) -> Message:
     omitted = omitted_fields(cls)
 
     sent = body.keys() - {"schema", "version"}
+    # Fields that may be omitted are not missing.
     unknown = sent - fields.keys()
     missing = fields.keys() - omitted.keys() - sent
     if unknown or missing:
         names = ", ".join(sorted(map(str, unknown | missing)))
         raise MalformedError(f"{cls.schema}: missing or unknown fields {names[:200]}")
 
+    # A field that is omitted has its default.
     values = {}
     for name, kind in fields.items():
         if name in sent:

@@ -82,6 +82,7 @@ def find_topic(graph: RunningGraph, name: str) -> str:
         if topic in writers:
             return topic
 
+    # A topic that is only read here has its publisher on another host.
     read = topics_of(describe(graph))
     if name in read or f"/{name}" in read:
         raise GraphError(f"{name}: is published on another host; look at it there")
@@ -110,6 +111,7 @@ def stop(graph: RunningGraph) -> None:
     """
     with closing(ControlClient(graph.control)) as client:
         _exchange(graph, client, {"stop": True}, "stopping")
+        # The launcher closes the connection when it ends.
         while client.receive() is not None:
             select.select([client.connection], [], [])
 
@@ -122,6 +124,7 @@ def _exchange(
     deadline_s = time.monotonic() + PATIENCE_S
     wait_s = PATIENCE_S
     while wait_s > 0:
+        # Woken by an answer, or by the end of the graph.
         select.select([client.connection], [], [], wait_s)
         news = client.receive()
         if news is None:

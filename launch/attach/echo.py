@@ -44,6 +44,7 @@ def plain(value: Any, full: bool) -> Any:
     if not value.size:
         return summary | {"min": None, "mean": None, "max": None, "first": []}
 
+    # Means of whole numbers and flags are wanted, too.
     numbers = value.astype(np.float64)
     return summary | {
         "min": float(numbers.min()),
@@ -62,6 +63,7 @@ def text(value: Any, full: bool) -> str:
     if not isinstance(value, np.ndarray):
         return flowing(str(value))
 
+    # Arrays: dtype and shape, then all elements or a summary.
     shape = " x ".join(map(str, value.shape))
     head = f"{_dtype(value)}, {shape}"
     if full:
@@ -154,7 +156,8 @@ def _contact_line(message: Contacts, k: int, unit: str) -> str:
     sd = message.centre_sd[k]
     length = "taxels"
     if message.place_mm is not None and message.place_sd_mm is not None:
-        n_sides = 2 if message.normal is None else 3  # of a flat skin z is 0
+        # Of a flat skin z is 0.
+        n_sides = 2 if message.normal is None else 3
         centre = message.place_mm[k][:n_sides]
         sd = message.place_sd_mm[k][:n_sides]
         length = "mm"
@@ -202,6 +205,7 @@ class Echo(Display):
         self._full = full
         self._unit = unit
         self._period_ns = round(1e9 / max_hz) if max_hz else 0
+        # A message that is to be shown must not wait longer than the next one is due.
         self.patience_s = min(PATIENCE_S, self._period_ns / 1e9 or PATIENCE_S)
         self._losses = Losses()
         self._has_events = topic.endswith(f"/{Contacts.schema}")
@@ -217,6 +221,7 @@ class Echo(Display):
             return False
         # Stamps go back where a recording is played again.
         is_early = self._due_ns - self._period_ns <= arrival.stamp_ns < self._due_ns
+        # Not decoded: of a fast topic most messages are not shown.
         if is_early and not self._has_events:
             return self._skip()
         try:

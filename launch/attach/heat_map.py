@@ -46,6 +46,7 @@ def _places(forces: Floats, n_high: int, n_wide: int) -> Floats:
     if side >= 1:
         return np.repeat(np.repeat(forces, side, axis=0), side, axis=1)
 
+    # A place shows the largest of k x k taxels, so that no contact is lost.
     k = max(-(-n_rows // n_high), -(-n_cols // n_wide))
     padded = np.pad(forces, ((0, -n_rows % k), (0, -n_cols % k)))
     places: Floats = padded.reshape(padded.shape[0] // k, k, -1, k).max((1, 3))

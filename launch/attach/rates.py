@@ -39,6 +39,7 @@ class Samples:
     def add(self, arrival: Arrival) -> None:
         """Add one message."""
         if not self._losses.add(arrival):
+            # Stamps and numbers of another run do not continue those before.
             self._kept.clear()
         if arrival.ends:
             return
@@ -64,6 +65,7 @@ def figures_of(samples: Longs) -> dict[str, Any]:
     """
     at_ns, stamp_ns, seq, n_bytes, fresh = samples.T
     steps = np.diff(seq)
+    # A gap of lost messages is no interval.
     adjacent_ns = np.diff(stamp_ns)[steps == 1]
     delays_ms = (at_ns - stamp_ns)[fresh > 0] / 1e6
     delay = _extent(delays_ms)
@@ -132,6 +134,7 @@ class Meter(Display):
         now_s = time.monotonic()
         if now_s < self._report_at_s:
             return
+        # Lines that were missed while this process stood still are not made up for.
         self._report_at_s = max(self._report_at_s, now_s - REPORT_S) + REPORT_S
 
         if self._samples.n > self._reported_n:

@@ -78,13 +78,15 @@ class Losses:
 
     def add(self, arrival: Arrival) -> bool:
         """Count the gap before a message; False where a new run begins."""
+        # A sequence that goes back is another run, even under the same id.
         is_same_run = arrival.run_id == self._run_id and arrival.seq >= self._expected
         if is_same_run:
             self.n += arrival.seq - self._expected
         self._run_id = arrival.run_id
         self._expected = arrival.seq
         if not arrival.ends:
-            self._expected += 1  # the end has no number of its own
+            # The end has no number of its own.
+            self._expected += 1
         return is_same_run
 
 
@@ -121,11 +123,13 @@ class TopicStream:
             keys=keys,
             read_ahead=ahead,
         )
+        # One connection a publisher, however many of its topics are read.
         writers = graph.writers()
         for name in {writers[topic] for topic in topics}:
             node = graph.nodes[name]
             self._reader.connect(node.endpoint, node.key)
 
+        # State of reading: see `_has_waited` and `_wait_for_batch`.
         self._least_age_ns: float = math.inf
         self._drained = False
         self._look_at_s = time.monotonic()
@@ -158,6 +162,7 @@ class TopicStream:
     def __enter__(self) -> Self:
         TERMINATION.check()
         self._handlers = {}
+        # So that a batch that is being printed is finished first.
         for number in (signal.SIGINT, signal.SIGTERM):
             self._handlers[number] = signal.signal(number, self._on_signal)
         return self
@@ -191,6 +196,7 @@ class TopicStream:
         first one came, where that is known.
         """
         timeout_ms = max(1, round(min(POLL_MS, 1e3 * remaining_s)))
+        # Only where nothing waited before is the time of the first arrival known.
         is_idle = self._drained and not self._reader.socket.poll(0)
         if not self._reader.socket.poll(timeout_ms) or not self._patience_s:
             return None
@@ -322,6 +328,7 @@ def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
     """A message with its head read, its fields unchecked; None where it has none."""
     try:
         ends = False
+        # Fields are not decoded here: most messages are only counted.
         if payload[0] == MARK:
             run_id, seq, stamp_ns = head_of(topic, payload)
         else:
@@ -330,7 +337,8 @@ def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
             seq = body["n_messages"] if ends else body["seq"]
             run_id = str(body["run_id"])
             stamp_ns = body["stamp_ns"]
-    except Exception:  # msgpack promises no narrower family for hostile bytes
+    except Exception:
+        # msgpack promises no narrower family for hostile bytes.
         return None
     if type(seq) is not int or type(stamp_ns) is not int:
         return None

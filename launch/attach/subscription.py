@@ -58,6 +58,7 @@ class Subscription:
         if timeout_s is not None and not is_real(timeout_s, 0.0, MAX_TIMEOUT_S):
             allowed = f"allowed: 0 to {MAX_TIMEOUT_S:g} seconds, or None"
             raise SettingsError(f"subscribe: timeout_s = {timeout_s!r} is not allowed; {allowed}")
+        # Waits for a graph that is starting.
         running = choose_graph(graph, option="graph")
 
         self.topic = find_topic(running, topic)
@@ -172,7 +173,8 @@ class Subscription:
             try:
                 message = decode(arrival.topic, arrival.payload)
             except MessageError:
-                self._malformed += 1  # a later one may be well-formed
+                # A later one may be well-formed.
+                self._malformed += 1
                 continue
 
             self.age_s = (arrival.at_ns - arrival.stamp_ns) / 1e9

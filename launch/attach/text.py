@@ -51,6 +51,7 @@ def flowing(text: str) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "") -> list[str]:
     """Lines of a table, each after `indent`; columns of numbers, None: not known, flush right."""
+    # Flush right where all cells of a column are numbers.
     texts = [[flowing(_cell(cell)) for cell in row] for row in rows]
     widths = []
     is_right = []
@@ -89,6 +90,7 @@ def wrapped(start: str, text: str, continued: str | None = None) -> list[str]:
     """
     if continued is None:
         continued = " " * len(start)
+    # The longer of both begins leaves the narrower column.
     room = max(MIN_LAST, width() - max(len(start), len(continued)))
     lines = textwrap.wrap(text, room, break_on_hyphens=False, break_long_words=False) or [""]
     begin = (start + lines[0]).rstrip()
@@ -161,7 +163,8 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     """The value of a typed text: TOML, or else the text as it stands, as it does for a setting
     whose described type is a text.
     """
-    from sparseskin.nodes.toml import toml_or_text  # with it comes numpy
+    # Imported here: with it comes numpy, for which a table need not wait.
+    from sparseskin.nodes.toml import toml_or_text
 
     types = types_of(entry) if entry is not None else []
     if text == "none" and "None" in types:

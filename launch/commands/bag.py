@@ -87,6 +87,7 @@ def _export_options() -> dict[str, _ExportOption]:
     options: dict[str, _ExportOption] = {}
     for name, export in {**loaded(EXPORTS), **OWN}.items():
         for option, (metavar, about, *kind) in export.options.items():
+            # Several exports may have an option of one name: the first describes it.
             if option not in options:
                 read = kind[0] if kind else whole(1)
                 options[option] = _ExportOption([], metavar, about, read)
@@ -144,6 +145,7 @@ def _import(arguments: argparse.Namespace) -> int:
     """Make a recording (.mcap) of a file of another format, as if a sensor had played it."""
     from sparseskin.nodes.recorder.convert.to_bag import import_file
 
+    # Names are checked before the first file is read.
     names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
     bags = [Path(name) for name in bag_names(names, arguments.out)]
     layout = layout_of(arguments)
@@ -187,6 +189,7 @@ def _export(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         bags = [stack.enter_context(BagReader(path)) for path in arguments.bags]
         for bag in bags:
+            # What a broken recording lacks is said before its frames are exported.
             if bag.recovered:
                 print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
         out = arguments.out or bags[0].path.with_name(_stem(bags[0].path) + export.ending)
@@ -258,6 +261,7 @@ def info_lines(bag: "BagReader") -> list[str]:
 
 def _topic_rows(bag: "BagReader") -> list[list[Any]]:
     """A row for each topic; what is not known is None."""
+    # The recorder writes its counts last: a broken recording has none.
     lost = None if bag.counts is None else bag.counts.get("lost", {})
     rows = []
     for topic, info in bag.topics.items():

@@ -97,6 +97,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         reader.close()
 
     skin = reader.skin
+    # With presses the range follows from the largest of them.
     f_max = arguments.f_max
     if not f_max and not presses:
         f_max = skin.f_max
@@ -191,6 +192,7 @@ class _Steps:
                 f"--press {text}: expected LOAD[@AREA]:WHERE, LOAD as {LOADS}, WHERE as 5-8s or "
                 "a file"
             )
+        # An error of any part names the option as it was typed.
         load, at, area = what.partition("@")
         try:
             force = read_load(load)
@@ -213,6 +215,7 @@ class _Steps:
 
     def _frames(self, where: str, request: str) -> Any:
         """Frames of a part of the source, or of a file."""
+        # START-STOPs of the source, or else the name of a file.
         part = read_part(where)
         if part is None:
             if not Path(where).exists():

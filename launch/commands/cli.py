@@ -69,6 +69,7 @@ def about(name: str) -> tuple[str, str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
+    # `sparseskin` alone prints help, and `sparseskin help X` that of X.
     words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
     if words[0] == "help":
         words = [*words[1:], "--help"]
@@ -89,9 +90,11 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
     """The parser of a command line; only the command that is named there has its arguments.
     Without `everything`, help leaves out what is rarely used.
     """
+    # Options of the command follow its name.
     command_word = next((word for word in words if not word.startswith("-")), None)
     names = [*COMMANDS]
-    if command_word not in COMMANDS:  # where one of the core is named, no other is listed
+    if command_word not in COMMANDS:
+        # Where one of the core is named, no other is listed.
         names += plugins()
     parser = _Parser(
         prog="sparseskin",
@@ -115,6 +118,7 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
 
 def _overview(names: Sequence[str], everything: bool) -> str:
     """Commands in groups, a line each."""
+    # In this order; a plug-in may add a group.
     groups: dict[str, list[str]] = {group: [] for group in (RUN, LOOK, DATA, BUILD, OTHERS, MORE)}
     for name in names:
         group, line = about(name)
@@ -141,7 +145,8 @@ def _configure(name: str, parser: argparse.ArgumentParser) -> None:
         plugin.configure(parser)
     except SparseskinError:
         raise
-    except Exception as error:  # a plug-in may raise anything
+    except Exception as error:
+        # A plug-in may raise anything.
         raise SparseskinError(f"{name}: plug-in {plugin.__name__}: {one_line(error)}") from error
 
 
@@ -180,7 +185,8 @@ class _Parser(argparse.ArgumentParser):
         if not unknown:
             return namespace, unknown
         wrong_options = [word for word in unknown if word.startswith("-")]
-        if wrong_options:  # what else is unknown may be the value of one
+        if wrong_options:
+            # Words beside it that are unknown may be its value.
             allowed = {name for name in self._option_string_actions if name[:2] == "--"}
             hint = suggestion(wrong_options[0].partition("=")[0], allowed)
             self.error(f"unrecognized arguments: {wrong_options[0]}{hint}")
@@ -223,4 +229,5 @@ def complete() -> NoReturn:
         always_complete_options=False,
         default_completer=candidates,  # type: ignore[arg-type]
     )
-    sys.exit(1)  # the environment was not one of argcomplete: it has returned
+    # The environment was not one of argcomplete: it has returned.
+    sys.exit(1)

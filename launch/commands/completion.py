@@ -63,7 +63,8 @@ def candidates(
     try:
         words = _values(prefix, str(action.metavar), parsed_args)
     except SparseskinError:
-        return {}  # no graph runs, or it is not clear which is meant
+        # No graph runs, or it is not clear which is meant.
+        return {}
     return {word: about for word, about in words.items() if word.startswith(prefix)}
 
 
@@ -150,6 +151,7 @@ def offered_values(entry: Mapping[str, Any]) -> list[str]:
 
 def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
     """Of NODE.KEY=VALUE the nodes, or the keys of the only node that fits, or the values."""
+    # What has been typed decides what comes next: node, key or value.
     node, dot, setting = prefix.partition(".")
     if dot:
         fitting = [name for name in types if name == node]
@@ -220,7 +222,8 @@ def node_types(name: str) -> dict[str, str]:
         tables = tomllib.loads(path.read_text(encoding="utf-8")).get("nodes", {})
         return {name: str(table.get("type", "")) for name, table in tables.items()}
     except (OSError, ValueError, RuntimeError, AttributeError):
-        return {}  # the command names the fault when it is run
+        # The command names the fault when it is run.
+        return {}
 
 
 def _paths(prefix: str, folders_only: bool) -> dict[str, str]:

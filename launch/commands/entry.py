@@ -16,7 +16,8 @@ def main() -> int:
     try:
         return _run()
     except KeyboardInterrupt as error:
-        return getattr(error, "exit_code", EXIT_INTERRUPTED)  # that of `Terminated`
+        # `Terminated` is an interrupt, too, with an exit code of its own.
+        return getattr(error, "exit_code", EXIT_INTERRUPTED)
     except OSError as error:
         # stdout is closed or full; the rest of its buffer must not be written again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

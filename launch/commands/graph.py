@@ -105,9 +105,11 @@ def _info(arguments: argparse.Namespace) -> int:
     described = describe(graph)
     node["host"] = described["host"]
     if node["host"] == socket.gethostname():
-        with contextlib.suppress(OSError):  # the process is gone
+        with contextlib.suppress(OSError):
+            # The process is gone.
             node |= _process_figures(node["pid"])
 
+    # The other ends of its topics are known to the graph alone.
     topics = topics_of(described)
     for entry in node["inputs"]:
         entry["publisher"] = topics[entry["topic"]]["publisher"]
@@ -231,6 +233,7 @@ def _get(arguments: argparse.Namespace) -> int:
     if key not in entries:
         raise GraphError(f"{node}: {key}: no such setting{did_you_mean(key, entries)}")
 
+    # A text is printed as it is, for a script to use.
     text = entries[key]["value"]
     if not isinstance(text, str):
         text = shown_value(text) + in_force_text(entries[key], preset_of(settings))
@@ -245,6 +248,7 @@ def _set(arguments: argparse.Namespace) -> int:
     if len(arguments.more) % 2:
         raise SettingsError(f"{arguments.more[-1]}: a setting without a value")
     typed = dict(zip(arguments.more[::2], arguments.more[1::2], strict=True))
+    # All of them go in one request: all are set between two frames, or none.
     typed = {arguments.key: arguments.value} | typed
 
     graph = choose_graph(arguments.graph)

@@ -73,6 +73,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.launchfile.load import load
 
+    # A recording in place of a launch file is replayed as a skin.
     source = _source_of(arguments.name)
     if source:
         arguments.name = REPLAY
@@ -122,6 +123,7 @@ def graph_text(launch: "LaunchFile") -> str:
     nodes = [[node.name, node.type_name, _settings_text(node)] for node in launch.nodes.values()]
     hosts = []
     for name, host in launch.hosts.items():
+        # A node is public where another host reads it.
         at_host = [node for node in launch.nodes.values() if node.host == name]
         public = [f"{node.name} at {node.public}" for node in at_host if node.public]
         hosts.append([name, host.address, ", ".join(public)])
@@ -176,12 +178,15 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
         run_log.close()
 
     summary = launcher.summary()
-    patches = summary["patches"]  # none where the monitor is on another host
+    # None where the monitor is on another host.
+    patches = summary["patches"]
+    # A patch of which no frame came has nothing to show beside others.
     sensed = {name: patch for name, patch in patches.items() if patch["frames"]["sensed"]}
     try:
         if sensed or code != EXIT_USAGE:
             _print_summary(sensed or patches, summary["nodes"])
-    finally:  # stdout may be on a full disk
+    finally:
+        # Stdout may be on a full disk.
         write_summary(arguments.summary, "launch-summary", summary)
 
     if run_log is not None and code in (EXIT_FAILED, EXIT_USAGE):

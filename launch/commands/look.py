@@ -102,6 +102,7 @@ def _first_numbers(block: Block | None, head: Head) -> str:
     """The first numbers of the first item that may be readings."""
     if block is None:
         return "none"
+    # Whatever its shape: it is the order of the file.
     numbers = np.asarray(block.numbers[0], dtype=np.float64).reshape(-1)
     if head.usable is not None:
         numbers = numbers[list(head.usable)]

@@ -49,6 +49,7 @@ def run_beside(
     from sparseskin.nodes.graph import Link
 
     writers = graph.writers()
+    # It reads what it needs, and nothing of the graph reads it.
     links = [Link(topic, writers[topic], name) for topic in topics]
     launch = replace(single_node(name, type_name, values), links=links)
     launcher = Launcher(launch, Terminal(), joined=graph)
@@ -68,6 +69,7 @@ def batches_of(graph: RunningGraph) -> dict[str, list[str]]:
         if schema in FRAME_SCHEMAS:
             writers[patch] = node
 
+    # Names of the patches of a batch are settings of the node that publishes it.
     batches = {}
     for batch, node in writers.items():
         for entry in describe_node(graph, node)["settings"]:
@@ -100,6 +102,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
 
     if summary["patches"]:
         print(summary_table(summary["patches"]))
+    # A monitor that read nothing has failed, though it ended well.
     has_frames = any(any(patch["frames"].values()) for patch in summary["patches"].values())
     if not has_frames:
         return code or EXIT_NOTHING
@@ -139,6 +142,7 @@ def _record(arguments: argparse.Namespace) -> int:
 def _matching(graph: RunningGraph, patterns: list[str]) -> list[str]:
     """Topics that match one of some patterns; SettingsError if a pattern matches none."""
     writers = graph.writers()
+    # A pattern without a topic is rather a typing error than a wish.
     for pattern in patterns:
         if not fnmatch.filter(writers, pattern):
             hint = did_you_mean(pattern, writers)

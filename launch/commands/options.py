@@ -93,7 +93,8 @@ def _stated_key() -> re.Pattern[str]:
 
 def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None:
     """Add an option for each key of `Layout`, spelled as the settings of the sensor, `but` some."""
-    from sparseskin.nodes.sensor.layout.layout import Layout  # with NumPy, which takes time
+    # Imported here: with it comes numpy, for which other commands need not wait.
+    from sparseskin.nodes.sensor.layout.layout import Layout
 
     rarely_used = rare(parser)
     for entry in Layout.described():
@@ -125,6 +126,7 @@ def layout_of(arguments: argparse.Namespace) -> "Layout":
     """The layout that options state. Raises SettingsError, with the option, if a value is wrong."""
     from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 
+    # A command may leave out some of the keys.
     values = {key: getattr(arguments, key, None) for key in KEYS}
     stated = {key: value for key, value in values.items() if value is not None}
     try:
@@ -160,6 +162,7 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
     """
     from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 
+    # One recording may have any name; several get theirs from the files.
     folder = Path(out)
     if len(names) == 1 and not folder.is_dir():
         if not out.endswith(FILE_SUFFIX):
@@ -219,6 +222,7 @@ def check_summary(path: Path | None) -> None:
         raise OutputError(f"--summary {path}: is a folder")
     if not folder.is_dir():
         raise OutputError(f"--summary {path}: {NO_FOLDER}")
+    # A new file needs the right to write to its folder.
     written = path if path.exists() else folder
     if not os.access(written, os.W_OK):
         raise OutputError(f"--summary {path}: {NO_WRITING}")

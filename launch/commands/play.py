@@ -64,6 +64,7 @@ def _play(arguments: argparse.Namespace) -> int:
     if arguments.no_token and not arguments.open:
         raise SettingsError("--no-token: goes with --open: without it there is no page")
     path = Path(arguments.file)
+    # What is not stated is left to the defaults of the player.
     stated = {key: getattr(arguments, key) for key in OPTIONS}
     values: dict[str, Any] = {key: value for key, value in stated.items() if value is not None}
     values["file"] = str(path)
@@ -95,6 +96,7 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
         batches = names_of(bag)
         schemas_of = _recorded_schemas(bag)
 
+    # The page shows what all patches have.
     present: set[str] = set()
     if schemas_of:
         present = set.intersection(*schemas_of.values())

@@ -94,6 +94,7 @@ def _jobs(arguments: argparse.Namespace) -> "list[Job]":
         if node not in STATIONS:
             hint = did_you_mean(node, STATIONS)
             raise SettingsError(f"--set {text}: unknown node '{node}'{hint}")
+    # Named as the recording, whole or not.
     names = [Path(file).name.removesuffix(PART_SUFFIX) for file in arguments.files]
     outs = bag_names(names, arguments.out)
     changes = tuple(arguments.set)
@@ -113,13 +114,15 @@ def _outcomes(jobs: "Sequence[Job]", executor: str | None) -> "list[Outcome]":
         return [run_job(job, lively) for job in jobs]
     outcome_of: dict[Job, Outcome] = {}
     with (
+        # Closed at an error, too: no job is left behind.
         closing(computed(executor, run_job, {job: job for job in jobs})) as finished,
         tqdm(total=len(jobs), disable=not lively, unit="recording") as bar,
     ):
         for job, future in finished:
             try:
                 outcome_of[job] = future.result()
-            except Exception as error:  # its worker died
+            except Exception as error:
+                # Its worker died.
                 outcome_of[job] = Outcome(job, {}, one_line(error))
             bar.update()
     return [outcome_of[job] for job in jobs]

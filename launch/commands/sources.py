@@ -58,7 +58,8 @@ def _sources(arguments: argparse.Namespace) -> int:
             continue
         try:
             listings += plugin.listings()
-        except Exception as error:  # of any package
+        except Exception as error:
+            # The plug-in of any package may raise anything.
             title = f"{kind}: cannot be listed: {one_line(error)}"
             listings.append(Listing(kind, title, ()))
     document = {listing.key: list(listing.entries) for listing in listings}
@@ -172,7 +173,8 @@ def _frames(source: Source) -> Iterator[Floats | None]:
     period_s = 1 / (source.rate_hz or DEFAULT_RATE_HZ)
     begin_s = time.monotonic()
     for k, (_, forces) in enumerate(source):
-        if not source.is_live:  # a driver has its own pace
+        if not source.is_live:
+            # A live driver has its own pace.
             yield from _pauses(begin_s + k * period_s)
         yield forces
 
@@ -211,6 +213,7 @@ class View:
         high = float(forces.max())
         self.lowest = min(self.lowest, low)
         self.highest = max(self.highest, high)
+        # The brightest colour follows a peak that falls, slowly, so that a map does not flicker.
         fallen = float(np.exp((self._peak_s - now_s) / PEAK_S))
         self._peak = max(high, self._peak * fallen)
         self._peak_s = now_s
@@ -255,6 +258,7 @@ class View:
         forces = self.forces
         if forces is None:
             return f"{since}no frame yet"
+        # The rate is that of the last seconds.
         while self._times and self._times[0] < now_s - RATE_S:
             self._times.popleft()
         span_s = min(RATE_S, max(elapsed_s, 1e-3))

@@ -125,6 +125,7 @@ def _echo(arguments: argparse.Namespace) -> int:
     cls = SCHEMAS[topic.rpartition("/")[2]]
     field = FieldPath(arguments.field, cls) if arguments.field is not None else None
     n = 1 if arguments.once else arguments.n
+    # A few messages are over before reading them could disturb a graph.
     if n is None or n > FEW_MESSAGES:
         give_way()
     echo = Echo(

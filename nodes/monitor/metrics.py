@@ -123,14 +123,18 @@ class PatchMetrics:
         self.since_ns = since_ns
         late = since_ns is not None
         self._late = late
+        # How messages are paired.
         self._clock_of = clock_of
-        self._sensed_schema = Taxels.schema  # its publisher states the time of acquisition
+        # Its publisher states the time of acquisition.
+        self._sensed_schema = Taxels.schema
         self._sensed = TopicCount(late)
         self._reconstructed = TopicCount(late)
-        self._n_before = 0  # frames sensed before the first that a late subscriber can compare
+        # Frames sensed before the first that a late subscriber can compare.
+        self._n_before = 0
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
         self._noise = MeasuredNoise()
 
+        # What was measured, in the order of the summary.
         self.latency_ns: int | None = None
         self.latency_uncertainty_ns = 0
         self.skin: SkinState | None = None
@@ -180,6 +184,7 @@ class PatchMetrics:
     def add(self, message: Message) -> FrameMetrics | None:
         """Add one message of the patch alone; return the frame that it completes, if any."""
         stamp_ns = message.stamp_ns
+        # The newest count of sensed frames goes with the frame.
         if message.schema == self._sensed_schema:
             self._sensed.admit(message)
             self._pair(stamp_ns).n_sensed = self._sensed.total
@@ -208,7 +213,8 @@ class PatchMetrics:
     def _add_solver(self, message: SolverState) -> None:
         fields: tuple[str, ...] = _OF_SOLVER
         if self.solver is not None and self.solver.preset and message.preset:
-            fields = ("preset",)  # it states the others
+            # The preset states the others.
+            fields = ("preset",)
         self._note_changes(self.solver, message, *fields)
         self.solver = message
 
@@ -231,6 +237,7 @@ class PatchMetrics:
         self.latency_ns = self._latency_ns(message)
         self.idle = message.unchanged[0]
         self.unchanged += self.idle
+        # Skips before the first reconstruction that a late monitor read are not its own.
         if self.reconstructed or not self._late:
             self.skipped += message.skipped
 
@@ -253,11 +260,13 @@ class PatchMetrics:
         if acquired is None or reconstructed is None:
             return None
         if message.done_ns == message.stamp_ns:
-            return None  # computed offline
+            # No time passes where a recording is computed offline.
+            return None
 
         if acquired is not reconstructed:
             uncertainty_ns = acquired.uncertainty_ns + reconstructed.uncertainty_ns
             self.latency_uncertainty_ns = max(self.latency_uncertainty_ns, uncertainty_ns)
+        # The stamps are by two clocks, where the nodes are on two hosts.
         ahead_ns = reconstructed.offset_ns - acquired.offset_ns
         return message.done_ns - message.stamp_ns - ahead_ns
 
@@ -306,7 +315,8 @@ class PatchMetrics:
 
     def _count(self, frame: FrameMetrics, stamp_ns: int) -> None:
         """Count a complete frame, and those lost up to it."""
-        if self._late and not self.compared:  # what came of the frames before is incomplete
+        if self._late and not self.compared:
+            # What came of the frames before is incomplete.
             self._n_before = frame.n_sensed - frame.n_answered
             later = [(ns, pending) for ns, pending in self._pending.items() if ns > stamp_ns]
             self._pending = OrderedDict(later)
@@ -321,13 +331,16 @@ class PatchMetrics:
         self, frame: FrameMetrics, reconstruction: Reconstruction, skin: SkinState
     ) -> None:
         """Add the figures of a complete frame, in the taxels that gave readings."""
+        # A reading that was filled in is no reference.
         cells = _cells_read(skin, reconstruction)
         forces: Floats = reconstruction.forces[0][cells]
         taxels = _forces_in(cells, frame.taxels)
         truth = _forces_in(cells, frame.truth)
         reference = taxels if truth is None else truth
 
-        judged = forces if reference is None else reference  # nothing to compare with
+        # Without a reference, contact is judged by the reconstruction.
+        judged = forces if reference is None else reference
+        # A true force is without noise.
         noise = 0.0
         if truth is None:
             noise = skin.sigma_end or self._noise.update(judged)
@@ -337,6 +350,7 @@ class PatchMetrics:
 
         if reference is None or taxels is None:
             return
+        # Taxels are compared with the truth; without it they are the reference.
         if truth is not None:
             frame.psnr_noisy_db = psnr_db(taxels - reference, skin.f_max)
             self.noisy.add(frame.psnr_noisy_db, is_contact)
@@ -349,7 +363,8 @@ class PatchMetrics:
     def _add_trust(self, reconstruction: Reconstruction, is_contact: bool) -> None:
         estimate = reconstruction.error[0]
         is_trusted = reconstruction.trusted[0]
-        if estimate is not None or not is_trusted:  # else the solver estimates no error
+        if estimate is not None or not is_trusted:
+            # Trusted without an estimate, it is no statement of the solver.
             self.trust.add(float(is_trusted), is_contact)
         if not is_trusted:
             reason = reconstruction.reason[0] or Reason.ERROR
@@ -358,6 +373,7 @@ class PatchMetrics:
     def summary(self) -> dict[str, Any]:
         """The patch's part of the summary; unknown figures are None."""
         phi = self.phi
+        # Frames that a late monitor read in part are not counted.
         n_unpaired = self.unpaired
         if self.compared or not self._late:
             n_unpaired += len(self._pending)

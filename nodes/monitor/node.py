@@ -114,6 +114,7 @@ class Monitor(Node[MonitorSettings]):
 
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
+        # A monitor that joins late states from when its figures are.
         since_ns = context.clock.now_ns() if context.late else None
         self._groups = settings.groups
         self._patches: dict[str, PatchMetrics] = {}
@@ -145,6 +146,7 @@ class Monitor(Node[MonitorSettings]):
         counts: Iterable[Any],
         again: bool,
     ) -> dict[str, Any]:
+        # Counts of nodes are by topic, those of a batch being of all its patches.
         group_of = {name: group for group, names in settings.groups.items() for name in names}
         counts_of = {topic: of_node for of_node in counts for topic in of_node["published"]}
         patches = dict(report.get("patches", {}))
@@ -154,6 +156,7 @@ class Monitor(Node[MonitorSettings]):
         return {"patches": patches}
 
     def start(self) -> Iterable[Message]:
+        # Without a launcher nobody answers a page: there is none then.
         ask = self.context.ask if self.settings.page else None
         if ask is None and not self.settings.screen:
             return ()
@@ -216,6 +219,7 @@ class Monitor(Node[MonitorSettings]):
             return
         self._feed.pulse()
         now_ns = self.context.clock.now_ns()
+        # A summary costs more than a frame.
         if now_ns >= self._next_summary_ns:
             self._next_summary_ns = now_ns + SUMMARY_EVERY_NS
             self._feed.update(summaries=self.report()["patches"])
@@ -249,6 +253,7 @@ class Monitor(Node[MonitorSettings]):
         seconds = max(now_ns - self._status_ns, 1) / 1e9
         self._status_ns = now_ns
 
+        # Of few patches each has a line.
         parts = [{name: metrics} for name, metrics in self._patches.items()]
         if len(parts) > FEW:
             parts = [self._patches]
@@ -274,7 +279,8 @@ class Monitor(Node[MonitorSettings]):
 
         # Any user can list the arguments of a browser: its token is in a file of this user's.
         self._opener = Path(self.context.page_file)
-        self._opener.unlink(missing_ok=True)  # the monitor has been killed and started again
+        # It is there already if the monitor has been killed and started again.
+        self._opener.unlink(missing_ok=True)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
         with os.fdopen(os.open(self._opener, flags, 0o600), "w") as file:
             file.write(f'<meta http-equiv="refresh" content="0; url={url}">\n')
@@ -305,6 +311,7 @@ def _published_frames(
     taxels = topic_of(group, Taxels.schema)
     measured = topic_of(group, Measurements.schema)
     answered = topic_of(group, Reconstruction.schema)
+    # A compressor outside the graph publishes no taxels.
     sensed = taxels if taxels in counts_of else measured
     needed = {sensed, answered} if again else {sensed}
     if not needed <= counts_of.keys():

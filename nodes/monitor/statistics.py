@@ -55,6 +55,7 @@ class Quantiles:
         self._bins = np.zeros(n_bins, np.int64)
 
     def add(self, duration_ns: float) -> None:
+        # Shorter durations count in the first bin, longer ones in the last.
         bounded_ns = max(duration_ns, self._LOW_NS)
         k = int(math.log(bounded_ns / self._LOW_NS) / self._WIDTH)
         self._bins[min(k, len(self._bins) - 1)] += 1
@@ -63,6 +64,7 @@ class Quantiles:
         """The smallest duration in ms that at least the fraction q of all do not exceed."""
         cumulative = np.cumsum(self._bins)
         k = int(np.searchsorted(cumulative, q * cumulative[-1], side="left"))
+        # The middle of the bin, on the logarithmic scale.
         middle_ns = self._LOW_NS * math.exp((k + 0.5) * self._WIDTH)
         return middle_ns / 1e6
 
@@ -97,6 +99,7 @@ class History:
 
     def _first_is_over(self, time_s: float) -> bool:
         """True if the first row can go: the rows behind it span enough time, or are too many."""
+        # Rows are counted first: of a slow stream old ones stay.
         n_rows = self.n - self._first
         if n_rows < MIN_CAPACITY:
             return False

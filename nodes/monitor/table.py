@@ -37,6 +37,7 @@ def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     """
     metrics = list(patches.values())
     latency, p50_ms = _latency(metrics)
+    # The last parts are left out where the terminal is narrow.
     is_late = p50_ms >= LATE_MS
 
     parts = [_progress(patches, rate_hz)]
@@ -67,6 +68,7 @@ def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     rate = f"{rate_hz:.0f} Hz"
     if len(metrics) > 1:
         name = f"{len(metrics)} patches"
+        # One rate stands for all: patches of a graph are sensed together.
         asked_hz = max((m.skin.rate_hz for m in metrics if m.skin is not None), default=0.0)
         if asked_hz:
             rate = f"{rate_hz:.0f} of {asked_hz:g} Hz"
@@ -131,6 +133,7 @@ def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
 
 def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     """Number of frames that are not to be trusted, their reasons, and what may help; "" of none."""
+    # A patch without any judged frame has no trust to report.
     judged = [patch for patch in patches if patch["trust"]["all"]]
     n_untrusted = sum(patch["trust"]["all"]["untrusted"] for patch in judged)
     n_frames = sum(patch["trust"]["all"]["frames"] for patch in judged)
@@ -163,6 +166,7 @@ def patch_table(name: str, patch: Mapping[str, Any]) -> str:
     """The summary of one patch as text, `WIDTH` characters wide."""
     patch = {key: _cell(value) for key, value in patch.items()}
     frames = patch["frames"]
+    # A table of nothing would be all dashes.
     if not frames["sensed"] and not frames["reconstructed"]:
         scene = "" if patch["scene"] == NONE else f"{patch['scene']}: "
         return f"{printable(name)}: {scene}ended before the first frame"
@@ -257,7 +261,8 @@ def _score_rows(patch: Mapping[str, Any]) -> Iterator[str]:
         "  noisy taxels": patch["psnr_db"]["noisy"],
         "  reconstruction": patch["psnr_db"]["reconstruction"],
     }
-    if patch["reference"] == "taxels":  # then PSNR has no noise beside it
+    if patch["reference"] == "taxels":
+        # Noise of the taxels, to compare PSNR with, is not known then.
         scores["relative error"] = {"contact": patch["relative_error"]}
     scores["trusted by the solver"] = patch["trust"]
 

@@ -69,7 +69,8 @@ if not TYPE_CHECKING:  # which know the names above, and no others
         module = import_module(_HOMES.get(name, "sparseskin.arrays"))
         name_there = "load" if name == "load_launch" else name
         value = getattr(module, name_there)
-        globals()[name] = value  # so that it is looked up once
+        # So that it is looked up once.
+        globals()[name] = value
         return value
 
 

@@ -111,6 +111,7 @@ def compress(
     if n != phi.n:
         raise PhiError(f"compress: {n} taxels of {exists.shape} exist; {phi} is for {phi.n}")
     _keep_grid(phi, exists.shape)
+    # Cells where no taxel exists may hold anything.
     is_wrong = exists & ~(np.abs(forces) <= LARGEST)
     if is_wrong.any():
         place = tuple(np.argwhere(is_wrong)[0].tolist())
@@ -160,6 +161,7 @@ def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bo
     if len(frames) < (tare or 0):
         raise PhiError(f"compress: tare = {tare}: there are {len(frames)} frames")
     readings = frames[:, exists]
+    # The range is not stated: the largest reading stands for it.
     f_max = float(np.abs(readings).max(initial=0.0)) or 1.0
     n_rows, n_cols = exists.shape
     skin = Skin(n_rows, n_cols, f_max, mask=None if exists.all() else exists)
@@ -170,6 +172,7 @@ def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bo
 
     forces = frames.copy() if zero.changes_readings else frames
     can_fall = zero.changes_readings or bool((readings < 0).any())
+    # Once nothing more can be found out, frames are forces as they are.
     for k, frame in enumerate(frames):
         if zero.doubt.is_settled and not can_fall:
             break
@@ -276,7 +279,8 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     if y.ndim not in (1, 2):
         raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
     if y.ndim == 1:
-        return _reconstructed(y, solver)  # it may be any of a stream
+        # A single frame may be any of a stream: its row subset is stated.
+        return _reconstructed(y, solver)
 
     subsets = getattr(solver, "subsets", ())
     frames: list[Floats] = []
@@ -303,6 +307,7 @@ def _check_solver(solver: Solver) -> None:
 def _reconstructed(y: Floats, solver: Solver) -> Floats:
     """Forces of one frame; the solver notes why they are not to be trusted."""
     verdict = solve_watched(solver, watch_of(solver), solver.phi, y)
+    # What the edge found of the readings goes on with the frame.
     phi = getattr(solver, "measured_by", None)
     sensed = getattr(phi, "sensed", "")
     solver.reason = str(first_reason(verdict.reason, sensed))

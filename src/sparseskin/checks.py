@@ -114,6 +114,7 @@ def check_solver(solver: Solver) -> dict[str, float]:
         raise SolverError(f"solver: got {solver!r}; expected what make_solver returns")
     test = _SolverTest(solver)
     results = test.run(test.straight)
+    # Later frames must not change earlier results.
     copies = [forces.copy() for forces in results]
     for runs, solve in (
         ("a second run after reset()", test.straight),
@@ -171,6 +172,7 @@ class _Test:
         if not np.array_equal(batch, copy):
             self.fail(place, "its input is changed", "an input that is left as it is")
 
+        # The same bits, alone and in a batch, twice.
         frame_by_frame = np.stack([apply(frame) for frame in batch])
         if not np.array_equal(frame_by_frame, result):
             self.fail(place, "other bits on a second call", "the same bits, alone and in a batch")
@@ -252,6 +254,7 @@ class _SolverTest(_Test):
 
     def troubled(self, phi: Phi, y: Floats) -> Floats:
         """After measurements that are refused."""
+        # A refused frame must leave no trace in the next one.
         broken = y.copy()
         broken[y.size // 2] = np.nan
         try:

@@ -68,6 +68,7 @@ def read_recording(
         if stated:
             raise SparseskinError(f"{path}: a recording states {', '.join(stated)} itself")
         return _read_bag(path, patch)
+    # A recording of another program: the layout states what it does not.
     for word in stated:
         if word not in KEYS:
             raise SparseskinError(f"{word}: unknown argument{nearest_of(word, KEYS)}")
@@ -89,7 +90,8 @@ def _is_bag(path: str | os.PathLike[str]) -> bool:
     if not name.endswith(BAG_SUFFIX):
         return False
     if not Path(path).is_file():
-        return True  # it is named as missing
+        # The reader reports that it is missing.
+        return True
     with Path(path).open("rb") as file:
         return is_bag(file.read(HEAD_BYTES))
 

@@ -137,6 +137,7 @@ class Stream:
         invert: bool = False,
         **settings: Any,
     ) -> None:
+        # The skin, and its reading at rest.
         self._skin = _checked_skin(shape, f_max, mask)
         try:
             self._zero = Zero(self._skin, tare, invert)
@@ -146,6 +147,7 @@ class Stream:
             allowed = "allowed: standard deviations at mid-range and at the ends"
             raise SparseskinError(f"stream: sigmas = {sigmas!r} is not allowed; {allowed}")
 
+        # The edge: the matrices that measure frames in turn.
         edge = CompressorSettings(phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed)
         edge.check()
         if phi_fact(phi_class(phi), "choice"):
@@ -157,6 +159,7 @@ class Stream:
         self.n = self._phis[0].n
         self.m = self._phis[0].m
 
+        # The host: what it knows of the noise, and its settings.
         self._noise_model = None
         if sigmas is not None:
             self._noise_model = NoiseModel(f_max, *sigmas)
@@ -166,7 +169,8 @@ class Stream:
 
         self._n_compressed = 0
         self._n_reconstructed = 0
-        self._doubts: dict[int, str] = {}  # of frames that wait to be reconstructed
+        # Of frames that wait to be reconstructed.
+        self._doubts: dict[int, str] = {}
         self.sensed = ""
         self.error: float | None = None
         self.reason = ""
@@ -224,6 +228,7 @@ class Stream:
         if forces.shape != self._skin.shape:
             expected = f"expected {self._skin.shape}"
             raise SparseskinError(f"stream: the frame has shape {forces.shape}; {expected}")
+        # Nothing is filled in here: that is a decision of the caller.
         bad = self._skin.exists & ~np.isfinite(forces)
         if bad.any():
             row, col = np.argwhere(bad)[0]
@@ -326,7 +331,8 @@ def _checked_skin(shape: tuple[int, int], f_max: float, mask: Mask | None) -> Sk
         allowed = f"allowed: (n_rows, n_cols), whole numbers 1..{MAX_SIDE}"
         raise SparseskinError(f"stream: shape = {shape!r} is not allowed; {allowed}")
     if mask is not None:
-        mask = np.array(mask)  # the caller's own may change
+        # The caller's own may change.
+        mask = np.array(mask)
     try:
         return Skin(*shape, f_max, mask=mask)
     except MessageError as error:

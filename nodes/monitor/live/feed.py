@@ -171,6 +171,7 @@ class Feed:
         now_s = time.monotonic()
         feed = self.patches[patch]
         with self.changed:
+            # Latency of a state would be its age.
             if isinstance(message, SkinState):
                 feed.begin(message)
             elif latency_ns is not None:
@@ -193,6 +194,7 @@ class Feed:
         if contacts.events is not None:
             counts = np.bincount(contacts.events[:, 2], minlength=len(EVENTS))
             feed.events.add(now_s, *counts.tolist())
+        # Earlier ones are shown with the frame that they belong to.
         if contacts.stamp_ns == feed.stamp_ns:
             self._show(feed)
 
@@ -202,6 +204,7 @@ class Feed:
         if frame.reconstruction is not None:
             feed.idle = frame.reconstruction.unchanged[0]
             feed.note(frame.reconstruction, now_s)
+        # A map that is of no later frame keeps its age.
         feed.came_s.update(dict.fromkeys(feed.maps, now_s))
         feed.lost = frame.lost
         feed.ended = False
@@ -258,6 +261,7 @@ class Feed:
                 self.changed.notify_all()
 
     def _set_graph(self, graph: dict[str, Any]) -> None:
+        # By the state before this one.
         was_paused = self.paused
         now_s = time.monotonic()
         self.graph = graph

@@ -42,6 +42,7 @@ class Notices:
         """All notices, the worst of each kind first; `now_s` by time.monotonic()."""
         feed = self._feed
         current: list[Notice] = []
+        # The monitor itself first: without it nothing below is up to date.
         silent_s = now_s - feed.pulse_s
         if silent_s > PULSE_S:
             current.append((BAD, f"The monitor has not responded for {ago(silent_s)}."))
@@ -54,7 +55,8 @@ class Notices:
         for node in (feed.graph or {}).get("nodes", []):
             current += self._of_node(node, now_s)
         if feed.start is not None:
-            return current  # no frame is expected yet
+            # No frame is expected yet.
+            return current
 
         by_patch = {}
         for name, patch in feed.patches.items():
@@ -64,6 +66,7 @@ class Notices:
     def _of_node(self, node: dict[str, Any], now_s: float) -> Iterator[Notice]:
         name = node["name"]
         condition = node["condition"]
+        # Counted in each call, so that the window of the event begins when it comes.
         was_restarted = self._risen(f"restarts {name}", node["restarts"], now_s)
         starts_again = condition == "starting" and node["restarts"]
         if condition in TROUBLED or starts_again:
@@ -103,13 +106,15 @@ class Notices:
         counts = self._seen.setdefault(name, deque())
         if not counts or count != counts[-1][1]:
             if counts and count < counts[-1][1]:
-                counts.clear()  # another run of the node counts from 0
+                # Another run of the node counts from 0.
+                counts.clear()
             counts.append((now_s, count))
 
         begin_s = now_s - RECENT_S
         # The last count from before the window is the base of the increase.
         while len(counts) > 1 and counts[1][0] <= begin_s:
             counts.popleft()
+        # Without a change within the window there is no increase to show.
         changed_s, _ = counts[-1]
         if changed_s <= begin_s:
             return 0
@@ -141,6 +146,7 @@ def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
 
     kinds: dict[Notice, list[tuple[str, str]]] = {}
     for name, notices in by_patch.items():
+        # Notices that differ in numbers alone are of one kind.
         for tone, text in notices:
             kind = (tone, re.sub(r"[0-9.]+", "#", text))
             kinds.setdefault(kind, []).append((name, text))

@@ -23,6 +23,7 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         graph = feed.graph or {}
         current = notices.all(now_s)
 
+        # The graph: its name and state, its nodes, other hosts.
         lines = [_title(graph, current)]
         if graph.get("recording"):
             lines.append(f"recording {graph['recording']}")
@@ -30,6 +31,7 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         lines += textwrap.wrap(", ".join(states), WIDTH)
         lines += [text for _, text in host_lines(graph)]
 
+        # What is wrong.
         for tone, text in current:
             mark = "!!" if tone == BAD else " *"
             lines.append(f"{mark} {text}")
@@ -37,6 +39,7 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
             if not patch.trusted(now_s):
                 lines += _untrusted_lines(name, patch.reason)
 
+        # What was measured.
         for line in status.split("\n"):
             lines += textwrap.wrap(line, WIDTH)
         summaries = {name: patch.summary for name, patch in feed.patches.items() if patch.summary}

@@ -89,6 +89,7 @@ class PageServer(ThreadingHTTPServer):
         self.notices = notices
         self.ask = ask
         self.token = token
+        # Read once: no request reaches the file system.
         self.files = {
             f"/{path.name}": (path.read_bytes(), TYPES[path.suffix])
             for path in PAGE.iterdir()
@@ -125,12 +126,14 @@ class PageServer(ThreadingHTTPServer):
     def get_request(self) -> tuple[socket.socket, Any]:
         try:
             return super().get_request()
-        except OSError:  # no file descriptor is left: not to be tried again at once
+        except OSError:
+            # No file descriptor is left: not to be tried again at once.
             self._end_oldest()
             time.sleep(POLL_S)
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
+        # Whoever opens too many connections ends its oldest one.
         if len(self._due_s) >= self._max_connections:
             self._end_oldest()
         self.expect(request, REQUEST_S)
@@ -228,7 +231,8 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(self._get)
 
     def do_POST(self) -> None:
-        self.close_connection = True  # an unread body must not be parsed as the next request
+        # An unread body must not be parsed as the next request.
+        self.close_connection = True
         self._answer(self._post)
 
     def _answer(self, action: Callable[[SplitResult], None]) -> None:
@@ -257,12 +261,14 @@ class _Handler(BaseHTTPRequestHandler):
     def _post(self, url: SplitResult) -> None:
         if url.path != "/request":
             raise _RefusedError(HTTPStatus.NOT_FOUND, "requests go to /request")
+        # Without a length, the end of the body is not known.
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal():
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "Content-Length is missing")
         if len(length) > 9 or int(length) > MAX_BODY_BYTES:
             text = f"at most {MAX_BODY_BYTES} bytes are allowed"
             raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, text)
+        # A form of another site cannot send this type.
         if self.headers.get_content_type() != "application/json":
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected application/json")
 
@@ -329,6 +335,7 @@ class _Handler(BaseHTTPRequestHandler):
             text = f"no patch {patch[:64]!r} (known: {', '.join(feed.patches)})"
             raise _RefusedError(HTTPStatus.NOT_FOUND, text)
         with self.server.stream():
+            # The stream has no end of its own: only a stalled page is disconnected.
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
             self.connection.settimeout(STALLED_S)
             self.server.expect(self.connection, math.inf)

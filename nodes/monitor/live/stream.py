@@ -46,6 +46,7 @@ Part = tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]
 
 def record(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray[Any, Any]]) -> bytes:
     """One record as bytes; numbers that are not finite become null in the header."""
+    # A page reads arrays by these, one after the other, from the data.
     forms = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
     body = finite({**header, "arrays": forms})
     head = json.dumps(body, separators=(",", ":")).encode()
@@ -74,6 +75,7 @@ class StreamReader:
         self._feed = feed
         self._notices = notices
         self._patch = patch
+        # So that an overview costs no more than one of `FULL_RATE` patches.
         slower = max(1.0, len(feed.patches) / FULL_RATE)
         self._period_s = OVERVIEW_S * slower
         self._names = list(feed.patches)
@@ -135,6 +137,7 @@ class StreamReader:
                 continue
             if self._is_new(f"skin {name}", patch.skin):
                 yield _skin(name, patch, feed.poses.get(name))
+            # Only the newest maps are sent: those between are skipped.
             if self._n_maps[name] != patch.n_maps and patch.maps:
                 self._n_maps[name] = patch.n_maps
                 yield from self._maps(name, patch, now_s)
@@ -205,7 +208,8 @@ class StreamReader:
             "idle": patch.idle,
         }
         if self._feed.closed and patch.summary:
-            state["lost"] = patch.summary["frames"]["lost"]  # at the end, of all frames
+            # At the end the summary has counted all frames, too.
+            state["lost"] = patch.summary["frames"]["lost"]
         if not state["trusted"]:
             state["reason"] = _reason(patch.reason)
 
@@ -230,6 +234,7 @@ def _measured(patch: PatchFeed) -> dict[str, np.ndarray[Any, Any]]:
     if not of_frame:
         return {}
     y = np.asarray(of_frame[0].y)[0]
+    # Measurements of 0 are divided, too.
     largest = max(float(np.abs(y).max(initial=0)), TINY)
     return {"measurements": np.round(y * (127 / largest)).astype(np.int8)}
 
@@ -250,6 +255,7 @@ def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
     if age_ns > 1e9 * patch.stale_s:
         return {}
 
+    # In the order of their numbers, so that a list of them does not jump.
     strongest = np.argsort(-contacts.total, kind="stable")[:MOST]
     rows = strongest[np.argsort(contacts.id[strongest])]
     document = {
