@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import ShapeError
-from .fields import Array, Each, Flag, Integer, wire
+from .fields import Array, Each, Flag, Integer, omitted, wire
 from .frames import Floats, Frames
 
 BEGIN, END, OVER, SLIDE = range(4)
@@ -24,7 +24,7 @@ def _column(dtype: str, ndim: int = 1, optional: bool = False) -> Any:
     """A field with an entry or a row for each contact, of which there may be none."""
     kind = Array(dtype, ndim, optional=optional, sparse=True)
     if optional:
-        return wire(kind, default=None, omitted=True)
+        return omitted(kind)
     return wire(kind)
 
 
@@ -54,7 +54,7 @@ class Contacts(Frames):
     """True from the event of that name until force or speed are half of what it was reported at."""
     done_ns: int = wire(Integer())
     """Time of the estimate on the graph's clock, nanoseconds."""
-    trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
+    trusted: tuple[bool, ...] = omitted(Each(Flag(), (True,)), ())
     """As of the reconstruction, of each patch."""
     place_mm: Floats | None = _column("<f4", 2, optional=True)
     place_sd_mm: Floats | None = _column("<f4", 2, optional=True)

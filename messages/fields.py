@@ -440,10 +440,14 @@ def _check_quantiser(name: str, bits: int, step: float) -> None:
         raise FieldError(f"{name}: a step of {step} is outside 0..{STEP_MAX:g}")
 
 
-def wire(kind: FieldKind, *, omitted: bool = False, **options: Any) -> Any:
-    """Declare a dataclass field of a kind; options as of `dataclasses.field`.
+def wire(kind: FieldKind, **options: Any) -> Any:
+    """Declare a dataclass field of a kind; options as of `dataclasses.field`."""
+    return dataclasses.field(metadata={"wire": kind, "omitted": False}, **options)
 
-    An `omitted` one is sent only where it differs from its default, so that messages of programs
-    without that field can be read, and those that do not use it keep their bytes.
+
+def omitted(kind: FieldKind, default: Any = None) -> Any:
+    """Declare a dataclass field that is sent only where it differs from its default, so that
+    messages of programs without that field can be read, and those that do not use it keep their
+    bytes.
     """
-    return dataclasses.field(metadata={"wire": kind, "omitted": omitted}, **options)
+    return dataclasses.field(metadata={"wire": kind, "omitted": True}, default=default)

@@ -14,7 +14,20 @@ import numpy.typing as npt
 
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, ShapeError
-from .fields import Array, Each, FieldKind, Flag, Integer, Names, Real, Samples, Text, Words, wire
+from .fields import (
+    Array,
+    Each,
+    FieldKind,
+    Flag,
+    Integer,
+    Names,
+    Real,
+    Samples,
+    Text,
+    Words,
+    omitted,
+    wire,
+)
 
 Floats = npt.NDArray[np.float32]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
@@ -38,7 +51,7 @@ class Frames(Message):
 
     version: ClassVar[int] = 2
 
-    names: tuple[str, ...] = wire(Names(), default=(), omitted=True)
+    names: tuple[str, ...] = omitted(Names(), ())
 
     @property
     def patches(self) -> tuple[str, ...]:
@@ -115,10 +128,8 @@ class Sensed(Frames):
     (n_rows n_cols / 8,), rounded up. None: all gave one.
     """
 
-    missing: npt.NDArray[np.uint8] | None = wire(
-        Array("|u1", 1, optional=True), default=None, omitted=True
-    )
-    reason: tuple[str, ...] = wire(Words(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
+    missing: npt.NDArray[np.uint8] | None = omitted(Array("|u1", 1, optional=True))
+    reason: tuple[str, ...] = omitted(Words(Text(16, "[a-z]*"), ("",)), ())
     """Why a patch is not trusted: a `Reason`, or a word that another version of this program wrote;
     "" else, or not stated. What the sensor states of its readings goes on with the frame."""
 
@@ -190,12 +201,8 @@ class Measurements(Sensed):
 
     y: Floats = wire(Samples())
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
-    places: npt.NDArray[np.uint8] | None = wire(
-        Array("|u1", 1, optional=True), default=None, omitted=True
-    )
-    nodes: npt.NDArray[np.uint8] | None = wire(
-        Array("|u1", 1, optional=True), default=None, omitted=True
-    )
+    places: npt.NDArray[np.uint8] | None = omitted(Array("|u1", 1, optional=True))
+    nodes: npt.NDArray[np.uint8] | None = omitted(Array("|u1", 1, optional=True))
 
     def validate(self) -> None:
         super().validate()
@@ -229,20 +236,16 @@ class Reconstruction(Sensed):
     solve_ns: tuple[int, ...] = wire(Each(Integer()))
     done_ns: int = wire(Integer())
     """Duration of the solver, and time of the reconstruction on the graph's clock, nanoseconds."""
-    sd: Floats | None = wire(
-        Array("<f4", 3, optional=True, patches=True), default=None, omitted=True
-    )
+    sd: Floats | None = omitted(Array("<f4", 3, optional=True, patches=True))
     """Standard deviation of each force, in the skin's unit, where it is computed, of the shape of
     all forces: 90 % of the true ones lie within 1.645 of it."""
-    skipped: int = wire(Integer(), default=0, omitted=True)
+    skipped: int = omitted(Integer(), 0)
     """Number of frames skipped since the last reconstruction because newer ones waited."""
-    error: tuple[float | None, ...] = wire(
-        Each(Real(0.0, optional=True), (None,)), default=(), omitted=True
-    )
+    error: tuple[float | None, ...] = omitted(Each(Real(0.0, optional=True), (None,)), ())
     """RMS error of a taxel, in the skin's unit, where the solver estimates it."""
-    trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
+    trusted: tuple[bool, ...] = omitted(Each(Flag(), (True,)), ())
     """False where forces are not to be acted on; True also where the error is not estimated."""
-    unchanged: tuple[bool, ...] = wire(Each(Flag(), (False,)), default=(), omitted=True)
+    unchanged: tuple[bool, ...] = omitted(Each(Flag(), (False,)), ())
     """True where measurements changed by no more than their noise: the frame was not solved, and
     its forces are those of the frame before."""
 

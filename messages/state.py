@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from .base import Message
 from .errors import MessageError, ShapeError
-from .fields import MAX_ELEMENTS, MAX_SIDE, Array, Flag, Integer, Real, Text, wire
+from .fields import MAX_ELEMENTS, MAX_SIDE, Array, Flag, Integer, Real, Text, omitted, wire
 from .frames import FINGERPRINT_PATTERN, Floats
 from .skin import Skin
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
@@ -47,15 +47,11 @@ class SkinState(Message):
     has_truth: bool = wire(Flag())
     sigma_mid: float = wire(Real(0.0))
     sigma_end: float = wire(Real(0.0))
-    has_taxels: bool = wire(Flag(), default=True, omitted=True)
-    f_min: float = wire(Real(high=0.0), default=0.0, omitted=True)
-    live: bool = wire(Flag(), default=False, omitted=True)
-    points: Floats | None = wire(
-        Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6), default=None, omitted=True
-    )
-    point_rows: npt.NDArray[np.int32] | None = wire(
-        Array("<i4", 1, optional=True), default=None, omitted=True
-    )
+    has_taxels: bool = omitted(Flag(), True)
+    f_min: float = omitted(Real(high=0.0), 0.0)
+    live: bool = omitted(Flag(), False)
+    points: Floats | None = omitted(Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6))
+    point_rows: npt.NDArray[np.int32] | None = omitted(Array("<i4", 1, optional=True))
 
     def validate(self) -> None:
         # Raises where the mask or the points do not fit the grid.
@@ -160,8 +156,8 @@ class PhiState(Message):
     block: int = wire(Integer(1, MAX_ELEMENTS))
     seed: int = wire(Integer())
     fingerprint: str = wire(Text(16, FINGERPRINT_PATTERN))
-    rows: str = wire(Text(8, "fixed|rotating"), default="fixed", omitted=True)
-    rule: int = wire(Integer(1, 3), default=1, omitted=True)
+    rows: str = omitted(Text(8, "fixed|rotating"), "fixed")
+    rule: int = omitted(Integer(1, 3), 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,10 +178,10 @@ class SolverState(Message):
     preset: str = wire(Text())
     iterations: int = wire(Integer(0, 1_000_000))
     lambda_n: float = wire(Real(0.0))
-    frame_ms: float = wire(Real(0.0), default=0.0, omitted=True)
-    max_iterations: int = wire(Integer(0, 1_000_000), default=0, omitted=True)
-    frame_tiles: int = wire(Integer(), default=0, omitted=True)
-    step_tiles: int = wire(Integer(), default=0, omitted=True)
+    frame_ms: float = omitted(Real(0.0), 0.0)
+    max_iterations: int = omitted(Integer(0, 1_000_000), 0)
+    frame_tiles: int = omitted(Integer(), 0)
+    step_tiles: int = omitted(Integer(), 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

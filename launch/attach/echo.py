@@ -156,11 +156,13 @@ def _contact_line(message: Contacts, k: int, unit: str) -> str:
     sd = message.centre_sd[k]
     length = "taxels"
     if message.place_mm is not None and message.place_sd_mm is not None:
-        # Of a flat skin z is 0.
-        n_sides = 2 if message.normal is None else 3
-        centre = message.place_mm[k][:n_sides]
-        sd = message.place_sd_mm[k][:n_sides]
+        centre = message.place_mm[k]
+        sd = message.place_sd_mm[k]
         length = "mm"
+        if message.normal is None:
+            # Of a flat skin z is 0.
+            centre = centre[:2]
+            sd = sd[:2]
     place = ", ".join(f"{x:.4g} ± {s:.2g}" for x, s in zip(centre, sd, strict=True))
 
     size = f"{message.area[k]} taxels, {message.age_s[k]:.3g} s"
@@ -197,14 +199,17 @@ class Echo(Display):
         unit: str = "",
     ) -> None:
         if max_hz is None:
-            max_hz = 0.0 if in_json or n is not None else MAX_HZ
+            is_for_a_person = n is None and not in_json
+            max_hz = MAX_HZ if is_for_a_person else 0.0
         self._topic = topic
         self._field = field
         self._n = n
         self._in_json = in_json
         self._full = full
         self._unit = unit
-        self._period_ns = round(1e9 / max_hz) if max_hz else 0
+        self._period_ns = 0
+        if max_hz:
+            self._period_ns = round(1e9 / max_hz)
         # A message that is to be shown must not wait longer than the next one is due.
         self.patience_s = min(PATIENCE_S, self._period_ns / 1e9 or PATIENCE_S)
         self._losses = Losses()
@@ -254,7 +259,9 @@ class Echo(Display):
         full = self._full
         if self._field is not None:
             value = self._field.of(message)
-            return json.dumps(plain(value, full)) if self._in_json else text(value, full)
+            if self._in_json:
+                return json.dumps(plain(value, full))
+            return text(value, full)
 
         values = values_of(message)
         if self._in_json:

@@ -24,13 +24,12 @@ def heat_map(
     """
     # A character is about twice as high as wide: with colours it holds two places, with letters a
     # place has two characters.
-    n_high = 2 * height if coloured else height
-    n_wide = width if coloured else max(1, width // 2)
-    places = _places(forces, n_high, n_wide)
     if not coloured:
+        places = _places(forces, height, max(1, width // 2))
         levels = _levels(places, top, len(LETTERS))
         return ["".join(LETTERS[level] * 2 for level in row) for row in levels]
 
+    places = _places(forces, 2 * height, width)
     if len(places) % 2:
         # The last line has an empty lower half.
         empty_row = np.zeros((1, places.shape[1]), places.dtype)

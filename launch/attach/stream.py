@@ -111,9 +111,11 @@ class TopicStream:
         self._clock = SystemClock(graph.offset_ns)
         self._context = make_context()
         keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
-        ahead = READ_AHEAD if patience_s else QUEUE_FRAMES
+        ahead = QUEUE_FRAMES
         if newest:
             ahead = NEWEST_ALONE
+        elif patience_s:
+            ahead = READ_AHEAD
         self._reader = Reader(
             self._context,
             f"observer_{os.getpid()}",
@@ -180,15 +182,17 @@ class TopicStream:
         """Yield the messages since the last batch, every 100 ms or sooner, later where it is
         patient, until `duration_s` is over, an interrupt comes or the graph ends.
         """
-        began_s = time.monotonic()
+        end_s = math.inf
+        if duration_s is not None:
+            end_s = time.monotonic() + duration_s
         while not self.interrupted:
-            now_s = time.monotonic()
-            if duration_s is not None and now_s - began_s >= duration_s:
+            remaining_s = end_s - time.monotonic()
+            if remaining_s <= 0:
                 return
             if self.graph_has_ended():
                 yield self._read()
                 return
-            remaining_s = math.inf if duration_s is None else began_s + duration_s - now_s
+
             yield self._read(self._wait_for_batch(remaining_s))
 
     def _wait_for_batch(self, remaining_s: float) -> int | None:

@@ -78,11 +78,15 @@ class Subscription:
 
     @property
     def skipped(self) -> int:
-        return self._losses.n if self._newest else 0
+        if not self._newest:
+            return 0
+        return self._losses.n
 
     @property
     def lost(self) -> int:
-        return 0 if self._newest else self._losses.n
+        if self._newest:
+            return 0
+        return self._losses.n
 
     @property
     def unreadable(self) -> int:

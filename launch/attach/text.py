@@ -133,8 +133,10 @@ def in_force_text(entry: Mapping[str, Any], preset: str | None) -> str:
     """The value in force of a setting that is not stated, as " (preset NAME: VALUE)"; or ""."""
     if entry["value"] is not None or entry["in_force"] is None:
         return ""
-    whose = f"preset {preset}" if preset else "in force"
-    return f" ({whose}: {shown_value(entry['in_force'])})"
+    value = shown_value(entry["in_force"])
+    if not preset:
+        return f" (in force: {value})"
+    return f" (preset {preset}: {value})"
 
 
 def types_of(entry: Mapping[str, Any]) -> list[str]:
@@ -166,7 +168,9 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     # Imported here: with it comes numpy, for which a table need not wait.
     from sparseskin.nodes.toml import toml_or_text
 
-    types = types_of(entry) if entry is not None else []
+    types = []
+    if entry is not None:
+        types = types_of(entry)
     if text == "none" and "None" in types:
         return None
     value = toml_or_text(text)
@@ -191,5 +195,6 @@ def _range_text(entry: Mapping[str, Any]) -> str:
 
 
 def _number(value: float) -> str:
-    is_short_integer = value == round(value) and abs(value) < 1e12
-    return f"{value:.0f}" if is_short_integer else f"{value:g}"
+    if value == round(value) and abs(value) < 1e12:
+        return f"{value:.0f}"
+    return f"{value:g}"

@@ -89,7 +89,7 @@ def _export_options() -> dict[str, _ExportOption]:
         for option, (metavar, about, *kind) in export.options.items():
             # Several exports may have an option of one name: the first describes it.
             if option not in options:
-                read = kind[0] if kind else whole(1)
+                (read,) = kind or (whole(1),)
                 options[option] = _ExportOption([], metavar, about, read)
             options[option].exports.append(name)
     return options
@@ -220,7 +220,9 @@ def _stem(path: Path) -> str:
 
 
 def _count(n: int, what: str) -> str:
-    return f"{n} {what}" if n == 1 else f"{n} {what}s"
+    if n == 1:
+        return f"{n} {what}"
+    return f"{n} {what}s"
 
 
 def info_document(bag: "BagReader") -> dict[str, Any]:
@@ -261,8 +263,10 @@ def info_lines(bag: "BagReader") -> list[str]:
 
 def _topic_rows(bag: "BagReader") -> list[list[Any]]:
     """A row for each topic; what is not known is None."""
-    # The recorder writes its counts last: a broken recording has none.
-    lost = None if bag.counts is None else bag.counts.get("lost", {})
+    lost: Any = None
+    if bag.counts is not None:
+        # The recorder writes its counts last: a broken recording has none.
+        lost = bag.counts.get("lost", {})
     rows = []
     for topic, info in bag.topics.items():
         n_lost = lost.get(topic, 0) if isinstance(lost, dict) else None

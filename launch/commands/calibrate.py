@@ -289,7 +289,9 @@ def _properties(calibration: Fit) -> dict[str, str]:
 
 
 def _percent(share: float | None) -> float | None:
-    return None if share is None else 100 * share
+    if share is None:
+        return None
+    return 100 * share
 
 
 TARE = "tare"

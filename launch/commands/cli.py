@@ -70,7 +70,9 @@ def about(name: str) -> tuple[str, str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     # `sparseskin` alone prints help, and `sparseskin help X` that of X.
-    words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    if argv is None:
+        argv = sys.argv[1:]
+    words = list(argv) or ["--help"]
     if words[0] == "help":
         words = [*words[1:], "--help"]
     asks_for_help = "-h" in words or "--help" in words

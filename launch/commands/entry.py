@@ -43,7 +43,9 @@ def _run() -> int:
 
     code = complete() if "_ARGCOMPLETE" in os.environ else run()
     sys.stdout.flush()
-    return Terminated.exit_code if TERMINATION.has_come else code
+    if TERMINATION.has_come:
+        return Terminated.exit_code
+    return code
 
 
 def open_standard_files() -> None:

@@ -247,15 +247,15 @@ def _set(arguments: argparse.Namespace) -> int:
     """
     if len(arguments.more) % 2:
         raise SettingsError(f"{arguments.more[-1]}: a setting without a value")
-    typed = dict(zip(arguments.more[::2], arguments.more[1::2], strict=True))
+    typed_texts = dict(zip(arguments.more[::2], arguments.more[1::2], strict=True))
     # All of them go in one request: all are set between two frames, or none.
-    typed = {arguments.key: arguments.value} | typed
+    typed_texts = {arguments.key: arguments.value} | typed_texts
 
     graph = choose_graph(arguments.graph)
     settings = describe_node(graph, arguments.node)["settings"]
     entries = {entry["key"]: entry for entry in settings}
     values: dict[str, Any] = {}
-    for key, text in typed.items():
+    for key, text in typed_texts.items():
         table_key, dot, part = key.partition(".")
         if not dot or table_key not in entries:
             values[key] = typed_value(text, entries.get(key))

@@ -82,7 +82,9 @@ def _head_lines(name: str, layout: Layout) -> list[str]:
 def _unit(head: Head, layout: Layout) -> str:
     if head.unit:
         return head.unit
-    return f"{layout.unit}, as stated" if layout.unit else "not stated"
+    if layout.unit:
+        return f"{layout.unit}, as stated"
+    return "not stated"
 
 
 def _sides(head: Head) -> str:

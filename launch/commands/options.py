@@ -145,7 +145,9 @@ def as_options(text: str) -> str:
 
     def option(match: re.Match[str]) -> str:
         key, equals = match.groups()
-        return with_value(key) if equals else _option_of(key)
+        if equals:
+            return with_value(key)
+        return _option_of(key)
 
     def clause(match: re.Match[str]) -> str:
         return _stated_key().sub(option, match[0])

@@ -123,11 +123,16 @@ def _echo(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
     topic = find_topic(graph, arguments.topic)
     cls = SCHEMAS[topic.rpartition("/")[2]]
-    field = FieldPath(arguments.field, cls) if arguments.field is not None else None
+    field = None
+    if arguments.field is not None:
+        field = FieldPath(arguments.field, cls)
     n = 1 if arguments.once else arguments.n
     # A few messages are over before reading them could disturb a graph.
     if n is None or n > FEW_MESSAGES:
         give_way()
+    unit = ""
+    if cls is Contacts:
+        unit = unit_of(graph, topic)
     echo = Echo(
         topic,
         field,
@@ -135,7 +140,7 @@ def _echo(arguments: argparse.Namespace) -> int:
         max_hz=arguments.max_hz,
         in_json=arguments.json,
         full=arguments.full,
-        unit=unit_of(graph, topic) if cls is Contacts else "",
+        unit=unit,
     )
     return observe(graph, topic, echo, n, arguments.duration)
 

@@ -434,12 +434,16 @@ class PatchMetrics:
 
 def _cells_read(skin: SkinState, reconstruction: Reconstruction) -> Any:
     """Index of the cells that exist and gave a reading; of all that exist where none did."""
-    missing = reconstruction.missing_cells((skin.n_rows, skin.n_cols))
-    if missing is not None and not missing.all():
-        return ~missing if skin.mask is None else skin.mask & ~missing
+    cells: Any = slice(None)
     if skin.mask is not None:
-        return skin.mask
-    return slice(None)
+        cells = skin.mask
+    missing = reconstruction.missing_cells((skin.n_rows, skin.n_cols))
+    if missing is None or missing.all():
+        return cells
+    read = ~missing
+    if skin.mask is not None:
+        read &= skin.mask
+    return read
 
 
 def _forces_in(cells: Any, message: Taxels | Truth | None) -> Floats | None:

@@ -115,7 +115,9 @@ class Monitor(Node[MonitorSettings]):
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
         # A monitor that joins late states from when its figures are.
-        since_ns = context.clock.now_ns() if context.late else None
+        since_ns = None
+        if context.late:
+            since_ns = context.clock.now_ns()
         self._groups = settings.groups
         self._patches: dict[str, PatchMetrics] = {}
         for group, names in self._groups.items():

@@ -156,10 +156,11 @@ def _reasons(counts: Counter[str]) -> str:
     """The reasons of frames, each with its number of frames where there are several reasons."""
     if len(counts) == 1:
         return "".join(f": {phrase_of(word)}" for word in counts)
-    return "".join(
-        f"; in {count} {'frame' if count == 1 else 'frames'}: {phrase_of(word)}"
-        for word, count in counts.most_common()
-    )
+    text = ""
+    for word, count in counts.most_common():
+        frames = "frame" if count == 1 else "frames"
+        text += f"; in {count} {frames}: {phrase_of(word)}"
+    return text
 
 
 def patch_table(name: str, patch: Mapping[str, Any]) -> str:
@@ -189,7 +190,9 @@ def _cell(value: Any) -> Any:
     """A value of the summary as the table holds it: "-" for None, texts without control codes."""
     if value is None:
         return NONE
-    return printable(value) if isinstance(value, str) else value
+    if isinstance(value, str):
+        return printable(value)
+    return value
 
 
 def _frames_text(patch: Mapping[str, Any]) -> str:
@@ -346,7 +349,9 @@ def shown(value: float | str | None, form: str) -> str:
     """A number in a format; "-" if unknown."""
     if value is None:
         return NONE
-    return printable(value) if isinstance(value, str) else format(value, form)
+    if isinstance(value, str):
+        return printable(value)
+    return format(value, form)
 
 
 def _times(quantiles: Mapping[str, float] | str) -> str:
