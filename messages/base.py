@@ -89,8 +89,10 @@ class Message:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        names = wire_fields(type(self))
-        return all(_same(getattr(self, name), getattr(other, name)) for name in names)
+        for name in wire_fields(type(self)):
+            if not _same(getattr(self, name), getattr(other, name)):
+                return False
+        return True
 
     __hash__ = None  # type: ignore[assignment]
 

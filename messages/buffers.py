@@ -62,7 +62,7 @@ def _form(cls: type[Message]) -> _Form:
     fields = wire_fields(cls)
 
     def of(*kinds: type[FieldKind]) -> Any:
-        return tuple((name, kind) for name, kind in fields.items() if isinstance(kind, kinds))
+        return tuple(field for field in fields.items() if isinstance(field[1], kinds))
 
     # Words are of kind `Each`, but travel as texts.
     words = of(Words)
@@ -264,7 +264,9 @@ def _describe(message: Message) -> _Stream:
     # In the order of the form; a reader takes them by their place.
     texts = [kind.pack(values[name]) for name, kind in form.texts]
     # The last words are left out where none is stated.
-    while isinstance(form.texts[len(texts) - 1][1], Words) and not texts[-1].strip():
+    for _, kind in reversed(form.texts):
+        if not isinstance(kind, Words) or texts[-1].strip():
+            break
         texts.pop()
 
     arrays = {}

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import ShapeError
-from .fields import Array, Each, Flag, Integer, omitted, wire
-from .frames import Floats, Frames
+from .fields import Array, Integer, omitted, wire
+from .frames import TRUSTED, Floats, Frames
 
 BEGIN, END, OVER, SLIDE = range(4)
 EVENTS = ("begin", "end", "over", "slide")
@@ -54,7 +54,7 @@ class Contacts(Frames):
     """True from the event of that name until force or speed are half of what it was reported at."""
     done_ns: int = wire(Integer())
     """Time of the estimate on the graph's clock, nanoseconds."""
-    trusted: tuple[bool, ...] = omitted(Each(Flag(), (True,)), ())
+    trusted: tuple[bool, ...] = omitted(TRUSTED, ())
     """As of the reconstruction, of each patch."""
     place_mm: Floats | None = _column("<f4", 2, optional=True)
     place_sd_mm: Floats | None = _column("<f4", 2, optional=True)
@@ -112,7 +112,8 @@ class Contacts(Frames):
         events = self.events
         if events is not None:
             # In the message of one patch, that is row 0.
-            events = events[events[:, 0] == k] * np.array([0, 1, 1], np.int32)
+            events = events[events[:, 0] == k]
+            events[:, 0] = 0
             if not events.size:
                 events = None
         return self._single(k, **columns, events=events, patch_of=None)
@@ -133,7 +134,8 @@ class Contacts(Frames):
         `col` of `centre`, `x_mm`, ... of a place. What is not known is NaN.
         """
         n = self.id.size
-        columns: dict[str, npt.NDArray[Any]] = {"stamp_ns": np.full(n, self.stamp_ns)}
+        columns: dict[str, npt.NDArray[Any]] = {}
+        columns["stamp_ns"] = np.full(n, self.stamp_ns)
         for name, sides in _SIDES.items():
             if name == "patch_of":
                 continue

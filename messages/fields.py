@@ -317,7 +317,8 @@ class Array(FieldKind):
             raise MalformedError(f"{name}: expected dtype and shape")
         dtype, shape = form
         bits = self._bits_of(name, dtype)
-        if not isinstance(shape, list) or not set(map(type, shape)) <= {int}:
+        is_shape = isinstance(shape, list) and all(type(side) is int for side in shape)
+        if not is_shape:
             raise MalformedError(f"{name}: shape must be a list of whole numbers")
         self._check_shape(name, tuple(shape))
         return dtype, tuple(shape), n_bytes(math.prod(shape), bits)
@@ -347,7 +348,8 @@ class Array(FieldKind):
         if value.dtype.kind != "f":
             return
         # The sum of squares is not finite if a value is not, or if values are huge.
-        if math.isfinite(np.vdot(value, value)) or np.isfinite(value).all():
+        energy = np.vdot(value, value)
+        if math.isfinite(energy) or np.isfinite(value).all():
             return
         # The first one is named, without the axis of patches where there is one patch.
         place = np.argwhere(~np.isfinite(value))[0].tolist()
@@ -358,8 +360,8 @@ class Array(FieldKind):
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
         # A side that counts what is sent may be 0.
-        is_allowed = len(shape) == self.ndim and min(shape[self.sparse :], default=1) >= 1
-        if not is_allowed:
+        sides = shape[1:] if self.sparse else shape
+        if len(shape) != self.ndim or min(sides, default=1) < 1:
             expected = f"expected {self.ndim} dimensions, none empty"
             raise ShapeError(f"{name}: {expected}, got {list(shape)}")
 

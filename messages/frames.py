@@ -30,16 +30,32 @@ from .fields import (
 )
 
 Floats = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
+
+
+MAPS = Array("<f4", 3, patches=True)
+"""A value for each cell of each patch."""
+BITS = Array("|u1", 1, optional=True)
+"""Bits of one patch, eight a byte."""
+REASONS = Words(Text(16, "[a-z]*"), unstated=("",))
+ERRORS = Each(Real(0.0, optional=True), unstated=(None,))
+TRUSTED = Each(Flag(), unstated=(True,))
+UNCHANGED = Each(Flag(), unstated=(False,))
+"""Values of each patch, and that of one for which none is stated."""
 
 
 @once_a_class
 def of_patches(cls: type[Message]) -> dict[str, Each | Array]:
     """Kinds of the fields that hold something for each patch, by name, numbers first."""
-    fields = wire_fields(cls).items()
-    numbers = {name: kind for name, kind in fields if isinstance(kind, Each)}
-    arrays = {name: kind for name, kind in fields if isinstance(kind, Array) and kind.patches}
-    return {**numbers, **arrays}
+    numbers: dict[str, Each | Array] = {}
+    arrays: dict[str, Each | Array] = {}
+    for name, kind in wire_fields(cls).items():
+        if isinstance(kind, Each):
+            numbers[name] = kind
+        elif isinstance(kind, Array) and kind.patches:
+            arrays[name] = kind
+    return numbers | arrays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,7 +109,8 @@ class Frames(Message):
         for name in of_patches(type(self)):
             if name not in changes and values[name] is not None:
                 parts[name] = values[name][k : k + 1]
-        return self._copy(patch=self.patches[k], names=(), **parts, **changes)
+        patch = self.patches[k]
+        return self._copy(patch=patch, names=(), **parts, **changes)
 
 
 def kinds_alone(cls: type[Message]) -> dict[str, FieldKind]:
@@ -110,7 +127,8 @@ def values_alone(message: Message) -> dict[str, Any]:
     """Fields of a message of one patch by name, without the axis of patches: arrays of a frame, and
     numbers in place of tuples.
     """
-    values = {name: value for name, value in message.__dict__.items() if name != "names"}
+    values = dict(message.__dict__)
+    values.pop("names", None)
     if not isinstance(message, Frames):
         return values
     for name in of_patches(type(message)):
@@ -128,8 +146,8 @@ class Sensed(Frames):
     (n_rows n_cols / 8,), rounded up. None: all gave one.
     """
 
-    missing: npt.NDArray[np.uint8] | None = omitted(Array("|u1", 1, optional=True))
-    reason: tuple[str, ...] = omitted(Words(Text(16, "[a-z]*"), ("",)), ())
+    missing: Bytes | None = omitted(BITS)
+    reason: tuple[str, ...] = omitted(REASONS, ())
     """Why a patch is not trusted: a `Reason`, or a word that another version of this program wrote;
     "" else, or not stated. What the sensor states of its readings goes on with the frame."""
 
@@ -172,7 +190,7 @@ class Taxels(Sensed):
 
     schema: ClassVar[str] = "taxels"
 
-    forces: Floats = wire(Array("<f4", 3, patches=True))
+    forces: Floats = wire(MAPS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -183,7 +201,7 @@ class Truth(Frames):
 
     schema: ClassVar[str] = "truth"
 
-    forces: Floats = wire(Array("<f4", 3, patches=True))
+    forces: Floats = wire(MAPS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,8 +219,8 @@ class Measurements(Sensed):
 
     y: Floats = wire(Samples())
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
-    places: npt.NDArray[np.uint8] | None = omitted(Array("|u1", 1, optional=True))
-    nodes: npt.NDArray[np.uint8] | None = omitted(Array("|u1", 1, optional=True))
+    places: Bytes | None = omitted(BITS)
+    nodes: Bytes | None = omitted(BITS)
 
     def validate(self) -> None:
         super().validate()
@@ -241,17 +259,20 @@ class Reconstruction(Sensed):
     all forces: 90 % of the true ones lie within 1.645 of it."""
     skipped: int = omitted(Integer(), 0)
     """Number of frames skipped since the last reconstruction because newer ones waited."""
-    error: tuple[float | None, ...] = omitted(Each(Real(0.0, optional=True), (None,)), ())
+    error: tuple[float | None, ...] = omitted(ERRORS, ())
     """RMS error of a taxel, in the skin's unit, where the solver estimates it."""
-    trusted: tuple[bool, ...] = omitted(Each(Flag(), (True,)), ())
+    trusted: tuple[bool, ...] = omitted(TRUSTED, ())
     """False where forces are not to be acted on; True also where the error is not estimated."""
-    unchanged: tuple[bool, ...] = omitted(Each(Flag(), (False,)), ())
+    unchanged: tuple[bool, ...] = omitted(UNCHANGED, ())
     """True where measurements changed by no more than their noise: the frame was not solved, and
     its forces are those of the frame before."""
 
     def validate(self) -> None:
         super().validate()
-        if self.sd is not None and self.sd.shape[1:] != self.forces.shape[1:]:
+        if self.sd is None:
+            return
+        grid = self.forces.shape[1:]
+        if self.sd.shape[1:] != grid:
             raise ShapeError(f"sd: shape {self.sd.shape}, but forces {self.forces.shape}")
 
     def _may_have(self, name: str, n_rows: int) -> bool:

@@ -68,7 +68,8 @@ def packed(codes: npt.NDArray[np.int32], bits: int) -> bytes:
 def unpacked(data: bytes | memoryview, m: int, bits: int) -> npt.NDArray[np.int32]:
     """Inverse of `packed`: m codes, int32, from `n_bytes(m, bits)` bytes."""
     # The highest bits of the 4 bytes of each code are 0.
-    all_bits = np.unpackbits(np.frombuffer(data, np.uint8), count=m * bits)
+    packed_bytes = np.frombuffer(data, np.uint8)
+    all_bits = np.unpackbits(packed_bytes, count=m * bits)
     wide = np.zeros((m, 32), np.uint8)
     wide[:, 32 - bits :] = all_bits.reshape(m, bits)
     code_bytes = np.packbits(wide, axis=1)

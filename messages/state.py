@@ -13,6 +13,11 @@ from .frames import FINGERPRINT_PATTERN, Floats
 from .skin import Skin
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
 
+Mask = npt.NDArray[np.bool_]
+
+MASK = Array("|b1", 2, optional=True)
+POINTS = Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6)
+POINT_ROWS = Array("<i4", 1, optional=True)
 CLIP_SD = 0.584
 """Standard deviation of an untouched taxel's noise that the range clips at 0, in that of the noise.
 Derived: of max(0, z), z normal, sqrt(1/2 - 1/(2 pi))."""
@@ -40,7 +45,7 @@ class SkinState(Message):
     f_max: float = wire(Real(0.0))
     unit: str = wire(Text(32))
     pitch_m: float | None = wire(Real(0.0, optional=True))
-    mask: npt.NDArray[np.bool_] | None = wire(Array("|b1", 2, optional=True))
+    mask: Mask | None = wire(MASK)
     source: str = wire(Text())
     seed: int = wire(Integer())
     rate_hz: float = wire(Real(0.0))
@@ -50,8 +55,8 @@ class SkinState(Message):
     has_taxels: bool = omitted(Flag(), True)
     f_min: float = omitted(Real(high=0.0), 0.0)
     live: bool = omitted(Flag(), False)
-    points: Floats | None = omitted(Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6))
-    point_rows: npt.NDArray[np.int32] | None = omitted(Array("<i4", 1, optional=True))
+    points: Floats | None = omitted(POINTS)
+    point_rows: npt.NDArray[np.int32] | None = omitted(POINT_ROWS)
 
     def validate(self) -> None:
         # Raises where the mask or the points do not fit the grid.
@@ -129,7 +134,8 @@ class Calibration(Message):
         if reading is not None and force is not None and len(reading) != len(force):
             raise ShapeError(f"response_reading: {len(reading)} knots, but {len(force)} forces")
 
-        shapes = {grid.shape for grid in (self.baseline, self.gains) if grid is not None}
+        grids = (self.baseline, self.gains)
+        shapes = {grid.shape for grid in grids if grid is not None}
         # A response of shape (K, 1, 1) is that of all taxels.
         if reading is not None and reading.shape[1:] != (1, 1):
             shapes.add(reading.shape[1:])

@@ -38,7 +38,10 @@ def plain(value: Any, full: bool) -> Any:
         return value.item()
     if not isinstance(value, np.ndarray):
         return value
-    summary: dict[str, Any] = {"dtype": _dtype(value), "shape": list(value.shape)}
+    summary: dict[str, Any] = {
+        "dtype": _dtype(value),
+        "shape": list(value.shape),
+    }
     if full:
         return summary | {"data": value.tolist()}
     if not value.size:

@@ -1,5 +1,7 @@
 """A map of readings as lines of a terminal: two taxels a character, one above the other."""
 
+import math
+
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats
@@ -35,7 +37,8 @@ def heat_map(
         empty_row = np.zeros((1, places.shape[1]), places.dtype)
         places = np.vstack([places, empty_row])
     levels = _levels(places, top, len(COLOURS))
-    return [_line(*rows) for rows in zip(levels[::2], levels[1::2], strict=True)]
+    pairs = zip(levels[::2], levels[1::2], strict=True)
+    return [_line(upper, lower) for upper, lower in pairs]
 
 
 def _places(forces: Floats, n_high: int, n_wide: int) -> Floats:
@@ -43,12 +46,16 @@ def _places(forces: Floats, n_high: int, n_wide: int) -> Floats:
     n_rows, n_cols = forces.shape
     side = min(n_high // n_rows, n_wide // n_cols)
     if side >= 1:
-        return np.repeat(np.repeat(forces, side, axis=0), side, axis=1)
+        high = np.repeat(forces, side, axis=0)
+        return np.repeat(high, side, axis=1)
 
     # A place shows the largest of k x k taxels, so that no contact is lost.
-    k = max(-(-n_rows // n_high), -(-n_cols // n_wide))
-    padded = np.pad(forces, ((0, -n_rows % k), (0, -n_cols % k)))
-    places: Floats = padded.reshape(padded.shape[0] // k, k, -1, k).max((1, 3))
+    k = max(math.ceil(n_rows / n_high), math.ceil(n_cols / n_wide))
+    below = (0, -n_rows % k)
+    right = (0, -n_cols % k)
+    padded = np.pad(forces, (below, right))
+    squares = padded.reshape(len(padded) // k, k, -1, k)
+    places: Floats = squares.max((1, 3))
     return places
 
 

@@ -108,7 +108,12 @@ def _a_second(stamp_ns: Longs, amounts: Longs) -> float | None:
 def _extent(values: npt.NDArray[Any]) -> dict[str, float] | None:
     if not len(values):
         return None
-    return {key: float(getattr(values, key)()) for key in ("mean", "min", "max", "std")}
+    return {
+        "mean": float(values.mean()),
+        "min": float(values.min()),
+        "max": float(values.max()),
+        "std": float(values.std()),
+    }
 
 
 class Meter(Display):

@@ -51,29 +51,32 @@ def flowing(text: str) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "") -> list[str]:
     """Lines of a table, each after `indent`; columns of numbers, None: not known, flush right."""
-    # Flush right where all cells of a column are numbers.
     texts = [[flowing(_cell(cell)) for cell in row] for row in rows]
-    widths = []
-    is_right = []
+    # Flush right where all cells of a column are numbers.
+    columns = []
     for k, title in enumerate(head):
-        widths.append(max([len(title), *(len(line[k]) for line in texts)]))
-        is_right.append(bool(rows) and all(_is_number(row[k]) for row in rows))
+        longest = max([len(title), *(len(line[k]) for line in texts)])
+        is_right = bool(rows) and all(_is_number(row[k]) for row in rows)
+        columns.append((longest, is_right))
 
     lines: list[str] = []
     for cells in [list(head), *texts]:
-        start = indent
-        for cell, column_width, flush in zip(cells[:-1], widths[:-1], is_right[:-1], strict=True):
-            padded = cell.rjust(column_width) if flush else cell.ljust(column_width)
-            start += padded + GAP
-        if is_right[-1]:
-            lines.append(start + cells[-1].rjust(widths[-1]))
+        padded = []
+        for cell, (longest, is_right) in zip(cells, columns, strict=True):
+            padded.append(cell.rjust(longest) if is_right else cell.ljust(longest))
+        start = indent + "".join(cell + GAP for cell in padded[:-1])
+        _, is_right = columns[-1]
+        if is_right:
+            lines.append(start + padded[-1])
         else:
             lines += wrapped(start, cells[-1])
     return lines
 
 
 def _is_number(cell: object) -> bool:
-    return cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool))
+    if isinstance(cell, bool):
+        return False
+    return cell is None or isinstance(cell, int | float)
 
 
 def _cell(cell: object) -> str:

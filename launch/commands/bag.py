@@ -192,8 +192,8 @@ def _export(arguments: argparse.Namespace) -> int:
             # What a broken recording lacks is said before its frames are exported.
             if bag.recovered:
                 print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
-        out = arguments.out or bags[0].path.with_name(_stem(bags[0].path) + export.ending)
-
+        first_path = bags[0].path
+        out = arguments.out or first_path.with_name(_stem(first_path) + export.ending)
         parts: Any = [split_bag(bag) for bag in bags]
         if not export.several:
             (parts,) = parts

@@ -121,7 +121,8 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
 def _overview(names: Sequence[str], everything: bool) -> str:
     """Commands in groups, a line each."""
     # In this order; a plug-in may add a group.
-    groups: dict[str, list[str]] = {group: [] for group in (RUN, LOOK, DATA, BUILD, OTHERS, MORE)}
+    order = (RUN, LOOK, DATA, BUILD, OTHERS, MORE)
+    groups: dict[str, list[str]] = {group: [] for group in order}
     for name in names:
         group, line = about(name)
         groups.setdefault(group, []).append(f"  {name:<10}  {line}")

@@ -173,11 +173,13 @@ def _node_tables(node: dict[str, Any]) -> dict[tuple[str, ...], list[list[Any]]]
         mark = "live" if entry["live"] else ""
         value = shown_value(entry["value"]) + in_force_text(entry, preset)
         settings.append([entry["key"], mark, value])
+    state = [[key, shown_value(value)] for key, value in node["state"].items()]
+    commands = [list(command) for command in node["commands"].items()]
     return {
         ("INPUT", "FROM", *(count.upper() for count in COUNTED)): inputs,
         ("OUTPUT", "SENT", "READ BY"): outputs,
-        ("STATE", "VALUE"): [[key, shown_value(value)] for key, value in node["state"].items()],
-        ("COMMAND", "ACTION"): [[*command] for command in node["commands"].items()],
+        ("STATE", "VALUE"): state,
+        ("COMMAND", "ACTION"): commands,
         ("SETTING", "", "VALUE"): settings,
     }
 
@@ -206,8 +208,9 @@ def _list_settings(arguments: argparse.Namespace) -> int:
     if arguments.node is None:
         names = [node["name"] for node in describe(graph)["nodes"]]
     settings = {name: describe_node(graph, name)["settings"] for name in names}
-    lines = "\n\n".join("\n".join(_node_lines(name, settings[name])) for name in names)
-    return show(arguments, "param-list", {"graph": graph.label, "nodes": settings}, [lines])
+    tables = ["\n".join(_node_lines(name, settings[name])) for name in names]
+    document = {"graph": graph.label, "nodes": settings}
+    return show(arguments, "param-list", document, ["\n\n".join(tables)])
 
 
 def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
@@ -247,9 +250,11 @@ def _set(arguments: argparse.Namespace) -> int:
     """
     if len(arguments.more) % 2:
         raise SettingsError(f"{arguments.more[-1]}: a setting without a value")
-    typed_texts = dict(zip(arguments.more[::2], arguments.more[1::2], strict=True))
     # All of them go in one request: all are set between two frames, or none.
-    typed_texts = {arguments.key: arguments.value} | typed_texts
+    typed_texts = {arguments.key: arguments.value}
+    words = iter(arguments.more)
+    for key in words:
+        typed_texts[key] = next(words)
 
     graph = choose_graph(arguments.graph)
     settings = describe_node(graph, arguments.node)["settings"]

@@ -120,19 +120,25 @@ def _source_of(name: str) -> str:
 
 def graph_text(launch: "LaunchFile") -> str:
     """Nodes with their settings, then hosts, then topics with those that write and read them."""
-    nodes = [[node.name, node.type_name, _settings_text(node)] for node in launch.nodes.values()]
+    nodes = []
+    for node in launch.nodes.values():
+        nodes.append([node.name, node.type_name, _settings_text(node)])
+
     hosts = []
     for name, host in launch.hosts.items():
         # A node is public where another host reads it.
         at_host = [node for node in launch.nodes.values() if node.host == name]
         public = [f"{node.name} at {node.public}" for node in at_host if node.public]
         hosts.append([name, host.address, ", ".join(public)])
+
     writers: dict[str, str] = {}
     readers: dict[str, list[str]] = {}
     for link in launch.links:
         writers.setdefault(link.topic, link.writer)
         readers.setdefault(link.topic, []).append(link.reader)
-    topics = [[topic, writer, ", ".join(readers[topic])] for topic, writer in writers.items()]
+    topics = []
+    for topic, writer in writers.items():
+        topics.append([topic, writer, ", ".join(readers[topic])])
 
     lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", ""]
     lines += table(["NODE", "TYPE", "SETTINGS"], nodes)

@@ -103,8 +103,8 @@ def _monitor(arguments: argparse.Namespace) -> int:
     if summary["patches"]:
         print(summary_table(summary["patches"]))
     # A monitor that read nothing has failed, though it ended well.
-    has_frames = any(any(patch["frames"].values()) for patch in summary["patches"].values())
-    if not has_frames:
+    counts = [patch["frames"].values() for patch in summary["patches"].values()]
+    if not any(map(any, counts)):
         return code or EXIT_NOTHING
     return code
 
@@ -129,7 +129,12 @@ def _record(arguments: argparse.Namespace) -> int:
     topics = _matching(graph, arguments.topics or ["*"])
     out = arguments.out or f"{graph.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
     name = f"record_{os.getpid()}"
-    values = {"out": out, "topics": topics, "launch": graph.launch, "source": graph.name}
+    values = {
+        "out": out,
+        "topics": topics,
+        "launch": graph.launch,
+        "source": graph.name,
+    }
     with naming_options({"out": "--out"}):
         code, summary = run_beside(graph, "recorder", name, values, topics)
     print_ends(summary["nodes"])

@@ -52,7 +52,10 @@ def _reprocess(arguments: argparse.Namespace) -> int:
             print(_error_text(outcome), file=sys.stderr)
         else:
             _print_outcome(outcome)
-    results = {o.job.out: {"patches": o.patches} for o in outcomes if o.patches}
+    results = {}
+    for outcome in outcomes:
+        if outcome.patches:
+            results[outcome.job.out] = {"patches": outcome.patches}
     write_summary(arguments.summary, "reprocess-summary", {"recordings": results})
     return 2 if any(outcome.error for outcome in outcomes) else 0
 

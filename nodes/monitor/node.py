@@ -90,7 +90,9 @@ class MonitorSettings(Settings):
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Names of the patches of each batch, by its name; of a single patch its own."""
-        groups: dict[str, tuple[str, ...]] = {patch: (patch,) for patch in self.patches}
+        groups: dict[str, tuple[str, ...]] = {}
+        for patch in self.patches:
+            groups[patch] = (patch,)
         for batch, names in (self.batches or {}).items():
             groups[batch] = tuple(names)
         return groups
@@ -213,7 +215,8 @@ class Monitor(Node[MonitorSettings]):
             self._patches[name].end(schema, n_messages)
         if self._feed is not None and schema == Reconstruction.schema:
             for name in names:
-                self._feed.update(summaries={name: self._patches[name].summary()}, ended=name)
+                summary = self._patches[name].summary()
+                self._feed.update(summaries={name: summary}, ended=name)
         return ()
 
     def idle(self) -> None:
@@ -291,8 +294,8 @@ class Monitor(Node[MonitorSettings]):
 
 def check_pose(place: str, pose: object) -> None:
     """Raise SettingsError unless this is x, y, z in mm and three angles in degrees."""
-    is_pose = isinstance(pose, list | tuple) and [is_real(v, -1e6, 1e6) for v in pose] == [True] * 6
-    if not is_pose:
+    values = list(pose) if isinstance(pose, list | tuple) else []
+    if len(values) != 6 or not all(is_real(value, -1e6, 1e6) for value in values):
         expected = "expected [x, y, z, roll, pitch, yaw], in mm and degrees"
         raise SettingsError(f"{place}: {expected}, got {pose!r:.80}")
 

@@ -125,7 +125,8 @@ def compress(
         return subsets[0].forward(x)
     y = np.empty((len(x), phi.m), dtype=np.float32)
     for k, subset in enumerate(subsets):
-        y[k :: len(subsets)] = subset.forward(x[k :: len(subsets)])
+        in_turn = slice(k, None, len(subsets))
+        y[in_turn] = subset.forward(x[in_turn])
     return y
 
 
@@ -226,7 +227,8 @@ def make_solver(
         If the name or a setting is unknown or not allowed, phi, basis and mask do not fit, a class
         of your own is not a solver; fast is "on" without numba; rows of phi cannot rotate.
     """
-    solver = make_rotating_solver(name, row_subsets(phi, rows), basis, mask, fast=fast, **settings)
+    subsets = row_subsets(phi, rows)
+    solver = make_rotating_solver(name, subsets, basis, mask, fast=fast, **settings)
     _keep_grid(phi, (basis.n_rows, basis.n_cols))
     solver.measured_by = phi
     return solver
@@ -369,7 +371,8 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
         text = f"the reference reaches {peak:g}, above f_max = {f_max:g}"
         raise SparseskinError(f"psnr_db: {text}; state f_max, the upper end of its range")
 
-    error = np.subtract(forces, truth, dtype=np.result_type(forces, truth, np.float32))
+    dtype = np.result_type(forces, truth, np.float32)
+    error = np.subtract(forces, truth, dtype=dtype)
     if error.ndim == 2:
         return psnr_of_error(error, f_max)
     return np.array([psnr_of_error(frame, f_max) for frame in error])
@@ -501,7 +504,8 @@ def run_launch(
         launch = load(launch, settings)
     elif settings:
         raise SparseskinError("run_launch: settings go to load_launch where the file is loaded")
-    bus = Bus({node.name: (node.cls, node.settings) for node in launch.nodes.values()})
+    nodes = launch.nodes.values()
+    bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
     last_forces: dict[str, Floats] = {}
     try:
         for messages in bus.frames(n_frames):
@@ -540,7 +544,8 @@ def _parts_of(message: Frames) -> dict[str, Any]:
     if isinstance(message, Contacts):
         return {"contacts": message}
     values = values_alone(message)
-    parts = {_PARTS[type(message)]: values.get("y", values.get("forces"))}
+    parts = {}
+    parts[_PARTS[type(message)]] = values.get("y", values.get("forces"))
     if isinstance(message, Taxels | Reconstruction):
         parts["missing"] = message.missing_cells(message.forces.shape[1:])
     for name in ("error", "trusted", "reason"):

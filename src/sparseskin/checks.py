@@ -128,8 +128,9 @@ def check_solver(solver: Solver) -> dict[str, float]:
 
     test.check_nothing()
     solver.reset()
-    error = float(np.linalg.norm(results[-1] - test.frames[-1]))
-    size = float(np.linalg.norm(test.frames[-1]))
+    frame = test.frames[-1]
+    error = float(np.linalg.norm(results[-1] - frame))
+    size = float(np.linalg.norm(frame))
     return {"error": error / max(size, TINY)}
 
 
@@ -201,7 +202,9 @@ def _inner_product(a: Floats, b: Floats) -> tuple[float, float]:
     """Inner product of two first frames, and the product of their lengths, in float64."""
     u = a[0].astype(np.float64)
     v = b[0].astype(np.float64)
-    return float(np.vdot(u, v)), float(np.linalg.norm(u) * np.linalg.norm(v))
+    product = float(np.vdot(u, v))
+    length = float(np.linalg.norm(u) * np.linalg.norm(v))
+    return product, length
 
 
 class _SolverTest(_Test):
@@ -214,9 +217,9 @@ class _SolverTest(_Test):
         self.solver = solver
         self.frames = _disc(mask.shape) * mask
         self.phis = [subsets[k % len(subsets)] for k in range(N_FRAMES)]
-        self.measurements = [
-            phi.forward(frame[mask]) for phi, frame in zip(self.phis, self.frames, strict=True)
-        ]
+        self.measurements = []
+        for phi, frame in zip(self.phis, self.frames, strict=True):
+            self.measurements.append(phi.forward(frame[mask]))
 
     def run(self, solve: Callable[[Phi, Floats], Floats]) -> list[Floats]:
         """Forces of all frames, checked, after a reset."""
@@ -236,7 +239,8 @@ class _SolverTest(_Test):
         mask = self.solver.mask
         if forces.shape != mask.shape or forces.dtype != np.float32:
             self.fail("", f"{forces.dtype} {forces.shape}", f"float32 {mask.shape}")
-        if not (np.isfinite(forces).all() and float(forces.min(initial=0)) >= 0):
+        lowest = float(forces.min(initial=0))
+        if not (np.isfinite(forces).all() and lowest >= 0):
             self.fail("", "forces below 0 or not finite", "at least 0, finite")
         if forces[~mask].any():
             self.fail("", "forces outside the mask", "0 there")
@@ -266,7 +270,9 @@ class _SolverTest(_Test):
 
     def check_nothing(self) -> None:
         """Measurements of 0 give forces of 0."""
+        zeros = np.zeros(self.solver.phi.m, np.float32)
         self.solver.reset()
         self.solver.use(self.phis[0])
-        if self.solver.solve(np.zeros(self.solver.phi.m, np.float32)).any():
+        forces = self.solver.solve(zeros)
+        if forces.any():
             self.fail("", "forces for measurements of 0", "0")

@@ -108,7 +108,9 @@ def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]
         patch, topics = _topics_of(path, frame_topics(bag, None), patch)
         (written,) = export_npz(bag, Path(folder) / "frames.npz", topics)
         skin = skin_of(bag, patch)
-        names = [name for topic in topics for name in array_names(bag.topics[topic].schema)]
+        names: list[str] = []
+        for topic in topics:
+            names += array_names(bag.topics[topic].schema)
         with np.load(written) as file:
             arrays: dict[str, Any] = {name: file[name] for name in names}
     if skin is not None:

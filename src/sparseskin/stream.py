@@ -327,7 +327,8 @@ class Stream:
 
 
 def _checked_skin(shape: tuple[int, int], f_max: float, mask: Mask | None) -> Skin:
-    if np.shape(shape) != (2,) or not all(is_whole(side, 1, MAX_SIDE) for side in shape):
+    is_pair = np.shape(shape) == (2,)
+    if not is_pair or not all(is_whole(side, 1, MAX_SIDE) for side in shape):
         allowed = f"allowed: (n_rows, n_cols), whole numbers 1..{MAX_SIDE}"
         raise SparseskinError(f"stream: shape = {shape!r} is not allowed; {allowed}")
     if mask is not None:

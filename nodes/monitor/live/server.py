@@ -251,7 +251,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _get(self, url: SplitResult) -> None:
         if url.path == "/stream":
-            self._stream(parse_qs(url.query).get("patch", [None])[0])
+            patches = parse_qs(url.query).get("patch", [])
+            self._stream(patches[0] if patches else None)
         elif url.path in self.server.files:
             body, kind = self.server.files[url.path]
             self._send(HTTPStatus.OK, body, kind)

@@ -236,7 +236,8 @@ def _measured(patch: PatchFeed) -> dict[str, np.ndarray[Any, Any]]:
     y = np.asarray(of_frame[0].y)[0]
     # Measurements of 0 are divided, too.
     largest = max(float(np.abs(y).max(initial=0)), TINY)
-    return {"measurements": np.round(y * (127 / largest)).astype(np.int8)}
+    levels = np.round(y * (127 / largest))
+    return {"measurements": levels.astype(np.int8)}
 
 
 def _reason(word: str) -> dict[str, str] | None:
