@@ -82,6 +82,7 @@ class Message:
 
     def _copy(self, **changes: Any) -> Self:
         """Copy with valid changes: nothing is checked again."""
+        # Arrays are shared: messages are not changed.
         copy = object.__new__(type(self))
         copy.__dict__.update(self.__dict__, **changes)
         return copy

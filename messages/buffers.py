@@ -316,6 +316,7 @@ def _learn(description: bytes) -> _Stream:
     body = unpacked(description, dict, len(description))
     form = _form_of(body)
     values = _text_values(form, body["texts"])
+    # A message without names is that of one patch.
     n_patches = len(values.get("names") or ()) or 1
     _complete_words(form, values, n_patches)
     arrays = _described_arrays(form, body["arrays"])
@@ -327,6 +328,7 @@ def _learn(description: bytes) -> _Stream:
 
 def _form_of(body: dict[Any, Any]) -> _Form:
     """Form of the class in a description, whose parts have the right types, or MessageError."""
+    # Another version may have another schema, too: this is reported first.
     version = body.get("wire")
     if type(version) is int and version != WIRE_VERSION:
         raise VersionError(f"wire form {version}, this program reads 1 and {WIRE_VERSION}")
@@ -343,6 +345,7 @@ def _form_of(body: dict[Any, Any]) -> _Form:
         raise MalformedError(f"{cls.schema}: expected {n_texts} texts")
 
     arrays = body["arrays"]
+    # Which of them may be left out is checked later, when shapes are known.
     names = {name for name, _ in form.arrays}
     if not isinstance(arrays, dict) or not arrays.keys() <= names:
         raise MalformedError(f"{cls.schema}: unknown arrays")
@@ -351,6 +354,7 @@ def _form_of(body: dict[Any, Any]) -> _Form:
 
 def _text_values(form: _Form, texts: list[Any]) -> dict[str, Any]:
     """All fields by name, those of texts set, the others None."""
+    # All keys at once: messages are then made in the order of their fields.
     values: dict[str, Any] = dict.fromkeys(form.names)
     for (name, kind), text in zip(form.texts, texts, strict=False):
         values[name] = kind.unpack(name, text)
@@ -394,8 +398,10 @@ def _laid_out(
     # Arrays are aligned from the begin of the topic, which the payload lacks.
     n_topic = len(topic) + 1
     numbers_at = len(begin) - n_topic
+    # Numbers follow the description, without a gap.
     numbers = _numbers_struct(form, n_patches, arrays, len(begin))
 
+    # From here on `end` is where the array before ends.
     end = numbers_at + numbers.size
     placed = []
     for array in arrays:
@@ -430,6 +436,7 @@ def _numbers_struct(
 ) -> struct.Struct:
     """The numbers behind `n_before` bytes, and zeros up to the first array."""
     codes = "".join(kind.code for _, kind in form.numbers)
+    # Field by field: all patches of one, then of the next.
     codes += "".join(tuples.kind.code * n_patches for _, tuples in form.each)
     for array in arrays:
         if array.dtype != array.kind.dtype:

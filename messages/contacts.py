@@ -81,6 +81,7 @@ class Contacts(Frames):
                 raise ShapeError(f"{name}: shape {column.shape}, expected {(n, *sides)}")
 
         n_patches = len(self.patches)
+        # Rows of patches, and numbers of events, are used as indices.
         if self.patch_of is not None and not _within(self.patch_of, n_patches):
             raise ShapeError(f"patch_of: a row outside 0..{n_patches - 1}")
         if self.events is None:

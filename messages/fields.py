@@ -90,6 +90,7 @@ class Real(Number):
             raise NotFiniteError(f"{name}: {value} is not a finite number")
         if not is_real(value):
             raise FieldError(f"{name}: expected a number, got {type(value).__name__}")
+        # Numbers of numpy become Python's.
         number = float(value)
         if not self.low <= number <= self.high:
             raise FieldError(f"{name}: {number} is outside {self.low}..{self.high}")
@@ -200,6 +201,7 @@ def _names(place: str, text: str) -> tuple[str, ...]:
         raise OversizedError(f"{place}: {len(names)} names, at most {MAX_PATCHES}")
     for name in names:
         check_name(place, name)
+    # Patches are told apart by their names alone.
     if len(set(names)) < len(names):
         raise FieldError(f"{place}: a name occurs twice")
     return tuple(names)
@@ -285,6 +287,7 @@ class Array(FieldKind):
             return None
         if not isinstance(raw, dict) or raw.keys() - {"step"} != _ARRAY_KEYS:
             raise MalformedError(f"{name}: expected a map of dtype, shape, order and data")
+        # The sizes are checked before any byte is looked at.
         dtype, shape, size = self.checked_form(name, [raw["dtype"], raw["shape"]])
         if raw["order"] != "C":
             raise ShapeError(f"{name}: expected order C, got {str(raw['order'])[:8]!r}")
@@ -417,6 +420,7 @@ class Samples(Array):
             raise MalformedError(f"{name}: step must be a float")
         _check_quantiser(name, bits, extra)
 
+        # The largest code of `bits` bits is 1 less than they could hold.
         codes = unpacked(data, math.prod(shape), bits)
         if codes.max() > largest_code(bits):
             raise MalformedError(f"{name}: a code beyond {largest_code(bits)}")
@@ -430,6 +434,7 @@ class Samples(Array):
             match = re.fullmatch("int([1-9][0-9]{0,3})", dtype)
         if match is None:
             raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
+        # The digits of an absurd number are few: the pattern limits them.
         bits = int(match[1])
         _check_quantiser(name, bits, 1.0)
         return bits

@@ -281,6 +281,7 @@ class Reconstruction(Sensed):
     def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
         if last_forces is None:
             last_forces = {}
+        # A frame that has not changed may leave its forces out.
         all_sent = len(self.forces) == len(self.patches)
         if all_sent and not self.names:
             last_forces[self.patch] = self.forces

@@ -54,6 +54,7 @@ class Skin:
         if not (is_real(self.f_max, 0.0) and self.f_max > 0):
             raise FieldError(f"skin: f_max = {self.f_max} must be finite and above 0")
 
+        # The mask decides how many points there must be.
         if self.mask is not None:
             _check_array("the mask is", self.mask, np.bool_, self.shape)
             if not self.mask.any():
@@ -126,6 +127,7 @@ def _check_points(points: npt.NDArray[np.float32], n: int) -> None:
     """Raise MessageError unless points are n rows of x, y, z and a unit normal."""
     _check_array("the points are", points, np.float32, (n, 6))
     places = points[:, :3]
+    # Its own test, not a norm: a coordinate may be infinite.
     k = first_far(places)
     if k is not None:
         raise FieldError(f"skin: point {k} is not within {MAX_COORDINATE_M:g} m")

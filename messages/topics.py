@@ -22,6 +22,7 @@ def topic_of(patch: str, schema: str) -> str:
 
 def check_name(place: str, name: object) -> str:
     """Return the name of a patch or node, or raise a MessageError that begins with `place`."""
+    # Names become parts of topics and file names: few characters are allowed.
     if not isinstance(name, str) or re.fullmatch(NAME_PATTERN, name) is None:
         raise FieldError(
             f"{place}: {name!r} is no name (allowed: a lower-case letter, "

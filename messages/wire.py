@@ -43,6 +43,7 @@ def is_end(payload: Payload) -> bool:
 
 def wire_bytes(message: Message) -> bytes:
     """Turn a message into the buffer that travels."""
+    # States are sent rarely: one map is enough for them.
     if is_frame(type(message)):
         return b"".join(frame_pieces(message))
     return b"\0".join(encode(message))
@@ -50,6 +51,7 @@ def wire_bytes(message: Message) -> bytes:
 
 def received(buffer: bytes) -> tuple[bytes, Payload]:
     """Topic and payload of a buffer that came; b"" where there is none."""
+    # No topic has a zero byte.
     end = buffer.find(0)
     if end < 0:
         return buffer, b""

@@ -33,6 +33,7 @@ def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
     """One node of a graph, with its settings.
     Raises GraphError if the graph has no such node (with a did-you-mean), or does not answer.
     """
+    # Settings come with the description of the node that is asked for.
     described = describe(graph, name)
     nodes = {node["name"]: node for node in described["nodes"]}
     if name not in nodes:
@@ -78,6 +79,7 @@ def find_topic(graph: RunningGraph, name: str) -> str:
     another host.
     """
     writers = graph.writers()
+    # People leave out the first slash.
     for topic in (name, f"/{name}"):
         if topic in writers:
             return topic
@@ -99,6 +101,7 @@ def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> str:
     request = {"id": "1", "node": node, "command": command, "value": value}
     with closing(ControlClient(graph.control)) as client:
         answer = _exchange(graph, client, request, "answer")
+    # A node may answer in several lines; a refusal is one.
     text = flowing(answer["text"])
     if not answer["done"]:
         raise GraphError(f"{node}: {text.removeprefix(f'{node}: ')}")

@@ -87,6 +87,7 @@ def text(value: Any, full: bool) -> str:
     elements = [f"{number:.4g}" for number in begin]
     if value.size > N_FIRST:
         elements.append("...")
+    # A summary fits in one line.
     extent = "min {min:.4g}, mean {mean:.4g}, max {max:.4g}".format(**plain(value, False))
     return f"{head}: {extent} [{' '.join(elements)}]"
 
@@ -120,6 +121,7 @@ class FieldPath:
         """The value in a message.
         Raises SettingsError if there is no such element.
         """
+        # A message of several patches has them as its first axis.
         value: Any = values_of(message).get(self._name)
         index = self._index
         if index is None:
@@ -139,6 +141,7 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
         if value is not None and not isinstance(value, np.ndarray):
             lines[name] = value
     for k, number in enumerate(message.id.tolist()):
+        # A contact keeps its number from frame to frame.
         label = f"contact {number}"
         if message.patch_of is not None:
             label += f" of {message.names[message.patch_of[k]]}"
@@ -150,6 +153,7 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
 
 def _contact_line(message: Contacts, k: int, unit: str) -> str:
     """Contact k as text."""
+    # How strong, where, how large, and since when.
     force = f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g} {sum_unit(unit)}".rstrip()
     peak = f"peak {message.peak[k]:.3g}"
     if unit:
@@ -224,6 +228,7 @@ class Echo(Display):
 
     def take(self, arrival: Arrival) -> bool:
         """Print a message; False if it is not shown."""
+        # Counted before anything is left out on purpose.
         self._losses.add(arrival)
         if arrival.ends:
             return False
@@ -240,6 +245,7 @@ class Echo(Display):
         if is_early and getattr(message, "events", None) is None:
             return self._skip()
 
+        # By stamps, so that a burst of late messages is thinned out, too.
         self._due_ns = arrival.stamp_ns + self._period_ns
         print(self.text(message), flush=True)
         self._shown += 1
@@ -275,6 +281,7 @@ class Echo(Display):
         if isinstance(message, Reconstruction):
             values = values | _reason_lines(message)
 
+        # A line between messages, as YAML has it.
         rule = "---"
         if self._skipped_since:
             rule += f" ({self._skipped_since} not shown)"

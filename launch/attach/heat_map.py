@@ -61,6 +61,7 @@ def _places(forces: Floats, n_high: int, n_wide: int) -> Floats:
 
 def _levels(places: Floats, top: float, n: int) -> list[list[int]]:
     share = np.clip(places / top, 0, 1)
+    # The top itself belongs to the last level.
     levels = (share * n).astype(int)
     rows: list[list[int]] = np.minimum(levels, n - 1).tolist()
     return rows

@@ -64,6 +64,7 @@ def figures_of(samples: Longs) -> dict[str, Any]:
     distributions mean, min, max and std, of the delay p50 and p99 too. None where too few came.
     """
     at_ns, stamp_ns, seq, n_bytes, fresh = samples.T
+    # Lost messages were sent, too: rates of sending count them.
     steps = np.diff(seq)
     # A gap of lost messages is no interval.
     adjacent_ns = np.diff(stamp_ns)[steps == 1]
@@ -146,6 +147,7 @@ class Meter(Display):
             self._reported_n = self._samples.n
             print(self._line(WINDOW), flush=True)
             return
+        # Silence is reported, not left to be noticed.
         quiet = f"no message for {now_s - self._heard_s:.0f} s"
         why = quiet_reason(self._graph, self._topic)
         print(f"{self._topic}: {quiet}{why}", file=sys.stderr, flush=True)

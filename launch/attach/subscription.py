@@ -53,6 +53,7 @@ class Subscription:
         newest: bool = False,
         timeout_s: float | None = None,
     ) -> None:
+        # Arguments are checked before anything is connected.
         if not isinstance(topic, str):
             raise SettingsError(f"subscribe: topic = {topic!r} is not allowed; allowed: a text")
         if timeout_s is not None and not is_real(timeout_s, 0.0, MAX_TIMEOUT_S):

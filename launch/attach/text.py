@@ -74,6 +74,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "
 
 
 def _is_number(cell: object) -> bool:
+    # bool is a subclass of int, but no number to a reader.
     if isinstance(cell, bool):
         return False
     return cell is None or isinstance(cell, int | float)
@@ -150,6 +151,7 @@ def types_of(entry: Mapping[str, Any]) -> list[str]:
 def allowed_text(entry: Mapping[str, Any]) -> str:
     """Allowed values of a setting, in a few words."""
     types = types_of(entry)
+    # A closed list says all; else the types do.
     words = list(entry["choices"] or entry["known"])
     if words:
         if "None" in types:
@@ -176,6 +178,7 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
         types = types_of(entry)
     if text == "none" and "None" in types:
         return None
+    # A text needs no quotes at a prompt.
     value = toml_or_text(text)
     if isinstance(value, str):
         return value

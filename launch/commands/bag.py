@@ -43,6 +43,7 @@ _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     add = add_commands(parser, "Work with recordings (.mcap).")
+    # Commands that read a file, in the order of their use: look, import, export.
     look.configure(add("look", look.look, "show how a file would be read, and its first frame"))
 
     info = add("info", _info, "print what a recording holds")
@@ -97,6 +98,7 @@ def _export_options() -> dict[str, _ExportOption]:
 
 def _configure_import(parser: argparse.ArgumentParser) -> None:
     formats = "; ".join(f"{suffix}: {what}" for suffix, what in suffixes().items())
+    # Plug-ins add formats, so that the list is made here.
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument("files", metavar="FILE", nargs="+", type=_path, help="the recording")
     about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
@@ -134,6 +136,7 @@ def _recover(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.recorder.convert.to_bag import recover_bag
 
     with BagReader(arguments.bag) as bag:
+        # The broken recording stays as it is.
         out = arguments.out or arguments.bag.with_name(f"{_stem(bag.path)}_recovered{FILE_SUFFIX}")
         n_messages = recover_bag(bag, out)
         print(f"{bag.path}: {bag.recovered or 'is whole'}")
@@ -148,10 +151,11 @@ def _import(arguments: argparse.Namespace) -> int:
     # Names are checked before the first file is read.
     names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
     bags = [Path(name) for name in bag_names(names, arguments.out)]
+    # One layout for all files: they are of one skin.
     layout = layout_of(arguments)
     channels = [channel for channel in arguments.keep.split(",") if channel]
     for file, bag in zip(arguments.files, bags, strict=True):
-
+        # A default binds the file of this turn of the loop.
         def log(line: str, file: Path = file) -> None:
             print(f"{file}: {as_options(line)}", file=sys.stderr)
 
@@ -181,9 +185,11 @@ def _export(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.recorder.bag.patches import split_bag
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
+    # The function of a format is imported when it is asked for.
     export = find_export(arguments.to)
     write = find_callable(export.target, BagError)
     options = _stated_options(arguments)
+    # Only some formats hold several episodes.
     if len(arguments.bags) > 1 and not export.several:
         raise BagError(f"{arguments.bags[1]}: --to {arguments.to} takes one recording")
     with ExitStack() as stack:
@@ -256,6 +262,7 @@ def info_lines(bag: "BagReader") -> list[str]:
     if bag.counts is None:
         lines.append("lost messages are not known: the recorder did not get to write them")
 
+    # Names and texts of these are of the file, and may be long.
     states = {topic: _state_text(state) for topic, state in _states(bag).items()}
     metadata = {key: value for key, value in bag.metadata.items() if value}
     return [*lines, "", *_entries(states), *_entries(metadata)]
@@ -289,6 +296,7 @@ def _state_text(state: dict[str, Any]) -> str:
     """Fields of a state that are no arrays, and state something, in one line."""
     parts = []
     for key, value in state.items():
+        # Arrays are in the document of --json alone.
         is_empty = value is None or value == ""
         if not isinstance(value, list) and not is_empty:
             parts.append(f"{key} {value}")
@@ -306,6 +314,7 @@ def _entries(entries: Mapping[str, str]) -> list[str]:
     """Entries of a file, whose names and texts may be long."""
     texts: dict[str, str] = {}
     for key, text in entries.items():
+        # A launch file that was recorded would fill the screen.
         n_lines = len(text.splitlines())
         if n_lines > 1:
             text = f"{n_lines} lines (--json shows them)"

@@ -53,6 +53,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     rarely_used = rare(parser)
     parser.add_argument("source", metavar="SOURCE", help="as sensor.source; readings may be raw")
+    # What every calibration states comes first, then options of presses.
     about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
     parser.add_argument("--out", metavar="F.toml", type=Path, required=True, help=about)
     about = "untouched frames: the first seconds (3s), a part of a recording (5-8s), or a file"
@@ -85,11 +86,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _calibrate(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
+    # A person presses once: what can fail is checked before.
     _check_out(out)
     layout = layout_of(arguments)
     invert = arguments.invert == "true"
     reader = open_frames(arguments.source, layout)
     try:
+        # A live source is closed even where the questions are broken off.
         steps = _Steps(arguments, reader, layout)
         untouched = steps.untouched()
         presses = steps.presses()
@@ -101,6 +104,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     f_max = arguments.f_max
     if not f_max and not presses:
         f_max = skin.f_max
+    # The file states millimetres, the skin metres.
     pitch_mm = arguments.pitch_mm
     if not pitch_mm and skin.pitch_m is not None:
         pitch_mm = 1000 * skin.pitch_m
@@ -124,6 +128,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     print("\n".join(report(calibration)))
     for path in save_skin(out, calibration.skin):
         print(f"{path}: written")
+    # The next command of most people.
     settings = (f"sensor.source={arguments.source}", f"sensor.skin={out}")
     words = " ".join(f"--set {shlex.quote(setting)}" for setting in settings)
     print(f"use it: sparseskin launch replay {words}")
@@ -160,6 +165,7 @@ class _Steps:
             return [self._stated(text) for text in self._arguments.press or ()]
 
         presses: list[Press] = []
+        # An empty line ends the list of presses.
         question = f"Load on the skin ({LOADS}; empty: no more): "
         force = self._answer(question, read_load)
         while force:
@@ -228,6 +234,7 @@ class _Steps:
 
     def _wait(self, duration: str, request: str) -> None:
         """Wait for a person to do what is requested: for Enter, or the stated time."""
+        # A script waits for a time, a person answers.
         wait_s = self._arguments.wait
         if wait_s is None and self._arguments.no_questions:
             wait_s = 0.0
@@ -244,6 +251,7 @@ def _line(question: str) -> str:
     """
     print(question, end="", flush=True)
     text = sys.stdin.readline()
+    # The terminal shows the line break that a person types, a pipe shows none.
     if not (text and sys.stdin.isatty()):
         print()
     if not text:
@@ -263,6 +271,7 @@ def report(calibration: Fit) -> list[str]:
         head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")
         rows = []
         for press in calibration.presses:
+            # What a person reads first: how far off each press is.
             error = 100 * (press.measured / press.force - 1)
             spreads = [_percent(press.spread), _percent(press.spread_before)]
             rows.append([press.label, press.force, press.measured, error, *spreads])
@@ -315,6 +324,7 @@ def configure_tare(parser: argparse.ArgumentParser) -> None:
 
 def _tare(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
+    # All are started before the first is waited for.
     names = arguments.nodes or _calibrated(graph)
     for name in names:
         ask_node(graph, name, TARE, arguments.frames)

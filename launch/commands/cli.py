@@ -98,6 +98,7 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
     if command_word not in COMMANDS:
         # Where one of the core is named, no other is listed.
         names += plugins()
+    # The overview stands in place of the list of commands that argparse makes.
     parser = _Parser(
         prog="sparseskin",
         usage="sparseskin COMMAND ...",
@@ -110,6 +111,7 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
     commands = parser.add_subparsers(prog="sparseskin", metavar="COMMAND", help=argparse.SUPPRESS)
     commands.required = True
     for name in names:
+        # The others are names alone: their modules are not imported.
         command = commands.add_parser(name)
         if name == command_word:
             _configure(name, command)
@@ -139,6 +141,7 @@ def _configure(name: str, parser: argparse.ArgumentParser) -> None:
     if name in COMMANDS:
         _, module_name, _ = COMMANDS[name]
         module = import_module(module_name, __package__)
+        # A module may have several commands.
         configure = getattr(module, f"configure_{name}", None) or module.configure
         configure(parser)
         return
@@ -177,6 +180,7 @@ class _Parser(argparse.ArgumentParser):
 
     def format_help(self) -> str:
         """Help, and how many options it leaves out."""
+        # So that nobody takes the short help for the whole.
         text = super().format_help()
         if self._n_hidden:
             text += f"\n{self._n_hidden} more options: {self.prog} --help --all\n"
@@ -184,6 +188,7 @@ class _Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, *words: Any, **options: Any) -> Any:
         """Refuse unknown words here, where the command that they belong to is known."""
+        # argparse itself would report them for the command `sparseskin`.
         namespace, unknown = super().parse_known_args(*words, **options)
         if not unknown:
             return namespace, unknown
@@ -196,6 +201,7 @@ class _Parser(argparse.ArgumentParser):
         self.error(f"unrecognized arguments: {' '.join(unknown)}")
 
     def error(self, message: str) -> NoReturn:
+        # argparse lists all choices; the nearest one is of more use.
         refused = _CHOICE.fullmatch(message)
         if refused:
             place, word, listing = refused.groups()
@@ -225,6 +231,7 @@ def complete() -> NoReturn:
 
     line = os.environ.get("COMP_LINE", "")
     point = os.environ.get("COMP_POINT", "")
+    # Only what stands before the cursor is completed.
     typed = line[: int(point)] if point.isdecimal() else line
     parser = make_parser(typed.split()[1:])
     argcomplete.autocomplete(

@@ -61,6 +61,7 @@ def candidates(
 ) -> Words:
     """Values of an argument that begin with what has been typed; its metavar names their kind."""
     try:
+        # No word is offered where an error would be printed into the prompt.
         words = _values(prefix, str(action.metavar), parsed_args)
     except SparseskinError:
         # No graph runs, or it is not clear which is meant.
@@ -128,6 +129,7 @@ def _parameters(metavar: str, typed: argparse.Namespace) -> Words:
     """Parameters of a node of the running graph, those that can be set for `param set`; values."""
     from sparseskin.launch.attach.client import describe_node
 
+    # Only live settings can be set; all can be read.
     entries = describe_node(_graph(typed), typed.node)["settings"]
     is_set = "value" in typed
     if metavar == "KEY":
@@ -161,6 +163,7 @@ def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
         return {f"{name}.": types[name] for name in fitting}
 
     name = fitting[0]
+    # No graph runs yet: these are the declared ones.
     entries = declared_settings(types[name])
     key, equals, value = setting.partition("=")
     if not equals:
@@ -180,6 +183,7 @@ def sources(prefix: str) -> Words:
     """
     from sparseskin.nodes.sensor.scenes.scenes import SCENES
 
+    # The kind of a source decides what may follow it.
     kind, colon, address = prefix.partition(":")
     offers = extensions.offered(extensions.ADDRESSES)
     if not colon:
@@ -216,6 +220,7 @@ def node_types(name: str) -> dict[str, str]:
     import tomllib
 
     try:
+        # A bundled launch file, or one that is named by its path.
         path = Path(name).expanduser()
         if path.suffix != ".toml" and len(path.parts) < 2:
             path = BUNDLED / f"{name}.toml"
@@ -229,6 +234,7 @@ def node_types(name: str) -> dict[str, str]:
 def _paths(prefix: str, folders_only: bool) -> dict[str, str]:
     """Files and folders that begin with a path as it was typed; a folder ends in "/"."""
     folder, slash, begun = prefix.rpartition("/")
+    # What was typed stays as it is, "~" too.
     typed = folder + slash
     place = Path(os.path.expanduser(typed))
     words = []

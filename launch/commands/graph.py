@@ -89,6 +89,7 @@ def _list_nodes(arguments: argparse.Namespace) -> int:
     """List the nodes of a running graph: type, condition, process, restarts."""
     graph = choose_graph(arguments.graph)
     described = describe(graph)
+    # Settings and topics of a node are shown by `node info`.
     keys = ("name", "type", "condition", "pid", "restarts")
     nodes = [{key: node[key] for key in keys} for node in described["nodes"]]
     head = ["NODE", "TYPE", "CONDITION", "PID", "RESTARTS"]
@@ -104,6 +105,7 @@ def _info(arguments: argparse.Namespace) -> int:
     node = describe_node(graph, arguments.node)
     described = describe(graph)
     node["host"] = described["host"]
+    # Only processes of this host can be looked at.
     if node["host"] == socket.gethostname():
         with contextlib.suppress(OSError):
             # The process is gone.
@@ -153,6 +155,7 @@ def _node_properties(node: dict[str, Any]) -> dict[str, str]:
     if node["line"]:
         properties["reports"] = node["line"]
     if node["refused"]:
+        # Refused messages by their reason.
         counts = ", ".join(f"{reason} {n}" for reason, n in node["refused"].items())
         properties["refused"] = f"{counts}; the last: {node['refusal']}"
     return properties
@@ -215,7 +218,9 @@ def _list_settings(arguments: argparse.Namespace) -> int:
 
 def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
     """Two lines a setting at the least: its value and what it may be, then what it means."""
+    # Values of all settings begin in one column.
     widest = max((len(entry["key"]) for entry in entries), default=0)
+    # A setting that is not stated may have a value by the preset.
     preset = preset_of(entries)
     lines = [f"{name} (* can be set while the graph runs)"]
     for entry in entries:
@@ -261,6 +266,7 @@ def _set(arguments: argparse.Namespace) -> int:
     entries = {entry["key"]: entry for entry in settings}
     values: dict[str, Any] = {}
     for key, text in typed_texts.items():
+        # A dot may also be part of the name of a setting.
         table_key, dot, part = key.partition(".")
         if not dot or table_key not in entries:
             values[key] = typed_value(text, entries.get(key))

@@ -78,6 +78,7 @@ def _launch(arguments: argparse.Namespace) -> int:
     if source:
         arguments.name = REPLAY
         arguments.set = [f"sensor.source={source}", *arguments.set]
+    # Loaded once without the page: which node is a monitor is known then.
     launch = load(arguments.name, arguments.set, arguments.record)
     if arguments.open or arguments.no_token:
         settings = _with_page(launch, arguments)
@@ -112,6 +113,7 @@ def _source_of(name: str) -> str:
     """
     if name.partition(":")[0] in ("file", "example"):
         return name
+    # A name that is neither is reported as an unknown launch file.
     is_launch_file = name in bundled_names() or name.endswith(".toml")
     if is_launch_file or not Path(name).exists():
         return ""
@@ -151,6 +153,7 @@ def graph_text(launch: "LaunchFile") -> str:
 def _settings_text(node: "NodeSpec") -> str:
     """Settings of a node; of the keys of all nodes those that are stated."""
     values: dict[str, Any] = {"host": node.host}
+    # The text of the launch file is itself a value of the recorder.
     values |= {key: value for key, value in node.values.items() if key != "launch"}
     values["cpus"] = list(node.scheduling.cpus)
     values["priority"] = node.scheduling.priority
@@ -176,6 +179,7 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     from sparseskin.launch.run.launcher import Launcher
     from sparseskin.launch.run.terminal import Terminal
 
+    # Before the run: it may take hours.
     check_summary(arguments.summary)
     run_log = _run_log(launch)
     launcher = Launcher(launch, Terminal(run_log), arguments.frames)
@@ -198,9 +202,11 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     if run_log is not None and code in (EXIT_FAILED, EXIT_USAGE):
         print(f"logs of the nodes: {run_log.folder}", file=sys.stderr)
     if code == 0 and launch.name in bundled_names() and sys.stderr.isatty():
+        # As it was started here: it may not be on the path.
         program = "sparseskin" if shutil.which("sparseskin") else sys.argv[0]
         print(NEXT.format(program, launch.name), file=sys.stderr)
     for name, patch in sensed.items():
+        # A graph whose frames are all lost has not done its work.
         if not patch["frames"]["reconstructed"]:
             print(f"{name}: not one frame was reconstructed", file=sys.stderr)
             code = code or 1
@@ -222,6 +228,7 @@ def _run_log(launch: "LaunchFile") -> "RunLog | None":
     from sparseskin.nodes.errors import SparseskinError
     from sparseskin.nodes.files import user_folder
 
+    # A folder that is stated must be usable; the default one need not be.
     if launch.log_dir:
         return RunLog(Path(launch.log_dir), launch.name, time.time())
     try:

@@ -55,6 +55,7 @@ def look(arguments: argparse.Namespace) -> int:
 
 def _head_lines(name: str, layout: Layout) -> list[str]:
     """What the begin of the file shows."""
+    # The begin of the file is enough: this also works where the rest cannot be read.
     with located(name) as (path, parts), reading(path) as file:
         try:
             recording = recording_of(File(file, path, parts, layout, raw=True))
@@ -89,6 +90,7 @@ def _unit(head: Head, layout: Layout) -> str:
 
 def _sides(head: Head) -> str:
     """How many numbers an item has that may be readings."""
+    # All numbers may be readings, or only some columns.
     if head.usable is None:
         sides = (f"{axis.size} {axis.label}".strip() for axis in head.axes)
         return f"{' x '.join(sides)} per frame"
@@ -130,6 +132,7 @@ def _names(head: Head) -> str:
 def _times(head: Head, layout: Layout) -> str:
     if not head.is_timed:
         return "none recognised"
+    # Which times are read decides on the rate, and on the age of frames.
     times = head.time_name or "of each item"
     if layout.rate_hz is not None:
         return f"{times}, not read: rate_hz is stated"
@@ -169,6 +172,7 @@ def _steps_text(stamps_ns: list[int]) -> str:
 
 def _picture_lines(forces: Floats) -> list[str]:
     """The first frame as a map."""
+    # Missing readings are NaN; the map shows them as 0.
     largest = float(np.nanmax(forces))
     title = "first frame:"
     if not largest > 0:

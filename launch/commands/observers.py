@@ -51,6 +51,7 @@ def run_beside(
     writers = graph.writers()
     # It reads what it needs, and nothing of the graph reads it.
     links = [Link(topic, writers[topic], name) for topic in topics]
+    # A graph of one node, which joins the running one.
     launch = replace(single_node(name, type_name, values), links=links)
     launcher = Launcher(launch, Terminal(), joined=graph)
     return launcher.run(), launcher.summary()
@@ -86,6 +87,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
         raise SettingsError("--text: goes with neither --open nor --port: it has no page")
     graph = choose_graph(arguments.graph)
     patches, topics = _watched(graph)
+    # A batch is shown as its patches.
     batches = batches_of(graph)
     values = {
         "patches": [patch for patch in patches if patch not in batches],
@@ -138,6 +140,7 @@ def _record(arguments: argparse.Namespace) -> int:
     with naming_options({"out": "--out"}):
         code, summary = run_beside(graph, "recorder", name, values, topics)
     print_ends(summary["nodes"])
+    # The recorder was ended before it had opened its file.
     if code == 0 and "recording" not in summary["nodes"][name]:
         print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
         return EXIT_NOTHING

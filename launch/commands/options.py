@@ -101,7 +101,9 @@ def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None
         key = entry["key"]
         if key in but:
             continue
+        # Options that few people need are left out of the short help.
         group = parser if key in USUAL_KEYS else rarely_used
+        # The first clause is enough for a line of help.
         about = entry["doc"].partition(";")[0]
         group.add_argument(_option_of(key), default=None, help=about, **_kind_of(entry))
 
@@ -174,6 +176,7 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
         if names.count(name) > 1:
             raise SettingsError(f"--out {out}: two of the files would become {name}")
     if not folder.is_dir():
+        # It would be made as a folder with the name of a recording.
         if folder.suffix == FILE_SUFFIX:
             raise SettingsError(f"--out {out}: several files need a folder, one recording each")
         with os_errors(folder):
@@ -219,6 +222,7 @@ def check_summary(path: Path | None) -> None:
         check_link(path)
     except OSError as error:
         raise OutputError(f"--summary {path}: {error.strerror}") from error
+    # A link is followed to where the file will be.
     folder = path.resolve().parent
     if path.is_dir():
         raise OutputError(f"--summary {path}: is a folder")
@@ -238,6 +242,7 @@ def write_summary(path: Path | None, name: str, summary: Mapping[str, Any]) -> N
 
     if path is None:
         return
+    # Which version wrote it is part of the document.
     document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
     text = json.dumps(document, indent=2) + "\n"
     try:
@@ -269,6 +274,7 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
 
 def _end_lines(name: str, node: Mapping[str, Any]) -> Iterator[str]:
     """Lines about one node, by its report."""
+    # What went wrong comes before what was done.
     n_restarts = node.get("restarts", 0)
     if n_restarts:
         times = "time" if n_restarts == 1 else "times"
@@ -339,6 +345,7 @@ def whole(low: int, high: int | None = None) -> Callable[[str], int]:
     allowed = f"{low} or more" if high is None else f"{low}..{high}"
 
     def read(text: str) -> int:
+        # int() would also read other digits, spaces and underscores.
         is_number = text.isascii() and text.isdigit() and len(text) < 16
         if not is_number or int(text) < low or (high is not None and int(text) > high):
             raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {allowed}")

@@ -69,6 +69,7 @@ def _play(arguments: argparse.Namespace) -> int:
     values: dict[str, Any] = {key: value for key, value in stated.items() if value is not None}
     values["file"] = str(path)
     values["paused"] = arguments.pause
+    # The stamps of a loop would go back: they are made anew.
     values["keep_stamps"] = not arguments.loop
     with naming_options(OPTIONS):
         if arguments.open:
@@ -92,6 +93,7 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
     for option in ("topics", "remap"):
         if getattr(arguments, option):
             raise SettingsError(f"--{option}: does not go with --open, which plays what it shows")
+    # What is shown depends on what was recorded.
     with BagReader(path) as bag:
         batches = names_of(bag)
         schemas_of = _recorded_schemas(bag)
@@ -100,6 +102,7 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
     present: set[str] = set()
     if schemas_of:
         present = set.intersection(*schemas_of.values())
+    # A page without reconstructions would stay empty.
     required = [cls.schema for cls in REQUIRED]
     optional = [cls.schema for cls in OPTIONAL if cls.schema in present]
     if not present.issuperset(required):

@@ -45,6 +45,7 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     """Reprocess all recordings. Those that fail are named, and do not stop the others; those that
     an earlier run has finished are not computed again.
     """
+    # Before the work, which may take long.
     check_summary(arguments.summary)
     outcomes = _outcomes(_jobs(arguments), arguments.executor)
     for outcome in outcomes:
@@ -63,6 +64,7 @@ def _reprocess(arguments: argparse.Namespace) -> int:
 def _error_text(outcome: "Outcome") -> str:
     """The error of a job, with the recording where it names no file or option."""
     job = outcome.job
+    # An error that names no place is of this recording.
     names_a_file = job.source in outcome.error or job.out in outcome.error
     if names_a_file or outcome.error.startswith("--"):
         return outcome.error
@@ -92,6 +94,7 @@ def _jobs(arguments: argparse.Namespace) -> "list[Job]":
             raise SettingsError(f"{file}: no recording ({FILE_SUFFIX})")
         if not Path(file).is_file():
             raise SettingsError(f"{file}: no such file")
+    # A wrong node is reported before the first recording is read.
     for text in arguments.set:
         node = text.partition(".")[0]
         if node not in STATIONS:
@@ -113,6 +116,7 @@ def _outcomes(jobs: "Sequence[Job]", executor: str | None) -> "list[Outcome]":
     from sparseskin.nodes.tasks import computed
 
     lively = sys.stderr.isatty()
+    # One after the other, with a bar for each.
     if executor is None:
         return [run_job(job, lively) for job in jobs]
     outcome_of: dict[Job, Outcome] = {}

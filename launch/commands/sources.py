@@ -52,6 +52,7 @@ def configure_sources(parser: argparse.ArgumentParser) -> None:
 
 def _sources(arguments: argparse.Namespace) -> int:
     listings = [listing for kind in KINDS for listing in find_kind(kind).listings()]
+    # Drivers of other packages are named by their entry points.
     listings.append(Listing("drivers", "drivers of installed packages", drivers()))
     for kind, plugin in loaded(ADDRESSES).items():
         if kind in KINDS:
@@ -111,6 +112,7 @@ def _scope(arguments: argparse.Namespace) -> int:
     except SourceError as error:
         raise SourceError(spelled(str(error), lambda key: f"--set {key}=")) from error
 
+    # The last picture goes with the other screen of the terminal: figures are printed after it.
     view = View(source)
     lively = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
     try:
@@ -127,6 +129,7 @@ def _scope(arguments: argparse.Namespace) -> int:
 def _show_frames(arguments: argparse.Namespace, source: Source, view: "View", lively: bool) -> None:
     """Show frames until their number, the time, or a person ends it."""
     terminal = Terminal()
+    # A log would be flooded by what a person can watch.
     period_s = DRAW_S if lively else TEXT_S
     begin_s = time.monotonic()
     next_s = begin_s if lively else begin_s + period_s
@@ -280,6 +283,7 @@ class View:
 
 def _picture(view: View, now_s: float, size: os.terminal_size) -> str:
     """All that is shown, as it is written to a terminal of a size."""
+    # The map has the room that the lines of text leave.
     head = [line[: size.columns - 1] for line in view.head(now_s)]
     lines = head[: max(1, size.lines - 1)]
     room = size.lines - len(lines) - 1

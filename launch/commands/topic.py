@@ -81,8 +81,10 @@ def _info(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
     name = find_topic(graph, arguments.topic)
     topic = topics_of(describe(graph))[name]
+    # The schema is the last part of the name of each topic.
     cls = SCHEMAS[topic["schema"]]
     fields = {field: kind_text(kind) for field, kind in wire_fields(cls).items()}
+    # A program of another language connects to it.
     address = graph.nodes[topic["publisher"]].endpoint
     properties = {
         "schema": f"{cls.schema}, version {cls.version}",
@@ -130,6 +132,7 @@ def _echo(arguments: argparse.Namespace) -> int:
     # A few messages are over before reading them could disturb a graph.
     if n is None or n > FEW_MESSAGES:
         give_way()
+    # Forces of contacts are printed with their unit, which the skin states.
     unit = ""
     if cls is Contacts:
         unit = unit_of(graph, topic)
@@ -166,6 +169,7 @@ def _hz(arguments: argparse.Namespace) -> int:
 def give_way() -> None:
     """Let this command run only where the graph leaves it room."""
     with contextlib.suppress(OSError):
+        # SCHED_IDLE may not be allowed; a low priority always is.
         os.nice(19)
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 

@@ -290,6 +290,7 @@ class PatchMetrics:
             self._reconstructed.end(self._reconstructed.run_id, n_messages)
 
     def _pair(self, stamp_ns: int) -> FrameMetrics:
+        # Messages of one frame share its stamp.
         if stamp_ns not in self._pending:
             self._pending[stamp_ns] = FrameMetrics()
             if len(self._pending) > MAX_PENDING:

@@ -84,6 +84,7 @@ class MonitorSettings(Settings):
             if patch not in all_patches:
                 raise SettingsError(f"poses.{patch}: no patch{did_you_mean(patch, all_patches)}")
             check_pose(f"poses.{patch}", pose)
+        # Messages of a patch could not be told apart.
         if len(set(all_patches)) < len(all_patches):
             raise SettingsError("batches: a patch occurs twice")
 
@@ -204,11 +205,13 @@ class Monitor(Node[MonitorSettings]):
         metrics = self._patches.get(message.patch)
         if metrics is None:
             raise RefusedError(f"{message.topic}: patch {message.patch} is not watched")
+        # A page shows the frame that this message completes.
         complete = metrics.add(message)
         if self._feed is not None:
             self._feed.frame(message.patch, message, complete, metrics.latency_ns)
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
+        # The end of a batch is that of all its patches.
         patch, schema = split_topic(topic)
         names = self._groups[patch]
         for name in names:

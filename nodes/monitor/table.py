@@ -140,6 +140,7 @@ def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     if not n_untrusted:
         return ""
 
+    # Reasons of all patches are counted together.
     counts: Counter[str] = Counter()
     for patch in judged:
         counts.update(patch["doubts"])

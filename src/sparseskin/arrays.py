@@ -110,6 +110,7 @@ def compress(
     n = np.count_nonzero(exists)
     if n != phi.n:
         raise PhiError(f"compress: {n} taxels of {exists.shape} exist; {phi} is for {phi.n}")
+    # The solver of this phi must reconstruct the same grid.
     _keep_grid(phi, exists.shape)
     # Cells where no taxel exists may hold anything.
     is_wrong = exists & ~(np.abs(forces) <= LARGEST)
@@ -284,6 +285,7 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
         # A single frame may be any of a stream: its row subset is stated.
         return _reconstructed(y, solver)
 
+    # Frames in order begin with the first row subset, as `compress` does.
     subsets = getattr(solver, "subsets", ())
     frames: list[Floats] = []
     for k, of_frame in enumerate(y):
@@ -320,7 +322,9 @@ def _reconstructed(y: Floats, solver: Solver) -> Floats:
 @cache
 def warn_of_threads() -> None:
     """Warn, once, where threads of OpenBLAS slow down the small products of the solver."""
+    # Which library numpy was built with is known from this alone.
     config: Any = np.show_config(mode="dicts")
+    # Other libraries do not make small products wait.
     is_openblas = "openblas" in config["Build Dependencies"]["blas"]["name"]
     is_stated = any(name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"))
     if not is_openblas or is_stated or (os.cpu_count() or 1) == 1:
@@ -366,12 +370,14 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
             f"psnr_db: shapes {forces.shape} and {truth.shape}; "
             "expected the same, (n_rows, n_cols) or (k, n_rows, n_cols)"
         )
+    # A reference beyond the range would give a PSNR that is too low.
     peak = float(truth.max()) if truth.size else 0.0
     if peak > f_max:
         text = f"the reference reaches {peak:g}, above f_max = {f_max:g}"
         raise SparseskinError(f"psnr_db: {text}; state f_max, the upper end of its range")
 
     dtype = np.result_type(forces, truth, np.float32)
+    # Not in their own type, which may be unsigned.
     error = np.subtract(forces, truth, dtype=dtype)
     if error.ndim == 2:
         return psnr_of_error(error, f_max)
@@ -417,6 +423,7 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
 
     _check_frames("simulate", n_frames)
     settings = Sensor.Settings(source=f"scene:{scene}", seed=seed)
+    # The same node as in a graph, so that frames have the same bits.
     bus = Bus({"sensor": (Sensor, settings)})
     truth = []
     taxels = []
@@ -526,6 +533,7 @@ _PARTS: dict[type[Frames], str] = {
 
 def _frames_of(messages: Sequence[Message], last_forces: dict[str, Floats]) -> Iterator[Frame]:
     """Frames of messages that came together; `last_forces` as of `Frames.split`."""
+    # Messages of one frame share patch and stamp.
     frames: dict[tuple[str, int], dict[str, Any]] = {}
     for message in messages:
         if isinstance(message, Labels):

@@ -38,7 +38,9 @@ def check_phi(phi: Phi) -> dict[str, float]:
     """
     if not isinstance(phi, Phi):
         raise PhiError(f"phi: got {phi!r}; expected what make_phi returns")
+    # Random vectors: what holds for them holds for all, as the products are linear.
     test = _Test(PhiError, f"phi {phi.kind}")
+    # Two of each: a batch must give the same bits as its frames alone.
     x = _normal((2, phi.n))
     y = _normal((2, phi.m))
 
@@ -46,6 +48,7 @@ def check_phi(phi: Phi) -> dict[str, float]:
     spread = test.applied("adjoint", phi.adjoint, y, (2, phi.n))
     dot = test.dot_error("adjoint", (measured, y), (x, spread))
 
+    # The dense form is the reference for the fast ones.
     dense = phi.dense()
     if dense.shape != (phi.m, phi.n) or dense.dtype != np.float64:
         test.fail(": dense", f"{dense.dtype} {dense.shape}", f"float64 {phi.m, phi.n}")
@@ -82,6 +85,7 @@ def check_basis(basis: Basis) -> dict[str, float]:
     image = _normal(shape)
     theta = _normal(shape, 1)
 
+    # Orthonormal: each of the two is the transpose and the inverse of the other.
     coefficients = test.applied("analysis", basis.analysis, image, shape)
     spread = test.applied("synthesis", basis.synthesis, theta, shape)
     dot = test.dot_error("synthesis", (coefficients, theta), (image, spread))
@@ -144,6 +148,7 @@ def _disc(shape: tuple[int, ...]) -> Floats:
     n_rows, n_cols = shape
     rows, cols = np.mgrid[:n_rows, :n_cols]
     radius = max(1.0, min(shape) / 6)
+    # Half a taxel a frame: solvers that start from the last one are followed.
     middle = n_cols / 4 + 0.5 * np.arange(N_FRAMES)[:, None, None]
     inside: Mask = np.hypot(rows - n_rows // 2, cols - middle) < radius
     return inside.astype(np.float32)
@@ -213,6 +218,7 @@ class _SolverTest(_Test):
     def __init__(self, solver: Solver) -> None:
         super().__init__(SolverError, f"solver {solver.name}")
         mask = solver.mask
+        # Rows that rotate measure each frame by another matrix.
         subsets = solver.subsets or (solver.phi,)
         self.solver = solver
         self.frames = _disc(mask.shape) * mask
@@ -230,6 +236,7 @@ class _SolverTest(_Test):
             copy = y.copy()
             forces = solve(phi, y)
             self._check_forces(forces)
+            # The caller may use its measurements again.
             if not np.array_equal(y, copy):
                 self.fail("", "other measurements than were given", "y unchanged")
             results.append(forces)

@@ -84,6 +84,7 @@ def read_recording(
 
 def _is_bag(path: str | os.PathLike[str]) -> bool:
     """True for a recording of sparseskin; other programs write .mcap, too."""
+    # An incomplete recording has a name that no other program uses.
     name = Path(path).name
     if name.endswith(PART_SUFFIX):
         return True
@@ -104,8 +105,10 @@ def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]
     from sparseskin.nodes.recorder.convert.npz import export_npz
 
     with BagReader(path) as whole, tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
+        # Patches that were recorded in batches are read one by one.
         bag = split_bag(whole)
         patch, topics = _topics_of(path, frame_topics(bag, None), patch)
+        # By way of the export, so that names and arrays are the same.
         (written,) = export_npz(bag, Path(folder) / "frames.npz", topics)
         skin = skin_of(bag, patch)
         names: list[str] = []

@@ -224,6 +224,7 @@ class Stream:
             If the frame has another shape or type, a reading is not finite, or is beyond 10 f_max,
             as counts are where newtons are expected; it is not counted.
         """
+        # A frame that is refused is not counted: all checks come first.
         forces = real_floats(frame, "stream: readings", SparseskinError)
         if forces.shape != self._skin.shape:
             expected = f"expected {self._skin.shape}"
@@ -234,11 +235,13 @@ class Stream:
             row, col = np.argwhere(bad)[0]
             reads = f"reads {forces[row, col]}; allowed: finite numbers; fill in what is missing"
             raise SparseskinError(f"stream: taxel ({row}, {col}) {reads}")
+        # Raw readings of a tared skin have a range of their own.
         if not self._zero.changes_readings:
             self._check_range(forces)
         forces = self._zero.forces(forces)
         self._note_doubt()
 
+        # Row subsets take turns, by the number of the frame.
         phi = self._phis[self._n_compressed % len(self._phis)]
         self._n_compressed += 1
         return phi.forward(forces[self._skin.exists])
@@ -258,6 +261,7 @@ class Stream:
         """Keep what is found of the readings of the next frame for its reconstruction."""
         self.sensed = str(self._zero.reason)
         if self.sensed:
+            # A host in another program never asks for them: their number is limited.
             self._doubts[self._n_compressed] = self.sensed
             if len(self._doubts) > MOST_WAITING:
                 oldest = next(iter(self._doubts))
@@ -300,6 +304,7 @@ class Stream:
         phi = self._phis[k % len(self._phis)]
         if len(self._phis) > 1:
             self._solver.use(phi)
+        # As in a graph: faulty measurements are looked for, too.
         verdict = solve_watched(self._solver, self._watch, phi, y)
         self.error = None
         if verdict.is_solved:
@@ -321,6 +326,7 @@ class Stream:
         self.error = None
         self.reason = ""
         self.trusted = True
+        # The solver of an edge was never made.
         if "_solver" in vars(self):
             self._solver.reset()
             self._watch.reset()
@@ -342,10 +348,12 @@ def _checked_skin(shape: tuple[int, int], f_max: float, mask: Mask | None) -> Sk
 
 def _host_settings(phi: str, preset: str, settings: dict[str, Any]) -> ReconstructorSettings:
     """Settings of the reconstructor: those named here, and options of the solver."""
+    # Other names are options of the solver.
     stated = {name: value for name, value in settings.items() if name in _NAMED}
     options = {name: value for name, value in settings.items() if name not in _NAMED}
     # What a user's own solver takes is not known here.
     if ":" not in str(stated.get("solver")):
+        # A misspelled argument would pass for an option of the solver.
         parameters = [name for name in signature(Stream).parameters if name != "settings"]
         for name in options:
             hint = suggestion(name, [*_NAMED, *parameters])

@@ -192,6 +192,7 @@ class Feed:
     def _add_contacts(self, feed: PatchFeed, contacts: Contacts, now_s: float) -> None:
         feed.contacts = contacts
         if contacts.events is not None:
+            # One row for the frame, with the number of each kind.
             counts = np.bincount(contacts.events[:, 2], minlength=len(EVENTS))
             feed.events.add(now_s, *counts.tolist())
         # Earlier ones are shown with the frame that they belong to.
@@ -216,6 +217,7 @@ class Feed:
     def paused(self) -> bool:
         """True if all sources are paused."""
         nodes = (self.graph or {}).get("nodes", [])
+        # Only sources can be paused: the others wait for them.
         sources = [node["state"].get("paused") for node in nodes if "pause" in node["commands"]]
         return bool(sources) and all(sources)
 
@@ -227,6 +229,7 @@ class Feed:
         """Show a map without the rest of its frame, if no frame was complete for a while."""
         if not isinstance(message, Taxels | Truth | Reconstruction):
             return
+        # A frame that will be complete is shown whole.
         if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:
             feed.maps = {**feed.maps, message.schema: known_forces(message)}
             if isinstance(message, Reconstruction):
@@ -257,6 +260,7 @@ class Feed:
                 feed.ended = True
                 feed.lost = feed.summary["frames"]["lost"]
             self.closed = self.closed or closed
+            # A page waits for these even where it shows no frame.
             if answer is not None or closed:
                 self.changed.notify_all()
 

@@ -108,6 +108,7 @@ class PageServer(ThreadingHTTPServer):
         # Threads and files are those of the whole process.
         open_files = len(os.listdir("/proc/self/fd")) + SPARE_FILES
         free = resource.getrlimit(resource.RLIMIT_NOFILE)[0] - open_files
+        # At least a page, its stream and its files.
         self._max_connections = max(4, min(MAX_CONNECTIONS, free))
         self.max_pages = min(MAX_PAGES, self._max_connections // 2)
 
@@ -117,6 +118,7 @@ class PageServer(ThreadingHTTPServer):
 
     def close(self) -> None:
         """Send the end to the pages, wait at most 1 s for them, and stop."""
+        # Streams end by themselves once the feed is closed.
         self.feed.update(closed=True)
         with self._lock:
             self._lock.wait_for(lambda: not self.n_streams, 1.0)
@@ -149,6 +151,7 @@ class PageServer(ThreadingHTTPServer):
     def expect(self, connection: socket.socket, within_s: float) -> None:
         """End a connection unless it is done, or expected anew, within this time."""
         with self._lock:
+            # Put behind the others: the first one is then the oldest.
             self._due_s.pop(connection, None)
             self._due_s[connection] = time.monotonic() + within_s
 
@@ -298,6 +301,7 @@ class _Handler(BaseHTTPRequestHandler):
         if name not in HOSTS:
             raise _RefusedError(HTTPStatus.FORBIDDEN, f"Host {host[:64]!r} is not this page's")
 
+        # A browser states from which site a request comes.
         origin = self.headers.get("Origin")
         if origin is not None and origin != f"http://{host}":
             raise _RefusedError(HTTPStatus.FORBIDDEN, f"Origin {origin[:64]!r} is not this page's")

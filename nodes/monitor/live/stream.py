@@ -124,6 +124,7 @@ class StreamReader:
             if number > self._n_answers:
                 yield {"kind": "answer", **answer}, {}
         self._n_answers = feed.n_answers
+        # The last state is sent whenever it comes.
         if closed or now_s >= self._state_at_s + STATE_S - SLACK_S:
             self._state_at_s = now_s
             yield self._state(now_s, closed), {}
