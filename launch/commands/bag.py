@@ -97,7 +97,7 @@ def _export_options() -> dict[str, _ExportOption]:
 
 
 def _configure_import(parser: argparse.ArgumentParser) -> None:
-    formats = "; ".join(f"{suffix}: {what}" for suffix, what in suffixes().items())
+    formats = "; ".join(f"{suffix}: {about}" for suffix, about in suffixes().items())
     # Plug-ins add formats, so that the list is made here.
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument("files", metavar="FILE", nargs="+", type=_path, help="the recording")

@@ -192,21 +192,21 @@ class _Steps:
         return Press(label, force, frames, area)
 
     def _stated(self, text: str) -> Press:
-        what, colon, where = text.partition(":")
+        load_at_area, colon, where = text.partition(":")
         if not (colon and where):
             raise CalibrationError(
                 f"--press {text}: expected LOAD[@AREA]:WHERE, LOAD as {LOADS}, WHERE as 5-8s or "
                 "a file"
             )
         # An error of any part names the option as it was typed.
-        load, at, area = what.partition("@")
+        load, at, area = load_at_area.partition("@")
         try:
             force = read_load(load)
             cells = read_area(area, self._shape) if at else None
-            frames = self._frames(where, f"Put {what} on the skin")
+            frames = self._frames(where, f"Put {load_at_area} on the skin")
         except SparseskinError as error:
             raise CalibrationError(f"--press {text}: {error}") from error
-        return Press(what, force, frames, cells)
+        return Press(load_at_area, force, frames, cells)
 
     def _answer(self, question: str, read: Callable[[str], Any]) -> Any:
         """What a person answers, asked again until it can be read; None for an empty line."""

@@ -211,7 +211,8 @@ def declared_settings(type_name: str) -> list[Mapping[str, Any]]:
     target = registry.NODE_TYPES.get(type_name, "")
     if not target.startswith("sparseskin."):
         return []
-    described: list[Mapping[str, Any]] = registry.node_class(type_name).Settings.described()
+    settings = registry.node_class(type_name).Settings
+    described: list[Mapping[str, Any]] = settings.described()
     return described
 
 
@@ -224,7 +225,8 @@ def node_types(name: str) -> dict[str, str]:
         path = Path(name).expanduser()
         if path.suffix != ".toml" and len(path.parts) < 2:
             path = BUNDLED / f"{name}.toml"
-        tables = tomllib.loads(path.read_text(encoding="utf-8")).get("nodes", {})
+        launch = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = launch.get("nodes", {})
         return {name: str(table.get("type", "")) for name, table in tables.items()}
     except (OSError, ValueError, RuntimeError, AttributeError):
         # The command names the fault when it is run.

@@ -107,7 +107,8 @@ def _first_numbers(block: Block | None, head: Head) -> str:
     if block is None:
         return "none"
     # Whatever its shape: it is the order of the file.
-    numbers = np.asarray(block.numbers[0], dtype=np.float64).reshape(-1)
+    item = np.asarray(block.numbers[0], dtype=np.float64)
+    numbers = item.reshape(-1)
     if head.usable is not None:
         numbers = numbers[list(head.usable)]
     texts = [f"{number:.6g}" for number in numbers[:MAX_NUMBERS].tolist()]

@@ -117,11 +117,16 @@ def _watched(graph: RunningGraph) -> tuple[list[str], list[str]]:
     from sparseskin.nodes.monitor.node import WATCHED
 
     schemas = {cls.schema for cls in WATCHED}
-    topics = [topic for topic in graph.writers() if split_topic(topic)[1] in schemas]
-    patches = list(dict.fromkeys(split_topic(topic)[0] for topic in topics))
+    patches: list[str] = []
+    topics = []
+    for topic in graph.writers():
+        patch, schema = split_topic(topic)
+        if schema in schemas:
+            topics.append(topic)
+            patches.append(patch)
     if not patches:
         raise SettingsError(f"{graph.label}: has no topic that a monitor reads")
-    return patches, topics
+    return list(dict.fromkeys(patches)), topics
 
 
 def _record(arguments: argparse.Namespace) -> int:

@@ -96,10 +96,12 @@ def _info(arguments: argparse.Namespace) -> int:
     }
     rows = []
     for reader in topic["subscribers"]:
-        rows.append([reader["node"], *(reader[count] for count in COUNTED)])
+        counts = [reader[count] for count in COUNTED]
+        rows.append([reader["node"], *counts])
     lines = [name, *facts(properties, "  "), ""]
-    lines += table(["SUBSCRIBER", *(count.upper() for count in COUNTED)], rows, "  ")
-    lines += ["", *table(["FIELD", "TYPE"], list(fields.items()), "  ")]
+    head = ["SUBSCRIBER", *(count.upper() for count in COUNTED)]
+    lines += [*table(head, rows, "  "), ""]
+    lines += table(["FIELD", "TYPE"], list(fields.items()), "  ")
 
     document = {
         "graph": graph.label,

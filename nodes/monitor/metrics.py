@@ -319,8 +319,9 @@ class PatchMetrics:
         if self._late and not self.compared:
             # What came of the frames before is incomplete.
             self._n_before = frame.n_sensed - frame.n_answered
-            later = [(ns, pending) for ns, pending in self._pending.items() if ns > stamp_ns]
-            self._pending = OrderedDict(later)
+            for pending_ns in list(self._pending):
+                if pending_ns <= stamp_ns:
+                    del self._pending[pending_ns]
         self.compared += 1
 
         # Both streams count the same frames: the difference of their counts is lost.

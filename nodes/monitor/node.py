@@ -101,7 +101,10 @@ class MonitorSettings(Settings):
     @property
     def all_patches(self) -> tuple[str, ...]:
         """Names of all patches, those of batches too."""
-        return tuple(name for names in self.groups.values() for name in names)
+        names: tuple[str, ...] = ()
+        for of_group in self.groups.values():
+            names += of_group
+        return names
 
 
 class Monitor(Node[MonitorSettings]):
@@ -152,12 +155,19 @@ class Monitor(Node[MonitorSettings]):
         again: bool,
     ) -> dict[str, Any]:
         # Counts of nodes are by topic, those of a batch being of all its patches.
-        group_of = {name: group for group, names in settings.groups.items() for name in names}
-        counts_of = {topic: of_node for of_node in counts for topic in of_node["published"]}
+        counts_of = {}
+        for of_node in counts:
+            for topic in of_node["published"]:
+                counts_of[topic] = of_node
+
         patches = dict(report.get("patches", {}))
-        for name, patch in patches.items():
-            frames = _published_frames(patch["frames"], group_of[name], counts_of, again)
-            patches[name] = {**patch, "frames": frames}
+        for group, names in settings.groups.items():
+            for name in names:
+                if name not in patches:
+                    continue
+                patch = patches[name]
+                frames = _published_frames(patch["frames"], group, counts_of, again)
+                patches[name] = {**patch, "frames": frames}
         return {"patches": patches}
 
     def start(self) -> Iterable[Message]:
@@ -270,8 +280,10 @@ class Monitor(Node[MonitorSettings]):
             n_new = 0
             for name, metrics in patches.items():
                 n_new += metrics.reconstructed - self._status_frames[name]
-            lines.append(status_line(patches, n_new / seconds / len(patches)))
-        self._status_frames = {name: m.reconstructed for name, m in self._patches.items()}
+            rate_hz = n_new / seconds / len(patches)
+            lines.append(status_line(patches, rate_hz))
+        for name, metrics in self._patches.items():
+            self._status_frames[name] = metrics.reconstructed
         return "\n".join(lines)
 
     def report(self) -> dict[str, Any]:

@@ -51,14 +51,16 @@ class Quantiles:
     _WIDTH = math.log(1.005)
 
     def __init__(self) -> None:
-        n_bins = math.ceil(math.log(self._HIGH_NS / self._LOW_NS) / self._WIDTH)
+        span = math.log(self._HIGH_NS / self._LOW_NS)
+        n_bins = math.ceil(span / self._WIDTH)
         self._bins = np.zeros(n_bins, np.int64)
 
     def add(self, duration_ns: float) -> None:
         # Shorter durations count in the first bin, longer ones in the last.
         bounded_ns = max(duration_ns, self._LOW_NS)
         k = int(math.log(bounded_ns / self._LOW_NS) / self._WIDTH)
-        self._bins[min(k, len(self._bins) - 1)] += 1
+        k_last = len(self._bins) - 1
+        self._bins[min(k, k_last)] += 1
 
     def quantile_ms(self, q: float) -> float:
         """The smallest duration in ms that at least the fraction q of all do not exceed."""

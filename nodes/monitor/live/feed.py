@@ -218,8 +218,8 @@ class Feed:
         """True if all sources are paused."""
         nodes = (self.graph or {}).get("nodes", [])
         # Only sources can be paused: the others wait for them.
-        sources = [node["state"].get("paused") for node in nodes if "pause" in node["commands"]]
-        return bool(sources) and all(sources)
+        sources = [node for node in nodes if "pause" in node["commands"]]
+        return bool(sources) and all(node["state"].get("paused") for node in sources)
 
     def pulse(self) -> None:
         """Note that the monitor's own loop is alive."""
@@ -230,7 +230,8 @@ class Feed:
         if not isinstance(message, Taxels | Truth | Reconstruction):
             return
         # A frame that will be complete is shown whole.
-        if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:
+        came_s = feed.came_s.get(Reconstruction.schema, -math.inf)
+        if now_s - came_s > feed.stale_s:
             feed.maps = {**feed.maps, message.schema: known_forces(message)}
             if isinstance(message, Reconstruction):
                 feed.note(message, now_s)

@@ -192,6 +192,7 @@ class StreamReader:
         }
         if feed.start is not None:
             header["start"] = [feed.start.done, feed.start.of]
+
         if self._is_new("graph", feed.graph):
             header["graph"] = feed.graph
             header["hosts"] = host_lines(feed.graph or {})
