@@ -209,9 +209,11 @@ def _frames_text(patch: Mapping[str, Any]) -> str:
 
 
 def _measured_text(patch: Mapping[str, Any]) -> str:
-    rotating = ", rotating rows" if patch["rows"] == "rotating" else ""
+    phi = patch["phi"]
+    if patch["rows"] == "rotating":
+        phi += ", rotating rows"
     text = (
-        f"{patch['phi']}{rotating}: "
+        f"{phi}: "
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range {shown(patch['f_min'], 'g')}..{shown(patch['f_max'], 'g')} {patch['unit']}"
     )
