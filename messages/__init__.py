@@ -46,8 +46,9 @@ _MODULES = (
 def __getattr__(name: str) -> Any:
     if name in __all__:
         for module in _MODULES:
-            found = vars(import_module(f".{module}", __name__)).get(name)
-            if found is not None:
-                globals()[name] = found
-                return found
+            value = vars(import_module(f".{module}", __name__)).get(name)
+            if value is not None:
+                # Found without this function from now on.
+                globals()[name] = value
+                return value
     raise AttributeError(f"module 'sparseskin.messages' has no attribute {name!r}")

@@ -37,6 +37,7 @@ class Message:
     """0, 1, 2, ... of a publisher run and topic; a gap is a loss."""
 
     def __post_init__(self) -> None:
+        # The dataclass is frozen: values in canonical form go to its dictionary.
         values = self.__dict__
         for name, kind in wire_fields(type(self)).items():
             values[name] = kind.check(name, values[name])
@@ -48,10 +49,11 @@ class Message:
     @classmethod
     def assembled(cls, values: dict[str, Any]) -> Self:
         """Message of fields that were checked one by one, as by `decode`."""
-        made = object.__new__(cls)
-        made.__dict__.update(values)
-        made.validate()
-        return made
+        # Without `__init__`, which would check each field once more.
+        message = object.__new__(cls)
+        message.__dict__.update(values)
+        message.validate()
+        return message
 
     @property
     def topic(self) -> str:
@@ -64,7 +66,8 @@ class Message:
 
     def moved(self, by_ns: int) -> Self:
         """Copy `by_ns` nanoseconds later: its stamp and all other times on the graph's clock."""
-        return self._copy(**{name: getattr(self, name) + by_ns for name in self.times})
+        times = {name: getattr(self, name) + by_ns for name in self.times}
+        return self._copy(**times)
 
     def following(self, **changes: Any) -> Self:
         """Message of the same node with the fields of its next frame. Of these, arrays are checked
@@ -72,12 +75,14 @@ class Message:
         node itself has made, which its readers check again.
         """
         for name, kind in array_fields(type(self)).items():
+            # None is allowed where the field is optional, which does not change.
             if changes.get(name) is not None:
                 changes[name] = kind.check(name, changes[name])
         return self._copy(**changes)
 
     def _copy(self, **changes: Any) -> Self:
         """Copy with valid changes: nothing is checked again."""
+        # Arrays are shared: messages are not changed.
         copy = object.__new__(type(self))
         copy.__dict__.update(self.__dict__, **changes)
         return copy
@@ -85,16 +90,20 @@ class Message:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return all(
-            _same(getattr(self, name), getattr(other, name)) for name in wire_fields(type(self))
-        )
+        for name in wire_fields(type(self)):
+            if not _same(getattr(self, name), getattr(other, name)):
+                return False
+        return True
 
     __hash__ = None  # type: ignore[assignment]
 
 
 def _same(a: Any, b: Any) -> bool:
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+        if a.dtype != b.dtype or a.shape != b.shape:
+            return False
+        # By bytes: NaN equals itself, 0 and -0 differ.
+        return a.tobytes() == b.tobytes()
     return bool(a == b)
 
 
@@ -106,16 +115,19 @@ def once_a_class(make: Callable[[type[Message]], Made]) -> Callable[[type[Messag
 @once_a_class
 def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
     """Name and kind of each field of a message class, in order of declaration."""
-    return {f.name: cast(FieldKind, f.metadata["wire"]) for f in dataclasses.fields(cls)}
+    fields = dataclasses.fields(cls)
+    return {field.name: cast(FieldKind, field.metadata["wire"]) for field in fields}
 
 
 @once_a_class
 def array_fields(cls: type[Message]) -> dict[str, Array]:
     """Name and kind of the fields of a message class that are arrays."""
-    return {name: kind for name, kind in wire_fields(cls).items() if isinstance(kind, Array)}
+    fields = wire_fields(cls).items()
+    return {name: kind for name, kind in fields if isinstance(kind, Array)}
 
 
 @once_a_class
 def omitted_fields(cls: type[Message]) -> dict[str, Any]:
     """Name and default of the fields that are sent only where they differ from the default."""
-    return {f.name: f.default for f in dataclasses.fields(cls) if f.metadata["omitted"]}
+    fields = dataclasses.fields(cls)
+    return {field.name: field.default for field in fields if field.metadata["omitted"]}

@@ -12,7 +12,7 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgpack
 
@@ -62,11 +62,30 @@ def _form(cls: type[Message]) -> _Form:
     fields = wire_fields(cls)
 
     def of(*kinds: type[FieldKind]) -> Any:
-        return tuple((name, kind) for name, kind in fields.items() if isinstance(kind, kinds))
+        return tuple(field for field in fields.items() if isinstance(field[1], kinds))
 
+    # Words are of kind `Each`, but travel as texts.
     words = of(Words)
-    numbers = tuple(one for one in of(Each) if one not in words)
-    return _Form(cls, tuple(fields), of(Text, Names) + words, of(Array), of(Number), numbers)
+    each = tuple(field for field in of(Each) if field not in words)
+    return _Form(
+        cls=cls,
+        names=tuple(fields),
+        texts=of(Text, Names) + words,
+        arrays=of(Array),
+        numbers=of(Number),
+        each=each,
+    )
+
+
+class _SentArray(NamedTuple):
+    """An array of a stream, its dtype as it travels, and where it is in the payload."""
+
+    name: str
+    kind: Array
+    dtype: str
+    shape: tuple[int, ...]
+    begin: int
+    end: int
 
 
 @dataclass(frozen=True)
@@ -76,8 +95,7 @@ class _Stream:
     `begin` is their topic and all that follows up to the numbers; `numbers` packs these, which
     begin in the payload at `numbers_at`; `checks` has the field and check of each number, `each`
     those of fields that hold one for each of several patches; `values` holds all fields in their
-    order, the texts set; `arrays` has the name, kind, dtype and shape of the arrays that are sent,
-    and where each begins and ends in the payload, which has `n_bytes`.
+    order, the texts set; `arrays` has the arrays that are sent in the payload, which has `n_bytes`.
     """
 
     form: _Form
@@ -89,7 +107,7 @@ class _Stream:
     checks: tuple[_Check, ...]
     each: tuple[_Check, ...]
     values: dict[str, Any]
-    arrays: tuple[tuple[str, Array, str, tuple[int, ...], int, int], ...]
+    arrays: tuple[_SentArray, ...]
     n_bytes: int
 
 
@@ -109,9 +127,12 @@ def frame_pieces(message: Message) -> list[Any]:
     stream = _described(message)
     form = stream.form
     values = message.__dict__
+    # Numbers of the message come first, then those of its patches, field by field.
     numbers = [values[name] for name, _ in form.numbers]
     for name, _ in form.each:
         numbers += values[name]
+
+    # Arrays are not copied; quantised ones state their step among the numbers.
     data = []
     for name, kind in form.arrays:
         value = values[name]
@@ -122,15 +143,18 @@ def frame_pieces(message: Message) -> list[Any]:
             continue
         numbers += kind.extra_of(value)
         data.append(kind.data_of(value))
+    # A number that is optional and not stated travels as NaN.
     if None in numbers:
         numbers = [math.nan if number is None else number for number in numbers]
+
     pieces: list[Any] = [stream.begin, stream.numbers.pack(*numbers)]
-    end = stream.arrays[0][-2]
-    for (*_, begin, last), one in zip(stream.arrays, data, strict=True):
-        if begin > end:
-            pieces.append(_ZEROS[begin - end])
-        pieces.append(one)
-        end = last
+    # Zeros between the arrays keep each of them aligned.
+    end = stream.arrays[0].begin
+    for place, piece in zip(stream.arrays, data, strict=True):
+        if place.begin > end:
+            pieces.append(_ZEROS[place.begin - end])
+        pieces.append(piece)
+        end = place.end
     return pieces
 
 
@@ -144,16 +168,23 @@ def _described(message: Message) -> _Stream:
     """The stream of a message, which is described where it is new."""
     form = _form(type(message))
     values = message.__dict__
-    key: list[Any] = [form.cls, *(values[name] for name, _ in form.texts)]
+    # All that stays the same from frame to frame, as the description has it.
+    properties: list[Any] = [form.cls]
+    properties += [values[name] for name, _ in form.texts]
     for name, kind in form.arrays:
         value = values[name]
-        key.append(None if value is None else value.shape)
-        if value is not None and type(kind) is not Array:
-            key.append(kind.dtype_of(value))
-    stream = _DESCRIBED.get(tuple(key))
+        if value is None:
+            properties.append(None)
+            continue
+        properties.append(value.shape)
+        if type(kind) is not Array:
+            properties.append(kind.dtype_of(value))
+
+    key = tuple(properties)
+    stream = _DESCRIBED.get(key)
     if stream is None:
         stream = _describe(message)
-        _remember(_DESCRIBED, tuple(key), stream)
+        _remember(_DESCRIBED, key, stream)
     return stream
 
 
@@ -162,24 +193,30 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
     Raises MessageError as `decode` does.
     """
     stream = _stream_of(topic, payload)
+    form = stream.form
     n_bytes = len(payload)
     if n_bytes != stream.n_bytes:
-        text = f"{stream.form.cls.schema}: {n_bytes} bytes, expected {stream.n_bytes}"
+        text = f"{form.cls.schema}: {n_bytes} bytes, expected {stream.n_bytes}"
         raise (TruncatedError if n_bytes < stream.n_bytes else OversizedError)(text)
+
+    # Texts are those of the description, which was checked when it first came.
     values = stream.values.copy()
-    form = stream.form
     numbers = stream.numbers.unpack_from(payload, stream.numbers_at)
+    # `checks` is shorter where several patches have numbers of their own.
     for (name, check), number in zip(stream.checks, numbers, strict=False):
         values[name] = check(name, number)
     n_read = len(stream.checks)
     for name, check in stream.each:
-        begin, n_read = n_read, n_read + stream.n_patches
-        values[name] = tuple([check(name, number) for number in numbers[begin:n_read]])
+        end = n_read + stream.n_patches
+        values[name] = tuple([check(name, number) for number in numbers[n_read:end]])
+        n_read = end
+
     data = memoryview(payload)
     for name, kind, dtype, shape, begin, end in stream.arrays:
         extra = None
         if dtype != kind.dtype:
-            extra, n_read = numbers[n_read], n_read + 1
+            extra = numbers[n_read]
+            n_read += 1
         values[name] = kind.of_data(name, dtype, shape, extra, data[begin:end])
     return form.cls.assembled(values)
 
@@ -190,55 +227,65 @@ def head_of(topic: bytes, payload: Payload) -> tuple[str, int, int]:
     """
     stream = _stream_of(topic, payload)
     numbers = stream.numbers.unpack_from(payload, stream.numbers_at)
-    found = dict(zip((name for name, _ in stream.form.numbers), numbers, strict=False))
-    return stream.values["run_id"], found["seq"], found["stamp_ns"]
+    names = (name for name, _ in stream.form.numbers)
+    values = dict(zip(names, numbers, strict=False))
+    return stream.values["run_id"], values["seq"], values["stamp_ns"]
 
 
 def unpacked(raw: Payload, expected: type, n_bytes: int) -> Any:
     """One msgpack object of the expected type; MessageError if it is none."""
     try:
-        found = msgpack.unpackb(raw, raw=False, strict_map_key=True, **_LIMITS)
+        value = msgpack.unpackb(raw, raw=False, strict_map_key=True, **_LIMITS)
     except msgpack.exceptions.ExtraData as error:
         raise MalformedError("more than one msgpack object in a message") from error
-    except Exception as error:  # msgpack documents no narrower class for malformed bytes
+    except Exception as error:
+        # msgpack documents no narrower class for malformed bytes.
+        # msgpack has no class of its own for bytes that end too early.
         if "incomplete" in str(error):
             raise TruncatedError(f"message cut off after {n_bytes} bytes") from error
         raise MalformedError(f"not a msgpack {expected.__name__}: {str(error)[:120]}") from error
-    if not isinstance(found, expected):
-        text = f"expected one msgpack {expected.__name__}, got {type(found).__name__}"
+    if not isinstance(value, expected):
+        text = f"expected one msgpack {expected.__name__}, got {type(value).__name__}"
         raise MalformedError(text)
-    return found
+    return value
 
 
-def _remember(known: dict[Any, Any], key: Any, value: Any) -> None:
-    if len(known) >= MAX_STREAMS:
-        known.clear()
-    known[key] = value
+def _remember(streams: dict[Any, _Stream], key: Any, stream: _Stream) -> None:
+    # A publisher has few; who sends ever new ones must not fill the memory.
+    if len(streams) >= MAX_STREAMS:
+        streams.clear()
+    streams[key] = stream
 
 
 def _describe(message: Message) -> _Stream:
     """The stream of a message that was checked."""
     form = _form(type(message))
     values = message.__dict__
-    arrays = {
-        name: [kind.dtype_of(values[name]), list(values[name].shape)]
-        for name, kind in form.arrays
-        if values[name] is not None
-    }
+    # In the order of the form; a reader takes them by their place.
     texts = [kind.pack(values[name]) for name, kind in form.texts]
-    while isinstance(form.texts[len(texts) - 1][1], Words) and not texts[-1].strip():
+    # The last words are left out where none is stated.
+    for _, kind in reversed(form.texts):
+        if not isinstance(kind, Words) or texts[-1].strip():
+            break
         texts.pop()
-    described = {
+
+    arrays = {}
+    for name, kind in form.arrays:
+        value = values[name]
+        if value is not None:
+            arrays[name] = [kind.dtype_of(value), list(value.shape)]
+    body = {
         "wire": WIRE_VERSION,
         "schema": message.schema,
         "version": message.version,
         "texts": texts,
         "arrays": arrays,
     }
-    description = msgpack.packb(described)
-    if len(description) > MAX_DESCRIPTION_BYTES:
-        most = f"at most {MAX_DESCRIPTION_BYTES}"
-        raise OversizedError(f"description of {len(description)} bytes, {most}")
+    description = msgpack.packb(body)
+    n_bytes = len(description)
+    if n_bytes > MAX_DESCRIPTION_BYTES:
+        limit = f"at most {MAX_DESCRIPTION_BYTES}"
+        raise OversizedError(f"description of {n_bytes} bytes, {limit}")
     return _learn(description)
 
 
@@ -247,12 +294,15 @@ def _stream_of(topic: bytes, payload: Payload) -> _Stream:
     n_bytes = len(payload)
     if n_bytes < _BEGIN.size:
         raise TruncatedError(f"message cut off after {n_bytes} bytes")
-    size = _BEGIN.unpack_from(payload)[1]
+    _, size = _BEGIN.unpack_from(payload)
     if size > MAX_DESCRIPTION_BYTES:
         raise OversizedError(f"description of {size} bytes, at most {MAX_DESCRIPTION_BYTES}")
+
+    # Equal bytes stand for a description that was checked before.
     description = bytes(payload[_BEGIN.size : _BEGIN.size + size])
     stream = _STREAMS.get(description)
     if stream is None:
+        # A known description is whole: only a new one can be cut off.
         if len(description) < size:
             raise TruncatedError(f"message cut off after {n_bytes} bytes")
         stream = _learn(description)
@@ -264,67 +314,134 @@ def _stream_of(topic: bytes, payload: Payload) -> _Stream:
 def _learn(description: bytes) -> _Stream:
     """Check a description and remember it, or raise MessageError."""
     body = unpacked(description, dict, len(description))
-    if type(body.get("wire")) is int and body["wire"] != WIRE_VERSION:
-        raise VersionError(f"wire form {body['wire']}, this program reads 1 and {WIRE_VERSION}")
+    form = _form_of(body)
+    values = _text_values(form, body["texts"])
+    # A message without names is that of one patch.
+    n_patches = len(values.get("names") or ()) or 1
+    _complete_words(form, values, n_patches)
+    arrays = _described_arrays(form, body["arrays"])
+
+    stream = _laid_out(description, form, values, n_patches, arrays)
+    _remember(_STREAMS, description, stream)
+    return stream
+
+
+def _form_of(body: dict[Any, Any]) -> _Form:
+    """Form of the class in a description, whose parts have the right types, or MessageError."""
+    # Another version may have another schema, too: this is reported first.
+    version = body.get("wire")
+    if type(version) is int and version != WIRE_VERSION:
+        raise VersionError(f"wire form {version}, this program reads 1 and {WIRE_VERSION}")
     cls = class_of(body)
     form = _form(cls)
     if body.keys() != _DESCRIPTION or not is_frame(cls):
         raise MalformedError(f"{cls.schema}: not the description of a stream")
+
     texts = body["texts"]
-    described = body["arrays"]
+    # Words come last among the texts, and may be left out.
+    n_texts = len(form.texts)
     n_words = sum(isinstance(kind, Words) for _, kind in form.texts)
-    if not isinstance(texts, list) or not 0 <= len(form.texts) - len(texts) <= n_words:
-        raise MalformedError(f"{cls.schema}: expected {len(form.texts)} texts")
-    if not isinstance(described, dict) or not described.keys() <= {name for name, _ in form.arrays}:
+    if not isinstance(texts, list) or not n_texts - n_words <= len(texts) <= n_texts:
+        raise MalformedError(f"{cls.schema}: expected {n_texts} texts")
+
+    arrays = body["arrays"]
+    # Which of them may be left out is checked later, when shapes are known.
+    names = {name for name, _ in form.arrays}
+    if not isinstance(arrays, dict) or not arrays.keys() <= names:
         raise MalformedError(f"{cls.schema}: unknown arrays")
+    return form
+
+
+def _text_values(form: _Form, texts: list[Any]) -> dict[str, Any]:
+    """All fields by name, those of texts set, the others None."""
+    # All keys at once: messages are then made in the order of their fields.
     values: dict[str, Any] = dict.fromkeys(form.names)
-    for (name, text), value in zip(form.texts, texts, strict=False):
-        values[name] = text.unpack(name, value)
-    n_patches = len(values.get("names") or ()) or 1
-    for name, words in form.texts:
-        if isinstance(words, Words):  # left out where none is stated
-            values[name] = values[name] or words.unstated * n_patches
-            if len(values[name]) != n_patches:
-                raise MalformedError(f"{cls.schema}: {name}: expected {n_patches} words")
-    sent = []
-    codes = [kind.code for _, kind in form.numbers]
-    codes += [each.kind.code * n_patches for _, each in form.each]
+    for (name, kind), text in zip(form.texts, texts, strict=False):
+        values[name] = kind.unpack(name, text)
+    return values
+
+
+def _complete_words(form: _Form, values: dict[str, Any], n_patches: int) -> None:
+    """Set words that were left out because none is stated, or raise MessageError."""
+    for name, kind in form.texts:
+        if not isinstance(kind, Words):
+            continue
+        if not values[name]:
+            values[name] = kind.unstated * n_patches
+        if len(values[name]) != n_patches:
+            raise MalformedError(f"{form.cls.schema}: {name}: expected {n_patches} words")
+
+
+def _described_arrays(form: _Form, described: dict[str, Any]) -> list[_SentArray]:
+    """The arrays that are sent, as if each began at 0, or MessageError."""
+    arrays = []
     for name, kind in form.arrays:
         if name in described:
             dtype, shape, n_bytes = kind.checked_form(name, described[name])
-            sent.append((name, kind, dtype, shape, n_bytes))
-            if dtype != kind.dtype:
-                codes.append("d")
+            # Its place is not known before the numbers are counted.
+            arrays.append(_SentArray(name, kind, dtype, shape, 0, n_bytes))
         elif not kind.optional:
-            raise MalformedError(f"{cls.schema}: missing array {name}")
-    topic = topic_of(values["patch"], cls.schema).encode()
+            raise MalformedError(f"{form.cls.schema}: missing array {name}")
+    return arrays
+
+
+def _laid_out(
+    description: bytes,
+    form: _Form,
+    values: dict[str, Any],
+    n_patches: int,
+    arrays: list[_SentArray],
+) -> _Stream:
+    """The stream of a checked description: where its numbers and arrays are in the payload."""
+    topic = topic_of(values["patch"], form.cls.schema).encode()
     begin = topic + b"\0" + _BEGIN.pack(MARK, len(description)) + description
-    n_numbers = struct.calcsize("<" + "".join(codes))
-    n_zeros = -(len(begin) + n_numbers) % ALIGNMENT
-    at = len(begin) - len(topic) - 1
-    end = at + n_numbers + n_zeros
-    arrays: list[tuple[str, Array, str, tuple[int, ...], int, int]] = []
-    for name, kind, dtype, shape, n_bytes in sent:
-        first = end + -(len(topic) + 1 + end) % ALIGNMENT
-        end = first + n_bytes
-        arrays.append((name, kind, dtype, shape, first, end))
-    numbers = struct.Struct(f"<{''.join(codes)}{n_zeros}x")
-    checks = tuple((name, kind.of_number) for name, kind in form.numbers)
+    # Arrays are aligned from the begin of the topic, which the payload lacks.
+    n_topic = len(topic) + 1
+    numbers_at = len(begin) - n_topic
+    # Numbers follow the description, without a gap.
+    numbers = _numbers_struct(form, n_patches, arrays, len(begin))
+
+    # From here on `end` is where the array before ends.
+    end = numbers_at + numbers.size
+    placed = []
+    for array in arrays:
+        first_byte = end + -(n_topic + end) % ALIGNMENT
+        end = first_byte + array.end
+        placed.append(array._replace(begin=first_byte, end=end))
+
+    checks = [(name, kind.of_number) for name, kind in form.numbers]
+    # The number of a single patch is checked like those of the message.
+    each: list[_Check] = []
     if n_patches == 1:
-        checks += tuple((name, each.of_number) for name, each in form.each)
-    several = [(name, each.kind) for name, each in form.each if n_patches > 1]
-    stream = _Stream(
+        checks += [(name, tuples.of_number) for name, tuples in form.each]
+    else:
+        each = [(name, tuples.kind.of_number) for name, tuples in form.each]
+    return _Stream(
         form=form,
         topic=topic,
         begin=begin,
         n_patches=n_patches,
         numbers=numbers,
-        numbers_at=at,
-        checks=checks,
-        each=tuple((name, kind.of_number) for name, kind in several),
+        numbers_at=numbers_at,
+        checks=tuple(checks),
+        each=tuple(each),
         values=values,
-        arrays=tuple(arrays),
+        arrays=tuple(placed),
         n_bytes=end,
     )
-    _remember(_STREAMS, description, stream)
-    return stream
+
+
+def _numbers_struct(
+    form: _Form, n_patches: int, arrays: list[_SentArray], n_before: int
+) -> struct.Struct:
+    """The numbers behind `n_before` bytes, and zeros up to the first array."""
+    codes = "".join(kind.code for _, kind in form.numbers)
+    # Field by field: all patches of one, then of the next.
+    codes += "".join(tuples.kind.code * n_patches for _, tuples in form.each)
+    for array in arrays:
+        if array.dtype != array.kind.dtype:
+            # The step of a quantised one.
+            codes += "d"
+    n_numbers = struct.calcsize(f"<{codes}")
+    n_zeros = -(n_before + n_numbers) % ALIGNMENT
+    return struct.Struct(f"<{codes}{n_zeros}x")

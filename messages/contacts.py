@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import ShapeError
-from .fields import Array, Each, Flag, Integer, wire
-from .frames import Floats, Frames
+from .fields import Array, Integer, omitted, wire
+from .frames import TRUSTED, Floats, Frames
 
 BEGIN, END, OVER, SLIDE = range(4)
 EVENTS = ("begin", "end", "over", "slide")
@@ -23,7 +23,9 @@ Flags = npt.NDArray[np.bool_]
 def _column(dtype: str, ndim: int = 1, optional: bool = False) -> Any:
     """A field with an entry or a row for each contact, of which there may be none."""
     kind = Array(dtype, ndim, optional=optional, sparse=True)
-    return wire(kind, default=None, omitted=True) if optional else wire(kind)
+    if optional:
+        return omitted(kind)
+    return wire(kind)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +54,7 @@ class Contacts(Frames):
     """True from the event of that name until force or speed are half of what it was reported at."""
     done_ns: int = wire(Integer())
     """Time of the estimate on the graph's clock, nanoseconds."""
-    trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
+    trusted: tuple[bool, ...] = omitted(TRUSTED, ())
     """As of the reconstruction, of each patch."""
     place_mm: Floats | None = _column("<f4", 2, optional=True)
     place_sd_mm: Floats | None = _column("<f4", 2, optional=True)
@@ -73,33 +75,49 @@ class Contacts(Frames):
     def validate(self) -> None:
         super().validate()
         n = self.id.size
-        n_patches = len(self.patches)
         for name, sides in _SIDES.items():
-            value = self.__dict__[name]
-            if value is not None and value.shape != (n, *sides):
-                raise ShapeError(f"{name}: shape {value.shape}, expected {(n, *sides)}")
+            column = self.__dict__[name]
+            if column is not None and column.shape != (n, *sides):
+                raise ShapeError(f"{name}: shape {column.shape}, expected {(n, *sides)}")
+
+        n_patches = len(self.patches)
+        # Rows of patches, and numbers of events, are used as indices.
         if self.patch_of is not None and not _within(self.patch_of, n_patches):
             raise ShapeError(f"patch_of: a row outside 0..{n_patches - 1}")
-        if self.events is not None:
-            if self.events.shape[1] != 3:
-                raise ShapeError(f"events: shape {self.events.shape}, expected rows of 3")
-            if not (_within(self.events[:, 0], n_patches) and _within(self.events[:, 2], 4)):
-                raise ShapeError("events: a patch or event that is not known")
+        if self.events is None:
+            return
+        # Of another width, the columns below would not be what they are named.
+        if self.events.shape[1] != 3:
+            raise ShapeError(f"events: shape {self.events.shape}, expected rows of 3")
+        patches = self.events[:, 0]
+        kinds = self.events[:, 2]
+        if not (_within(patches, n_patches) and _within(kinds, len(EVENTS))):
+            raise ShapeError("events: a patch or event that is not known")
 
-    def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
+    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
         if not self.names:
             return [self]
-        of = np.zeros(self.id.size, np.int32) if self.patch_of is None else self.patch_of
-        parts = []
-        for k in range(len(self.names)):
-            rows = {name: self.__dict__[name] for name in _SIDES if name != "patch_of"}
-            ours = {name: row if row is None else row[of == k] for name, row in rows.items()}
-            events = self.events
-            if events is not None:
-                events = events[events[:, 0] == k] * np.array([0, 1, 1], np.int32)
-                events = events if events.size else None
-            parts.append(self._single(k, **ours, events=events, patch_of=None))
-        return parts
+        return [self._of_patch(k) for k in range(len(self.names))]
+
+    def _of_patch(self, k: int) -> Self:
+        """Contacts of patch k alone."""
+        patch_of = self.patch_of
+        if patch_of is None:
+            patch_of = np.zeros(self.id.size, np.int32)
+        # Rows of the contacts of this patch, in all columns that are known.
+        columns = {name: self.__dict__[name] for name in _SIDES if name != "patch_of"}
+        for name, column in columns.items():
+            if column is not None:
+                columns[name] = column[patch_of == k]
+
+        events = self.events
+        if events is not None:
+            # In the message of one patch, that is row 0.
+            events = events[events[:, 0] == k]
+            events[:, 0] = 0
+            if not events.size:
+                events = None
+        return self._single(k, **columns, events=events, patch_of=None)
 
     def at(self, stamp_ns: int, done_ns: int, trusted: tuple[bool, ...], **changes: Any) -> Self:
         """Copy at another time with other fields, which are not checked."""
@@ -108,33 +126,45 @@ class Contacts(Frames):
     @property
     def named_events(self) -> list[tuple[int, str]]:
         """Id and name of each event."""
-        rows = [] if self.events is None else self.events.tolist()
-        return [(number, EVENTS[event]) for _, number, event in rows]
+        if self.events is None:
+            return []
+        return [(number, EVENTS[event]) for _, number, event in self.events.tolist()]
 
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays with an entry for each contact, by the names of the columns of a table: `row` and
         `col` of `centre`, `x_mm`, ... of a place. What is not known is NaN.
         """
         n = self.id.size
-        found: dict[str, npt.NDArray[Any]] = {"stamp_ns": np.full(n, self.stamp_ns)}
+        columns: dict[str, npt.NDArray[Any]] = {}
+        columns["stamp_ns"] = np.full(n, self.stamp_ns)
         for name, sides in _SIDES.items():
-            value = self.__dict__[name]
-            if value is None:
-                value = np.full((n, *sides), np.nan, np.float32)
-            columns = value.T if sides else value[np.newaxis]
-            found |= dict(zip(_COLUMNS.get(name, (name,)), columns, strict=True))
-        del found["patch_of"]
-        return found | {"trusted": np.full(n, self.trusted[0])}
+            if name == "patch_of":
+                continue
+            values = self.__dict__[name]
+            # A table has the columns of a message whose pitch is not known, too.
+            if values is None:
+                values = np.full((n, *sides), np.nan, np.float32)
+            if not sides:
+                columns[name] = values
+            else:
+                columns |= dict(zip(_COLUMNS[name], values.T, strict=True))
+        columns["trusted"] = np.full(n, self.trusted[0])
+        return columns
 
 
 def summary(n: int, total: float, unit: str) -> str:
     """Number of contacts and their total force, in a few words."""
-    return f"{n or 'no'} contact{'s' * (n > 1)}" + (f", {total:.3g} {sum_unit(unit)}" if n else "")
+    if not n:
+        return "no contact"
+    contacts = "contact" if n == 1 else "contacts"
+    return f"{n} {contacts}, {total:.3g} {sum_unit(unit)}"
 
 
 def sum_unit(unit: str) -> str:
     """Unit of a sum of readings: one of pressures is no pressure, and no force without an area."""
-    return f"{unit} x taxels" if _PRESSURE.fullmatch(unit) else unit
+    if _PRESSURE.fullmatch(unit):
+        return f"{unit} x taxels"
+    return unit
 
 
 _PRESSURE = re.compile(r"[kMhm]?(Pa|bar)|mmHg|psi|(N|k?gf?|lbf?)/[cm]?(m|in)[2²]?")
@@ -147,9 +177,9 @@ _COLUMNS = {
     "velocity_mm_s": ("x_mm_s", "y_mm_s", "z_mm_s"),
     "normal": ("x_normal", "y_normal", "z_normal"),
 }
-_ONE = ("id", "total", "total_sd", "peak", "area", "age_s", "over", "sliding", "area_mm2")
+_SCALARS = ("id", "total", "total_sd", "peak", "area", "age_s", "over", "sliding", "area_mm2")
 _SIDES: dict[str, tuple[int, ...]] = {
-    **dict.fromkeys((*_ONE, "patch_of"), ()),
+    **dict.fromkeys((*_SCALARS, "patch_of"), ()),
     **dict.fromkeys(("centre", "centre_sd", "velocity"), (2,)),
     **dict.fromkeys(("place_mm", "place_sd_mm", "velocity_mm_s", "normal"), (3,)),
 }
@@ -157,4 +187,6 @@ _SIDES: dict[str, tuple[int, ...]] = {
 
 
 def _within(values: Numbers, n: int) -> bool:
-    return not values.size or bool(values.min() >= 0 and values.max() < n)
+    if not values.size:
+        return True
+    return bool(values.min() >= 0 and values.max() < n)

@@ -90,6 +90,7 @@ class Real(Number):
             raise NotFiniteError(f"{name}: {value} is not a finite number")
         if not is_real(value):
             raise FieldError(f"{name}: expected a number, got {type(value).__name__}")
+        # Numbers of numpy become Python's.
         number = float(value)
         if not self.low <= number <= self.high:
             raise FieldError(f"{name}: {number} is outside {self.low}..{self.high}")
@@ -97,10 +98,15 @@ class Real(Number):
 
     @property
     def of_number(self) -> Callable[[str, Any], Any]:
-        return self._known if self.optional else self.check
+        if self.optional:
+            return self._known_number
+        return self.check
 
-    def _known(self, name: str, number: Any) -> float | None:
-        return None if number != number else self.check(name, number)
+    def _known_number(self, name: str, number: Any) -> float | None:
+        if number != number:
+            # Only NaN differs from itself: it stands for None.
+            return None
+        return self.check(name, number)
 
 
 @dataclass(frozen=True)
@@ -128,10 +134,12 @@ class Each(FieldKind):
     def check(self, name: str, value: Any) -> tuple[Any, ...]:
         if type(value) is not tuple:
             value = (value,)
+        # Looked up once, since this runs in each frame.
         check = self.kind.check
+        # The usual case, of one patch, without a list.
         if len(value) == 1:
             return (check(name, value[0]),)
-        return tuple([check(name, one) for one in value])
+        return tuple([check(name, number) for number in value])
 
     @property
     def of_number(self) -> Callable[[str, Any], Any]:
@@ -153,7 +161,9 @@ class Words(Each):
         return " ".join(value)
 
     def unpack(self, name: str, raw: Any) -> tuple[Any, ...]:
-        return super().unpack(name, raw.split(" ") if isinstance(raw, str) else raw)
+        if isinstance(raw, str):
+            raw = raw.split(" ")
+        return super().unpack(name, raw)
 
 
 @dataclass(frozen=True)
@@ -165,7 +175,8 @@ class Names(FieldKind):
     def check(self, name: str, value: Any) -> tuple[str, ...]:
         if value == ():
             return ()
-        if not isinstance(value, tuple) or not all(isinstance(each, str) for each in value):
+        is_texts = isinstance(value, tuple) and all(isinstance(text, str) for text in value)
+        if not is_texts:
             raise FieldError(f"{name}: expected a tuple of texts, got {type(value).__name__}")
         return _names(name, " ".join(value))
 
@@ -190,6 +201,7 @@ def _names(place: str, text: str) -> tuple[str, ...]:
         raise OversizedError(f"{place}: {len(names)} names, at most {MAX_PATCHES}")
     for name in names:
         check_name(place, name)
+    # Patches are told apart by their names alone.
     if len(set(names)) < len(names):
         raise FieldError(f"{place}: a name occurs twice")
     return tuple(names)
@@ -207,15 +219,20 @@ class Text(FieldKind):
             raise FieldError(f"{name}: expected a text, got {type(value).__name__}")
         if len(value) > self.longest:
             raise OversizedError(f"{name}: {len(value)} characters, at most {self.longest}")
-        # The same few words recur in every frame; long texts are not kept.
-        matches = _matches if len(value) <= MAX_NAME else re.fullmatch
-        if not matches(self.pattern, value):
+        if not _matches(self.pattern, value):
             raise FieldError(f"{name}: {value!r} does not match {self.pattern}")
         return value
 
 
-@functools.lru_cache(maxsize=1024)
 def _matches(pattern: str, value: str) -> bool:
+    # The same few words recur in every frame; long texts are not kept.
+    if len(value) > MAX_NAME:
+        return re.fullmatch(pattern, value) is not None
+    return _short_text_matches(pattern, value)
+
+
+@functools.lru_cache(maxsize=1024)
+def _short_text_matches(pattern: str, value: str) -> bool:
     return re.fullmatch(pattern, value) is not None
 
 
@@ -243,6 +260,7 @@ class Array(FieldKind):
             return None
         if not isinstance(value, np.ndarray):
             raise FieldError(f"{name}: expected an array, got {type(value).__name__}")
+        # A message of one patch may be made without the axis of patches.
         if self.patches and value.ndim == self.ndim - 1:
             value = value[np.newaxis]
         if value.dtype != self._dtype:
@@ -254,22 +272,29 @@ class Array(FieldKind):
     def pack(self, value: Any) -> Any:
         if value is None:
             return None
-        form: dict[str, Any] = {"dtype": self.dtype_of(value), "shape": list(value.shape)}
-        form["order"] = "C"
+        form: dict[str, Any] = {
+            "dtype": self.dtype_of(value),
+            "shape": list(value.shape),
+            "order": "C",
+        }
         for step in self.extra_of(value):
             form["step"] = step
-        return form | {"data": bytes(self.data_of(value))}
+        form["data"] = bytes(self.data_of(value))
+        return form
 
     def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
         if raw is None and self.optional:
             return None
         if not isinstance(raw, dict) or raw.keys() - {"step"} != _ARRAY_KEYS:
             raise MalformedError(f"{name}: expected a map of dtype, shape, order and data")
+        # The sizes are checked before any byte is looked at.
         dtype, shape, size = self.checked_form(name, [raw["dtype"], raw["shape"]])
         if raw["order"] != "C":
             raise ShapeError(f"{name}: expected order C, got {str(raw['order'])[:8]!r}")
-        if ("step" in raw) != (dtype != self.dtype):
+        is_quantised = dtype != self.dtype
+        if ("step" in raw) != is_quantised:
             raise MalformedError(f"{name}: expected a step with dtype intB, and with no other")
+
         data = raw["data"]
         if not isinstance(data, bytes):
             raise MalformedError(f"{name}: data must be a bin field")
@@ -295,7 +320,8 @@ class Array(FieldKind):
             raise MalformedError(f"{name}: expected dtype and shape")
         dtype, shape = form
         bits = self._bits_of(name, dtype)
-        if not isinstance(shape, list) or not set(map(type, shape)) <= {int}:
+        is_shape = isinstance(shape, list) and all(type(side) is int for side in shape)
+        if not is_shape:
             raise MalformedError(f"{name}: shape must be a list of whole numbers")
         self._check_shape(name, tuple(shape))
         return dtype, tuple(shape), n_bytes(math.prod(shape), bits)
@@ -304,6 +330,7 @@ class Array(FieldKind):
         self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
     ) -> npt.NDArray[Any]:
         """The array of bytes, as many as `checked_form` returned; MessageError if not finite."""
+        # numpy would take any byte but 0 for true, and keep it.
         if self._dtype.kind == "b" and max(data, default=0) > 1:
             raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
         value: npt.NDArray[Any] = np.ndarray(shape, self._dtype, data)
@@ -324,21 +351,28 @@ class Array(FieldKind):
         if value.dtype.kind != "f":
             return
         # The sum of squares is not finite if a value is not, or if values are huge.
-        if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
-            cell = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
-            shown = list(cell[1:] if self.patches and len(value) == 1 else cell)
-            raise NotFiniteError(f"{name}{shown}: {value[cell]} is not a finite number")
+        energy = np.vdot(value, value)
+        if math.isfinite(energy) or np.isfinite(value).all():
+            return
+        # The first one is named, without the axis of patches where there is one patch.
+        place = np.argwhere(~np.isfinite(value))[0].tolist()
+        indices = place
+        if self.patches and len(value) == 1:
+            indices = place[1:]
+        raise NotFiniteError(f"{name}{indices}: {value[tuple(place)]} is not a finite number")
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
-        if len(shape) != self.ndim or min(shape[self.sparse :], default=1) < 1:
-            raise ShapeError(
-                f"{name}: expected {self.ndim} dimensions, none empty, got {list(shape)}"
-            )
-        if math.prod(shape) > MAX_ELEMENTS or (self.ndim > 1 and max(shape) > self.longest):
-            raise OversizedError(
-                f"{name}: shape {list(shape)}, at most {MAX_ELEMENTS} elements "
-                f"and {self.longest} a side"
-            )
+        # A side that counts what is sent may be 0.
+        sides = shape[1:] if self.sparse else shape
+        if len(shape) != self.ndim or min(sides, default=1) < 1:
+            expected = f"expected {self.ndim} dimensions, none empty"
+            raise ShapeError(f"{name}: {expected}, got {list(shape)}")
+
+        # An array of one dimension is limited by its number of elements.
+        is_too_long = self.ndim > 1 and max(shape) > self.longest
+        if is_too_long or math.prod(shape) > MAX_ELEMENTS:
+            allowed = f"at most {MAX_ELEMENTS} elements and {self.longest} a side"
+            raise OversizedError(f"{name}: shape {list(shape)}, {allowed}")
 
 
 @dataclass(frozen=True)
@@ -362,10 +396,14 @@ class Samples(Array):
         return value.reshape(checked.shape)
 
     def dtype_of(self, value: Any) -> str:
-        return f"int{value.bits}" if isinstance(value, Quantised) else self.dtype
+        if isinstance(value, Quantised):
+            return f"int{value.bits}"
+        return self.dtype
 
     def extra_of(self, value: Any) -> tuple[float, ...]:
-        return (value.step,) if isinstance(value, Quantised) else ()
+        if isinstance(value, Quantised):
+            return (value.step,)
+        return ()
 
     def data_of(self, value: Any) -> Any:
         if isinstance(value, Quantised):
@@ -381,18 +419,23 @@ class Samples(Array):
         if type(extra) is not float:
             raise MalformedError(f"{name}: step must be a float")
         _check_quantiser(name, bits, extra)
-        codes = unpacked(data, math.prod(shape), bits).reshape(shape)
+
+        # The largest code of `bits` bits is 1 less than they could hold.
+        codes = unpacked(data, math.prod(shape), bits)
         if codes.max() > largest_code(bits):
             raise MalformedError(f"{name}: a code beyond {largest_code(bits)}")
-        return Quantised.of(codes, bits, extra)
+        return Quantised.of(codes.reshape(shape), bits, extra)
 
     def _bits_of(self, name: str, dtype: Any) -> int:
         if dtype == self.dtype:
             return super()._bits_of(name, dtype)
-        found = re.fullmatch("int([1-9][0-9]{0,3})", dtype) if isinstance(dtype, str) else None
-        if found is None:
+        match = None
+        if isinstance(dtype, str):
+            match = re.fullmatch("int([1-9][0-9]{0,3})", dtype)
+        if match is None:
             raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
-        bits = int(found[1])
+        # The digits of an absurd number are few: the pattern limits them.
+        bits = int(match[1])
         _check_quantiser(name, bits, 1.0)
         return bits
 
@@ -404,10 +447,14 @@ def _check_quantiser(name: str, bits: int, step: float) -> None:
         raise FieldError(f"{name}: a step of {step} is outside 0..{STEP_MAX:g}")
 
 
-def wire(kind: FieldKind, *, omitted: bool = False, **options: Any) -> Any:
-    """Declare a dataclass field of a kind; options as of `dataclasses.field`.
+def wire(kind: FieldKind, **options: Any) -> Any:
+    """Declare a dataclass field of a kind; options as of `dataclasses.field`."""
+    return dataclasses.field(metadata={"wire": kind, "omitted": False}, **options)
 
-    An `omitted` one is sent only where it differs from its default, so that messages of programs
-    without that field can be read, and those that do not use it keep their bytes.
+
+def omitted(kind: FieldKind, default: Any = None) -> Any:
+    """Declare a dataclass field that is sent only where it differs from its default, so that
+    messages of programs without that field can be read, and those that do not use it keep their
+    bytes.
     """
-    return dataclasses.field(metadata={"wire": kind, "omitted": omitted}, **options)
+    return dataclasses.field(metadata={"wire": kind, "omitted": True}, default=default)

@@ -14,19 +14,48 @@ import numpy.typing as npt
 
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, ShapeError
-from .fields import Array, Each, FieldKind, Flag, Integer, Names, Real, Samples, Text, Words, wire
+from .fields import (
+    Array,
+    Each,
+    FieldKind,
+    Flag,
+    Integer,
+    Names,
+    Real,
+    Samples,
+    Text,
+    Words,
+    omitted,
+    wire,
+)
 
 Floats = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
+
+
+MAPS = Array("<f4", 3, patches=True)
+"""A value for each cell of each patch."""
+BITS = Array("|u1", 1, optional=True)
+"""Bits of one patch, eight a byte."""
+REASONS = Words(Text(16, "[a-z]*"), unstated=("",))
+ERRORS = Each(Real(0.0, optional=True), unstated=(None,))
+TRUSTED = Each(Flag(), unstated=(True,))
+UNCHANGED = Each(Flag(), unstated=(False,))
+"""Values of each patch, and that of one for which none is stated."""
 
 
 @once_a_class
 def of_patches(cls: type[Message]) -> dict[str, Each | Array]:
     """Kinds of the fields that hold something for each patch, by name, numbers first."""
-    fields = wire_fields(cls).items()
-    numbers = {name: kind for name, kind in fields if isinstance(kind, Each)}
-    arrays = {name: kind for name, kind in fields if isinstance(kind, Array) and kind.patches}
-    return {**numbers, **arrays}
+    numbers: dict[str, Each | Array] = {}
+    arrays: dict[str, Each | Array] = {}
+    for name, kind in wire_fields(cls).items():
+        if isinstance(kind, Each):
+            numbers[name] = kind
+        elif isinstance(kind, Array) and kind.patches:
+            arrays[name] = kind
+    return numbers | arrays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +67,7 @@ class Frames(Message):
 
     version: ClassVar[int] = 2
 
-    names: tuple[str, ...] = wire(Names(), default=(), omitted=True)
+    names: tuple[str, ...] = omitted(Names(), ())
 
     @property
     def patches(self) -> tuple[str, ...]:
@@ -50,47 +79,61 @@ class Frames(Message):
         n = len(self.names) or 1
         for name, kind in of_patches(type(self)).items():
             if isinstance(kind, Each) and not values[name]:
+                # A number that is not stated is that of each patch.
                 values[name] = kind.unstated * n
+
             rows = values[name]
-            if rows is not None and len(rows) != n and not self._may_have(name, len(rows)):
+            # An optional array that is not sent has no rows.
+            if rows is None or len(rows) == n:
+                continue
+            if not self._may_have(name, len(rows)):
                 raise ShapeError(f"{name}: {len(rows)} rows for {n} patches")
 
     def _may_have(self, name: str, n_rows: int) -> bool:
         """True if a field may have so many rows, another number than there are patches."""
         return False
 
-    def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
-        """Messages of the single patches, arrays being views. `held` keeps the last forces of each
-        patch by its name, for those that a later `Reconstruction` does not send; a patch of which
-        nothing is known is left out.
+    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+        """Messages of the single patches, arrays being views. `last_forces` keeps the last forces
+        of each patch by its name, for those that a later `Reconstruction` does not send; a patch
+        of which nothing is known is left out.
         """
-        return [self._single(k) for k in range(len(self.names))] if self.names else [self]
+        if not self.names:
+            return [self]
+        return [self._single(k) for k in range(len(self.names))]
 
     def _single(self, k: int, **changes: Any) -> Self:
         """Message of patch k alone."""
         values = self.__dict__
-        parts = {
-            name: values[name][k : k + 1]
-            for name in of_patches(type(self))
-            if name not in changes and values[name] is not None
-        }
-        return self._copy(patch=self.patches[k], names=(), **parts, **changes)
+        parts = {}
+        for name in of_patches(type(self)):
+            if name not in changes and values[name] is not None:
+                parts[name] = values[name][k : k + 1]
+        patch = self.patches[k]
+        return self._copy(patch=patch, names=(), **parts, **changes)
 
 
 def kinds_alone(cls: type[Message]) -> dict[str, FieldKind]:
     """Kinds of the fields of a message of one patch as `values_alone` returns them, by name."""
-    fields = wire_fields(cls).items()
-    return {n: kind.kind if isinstance(kind, Each) else kind for n, kind in fields if n != "names"}
+    kinds = dict(wire_fields(cls))
+    kinds.pop("names", None)
+    for name, kind in kinds.items():
+        if isinstance(kind, Each):
+            kinds[name] = kind.kind
+    return kinds
 
 
 def values_alone(message: Message) -> dict[str, Any]:
     """Fields of a message of one patch by name, without the axis of patches: arrays of a frame, and
     numbers in place of tuples.
     """
-    values = {name: value for name, value in message.__dict__.items() if name != "names"}
-    if isinstance(message, Frames):
-        rows = {name: values[name] for name in of_patches(type(message))}
-        values |= {name: row[0] for name, row in rows.items() if row is not None}
+    values = dict(message.__dict__)
+    values.pop("names", None)
+    if not isinstance(message, Frames):
+        return values
+    for name in of_patches(type(message)):
+        if values[name] is not None:
+            values[name] = values[name][0]
     return values
 
 
@@ -103,10 +146,8 @@ class Sensed(Frames):
     (n_rows n_cols / 8,), rounded up. None: all gave one.
     """
 
-    missing: npt.NDArray[np.uint8] | None = wire(
-        Array("|u1", 1, optional=True), default=None, omitted=True
-    )
-    reason: tuple[str, ...] = wire(Words(Text(16, "[a-z]*"), ("",)), default=(), omitted=True)
+    missing: Bytes | None = omitted(BITS)
+    reason: tuple[str, ...] = omitted(REASONS, ())
     """Why a patch is not trusted: a `Reason`, or a word that another version of this program wrote;
     "" else, or not stated. What the sensor states of its readings goes on with the frame."""
 
@@ -120,18 +161,25 @@ class Sensed(Frames):
         if self.missing is None:
             return None
         n = math.prod(shape)
-        if self.missing.size != -(-n // 8):
+        # Rounded up: bits of the last byte may be unused.
+        n_bytes = -(-n // 8)
+        if self.missing.size != n_bytes:
             raise ShapeError(f"missing: {self.missing.size} bytes for {n} cells")
-        return np.unpackbits(self.missing, count=n).reshape(shape).view(np.bool_)
+        bits = np.unpackbits(self.missing, count=n)
+        return bits.reshape(shape).view(np.bool_)
 
 
 def known_forces(message: "Taxels | Truth | Reconstruction") -> Floats:
     """Forces of a message of one patch, float32 (n_rows, n_cols), NaN where the reading is missing.
     Raises ShapeError if `missing` is of another shape.
     """
-    forces = message.forces[0]
-    missing = None if isinstance(message, Truth) else message.missing_cells(forces.shape)
-    return forces if missing is None else np.where(missing, np.float32(np.nan), forces)
+    forces: Floats = message.forces[0]
+    if isinstance(message, Truth):
+        return forces
+    missing = message.missing_cells(forces.shape)
+    if missing is None:
+        return forces
+    return np.where(missing, np.float32(np.nan), forces)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,7 +190,7 @@ class Taxels(Sensed):
 
     schema: ClassVar[str] = "taxels"
 
-    forces: Floats = wire(Array("<f4", 3, patches=True))
+    forces: Floats = wire(MAPS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +201,7 @@ class Truth(Frames):
 
     schema: ClassVar[str] = "truth"
 
-    forces: Floats = wire(Array("<f4", 3, patches=True))
+    forces: Floats = wire(MAPS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,12 +219,8 @@ class Measurements(Sensed):
 
     y: Floats = wire(Samples())
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
-    places: npt.NDArray[np.uint8] | None = wire(
-        Array("|u1", 1, optional=True), default=None, omitted=True
-    )
-    nodes: npt.NDArray[np.uint8] | None = wire(
-        Array("|u1", 1, optional=True), default=None, omitted=True
-    )
+    places: Bytes | None = omitted(BITS)
+    nodes: Bytes | None = omitted(BITS)
 
     def validate(self) -> None:
         super().validate()
@@ -186,6 +230,7 @@ class Measurements(Sensed):
             raise FieldError("places, nodes: are those of one patch")
         if self.places is None:
             return
+        # Each marked taxel gives one measurement.
         n_places = int(np.unpackbits(self.places).sum())
         if n_places != self.y.shape[1]:
             raise ShapeError(f"places: {n_places} of them for {self.y.shape[1]} measurements")
@@ -209,43 +254,46 @@ class Reconstruction(Sensed):
     solve_ns: tuple[int, ...] = wire(Each(Integer()))
     done_ns: int = wire(Integer())
     """Duration of the solver, and time of the reconstruction on the graph's clock, nanoseconds."""
-    sd: Floats | None = wire(
-        Array("<f4", 3, optional=True, patches=True), default=None, omitted=True
-    )
+    sd: Floats | None = omitted(Array("<f4", 3, optional=True, patches=True))
     """Standard deviation of each force, in the skin's unit, where it is computed, of the shape of
     all forces: 90 % of the true ones lie within 1.645 of it."""
-    skipped: int = wire(Integer(), default=0, omitted=True)
+    skipped: int = omitted(Integer(), 0)
     """Number of frames skipped since the last reconstruction because newer ones waited."""
-    error: tuple[float | None, ...] = wire(
-        Each(Real(0.0, optional=True), (None,)), default=(), omitted=True
-    )
+    error: tuple[float | None, ...] = omitted(ERRORS, ())
     """RMS error of a taxel, in the skin's unit, where the solver estimates it."""
-    trusted: tuple[bool, ...] = wire(Each(Flag(), (True,)), default=(), omitted=True)
+    trusted: tuple[bool, ...] = omitted(TRUSTED, ())
     """False where forces are not to be acted on; True also where the error is not estimated."""
-    unchanged: tuple[bool, ...] = wire(Each(Flag(), (False,)), default=(), omitted=True)
+    unchanged: tuple[bool, ...] = omitted(UNCHANGED, ())
     """True where measurements changed by no more than their noise: the frame was not solved, and
     its forces are those of the frame before."""
 
     def validate(self) -> None:
         super().validate()
-        if self.sd is not None and self.sd.shape[1:] != self.forces.shape[1:]:
+        if self.sd is None:
+            return
+        grid = self.forces.shape[1:]
+        if self.sd.shape[1:] != grid:
             raise ShapeError(f"sd: shape {self.sd.shape}, but forces {self.forces.shape}")
 
     def _may_have(self, name: str, n_rows: int) -> bool:
         return name == "forces" and n_rows == self.unchanged.count(False)
 
-    def split(self, held: MutableMapping[str, Floats] | None = None) -> list[Self]:
-        held = {} if held is None else held
+    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+        if last_forces is None:
+            last_forces = {}
+        # A frame that has not changed may leave its forces out.
         all_sent = len(self.forces) == len(self.patches)
         if all_sent and not self.names:
-            held[self.patch] = self.forces
+            last_forces[self.patch] = self.forces
             return [self]
+
+        # Forces that are sent are in the order of the patches that have changed.
         row = 0
         parts = []
         for k, name in enumerate(self.patches):
             if all_sent or not self.unchanged[k]:
-                held[name] = self.forces[row : row + 1]
+                last_forces[name] = self.forces[row : row + 1]
                 row += 1
-            if name in held:
-                parts.append(self._single(k, forces=held[name]))
+            if name in last_forces:
+                parts.append(self._single(k, forces=last_forces[name]))
         return parts

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from .base import Message
-from .fields import Flag, Integer, Real, Text, wire
+from .fields import Flag, Integer, Real, Text, omitted, wire
 
 MAX_LABEL = 64
 """Most characters of a label. Chosen: it is a line of a page."""
@@ -25,5 +25,5 @@ class Labels(Message):
     """Time since the label is the same, seconds."""
     done_ns: int = wire(Integer())
     """Time of the label on the graph's clock, nanoseconds."""
-    trusted: bool = wire(Flag(), default=True, omitted=True)
+    trusted: bool = omitted(Flag(), True)
     """False where the reconstruction that was read is not to be trusted."""

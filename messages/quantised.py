@@ -19,7 +19,8 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
     step: float
 
     def __array_finalize__(self, of: Any) -> None:
-        if isinstance(of, Quantised):  # a view, as of the samples of one patch
+        if isinstance(of, Quantised):
+            # A view, as of the samples of one patch.
             self.bits = of.bits
             self.step = of.step
 
@@ -29,20 +30,25 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
     @classmethod
     def of(cls, codes: npt.NDArray[np.int32], bits: int, step: float) -> Self:
         """Values of codes: int32, of any shape, each of at most `bits` bits."""
-        made = (codes * np.float32(step)).astype(np.float32).view(cls)
-        made.bits = int(bits)
-        made.step = float(np.float32(step))
-        return made
+        # The step that a reader gets is a float32, too.
+        step_32 = np.float32(step)
+        values = (codes * step_32).astype(np.float32).view(cls)
+        values.bits = int(bits)
+        values.step = float(step_32)
+        return values
 
     def codes(self) -> npt.NDArray[np.int32]:
         """Whole numbers k, int32, in the shape of the values."""
-        k = np.rint(np.asarray(self) / np.float32(self.step))
-        return np.asarray(k, dtype=np.int32)
+        values = np.asarray(self)
+        codes = np.rint(values / np.float32(self.step))
+        return np.asarray(codes, dtype=np.int32)
 
 
 def step_of(values: npt.NDArray[np.float32]) -> float:
     """Step of quantised numbers, in their unit; 0 of others."""
-    return values.step if isinstance(values, Quantised) else 0.0
+    if isinstance(values, Quantised):
+        return values.step
+    return 0.0
 
 
 def largest_code(bits: int) -> int:
@@ -52,17 +58,23 @@ def largest_code(bits: int) -> int:
 
 def packed(codes: npt.NDArray[np.int32], bits: int) -> bytes:
     """Codes as bytes: `bits` bits each without gaps, the highest bit first."""
+    # 0 or more, 4 bytes each.
     shifted = (codes + largest_code(bits)).astype(">u4")
-    all_bits = np.unpackbits(shifted.view(np.uint8).reshape(-1, 4), axis=1)
+    code_bytes = shifted.view(np.uint8).reshape(-1, 4)
+    all_bits = np.unpackbits(code_bytes, axis=1)
     return np.packbits(all_bits[:, 32 - bits :]).tobytes()
 
 
 def unpacked(data: bytes | memoryview, m: int, bits: int) -> npt.NDArray[np.int32]:
     """Inverse of `packed`: m codes, int32, from `n_bytes(m, bits)` bytes."""
-    rows = np.unpackbits(np.frombuffer(data, np.uint8), count=m * bits).reshape(m, bits)
+    # The highest bits of the 4 bytes of each code are 0.
+    packed_bytes = np.frombuffer(data, np.uint8)
+    all_bits = np.unpackbits(packed_bytes, count=m * bits)
     wide = np.zeros((m, 32), np.uint8)
-    wide[:, 32 - bits :] = rows
-    shifted: npt.NDArray[np.int32] = np.packbits(wide, axis=1).view(">u4").astype(np.int32)
+    wide[:, 32 - bits :] = all_bits.reshape(m, bits)
+    code_bytes = np.packbits(wide, axis=1)
+
+    shifted: npt.NDArray[np.int32] = code_bytes.view(">u4").astype(np.int32)
     return shifted.reshape(m) - largest_code(bits)
 
 

@@ -13,13 +13,17 @@ HUGE = 1 << 256
 
 def is_whole(value: Any, low: float = -math.inf, high: float = math.inf) -> TypeGuard[int]:
     """True for an integer in [low, high], NumPy's too; True and False are none."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return whole and bool(low <= value <= high)
+    # bool is a subclass of int.
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        return False
+    return bool(low <= value <= high)
 
 
 def is_real(value: Any, low: float = -math.inf, high: float = math.inf) -> TypeGuard[float]:
     """True for a finite number in [low, high], NumPy's too; True and False are none."""
+    # An integer may be too large to be converted to float.
     if isinstance(value, int):
         return is_whole(value, low, high) and abs(value) < HUGE
-    real = isinstance(value, float | np.integer | np.floating) and math.isfinite(value)
-    return real and bool(low <= value <= high)
+    if not isinstance(value, float | np.integer | np.floating):
+        return False
+    return math.isfinite(value) and bool(low <= value <= high)

@@ -95,7 +95,9 @@ def first_reason(of_frame: str, of_readings: str) -> str:
     """The reason of a frame: `of_frame` is what its measurements and forces show, `of_readings`
     what the sensor states of its readings; "" if there is none.
     """
-    return of_frame if of_frame in OF_MEASUREMENTS else of_readings or of_frame
+    if of_frame in OF_MEASUREMENTS:
+        return of_frame
+    return of_readings or of_frame
 
 
 _REASONS = {reason.value: reason for reason in Reason}
@@ -103,11 +105,13 @@ _REASONS = {reason.value: reason for reason in Reason}
 
 def phrase_of(word: str) -> str:
     """Phrase of a reason; an unknown one, as in recordings of other versions, is named."""
-    reason = _REASONS.get(word)
-    return reason.phrase if reason is not None else f'unknown reason "{word}"'
+    if word not in _REASONS:
+        return f'unknown reason "{word}"'
+    return _REASONS[word].phrase
 
 
 def sentence_of(word: str) -> str:
     """Sentence of a reason; an unknown one is named, as by `phrase_of`."""
-    reason = _REASONS.get(word)
-    return reason.sentence if reason is not None else f'Unknown reason "{word}".'
+    if word not in _REASONS:
+        return f'Unknown reason "{word}".'
+    return _REASONS[word].sentence

@@ -17,11 +17,13 @@ SCHEMAS: dict[str, type[Message]] = {cls.schema: cls for cls in _CLASSES}
 
 def class_of(body: dict[object, object]) -> type[Message]:
     """Class of a message, by the schema and version in its map, or MessageError."""
+    # Any object may stand here: the message has not been checked.
     name = body.get("schema")
-    version = body.get("version")
     if not isinstance(name, str) or name not in SCHEMAS:
         raise UnknownSchemaError(f"schema {str(name)[:64]!r} (known: {', '.join(SCHEMAS)})")
+
     cls = SCHEMAS[name]
+    version = body.get("version")
     if type(version) is not int or version != cls.version:
         raise VersionError(f"{name}: version {str(version)[:20]}, this program reads {cls.version}")
     return cls

@@ -53,6 +53,8 @@ class Skin:
                 raise FieldError(f"skin: {name} = {side} is outside 1..{MAX_SIDE}")
         if not (is_real(self.f_max, 0.0) and self.f_max > 0):
             raise FieldError(f"skin: f_max = {self.f_max} must be finite and above 0")
+
+        # The mask decides how many points there must be.
         if self.mask is not None:
             _check_array("the mask is", self.mask, np.bool_, self.shape)
             if not self.mask.any():
@@ -60,11 +62,14 @@ class Skin:
         if self.points is not None:
             _check_points(self.points, self.n_taxels)
         if self.point_rows is not None:
-            if self.points is None:
-                raise FieldError("skin: point_rows without points")
-            _check_array("point_rows are", self.point_rows, np.int32, (len(self.points),))
-            if (self.point_rows < 0).any():
-                raise FieldError(f"skin: point_rows, {int(self.point_rows.min())} is below 0")
+            self._check_point_rows(self.point_rows)
+
+    def _check_point_rows(self, point_rows: npt.NDArray[np.int32]) -> None:
+        if self.points is None:
+            raise FieldError("skin: point_rows without points")
+        _check_array("point_rows are", point_rows, np.int32, (len(self.points),))
+        if (point_rows < 0).any():
+            raise FieldError(f"skin: point_rows, {int(point_rows.min())} is below 0")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -74,7 +79,9 @@ class Skin:
     @property
     def exists(self) -> npt.NDArray[np.bool_]:
         """True where a taxel exists, bool (n_rows, n_cols)."""
-        return np.ones(self.shape, dtype=np.bool_) if self.mask is None else self.mask
+        if self.mask is None:
+            return np.ones(self.shape, dtype=np.bool_)
+        return self.mask
 
     @property
     def n_taxels(self) -> int:
@@ -88,9 +95,14 @@ class Skin:
         Raises MessageError if the shape differs, or no taxel is left.
         """
         exists = self.exists
-        left = ~cells[exists]
-        points = None if self.points is None else self.points[left]
-        rows = None if self.point_rows is None else self.point_rows[left]
+        # Points have a row for each taxel that exists, in row-major order.
+        remains = ~cells[exists]
+        points = self.points
+        rows = self.point_rows
+        if points is not None:
+            points = points[remains]
+        if rows is not None:
+            rows = rows[remains]
         return replace(self, mask=exists & ~cells, points=points, point_rows=rows)
 
 
@@ -99,7 +111,9 @@ def first_far(places: npt.NDArray[Any]) -> int | None:
     finite; None: there is none.
     """
     near = (np.abs(places) <= MAX_COORDINATE_M).all(axis=1)
-    return None if near.all() else int(np.argmin(near))
+    if near.all():
+        return None
+    return int(np.argmin(near))
 
 
 def _check_array(what: str, value: npt.NDArray[Any], dtype: type, shape: tuple[int, ...]) -> None:
@@ -112,9 +126,16 @@ def _check_array(what: str, value: npt.NDArray[Any], dtype: type, shape: tuple[i
 def _check_points(points: npt.NDArray[np.float32], n: int) -> None:
     """Raise MessageError unless points are n rows of x, y, z and a unit normal."""
     _check_array("the points are", points, np.float32, (n, 6))
-    if (k := first_far(points[:, :3])) is not None:
+    places = points[:, :3]
+    # Its own test, not a norm: a coordinate may be infinite.
+    k = first_far(places)
+    if k is not None:
         raise FieldError(f"skin: point {k} is not within {MAX_COORDINATE_M:g} m")
-    lengths = np.linalg.norm(points[:, 3:].astype(np.float64), axis=1)
+
+    normals = points[:, 3:].astype(np.float64)
+    # In float64, so that huge values do not overflow.
+    lengths = np.linalg.norm(normals, axis=1)
+    # Not `>`: a length that is not a number is wrong, too.
     wrong = ~(np.abs(lengths - 1) <= NORM_TOLERANCE)
     if wrong.any():
         k = int(np.argmax(wrong))

@@ -8,11 +8,16 @@ import numpy.typing as npt
 
 from .base import Message
 from .errors import MessageError, ShapeError
-from .fields import MAX_ELEMENTS, MAX_SIDE, Array, Flag, Integer, Real, Text, wire
+from .fields import MAX_ELEMENTS, MAX_SIDE, Array, Flag, Integer, Real, Text, omitted, wire
 from .frames import FINGERPRINT_PATTERN, Floats
 from .skin import Skin
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
 
+Mask = npt.NDArray[np.bool_]
+
+MASK = Array("|b1", 2, optional=True)
+POINTS = Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6)
+POINT_ROWS = Array("<i4", 1, optional=True)
 CLIP_SD = 0.584
 """Standard deviation of an untouched taxel's noise that the range clips at 0, in that of the noise.
 Derived: of max(0, z), z normal, sqrt(1/2 - 1/(2 pi))."""
@@ -40,31 +45,36 @@ class SkinState(Message):
     f_max: float = wire(Real(0.0))
     unit: str = wire(Text(32))
     pitch_m: float | None = wire(Real(0.0, optional=True))
-    mask: npt.NDArray[np.bool_] | None = wire(Array("|b1", 2, optional=True))
+    mask: Mask | None = wire(MASK)
     source: str = wire(Text())
     seed: int = wire(Integer())
     rate_hz: float = wire(Real(0.0))
     has_truth: bool = wire(Flag())
     sigma_mid: float = wire(Real(0.0))
     sigma_end: float = wire(Real(0.0))
-    has_taxels: bool = wire(Flag(), default=True, omitted=True)
-    f_min: float = wire(Real(high=0.0), default=0.0, omitted=True)
-    live: bool = wire(Flag(), default=False, omitted=True)
-    points: Floats | None = wire(
-        Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6), default=None, omitted=True
-    )
-    point_rows: npt.NDArray[np.int32] | None = wire(
-        Array("<i4", 1, optional=True), default=None, omitted=True
-    )
+    has_taxels: bool = omitted(Flag(), True)
+    f_min: float = omitted(Real(high=0.0), 0.0)
+    live: bool = omitted(Flag(), False)
+    points: Floats | None = omitted(POINTS)
+    point_rows: npt.NDArray[np.int32] | None = omitted(POINT_ROWS)
 
     def validate(self) -> None:
-        _ = self.skin  # raises where the mask or the points do not fit the grid
+        # Raises where the mask or the points do not fit the grid.
+        _ = self.skin
 
     @property
     def skin(self) -> Skin:
         """The skin itself."""
-        grid = (self.n_rows, self.n_cols, self.f_max, self.unit, self.pitch_m, self.mask)
-        return Skin(*grid, self.points, self.point_rows)
+        return Skin(
+            n_rows=self.n_rows,
+            n_cols=self.n_cols,
+            f_max=self.f_max,
+            unit=self.unit,
+            pitch_m=self.pitch_m,
+            mask=self.mask,
+            points=self.points,
+            point_rows=self.point_rows,
+        )
 
     @property
     def clips_noise(self) -> bool:
@@ -76,7 +86,11 @@ class SkinState(Message):
         """Least standard deviation of the stated noise of a taxel, in `unit`: that of an untouched
         one where the range clips it; 0 where no noise is stated.
         """
-        return min(self.sigma_mid, self.sigma_end) * (CLIP_SD if self.clips_noise else 1.0)
+        # The range clips half of the noise of an untouched taxel.
+        sd = min(self.sigma_mid, self.sigma_end)
+        if self.clips_noise:
+            sd *= CLIP_SD
+        return sd
 
 
 def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
@@ -90,8 +104,8 @@ def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
         "pitch_m": skin.pitch_m or None,
         "rate_hz": rate_hz or None,
     }
-    known = {name: value for name, value in optional.items() if value is not None}
-    return {"f_max": skin.f_max, "unit": skin.unit, **known}
+    stated = {name: value for name, value in optional.items() if value is not None}
+    return {"f_max": skin.f_max, "unit": skin.unit, **stated}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,10 +134,14 @@ class Calibration(Message):
             raise ShapeError("response_reading, response_force: expected both of them or none")
         if reading is not None and force is not None and len(reading) != len(force):
             raise ShapeError(f"response_reading: {len(reading)} knots, but {len(force)} forces")
-        grids = [one for one in (self.baseline, self.gains) if one is not None]
+
+        grids = (self.baseline, self.gains)
+        # All of them are multiplied cell by cell.
+        shapes = {grid.shape for grid in grids if grid is not None}
+        # A response of shape (K, 1, 1) is that of all taxels.
         if reading is not None and reading.shape[1:] != (1, 1):
-            grids.append(reading[0])
-        if len({grid.shape for grid in grids}) > 1:
+            shapes.add(reading.shape[1:])
+        if len(shapes) > 1:
             raise ShapeError("baseline, gains, response_reading: expected one shape")
 
 
@@ -146,8 +164,8 @@ class PhiState(Message):
     block: int = wire(Integer(1, MAX_ELEMENTS))
     seed: int = wire(Integer())
     fingerprint: str = wire(Text(16, FINGERPRINT_PATTERN))
-    rows: str = wire(Text(8, "fixed|rotating"), default="fixed", omitted=True)
-    rule: int = wire(Integer(1, 3), default=1, omitted=True)
+    rows: str = omitted(Text(8, "fixed|rotating"), "fixed")
+    rule: int = omitted(Integer(1, 3), 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,10 +186,10 @@ class SolverState(Message):
     preset: str = wire(Text())
     iterations: int = wire(Integer(0, 1_000_000))
     lambda_n: float = wire(Real(0.0))
-    frame_ms: float = wire(Real(0.0), default=0.0, omitted=True)
-    max_iterations: int = wire(Integer(0, 1_000_000), default=0, omitted=True)
-    frame_tiles: int = wire(Integer(), default=0, omitted=True)
-    step_tiles: int = wire(Integer(), default=0, omitted=True)
+    frame_ms: float = omitted(Real(0.0), 0.0)
+    max_iterations: int = omitted(Integer(0, 1_000_000), 0)
+    frame_tiles: int = omitted(Integer(), 0)
+    step_tiles: int = omitted(Integer(), 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,12 +13,17 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(
-        char if char.isprintable() else " " if char.isspace() else ascii(char)[1:-1]
-        for char in text
-    )
+    return "".join(map(_printable_character, text))
+
+
+def _printable_character(character: str) -> str:
+    if character.isprintable():
+        return character
+    if character.isspace():
+        return " "
+    return ascii(character)[1:-1]
 
 
 def without_users(text: str) -> str:
     """The text without the users and passwords of its addresses, and of paths made of such."""
-    return _USER.sub(lambda found: f"{found[1] or found[2]}***@", text)
+    return _USER.sub(lambda match: f"{match[1] or match[2]}***@", text)

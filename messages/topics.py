@@ -22,6 +22,7 @@ def topic_of(patch: str, schema: str) -> str:
 
 def check_name(place: str, name: object) -> str:
     """Return the name of a patch or node, or raise a MessageError that begins with `place`."""
+    # Names become parts of topics and file names: few characters are allowed.
     if not isinstance(name, str) or re.fullmatch(NAME_PATTERN, name) is None:
         raise FieldError(
             f"{place}: {name!r} is no name (allowed: a lower-case letter, "
@@ -35,6 +36,7 @@ def check_name(place: str, name: object) -> str:
 @functools.lru_cache(maxsize=1024)
 def split_topic(topic: str) -> tuple[str, str]:
     """Split "/PATCH/SCHEMA" into (patch, schema), or raise MessageError."""
+    # An absolute name begins with an empty part.
     parts = topic.split("/")
     if len(parts) != 3 or parts[0]:
         raise FieldError(f"topic {topic[:MAX_TOPIC_BYTES]!r}: expected /PATCH/SCHEMA")

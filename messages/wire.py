@@ -43,6 +43,7 @@ def is_end(payload: Payload) -> bool:
 
 def wire_bytes(message: Message) -> bytes:
     """Turn a message into the buffer that travels."""
+    # States are sent rarely: one map is enough for them.
     if is_frame(type(message)):
         return b"".join(frame_pieces(message))
     return b"\0".join(encode(message))
@@ -50,6 +51,7 @@ def wire_bytes(message: Message) -> bytes:
 
 def received(buffer: bytes) -> tuple[bytes, Payload]:
     """Topic and payload of a buffer that came; b"" where there is none."""
+    # No topic has a zero byte.
     end = buffer.find(0)
     if end < 0:
         return buffer, b""
@@ -76,6 +78,7 @@ def decode(topic: bytes, payload: Payload) -> Message:
     malformed, truncated, oversized, an unknown schema or version, a wrong shape, a value out of
     range, NaN or infinity, or another topic than the message's own.
     """
+    # Sizes first: nothing below reads more than they allow.
     n_bytes = len(payload)
     if len(topic) > MAX_TOPIC_BYTES:
         raise OversizedError(f"topic of {len(topic)} bytes, at most {MAX_TOPIC_BYTES}")
@@ -85,24 +88,34 @@ def decode(topic: bytes, payload: Payload) -> Message:
         raise TruncatedError("no payload follows the topic: the sender runs another version")
     if payload[0] == MARK:
         return decode_frame(topic, payload)
-    body: dict[object, object] = unpacked(payload, dict, n_bytes)
-    cls = class_of(body)
-    fields = wire_fields(cls)
-    omitted = omitted_fields(cls)
-    held = body.keys() - {"schema", "version"}
-    wrong = (held - fields.keys()) | (fields.keys() - omitted.keys() - held)
-    if wrong:
-        names = ", ".join(sorted(map(str, wrong)))
-        raise MalformedError(f"{cls.schema}: missing or unknown fields {names[:200]}")
-    message = cls.assembled(
-        {
-            name: kind.unpack(name, body[name]) if name in held else omitted[name]
-            for name, kind in fields.items()
-        }
-    )
+    message = _of_map(unpacked(payload, dict, n_bytes))
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
     return message
+
+
+def _of_map(body: dict[object, object]) -> Message:
+    """Message of a map, or MessageError."""
+    cls = class_of(body)
+    fields = wire_fields(cls)
+    omitted = omitted_fields(cls)
+
+    sent = body.keys() - {"schema", "version"}
+    # Fields that may be omitted are not missing.
+    unknown = sent - fields.keys()
+    missing = fields.keys() - omitted.keys() - sent
+    if unknown or missing:
+        names = ", ".join(sorted(map(str, unknown | missing)))
+        raise MalformedError(f"{cls.schema}: missing or unknown fields {names[:200]}")
+
+    # A field that is omitted has its default.
+    values = {}
+    for name, kind in fields.items():
+        if name in sent:
+            values[name] = kind.unpack(name, body[name])
+        else:
+            values[name] = omitted[name]
+    return cls.assembled(values)
 
 
 def size_bytes(message: Message) -> int:

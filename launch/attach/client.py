@@ -33,11 +33,13 @@ def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
     """One node of a graph, with its settings.
     Raises GraphError if the graph has no such node (with a did-you-mean), or does not answer.
     """
-    nodes = {node["name"]: node for node in describe(graph, name)["nodes"]}
+    # Settings come with the description of the node that is asked for.
+    described = describe(graph, name)
+    nodes = {node["name"]: node for node in described["nodes"]}
     if name not in nodes:
         raise GraphError(f"{name}: {graph.label} has no such node{did_you_mean(name, nodes)}")
-    found: dict[str, Any] = nodes[name]
-    return found
+    node: dict[str, Any] = nodes[name]
+    return node
 
 
 def topics_of(described: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -45,19 +47,30 @@ def topics_of(described: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     on another host), sent (number of messages), subscribers (node and its `COUNTED` messages).
     """
     topics: dict[str, dict[str, Any]] = {}
-    for where in ("outputs", "inputs"):
-        for node in described["nodes"]:
-            for entry in node[where]:
-                name = entry["topic"]
-                ends = {"publisher": "", "sent": 0, "subscribers": []}
-                if where == "outputs":
-                    ends |= {"publisher": node["name"], "sent": entry["sent"]}
-                head = {"topic": name, "schema": name.rpartition("/")[2]}
-                topic = topics.setdefault(name, {**head, "latched": entry["latched"], **ends})
-                if where == "inputs":
-                    counts = {what: entry[what] for what in COUNTED}
-                    topic["subscribers"].append({"node": node["name"], **counts})
+    for node in described["nodes"]:
+        for entry in node["outputs"]:
+            topic = topics.setdefault(entry["topic"], _unread_topic(entry))
+            topic["publisher"] = node["name"]
+            topic["sent"] = entry["sent"]
+    for node in described["nodes"]:
+        for entry in node["inputs"]:
+            topic = topics.setdefault(entry["topic"], _unread_topic(entry))
+            counts = {count: entry[count] for count in COUNTED}
+            topic["subscribers"].append({"node": node["name"], **counts})
     return topics
+
+
+def _unread_topic(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A topic without its publisher and subscribers."""
+    name = entry["topic"]
+    return {
+        "topic": name,
+        "schema": name.rpartition("/")[2],
+        "latched": entry["latched"],
+        "publisher": "",
+        "sent": 0,
+        "subscribers": [],
+    }
 
 
 def find_topic(graph: RunningGraph, name: str) -> str:
@@ -66,9 +79,12 @@ def find_topic(graph: RunningGraph, name: str) -> str:
     another host.
     """
     writers = graph.writers()
+    # People leave out the first slash.
     for topic in (name, f"/{name}"):
         if topic in writers:
             return topic
+
+    # A topic that is only read here has its publisher on another host.
     read = topics_of(describe(graph))
     if name in read or f"/{name}" in read:
         raise GraphError(f"{name}: is published on another host; look at it there")
@@ -85,6 +101,7 @@ def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> str:
     request = {"id": "1", "node": node, "command": command, "value": value}
     with closing(ControlClient(graph.control)) as client:
         answer = _exchange(graph, client, request, "answer")
+    # A node may answer in several lines; a refusal is one.
     text = flowing(answer["text"])
     if not answer["done"]:
         raise GraphError(f"{node}: {text.removeprefix(f'{node}: ')}")
@@ -97,6 +114,7 @@ def stop(graph: RunningGraph) -> None:
     """
     with closing(ControlClient(graph.control)) as client:
         _exchange(graph, client, {"stop": True}, "stopping")
+        # The launcher closes the connection when it ends.
         while client.receive() is not None:
             select.select([client.connection], [], [])
 
@@ -106,12 +124,15 @@ def _exchange(
 ) -> Any:
     """Send one request, and wait for the object that answers it."""
     client.send(request)
-    deadline = time.monotonic() + PATIENCE_S
-    while (left_s := deadline - time.monotonic()) > 0:
-        select.select([client.connection], [], [], left_s)
+    deadline_s = time.monotonic() + PATIENCE_S
+    wait_s = PATIENCE_S
+    while wait_s > 0:
+        # Woken by an answer, or by the end of the graph.
+        select.select([client.connection], [], [], wait_s)
         news = client.receive()
         if news is None:
             raise GraphError(f"{graph.label}: has ended, or is asked by too many at once")
         if news:
             return news[0][key]
+        wait_s = deadline_s - time.monotonic()
     raise GraphError(f"{graph.label}: has not answered within {PATIENCE_S:g} s")

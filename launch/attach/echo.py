@@ -1,6 +1,7 @@
 """Messages of a topic as text or JSON: of an array its shape, its extent and its first elements."""
 
 import json
+import operator
 import re
 import sys
 from typing import Any
@@ -33,25 +34,41 @@ def plain(value: Any, full: bool) -> Any:
     """A field's value for JSON; an array as a map of its dtype, its shape and `data` in full, else
     min, mean, max and the first elements.
     """
+    if isinstance(value, np.generic):
+        return value.item()
     if not isinstance(value, np.ndarray):
-        return value.item() if isinstance(value, np.generic) else value
-    summary: dict[str, Any] = {"dtype": _dtype(value), "shape": list(value.shape)}
+        return value
+    summary: dict[str, Any] = {
+        "dtype": _dtype(value),
+        "shape": list(value.shape),
+    }
     if full:
         return summary | {"data": value.tolist()}
     if not value.size:
         return summary | {"min": None, "mean": None, "max": None, "first": []}
+
+    # Means of whole numbers and flags are wanted, too.
     numbers = value.astype(np.float64)
-    summary |= {"min": float(numbers.min()), "mean": float(numbers.mean())}
-    return summary | {"max": float(numbers.max()), "first": value.ravel()[:N_FIRST].tolist()}
+    return summary | {
+        "min": float(numbers.min()),
+        "mean": float(numbers.mean()),
+        "max": float(numbers.max()),
+        "first": value.ravel()[:N_FIRST].tolist(),
+    }
 
 
 def text(value: Any, full: bool) -> str:
     """A field's value as text, on one line but for an array in full."""
-    if value is None or isinstance(value, bool):
-        return {None: "none", True: "true", False: "false"}[value]
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "true" if value else "false"
     if not isinstance(value, np.ndarray):
         return flowing(str(value))
+
+    # Arrays: dtype and shape, then all elements or a summary.
     shape = " x ".join(map(str, value.shape))
+    head = f"{_dtype(value)}, {shape}"
     if full:
         lines = np.array2string(
             value,
@@ -60,15 +77,19 @@ def text(value: Any, full: bool) -> str:
             precision=4,
             suppress_small=True,
         )
-        return f"{_dtype(value)}, {shape}\n{lines}"
+        return f"{head}\n{lines}"
     if not value.size:
-        return f"{_dtype(value)}, {shape}"
+        return head
     if value.dtype.kind == "b":
-        return f"{_dtype(value)}, {shape}: {int(value.sum())} of {value.size} true"
-    first = " ".join(f"{number:.4g}" for number in value.ravel()[:N_FIRST].astype(np.float64))
-    more = " ..." if value.size > N_FIRST else ""
+        return f"{head}: {int(value.sum())} of {value.size} true"
+
+    begin = value.ravel()[:N_FIRST].astype(np.float64)
+    elements = [f"{number:.4g}" for number in begin]
+    if value.size > N_FIRST:
+        elements.append("...")
+    # A summary fits in one line.
     extent = "min {min:.4g}, mean {mean:.4g}, max {max:.4g}".format(**plain(value, False))
-    return f"{_dtype(value)}, {shape}: {extent} [{first}{more}]"
+    return f"{head}: {extent} [{' '.join(elements)}]"
 
 
 def values_of(message: Message) -> dict[str, Any]:
@@ -89,7 +110,9 @@ class FieldPath:
             raise SettingsError(f"--field {path}: expected FIELD or FIELD[I,J]")
         self._path = path
         self._name = match[1]
-        self._index = tuple(int(k) for k in match[2].split(",")) if match[2] else None
+        self._index: tuple[int, ...] | None = None
+        if match[2]:
+            self._index = tuple(int(k) for k in match[2].split(","))
         if self._name not in wire_fields(cls):
             hint = did_you_mean(self._name, wire_fields(cls))
             raise SettingsError(f"--field {path}: {cls.schema} has no such field{hint}")
@@ -98,51 +121,60 @@ class FieldPath:
         """The value in a message.
         Raises SettingsError if there is no such element.
         """
+        # A message of several patches has them as its first axis.
         value: Any = values_of(message).get(self._name)
-        if self._index is None:
+        index = self._index
+        if index is None:
             return value
         shape = getattr(value, "shape", ())
-        inside = len(shape) == len(self._index) and all(
-            k < side for k, side in zip(self._index, shape, strict=True)
-        )
-        if not inside:
+        is_inside = len(shape) == len(index) and all(map(operator.lt, index, shape))
+        if not is_inside:
             sides = " x ".join(map(str, shape)) or "no array"
             raise SettingsError(f"--field {self._path}: {self._name} is {sides}")
-        return value[self._index]
+        return value[index]
 
 
 def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
     """Fields of contacts as text, a line each; forces are in `unit`, "" where it is not known."""
-    force = f" {unit}" if unit else ""
-    shown: dict[str, Any] = {
-        name: value
-        for name, value in values_of(message).items()
-        if value is not None and not isinstance(value, np.ndarray)
-    }
-    names = message.names
+    lines: dict[str, Any] = {}
+    for name, value in values_of(message).items():
+        if value is not None and not isinstance(value, np.ndarray):
+            lines[name] = value
     for k, number in enumerate(message.id.tolist()):
-        of = "" if message.patch_of is None else f" of {names[message.patch_of[k]]}"
-        at = message.centre[k]
-        sd = message.centre_sd[k]
-        length = "taxels"
-        if message.place_mm is not None and message.place_sd_mm is not None:
-            sides = 2 if message.normal is None else 3  # of a flat skin z is 0
-            at = message.place_mm[k][:sides]
-            sd = message.place_sd_mm[k][:sides]
-            length = "mm"
-        place = ", ".join(f"{x:.4g} ± {s:.2g}" for x, s in zip(at, sd, strict=True))
-        marks = [name for name in ("over", "sliding") if getattr(message, name)[k]]
-        shown[f"contact {number}{of}"] = "; ".join(
-            [
-                f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g} {sum_unit(unit)}".rstrip(),
-                f"peak {message.peak[k]:.3g}{force}",
-                f"at ({place}) {length}",
-                f"{message.area[k]} taxels, {message.age_s[k]:.3g} s",
-                *marks,
-            ]
-        )
-    shown |= {f"event of {number}": event for number, event in message.named_events}
-    return shown
+        # A contact keeps its number from frame to frame.
+        label = f"contact {number}"
+        if message.patch_of is not None:
+            label += f" of {message.names[message.patch_of[k]]}"
+        lines[label] = _contact_line(message, k, unit)
+    for number, event in message.named_events:
+        lines[f"event of {number}"] = event
+    return lines
+
+
+def _contact_line(message: Contacts, k: int, unit: str) -> str:
+    """Contact k as text."""
+    # How strong, where, how large, and since when.
+    force = f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g} {sum_unit(unit)}".rstrip()
+    peak = f"peak {message.peak[k]:.3g}"
+    if unit:
+        peak += f" {unit}"
+
+    centre = message.centre[k]
+    sd = message.centre_sd[k]
+    length = "taxels"
+    if message.place_mm is not None and message.place_sd_mm is not None:
+        centre = message.place_mm[k]
+        sd = message.place_sd_mm[k]
+        length = "mm"
+        if message.normal is None:
+            # Of a flat skin z is 0.
+            centre = centre[:2]
+            sd = sd[:2]
+    place = ", ".join(f"{x:.4g} ± {s:.2g}" for x, s in zip(centre, sd, strict=True))
+
+    size = f"{message.area[k]} taxels, {message.age_s[k]:.3g} s"
+    marks = [name for name in ("over", "sliding") if getattr(message, name)[k]]
+    return "; ".join([force, peak, f"at ({place}) {length}", size, *marks])
 
 
 def _reason_lines(message: Reconstruction) -> dict[str, str]:
@@ -151,8 +183,9 @@ def _reason_lines(message: Reconstruction) -> dict[str, str]:
 
 
 def _dtype(value: Any) -> str:
-    bits = f" of {value.bits} bits" if isinstance(value, Quantised) else ""
-    return f"{value.dtype}{bits}"
+    if isinstance(value, Quantised):
+        return f"{value.dtype} of {value.bits} bits"
+    return str(value.dtype)
 
 
 class Echo(Display):
@@ -173,40 +206,56 @@ class Echo(Display):
         unit: str = "",
     ) -> None:
         if max_hz is None:
-            max_hz = 0.0 if in_json or n is not None else MAX_HZ
+            is_for_a_person = n is None and not in_json
+            max_hz = MAX_HZ if is_for_a_person else 0.0
         self._topic = topic
         self._field = field
         self._n = n
         self._in_json = in_json
         self._full = full
         self._unit = unit
-        self._period_ns = round(1e9 / max_hz) if max_hz else 0
+        self._period_ns = 0
+        if max_hz:
+            self._period_ns = round(1e9 / max_hz)
+        # A message that is to be shown must not wait longer than the next one is due.
         self.patience_s = min(PATIENCE_S, self._period_ns / 1e9 or PATIENCE_S)
         self._losses = Losses()
         self._has_events = topic.endswith(f"/{Contacts.schema}")
-        self._due_ns = self._shown = self._skipped = self._skipped_since = 0
+        self._due_ns = 0
+        self._shown = 0
+        self._skipped = 0
+        self._skipped_since = 0
 
     def take(self, arrival: Arrival) -> bool:
         """Print a message; False if it is not shown."""
+        # Counted before anything is left out on purpose.
         self._losses.add(arrival)
         if arrival.ends:
             return False
         # Stamps go back where a recording is played again.
         is_early = self._due_ns - self._period_ns <= arrival.stamp_ns < self._due_ns
+        # Not decoded: of a fast topic most messages are not shown.
+        if is_early and not self._has_events:
+            return self._skip()
         try:
-            message = None if is_early and not self._has_events else decode(*arrival[:2])
+            message = decode(arrival.topic, arrival.payload)
         except MessageError as error:
             print(f"{self._topic}: {printable(str(error))}", file=sys.stderr)
             return False
-        if message is None or (is_early and getattr(message, "events", None) is None):
-            self._skipped += 1
-            self._skipped_since += 1
-            return False
+        if is_early and getattr(message, "events", None) is None:
+            return self._skip()
+
+        # By stamps, so that a burst of late messages is thinned out, too.
         self._due_ns = arrival.stamp_ns + self._period_ns
         print(self.text(message), flush=True)
         self._shown += 1
         self._skipped_since = 0
         return True
+
+    def _skip(self) -> bool:
+        self._skipped += 1
+        self._skipped_since += 1
+        return False
 
     def finish(self) -> None:
         """Print how many messages were shown, where no number was asked for."""
@@ -216,20 +265,29 @@ class Echo(Display):
 
     def text(self, message: Message) -> str:
         """A message as it is printed."""
+        full = self._full
         if self._field is not None:
             value = self._field.of(message)
-            full = self._full
-            return json.dumps(plain(value, full)) if self._in_json else text(value, full)
+            if self._in_json:
+                return json.dumps(plain(value, full))
+            return text(value, full)
+
         values = values_of(message)
         if self._in_json:
-            found = {name: plain(value, self._full) for name, value in values.items()}
-            return json.dumps(formatted("topic-echo", {"topic": message.topic, **found}))
-        if isinstance(message, Contacts):
-            values = _contact_lines(message, self._unit) if not self._full else values
+            document = {name: plain(value, full) for name, value in values.items()}
+            return json.dumps(formatted("topic-echo", {"topic": message.topic, **document}))
+        if isinstance(message, Contacts) and not full:
+            values = _contact_lines(message, self._unit)
         if isinstance(message, Reconstruction):
             values = values | _reason_lines(message)
-        lines = ["---" + (f" ({self._skipped_since} not shown)" if self._skipped_since else "")]
+
+        # A line between messages, as YAML has it.
+        rule = "---"
+        if self._skipped_since:
+            rule += f" ({self._skipped_since} not shown)"
+        lines = [rule]
         for name, value in values.items():
-            first, *rest = text(value, self._full).split("\n")
-            lines += [*wrapped(f"{name}: ", first, INDENT), *(INDENT + one for one in rest)]
+            value_lines = text(value, full).split("\n")
+            lines += wrapped(f"{name}: ", value_lines[0], INDENT)
+            lines += [INDENT + line for line in value_lines[1:]]
         return "\n".join(lines)

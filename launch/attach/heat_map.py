@@ -1,5 +1,7 @@
 """A map of readings as lines of a terminal: two taxels a character, one above the other."""
 
+import math
+
 import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats
@@ -22,38 +24,57 @@ def heat_map(
     `top`, above 0, is the reading of the brightest colour. A taxel becomes a square as large as
     fits; where there are more taxels than places, a place shows the largest of its taxels.
     """
-    n_rows, n_cols = forces.shape
     # A character is about twice as high as wide: with colours it holds two places, with letters a
     # place has two characters.
-    places_high, places_wide = (2 * height, width) if coloured else (height, max(1, width // 2))
-    grown = min(places_high // n_rows, places_wide // n_cols)
-    if grown >= 1:
-        places = np.repeat(np.repeat(forces, grown, axis=0), grown, axis=1)
-    else:
-        k = max(-(-n_rows // places_high), -(-n_cols // places_wide))
-        padded = np.pad(forces, ((0, -n_rows % k), (0, -n_cols % k)))
-        places = padded.reshape(padded.shape[0] // k, k, -1, k).max((1, 3))
     if not coloured:
+        places = _places(forces, height, max(1, width // 2))
         levels = _levels(places, top, len(LETTERS))
         return ["".join(LETTERS[level] * 2 for level in row) for row in levels]
+
+    places = _places(forces, 2 * height, width)
     if len(places) % 2:
-        places = np.vstack([places, np.zeros((1, places.shape[1]), places.dtype)])
+        # The last line has an empty lower half.
+        empty_row = np.zeros((1, places.shape[1]), places.dtype)
+        places = np.vstack([places, empty_row])
     levels = _levels(places, top, len(COLOURS))
-    return [_line(*rows) for rows in zip(levels[::2], levels[1::2], strict=True)]
+    pairs = zip(levels[::2], levels[1::2], strict=True)
+    return [_line(upper, lower) for upper, lower in pairs]
+
+
+def _places(forces: Floats, n_high: int, n_wide: int) -> Floats:
+    """Readings of at most so many places: taxels as squares, or the largest taxel of a place."""
+    n_rows, n_cols = forces.shape
+    side = min(n_high // n_rows, n_wide // n_cols)
+    if side >= 1:
+        high = np.repeat(forces, side, axis=0)
+        return np.repeat(high, side, axis=1)
+
+    # A place shows the largest of k x k taxels, so that no contact is lost.
+    k = max(math.ceil(n_rows / n_high), math.ceil(n_cols / n_wide))
+    below = (0, -n_rows % k)
+    right = (0, -n_cols % k)
+    padded = np.pad(forces, (below, right))
+    squares = padded.reshape(len(padded) // k, k, -1, k)
+    places: Floats = squares.max((1, 3))
+    return places
 
 
 def _levels(places: Floats, top: float, n: int) -> list[list[int]]:
     share = np.clip(places / top, 0, 1)
-    found: list[list[int]] = np.minimum((share * n).astype(int), n - 1).tolist()
-    return found
+    # The top itself belongs to the last level.
+    levels = (share * n).astype(int)
+    rows: list[list[int]] = np.minimum(levels, n - 1).tolist()
+    return rows
 
 
 def _line(upper: list[int], lower: list[int]) -> str:
     parts = []
-    last = (-1, -1)
+    colours = (-1, -1)
     for pair in zip(upper, lower, strict=True):
-        if pair != last:
-            parts.append(f"\x1b[38;5;{COLOURS[pair[0]]};48;5;{COLOURS[pair[1]]}m")
-            last = pair
+        if pair != colours:
+            colours = pair
+            front = COLOURS[pair[0]]
+            back = COLOURS[pair[1]]
+            parts.append(f"\x1b[38;5;{front};48;5;{back}m")
         parts.append(UPPER_HALF)
     return "".join(parts) + RESET

@@ -39,19 +39,21 @@ class Samples:
     def add(self, arrival: Arrival) -> None:
         """Add one message."""
         if not self._losses.add(arrival):
+            # Stamps and numbers of another run do not continue those before.
             self._kept.clear()
-        if not arrival.ends:
-            self.n += 1
-            self._kept.append(
-                (arrival.at_ns, arrival.stamp_ns, arrival.seq, arrival.n_bytes, arrival.fresh)
-            )
+        if arrival.ends:
+            return
+        self.n += 1
+        times = (arrival.at_ns, arrival.stamp_ns)
+        self._kept.append((*times, arrival.seq, arrival.n_bytes, arrival.fresh))
 
     def last(self, window: int) -> Longs:
         """Time of arrival, stamp, number, size and freshness of the last messages of the
         publisher's present run, `window` at most: shape (n, 5).
         """
-        rows = islice(self._kept, max(0, len(self._kept) - window), None)
-        return np.array(list(rows), dtype=np.int64).reshape(-1, 5)
+        n_before = max(0, len(self._kept) - window)
+        rows = list(islice(self._kept, n_before, None))
+        return np.array(rows, dtype=np.int64).reshape(-1, 5)
 
 
 def figures_of(samples: Longs) -> dict[str, Any]:
@@ -62,7 +64,10 @@ def figures_of(samples: Longs) -> dict[str, Any]:
     distributions mean, min, max and std, of the delay p50 and p99 too. None where too few came.
     """
     at_ns, stamp_ns, seq, n_bytes, fresh = samples.T
+    # Lost messages were sent, too: rates of sending count them.
     steps = np.diff(seq)
+    # A gap of lost messages is no interval.
+    adjacent_ns = np.diff(stamp_ns)[steps == 1]
     delays_ms = (at_ns - stamp_ns)[fresh > 0] / 1e6
     delay = _extent(delays_ms)
     if delay is not None:
@@ -70,7 +75,7 @@ def figures_of(samples: Longs) -> dict[str, Any]:
         delay = {"p50": float(p50), "p99": float(p99), **delay}
     return {
         "sent_hz": _a_second(stamp_ns, steps),
-        "interval_ms": _extent(np.diff(stamp_ns)[steps == 1] / 1e6),
+        "interval_ms": _extent(adjacent_ns / 1e6),
         "arrives_hz": _a_second(stamp_ns, np.ones_like(steps)),
         "bytes_per_s": _a_second(stamp_ns, n_bytes[1:]),
         "size_bytes": _extent(n_bytes),
@@ -84,22 +89,32 @@ def text_of(figures: dict[str, Any]) -> str:
     if figures["sent_hz"] is not None:
         parts.append(f"{figures['sent_hz']:.4g} Hz, {figures['arrives_hz']:.4g} here")
         parts.append(f"{size_text(figures['bytes_per_s'])}/s")
-    if age := figures["delay_ms"]:
-        parts.append("p50 {p50:.2f}, p99 {p99:.2f} ms old".format(**age))
+    delay = figures["delay_ms"]
+    if delay is not None:
+        parts.append(f"p50 {delay['p50']:.2f}, p99 {delay['p99']:.2f} ms old")
     return " | ".join(parts)
 
 
 def _a_second(stamp_ns: Longs, amounts: Longs) -> float | None:
     """Amounts after the first stamp, per second of the publisher's time."""
+    if not len(stamp_ns):
+        return None
     # Messages are read in batches: their arrival times are no measure.
-    span_ns = int(stamp_ns[-1] - stamp_ns[0]) if len(stamp_ns) else 0
-    return float(amounts.sum()) * 1e9 / span_ns if span_ns > 0 else None
+    span_ns = int(stamp_ns[-1] - stamp_ns[0])
+    if span_ns <= 0:
+        return None
+    return float(amounts.sum()) * 1e9 / span_ns
 
 
 def _extent(values: npt.NDArray[Any]) -> dict[str, float] | None:
     if not len(values):
         return None
-    return {key: float(getattr(values, key)()) for key in ("mean", "min", "max", "std")}
+    return {
+        "mean": float(values.mean()),
+        "min": float(values.min()),
+        "max": float(values.max()),
+        "std": float(values.std()),
+    }
 
 
 class Meter(Display):
@@ -125,14 +140,17 @@ class Meter(Display):
         now_s = time.monotonic()
         if now_s < self._report_at_s:
             return
+        # Lines that were missed while this process stood still are not made up for.
         self._report_at_s = max(self._report_at_s, now_s - REPORT_S) + REPORT_S
+
         if self._samples.n > self._reported_n:
             self._reported_n = self._samples.n
             print(self._line(WINDOW), flush=True)
-        else:
-            quiet = f"no message for {now_s - self._heard_s:.0f} s"
-            why = quiet_reason(self._graph, self._topic)
-            print(f"{self._topic}: {quiet}{why}", file=sys.stderr, flush=True)
+            return
+        # Silence is reported, not left to be noticed.
+        quiet = f"no message for {now_s - self._heard_s:.0f} s"
+        why = quiet_reason(self._graph, self._topic)
+        print(f"{self._topic}: {quiet}{why}", file=sys.stderr, flush=True)
 
     def finish(self) -> None:
         """Print a line over all messages."""
@@ -148,5 +166,9 @@ class Meter(Display):
             head = {"topic": self._topic, "messages": n, "lost": lost}
             over = {"over": len(samples), "final": window is None}
             return json.dumps(formatted("topic-hz", {**head, **figures, **over}))
+
         measured = text_of(figures) or "too few messages for a rate"
-        return ("" if window else f"all {n}: ") + f"{measured} | lost {lost}"
+        line = f"{measured} | lost {lost}"
+        if window is None:
+            line = f"all {n}: {line}"
+        return line

@@ -78,12 +78,16 @@ class Losses:
 
     def add(self, arrival: Arrival) -> bool:
         """Count the gap before a message; False where a new run begins."""
-        same = arrival.run_id == self._run_id and arrival.seq >= self._expected
-        if same:
+        # A sequence that goes back is another run, even under the same id.
+        is_same_run = arrival.run_id == self._run_id and arrival.seq >= self._expected
+        if is_same_run:
             self.n += arrival.seq - self._expected
         self._run_id = arrival.run_id
-        self._expected = arrival.seq + (not arrival.ends)
-        return same
+        self._expected = arrival.seq
+        if not arrival.ends:
+            # The end has no number of its own.
+            self._expected += 1
+        return is_same_run
 
 
 class TopicStream:
@@ -107,15 +111,27 @@ class TopicStream:
         self._clock = SystemClock(graph.offset_ns)
         self._context = make_context()
         keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
-        ahead = READ_AHEAD if patience_s else QUEUE_FRAMES
+        ahead = QUEUE_FRAMES
         if newest:
             ahead = NEWEST_ALONE
-        options: dict[str, Any] = {"present": False, "keys": keys, "read_ahead": ahead}
-        self._reader = Reader(self._context, f"observer_{os.getpid()}", (), topics, **options)
+        elif patience_s:
+            ahead = READ_AHEAD
+        self._reader = Reader(
+            self._context,
+            f"observer_{os.getpid()}",
+            (),
+            topics,
+            present=False,
+            keys=keys,
+            read_ahead=ahead,
+        )
+        # One connection a publisher, however many of its topics are read.
         writers = graph.writers()
         for name in {writers[topic] for topic in topics}:
             node = graph.nodes[name]
             self._reader.connect(node.endpoint, node.key)
+
+        # State of reading: see `_has_waited` and `_wait_for_batch`.
         self._least_age_ns: float = math.inf
         self._drained = False
         self._look_at_s = time.monotonic()
@@ -147,10 +163,10 @@ class TopicStream:
 
     def __enter__(self) -> Self:
         TERMINATION.check()
-        self._handlers = {
-            number: signal.signal(number, self._on_signal)
-            for number in (signal.SIGINT, signal.SIGTERM)
-        }
+        self._handlers = {}
+        # So that a batch that is being printed is finished first.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._handlers[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -166,52 +182,70 @@ class TopicStream:
         """Yield the messages since the last batch, every 100 ms or sooner, later where it is
         patient, until `duration_s` is over, an interrupt comes or the graph ends.
         """
-        began_s = time.monotonic()
+        end_s = math.inf
+        if duration_s is not None:
+            end_s = time.monotonic() + duration_s
         while not self.interrupted:
-            now_s = time.monotonic()
-            if duration_s is not None and now_s - began_s >= duration_s:
+            remaining_s = end_s - time.monotonic()
+            if remaining_s <= 0:
                 return
             if self.graph_has_ended():
                 yield self._read()
                 return
-            left_s = math.inf if duration_s is None else began_s + duration_s - now_s
-            timeout_ms = max(1, round(min(POLL_MS, 1e3 * left_s)))
-            came_ns = None
-            is_idle = self._drained and not self._reader.socket.poll(0)
-            if self._reader.socket.poll(timeout_ms) and self._patience_s:
-                came_ns = self._clock.now_ns() if is_idle else None
-                time.sleep(min(self._patience_s, left_s))
-            yield self._read(came_ns)
+
+            yield self._read(self._wait_for_batch(remaining_s))
+
+    def _wait_for_batch(self, remaining_s: float) -> int | None:
+        """Wait for messages, and while they wait to be read together; return the time at which the
+        first one came, where that is known.
+        """
+        timeout_ms = max(1, round(min(POLL_MS, 1e3 * remaining_s)))
+        # Only where nothing waited before is the time of the first arrival known.
+        is_idle = self._drained and not self._reader.socket.poll(0)
+        if not self._reader.socket.poll(timeout_ms) or not self._patience_s:
+            return None
+        came_ns = self._clock.now_ns() if is_idle else None
+        time.sleep(min(self._patience_s, remaining_s))
+        return came_ns
 
     def _read(self, came_ns: int | None = None) -> list[Arrival]:
         """The messages that are there; `came_ns` is when the first came, where that is known."""
-        found: list[Arrival] = []
+        arrivals: list[Arrival] = []
         self._drained = False
         woken = came_ns is not None
         for _ in range(BATCH):
-            while (parts := self._reader.receive()) is None:
-                if not (
-                    found
-                    and (self._has_waited(found[-1]) or (woken and len(found) == 1))
-                    and self._reader.socket.poll(DRAIN_MS)
-                ):
+            parts = self._reader.receive()
+            while parts is None:
+                if not self._may_drain(arrivals, woken):
                     self._drained = True
-                    return found
+                    return arrivals
+                parts = self._reader.receive()
+
             arrival = _arrival(*parts, came_ns or self._clock.now_ns())
             if arrival is None:
                 self.unreadable += 1
             else:
                 fresh = came_ns is not None or not self._patience_s
-                found.append(arrival._replace(fresh=fresh))
+                arrivals.append(arrival._replace(fresh=fresh))
             came_ns = None
-        return found
+        return arrivals
 
-    def _has_waited(self, last: Arrival) -> bool:
+    def _may_drain(self, arrivals: list[Arrival], woken: bool) -> bool:
+        """True if messages behind those read had to wait at the writer, and have now come."""
+        if not arrivals:
+            return False
+        is_first = woken and len(arrivals) == 1
+        if not self._has_waited(arrivals[-1]) and not is_first:
+            return False
+        return bool(self._reader.socket.poll(DRAIN_MS))
+
+    def _has_waited(self, arrival: Arrival) -> bool:
         """True if a message has waited at the writer, and others may wait behind it."""
         # The stamps of a recording share one offset: ages are compared with the least one.
-        age_ns = last.at_ns - last.stamp_ns
+        age_ns = arrival.at_ns - arrival.stamp_ns
         self._least_age_ns = min(self._least_age_ns, age_ns)
-        return self._patience_s > 0 and age_ns > self._least_age_ns + self._patience_s * 1e9 / 4
+        patience_ns = self._patience_s * 1e9
+        return patience_ns > 0 and age_ns > self._least_age_ns + patience_ns / 4
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.interrupted = True
@@ -247,7 +281,8 @@ def observe(
         for arrivals in stream.batches(duration_s):
             for arrival in arrivals:
                 n_counted += display.take(arrival)
-                if ended := arrival.ends or n_counted == n:
+                ended = arrival.ends or n_counted == n
+                if ended:
                     break
             if ended:
                 break
@@ -263,13 +298,17 @@ def observe(
 
 def unit_of(graph: RunningGraph, topic: str) -> str:
     """Unit of the forces of the patch of a topic; "" where its skin does not come within 1 s."""
-    skin = f"/{split_topic(topic)[0]}/{SkinState.schema}"
-    if skin in graph.writers():
-        with TopicStream(graph, skin) as stream:
-            for arrival in itertools.chain.from_iterable(stream.batches(1.0)):
-                message = None if arrival.ends else decode(arrival.topic, arrival.payload)
-                if isinstance(message, SkinState):
-                    return flowing(message.unit)
+    patch, _ = split_topic(topic)
+    skin = f"/{patch}/{SkinState.schema}"
+    if skin not in graph.writers():
+        return ""
+    with TopicStream(graph, skin) as stream:
+        for arrival in itertools.chain.from_iterable(stream.batches(1.0)):
+            if arrival.ends:
+                continue
+            message = decode(arrival.topic, arrival.payload)
+            if isinstance(message, SkinState):
+                return flowing(message.unit)
     return ""
 
 
@@ -279,27 +318,32 @@ def quiet_reason(graph: RunningGraph, topic: str) -> str:
         described = describe(graph)
     except SparseskinError:
         return " (the graph has ended)"
-    found = topics_of(described)[topic]
-    publisher = found["publisher"]
-    (condition,) = (n["condition"] for n in described["nodes"] if n["name"] == publisher)
-    if condition != "running":
-        return f" ({publisher}: {condition})"
-    return " (latched: sent when it changes)" if found["latched"] else ""
+    described_topic = topics_of(described)[topic]
+    publisher = described_topic["publisher"]
+    conditions = {node["name"]: node["condition"] for node in described["nodes"]}
+    if conditions[publisher] != "running":
+        return f" ({publisher}: {conditions[publisher]})"
+    if described_topic["latched"]:
+        return " (latched: sent when it changes)"
+    return ""
 
 
 def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
     """A message with its head read, its fields unchecked; None where it has none."""
-    ends = False
     try:
-        if payload[0] != MARK:
+        ends = False
+        # Fields are not decoded here: most messages are only counted.
+        if payload[0] == MARK:
+            run_id, seq, stamp_ns = head_of(topic, payload)
+        else:
             body: Any = msgpack.unpackb(payload, raw=False, max_map_len=64, max_ext_len=0)
             ends = body["schema"] == End.schema
             seq = body["n_messages"] if ends else body["seq"]
-            head = (str(body["run_id"]), seq, body["stamp_ns"])
-        else:
-            head = head_of(topic, payload)
-    except Exception:  # msgpack promises no narrower family for hostile bytes
+            run_id = str(body["run_id"])
+            stamp_ns = body["stamp_ns"]
+    except Exception:
+        # msgpack promises no narrower family for hostile bytes.
         return None
-    if type(head[1]) is not int or type(head[2]) is not int:
+    if type(seq) is not int or type(stamp_ns) is not int:
         return None
-    return Arrival(topic, payload, at_ns, *head, ends)
+    return Arrival(topic, payload, at_ns, run_id, seq, stamp_ns, ends)

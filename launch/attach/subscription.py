@@ -53,12 +53,15 @@ class Subscription:
         newest: bool = False,
         timeout_s: float | None = None,
     ) -> None:
+        # Arguments are checked before anything is connected.
         if not isinstance(topic, str):
             raise SettingsError(f"subscribe: topic = {topic!r} is not allowed; allowed: a text")
         if timeout_s is not None and not is_real(timeout_s, 0.0, MAX_TIMEOUT_S):
             allowed = f"allowed: 0 to {MAX_TIMEOUT_S:g} seconds, or None"
             raise SettingsError(f"subscribe: timeout_s = {timeout_s!r} is not allowed; {allowed}")
+        # Waits for a graph that is starting.
         running = choose_graph(graph, option="graph")
+
         self.topic = find_topic(running, topic)
         self.graph = running.label
         self.age_s = math.nan
@@ -76,11 +79,15 @@ class Subscription:
 
     @property
     def skipped(self) -> int:
-        return self._losses.n if self._newest else 0
+        if not self._newest:
+            return 0
+        return self._losses.n
 
     @property
     def lost(self) -> int:
-        return 0 if self._newest else self._losses.n
+        if self._newest:
+            return 0
+        return self._losses.n
 
     @property
     def unreadable(self) -> int:
@@ -171,7 +178,8 @@ class Subscription:
             try:
                 message = decode(arrival.topic, arrival.payload)
             except MessageError:
-                self._malformed += 1  # a later one may be well-formed
+                # A later one may be well-formed.
+                self._malformed += 1
                 continue
 
             self.age_s = (arrival.at_ns - arrival.stamp_ns) / 1e9
@@ -186,8 +194,8 @@ class Subscription:
         if self._newest:
             # The end of the stream replaces no message.
             n_ends = sum(arrival.ends for arrival in arrivals)
-            first = max(0, len(arrivals) - n_ends - 1)
-            arrivals = arrivals[first:]
+            n_skipped = max(0, len(arrivals) - n_ends - 1)
+            arrivals = arrivals[n_skipped:]
         self._arrivals.extend(arrivals)
         if has_ended and not arrivals:
             self.close()

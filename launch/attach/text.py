@@ -51,38 +51,54 @@ def flowing(text: str) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "") -> list[str]:
     """Lines of a table, each after `indent`; columns of numbers, None: not known, flush right."""
-    shown = [[flowing(_cell(cell)) for cell in row] for row in rows]
-    widths = [max(len(line[k]) for line in [head, *shown]) for k in range(len(head))]
-    right = [bool(rows) and all(_is_number(row[k]) for row in rows) for k in range(len(head))]
+    texts = [[flowing(_cell(cell)) for cell in row] for row in rows]
+    # Flush right where all cells of a column are numbers.
+    columns = []
+    for k, title in enumerate(head):
+        longest = max([len(title), *(len(line[k]) for line in texts)])
+        is_right = bool(rows) and all(_is_number(row[k]) for row in rows)
+        columns.append((longest, is_right))
+
     lines: list[str] = []
-    for cells in [list(head), *shown]:
-        start = indent + "".join(
-            (cell.rjust(w) if flush else cell.ljust(w)) + GAP
-            for cell, w, flush in zip(cells[:-1], widths[:-1], right[:-1], strict=True)
-        )
-        last = cells[-1]
-        lines += [start + last.rjust(widths[-1])] if right[-1] else wrapped(start, last)
+    for cells in [list(head), *texts]:
+        padded = []
+        for cell, (longest, is_right) in zip(cells, columns, strict=True):
+            padded.append(cell.rjust(longest) if is_right else cell.ljust(longest))
+        start = indent + "".join(cell + GAP for cell in padded[:-1])
+        _, is_right = columns[-1]
+        if is_right:
+            lines.append(start + padded[-1])
+        else:
+            lines += wrapped(start, cells[-1])
     return lines
 
 
 def _is_number(cell: object) -> bool:
-    return cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool))
+    # bool is a subclass of int, but no number to a reader.
+    if isinstance(cell, bool):
+        return False
+    return cell is None or isinstance(cell, int | float)
 
 
 def _cell(cell: object) -> str:
     if cell is None:
         return "-"
-    return f"{cell:.2f}" if isinstance(cell, float) else str(cell)
+    if isinstance(cell, float):
+        return f"{cell:.2f}"
+    return str(cell)
 
 
 def wrapped(start: str, text: str, continued: str | None = None) -> list[str]:
     """`start` and a text, wrapped to the terminal; further lines begin with `continued`, by
     default with as many spaces as `start` has characters.
     """
-    continued = " " * len(start) if continued is None else continued
+    if continued is None:
+        continued = " " * len(start)
+    # The longer of both begins leaves the narrower column.
     room = max(MIN_LAST, width() - max(len(start), len(continued)))
-    first, *rest = textwrap.wrap(text, room, break_on_hyphens=False, break_long_words=False) or [""]
-    return [(start + first).rstrip(), *(continued + line for line in rest)]
+    lines = textwrap.wrap(text, room, break_on_hyphens=False, break_long_words=False) or [""]
+    begin = (start + lines[0]).rstrip()
+    return [begin, *(continued + line for line in lines[1:])]
 
 
 def facts(named: Mapping[str, str], indent: str = "") -> list[str]:
@@ -97,26 +113,34 @@ def shown_value(value: Any) -> str:
     """A value as it would be typed; "none" where nothing is stated."""
     if value is None:
         return "none"
-    if isinstance(value, str) and value.count("\n") > 1:
-        return f"({value.count(chr(10))} lines: param get prints them)"
-    if isinstance(value, str) and value and value.isprintable() and value == value.strip():
-        text = value
-    else:
-        text = json.dumps(value)
-    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+    text = json.dumps(value)
+    if isinstance(value, str):
+        if value.count("\n") > 1:
+            return f"({value.count(chr(10))} lines: param get prints them)"
+        # Without quotes, where these are not needed to see where it begins and ends.
+        if value and value.isprintable() and value == value.strip():
+            text = value
+    if len(text) > MAX_SHOWN:
+        return text[: MAX_SHOWN - 3] + "..."
+    return text
 
 
 def preset_of(entries: Iterable[Mapping[str, Any]]) -> str | None:
     """The preset among the settings of a node; None where it has none."""
-    return next((str(entry["value"]) for entry in entries if entry["key"] == "preset"), None)
+    for entry in entries:
+        if entry["key"] == "preset":
+            return str(entry["value"])
+    return None
 
 
 def in_force_text(entry: Mapping[str, Any], preset: str | None) -> str:
     """The value in force of a setting that is not stated, as " (preset NAME: VALUE)"; or ""."""
     if entry["value"] is not None or entry["in_force"] is None:
         return ""
-    whose = f"preset {preset}" if preset else "in force"
-    return f" ({whose}: {shown_value(entry['in_force'])})"
+    value = shown_value(entry["in_force"])
+    if not preset:
+        return f" (in force: {value})"
+    return f" (preset {preset}: {value})"
 
 
 def types_of(entry: Mapping[str, Any]) -> list[str]:
@@ -126,12 +150,19 @@ def types_of(entry: Mapping[str, Any]) -> list[str]:
 
 def allowed_text(entry: Mapping[str, Any]) -> str:
     """Allowed values of a setting, in a few words."""
-    if named := entry["choices"] or entry["known"]:
-        return ", ".join([*named, *(["none"] if "None" in types_of(entry) else [])])
-    words = []
-    for name in types_of(entry):
+    types = types_of(entry)
+    # A closed list says all; else the types do.
+    words = list(entry["choices"] or entry["known"])
+    if words:
+        if "None" in types:
+            words.append("none")
+        return ", ".join(words)
+
+    for name in types:
         word = _TYPES.get(name, name)
-        words.append(word + _range_text(entry) if name in ("int", "float") else word)
+        if name in ("int", "float"):
+            word += _range_text(entry)
+        words.append(word)
     return " or ".join(words)
 
 
@@ -139,14 +170,20 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     """The value of a typed text: TOML, or else the text as it stands, as it does for a setting
     whose described type is a text.
     """
-    from sparseskin.nodes.toml import toml_or_text  # with it comes numpy
+    # Imported here: with it comes numpy, for which a table need not wait.
+    from sparseskin.nodes.toml import toml_or_text
 
-    types = types_of(entry) if entry is not None else []
+    types = []
+    if entry is not None:
+        types = types_of(entry)
     if text == "none" and "None" in types:
         return None
+    # A text needs no quotes at a prompt.
     value = toml_or_text(text)
-    plain = isinstance(value, str | bool | int | float | list | dict)
-    if not plain or (not isinstance(value, str) and set(types) <= {"str", "None"} and types):
+    if isinstance(value, str):
+        return value
+    is_text = bool(types) and set(types) <= {"str", "None"}
+    if is_text or not isinstance(value, bool | int | float | list | dict):
         return text
     return value
 
@@ -158,8 +195,12 @@ def _range_text(entry: Mapping[str, Any]) -> str:
         return f" {_number(low)}..{_number(high)}"
     if low is not None:
         return f", {_number(low)} or more"
-    return f", {_number(high)} or less" if high is not None else ""
+    if high is not None:
+        return f", {_number(high)} or less"
+    return ""
 
 
 def _number(value: float) -> str:
-    return f"{value:.0f}" if value == round(value) and abs(value) < 1e12 else f"{value:g}"
+    if value == round(value) and abs(value) < 1e12:
+        return f"{value:.0f}"
+    return f"{value:g}"

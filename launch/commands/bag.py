@@ -5,7 +5,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sparseskin.launch.attach.text import facts, flowing, size_text, table
 from sparseskin.nodes.errors import SourceError
@@ -43,20 +43,25 @@ _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     add = add_commands(parser, "Work with recordings (.mcap).")
+    # Commands that read a file, in the order of their use: look, import, export.
     look.configure(add("look", look.look, "show how a file would be read, and its first frame"))
+
     info = add("info", _info, "print what a recording holds")
     info.add_argument("bag", metavar="F.mcap", type=Path, help=f"NAME{FILE_SUFFIX}")
     info.add_argument("--json", action="store_true", help="print JSON in place of a table")
+
     recover = add("recover", _recover, "save the readable part of a broken recording")
-    recover.add_argument(
-        "bag", metavar="F.mcap", type=Path, help=f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]"
-    )
+    about = f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]"
+    recover.add_argument("bag", metavar="F.mcap", type=Path, help=about)
     about = f"default: NAME_recovered{FILE_SUFFIX}"
     recover.add_argument("--out", metavar="NEW", type=Path, help=about)
+
     _configure_import(add("import", _import, "make a recording of a file of frames"))
-    export = add(
-        "export", _export, "convert a recording to NumPy, CSV or the format of another tool"
-    )
+    about = "convert a recording to NumPy, CSV or the format of another tool"
+    _configure_export(add("export", _export, about))
+
+
+def _configure_export(export: argparse.ArgumentParser) -> None:
     about = f"NAME{FILE_SUFFIX}; several for lerobot, zarr: an episode each"
     export.add_argument("bags", metavar="F.mcap", type=Path, nargs="+", help=about)
     export.add_argument("--to", choices=export_names(), required=True, help="the format")
@@ -64,22 +69,36 @@ def configure(parser: argparse.ArgumentParser) -> None:
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
     about = "only these topics; default: all with frames"
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
-    for option, (takers, metavar, what, kind) in _export_options().items():
-        about = f"of {', '.join(takers)}: {what}"
-        rare(export).add_argument(f"--{option}", metavar=metavar, type=kind, help=about)
+    for name, option in _export_options().items():
+        about = f"of {', '.join(option.exports)}: {option.about}"
+        rare(export).add_argument(f"--{name}", metavar=option.metavar, type=option.kind, help=about)
 
 
-def _export_options() -> dict[str, tuple[list[str], str, str, Any]]:
-    """Options that exports have of their own: the exports, metavar, help and type of each."""
-    found: dict[str, tuple[list[str], str, str, Any]] = {}
+class _ExportOption(NamedTuple):
+    """An option that exports have of their own, and the function that reads its text."""
+
+    exports: list[str]
+    metavar: str
+    about: str
+    kind: Any
+
+
+def _export_options() -> dict[str, _ExportOption]:
+    """Options that exports have of their own, by name."""
+    options: dict[str, _ExportOption] = {}
     for name, export in {**loaded(EXPORTS), **OWN}.items():
         for option, (metavar, about, *kind) in export.options.items():
-            found.setdefault(option, ([], metavar, about, *kind, whole(1))[:4])[0].append(name)
-    return found
+            # Several exports may have an option of one name: the first describes it.
+            if option not in options:
+                (read,) = kind or (whole(1),)
+                options[option] = _ExportOption([], metavar, about, read)
+            options[option].exports.append(name)
+    return options
 
 
 def _configure_import(parser: argparse.ArgumentParser) -> None:
-    formats = "; ".join(f"{suffix}: {what}" for suffix, what in suffixes().items())
+    formats = "; ".join(f"{suffix}: {about}" for suffix, about in suffixes().items())
+    # Plug-ins add formats, so that the list is made here.
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument("files", metavar="FILE", nargs="+", type=_path, help="the recording")
     about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
@@ -117,6 +136,7 @@ def _recover(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.recorder.convert.to_bag import recover_bag
 
     with BagReader(arguments.bag) as bag:
+        # The broken recording stays as it is.
         out = arguments.out or arguments.bag.with_name(f"{_stem(bag.path)}_recovered{FILE_SUFFIX}")
         n_messages = recover_bag(bag, out)
         print(f"{bag.path}: {bag.recovered or 'is whole'}")
@@ -128,12 +148,14 @@ def _import(arguments: argparse.Namespace) -> int:
     """Make a recording (.mcap) of a file of another format, as if a sensor had played it."""
     from sparseskin.nodes.recorder.convert.to_bag import import_file
 
+    # Names are checked before the first file is read.
     names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
-    outs = bag_names(names, arguments.out)
+    bags = [Path(name) for name in bag_names(names, arguments.out)]
+    # One layout for all files: they are of one skin.
     layout = layout_of(arguments)
-    for file, bag in zip(arguments.files, map(Path, outs), strict=True):
-        invert = arguments.invert == "true"
-
+    channels = [channel for channel in arguments.keep.split(",") if channel]
+    for file, bag in zip(arguments.files, bags, strict=True):
+        # A default binds the file of this turn of the loop.
         def log(line: str, file: Path = file) -> None:
             print(f"{file}: {as_options(line)}", file=sys.stderr)
 
@@ -142,9 +164,9 @@ def _import(arguments: argparse.Namespace) -> int:
                 file,
                 bag,
                 layout=layout,
-                keep=[channel for channel in arguments.keep.split(",") if channel],
+                keep=channels,
                 tare=arguments.tare,
-                invert=invert,
+                invert=arguments.invert == "true",
                 log=log,
             )
         except SourceError as error:
@@ -163,27 +185,40 @@ def _export(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.recorder.bag.patches import split_bag
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
+    # The function of a format is imported when it is asked for.
     export = find_export(arguments.to)
     write = find_callable(export.target, BagError)
-    options = {}
-    for option, (takers, *_) in _export_options().items():
-        if (value := getattr(arguments, option)) is None:
-            continue
-        if arguments.to not in takers:
-            raise BagError(f"--{option}: goes with --to {' or '.join(takers)}")
-        options[option] = value
+    options = _stated_options(arguments)
+    # Only some formats hold several episodes.
     if len(arguments.bags) > 1 and not export.several:
         raise BagError(f"{arguments.bags[1]}: --to {arguments.to} takes one recording")
     with ExitStack() as stack:
         bags = [stack.enter_context(BagReader(path)) for path in arguments.bags]
         for bag in bags:
+            # What a broken recording lacks is said before its frames are exported.
             if bag.recovered:
                 print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
-        out = arguments.out or bags[0].path.with_name(_stem(bags[0].path) + export.ending)
-        given = [split_bag(bag) for bag in bags]
-        for path in write(given if export.several else given[0], out, arguments.topics, **options):
+        first_path = bags[0].path
+        out = arguments.out or first_path.with_name(_stem(first_path) + export.ending)
+        parts: Any = [split_bag(bag) for bag in bags]
+        if not export.several:
+            (parts,) = parts
+        for path in write(parts, out, arguments.topics, **options):
             print(path)
     return 0
+
+
+def _stated_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Options of the export alone that are stated; BagError if one goes with another export."""
+    stated = {}
+    for name, option in _export_options().items():
+        value = getattr(arguments, name)
+        if value is None:
+            continue
+        if arguments.to not in option.exports:
+            raise BagError(f"--{name}: goes with --to {' or '.join(option.exports)}")
+        stated[name] = value
+    return stated
 
 
 def _stem(path: Path) -> str:
@@ -191,20 +226,22 @@ def _stem(path: Path) -> str:
 
 
 def _count(n: int, what: str) -> str:
-    return f"{n} {what}" if n == 1 else f"{n} {what}s"
+    if n == 1:
+        return f"{n} {what}"
+    return f"{n} {what}s"
 
 
 def info_document(bag: "BagReader") -> dict[str, Any]:
     """The file, its topics, counts of its recorder and its metadata in full."""
+    topics = {}
+    for topic, info in bag.topics.items():
+        topics[topic] = {key: getattr(info, key) for key in _OF_TOPIC}
     return {
         "recording": str(bag.path),
         "size_bytes": bag.path.stat().st_size,
         "recovered": bag.recovered,
         "duration_s": _seconds(span_ns(bag.topics.values())),
-        "topics": {
-            topic: {key: getattr(info, key) for key in _OF_TOPIC}
-            for topic, info in bag.topics.items()
-        },
+        "topics": topics,
         "states": _states(bag),
         "counts": bag.counts,
         "metadata": bag.metadata,
@@ -214,33 +251,35 @@ def info_document(bag: "BagReader") -> dict[str, Any]:
 def info_lines(bag: "BagReader") -> list[str]:
     """The same for a terminal, long values cut."""
     n_messages = sum(info.n_messages for info in bag.topics.values())
-    of_file = {
+    properties = {
         "recording": str(bag.path),
         "size": f"{size_text(bag.path.stat().st_size)}, {n_messages} messages",
         "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
         "state": bag.recovered or "whole",
     }
-    lost = None if bag.counts is None else bag.counts.get("lost", {})
-    rows = [
-        [
-            info.n_messages,
-            info.rate_hz or None,
-            _seconds((info.first_ns, info.last_ns)),
-            lost.get(topic, 0) if isinstance(lost, dict) else None,
-            topic,
-        ]
-        for topic, info in bag.topics.items()
-    ]
-    unknown = ["lost messages are not known: the recorder did not get to write them"]
-    return [
-        *facts(of_file),
-        "",
-        *table(["MESSAGES", "HZ", "SECONDS", "LOST", "TOPIC"], rows),
-        *(unknown if bag.counts is None else []),
-        "",
-        *_entries({topic: _state_text(state) for topic, state in _states(bag).items()}),
-        *_entries({key: value for key, value in bag.metadata.items() if value}),
-    ]
+    lines = [*facts(properties), ""]
+    lines += table(["MESSAGES", "HZ", "SECONDS", "LOST", "TOPIC"], _topic_rows(bag))
+    if bag.counts is None:
+        lines.append("lost messages are not known: the recorder did not get to write them")
+
+    # Names and texts of these are of the file, and may be long.
+    states = {topic: _state_text(state) for topic, state in _states(bag).items()}
+    metadata = {key: value for key, value in bag.metadata.items() if value}
+    return [*lines, "", *_entries(states), *_entries(metadata)]
+
+
+def _topic_rows(bag: "BagReader") -> list[list[Any]]:
+    """A row for each topic; what is not known is None."""
+    lost: Any = None
+    if bag.counts is not None:
+        # The recorder writes its counts last: a broken recording has none.
+        lost = bag.counts.get("lost", {})
+    rows = []
+    for topic, info in bag.topics.items():
+        n_lost = lost.get(topic, 0) if isinstance(lost, dict) else None
+        seconds = _seconds((info.first_ns, info.last_ns))
+        rows.append([info.n_messages, info.rate_hz or None, seconds, n_lost, topic])
+    return rows
 
 
 def _states(bag: "BagReader") -> dict[str, dict[str, Any]]:
@@ -255,21 +294,31 @@ def _states(bag: "BagReader") -> dict[str, dict[str, Any]]:
 
 def _state_text(state: dict[str, Any]) -> str:
     """Fields of a state that are no arrays, and state something, in one line."""
-    left = {key: value for key, value in state.items() if not isinstance(value, list)}
-    return ", ".join(f"{key} {value}" for key, value in left.items() if value not in (None, ""))
+    parts = []
+    for key, value in state.items():
+        # Arrays are in the document of --json alone.
+        is_empty = value is None or value == ""
+        if not isinstance(value, list) and not is_empty:
+            parts.append(f"{key} {value}")
+    return ", ".join(parts)
 
 
 def _seconds(span: tuple[int, int] | None) -> float:
-    return 0.0 if span is None else (span[1] - span[0]) / 1e9
+    if span is None:
+        return 0.0
+    begin_ns, end_ns = span
+    return (end_ns - begin_ns) / 1e9
 
 
 def _entries(entries: Mapping[str, str]) -> list[str]:
     """Entries of a file, whose names and texts may be long."""
-    named = dict[str, str]()
-    for key, value in entries.items():
-        if (n_lines := len(value.splitlines())) > 1:
-            value = f"{n_lines} lines (--json shows them)"
-        elif len(value) > _MAX_SHOWN:
-            value = f"{value[:_MAX_SHOWN]}... ({len(value)} characters, --json shows them)"
-        named[flowing(key[:32])] = value
-    return facts(named)
+    texts: dict[str, str] = {}
+    for key, text in entries.items():
+        # A launch file that was recorded would fill the screen.
+        n_lines = len(text.splitlines())
+        if n_lines > 1:
+            text = f"{n_lines} lines (--json shows them)"
+        elif len(text) > _MAX_SHOWN:
+            text = f"{text[:_MAX_SHOWN]}... ({len(text)} characters, --json shows them)"
+        texts[flowing(key[:32])] = text
+    return facts(texts)

@@ -51,8 +51,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Calibrate a skin: baseline, noise and faulty taxels from untouched frames, gains and "
         "response curve from presses of known weight. Without --press it asks for each step."
     )
-    more = rare(parser)
+    rarely_used = rare(parser)
     parser.add_argument("source", metavar="SOURCE", help="as sensor.source; readings may be raw")
+    # What every calibration states comes first, then options of presses.
     about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
     parser.add_argument("--out", metavar="F.toml", type=Path, required=True, help=about)
     about = "untouched frames: the first seconds (3s), a part of a recording (5-8s), or a file"
@@ -65,63 +66,82 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = "ask nothing: take no presses, or those of --press"
     parser.add_argument("--no-questions", action="store_true", help=about)
     about = "live sources: seconds to wait before each step, in place of Enter"
-    more.add_argument("--wait", metavar="S", type=real(above_0=False), help=about)
+    rarely_used.add_argument("--wait", metavar="S", type=real(above_0=False), help=about)
     about = "even loads of several weights: one curve for all taxels, one each, or none"
-    more.add_argument("--curve", choices=CURVES, default=CURVES[0], help=about)
-    more.add_argument("--name", help="name of the skin; default: that of the file")
+    rarely_used.add_argument("--curve", choices=CURVES, default=CURVES[0], help=about)
+    rarely_used.add_argument("--name", help="name of the skin; default: that of the file")
     about = "upper end of a taxel's range; default: 1.25 times the largest force of a press"
     parser.add_argument("--f-max", metavar="X", type=real(above_0=True), help=about)
     about = "unit of the readings where there are no presses; default: that of the source"
-    more.add_argument("--unit", help=about)
+    rarely_used.add_argument("--unit", help=about)
     about = "distance of neighbouring taxels; default: that of the source"
-    more.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
+    rarely_used.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
     about = "without a press: readings fall with force"
-    more.add_argument("--invert", choices=("true", "false"), default="false", help=about)
+    rarely_used.add_argument("--invert", choices=("true", "false"), default="false", help=about)
     about = "let the range begin below 0, so that noise around 0 is not clipped"
-    more.add_argument("--keep-noise", action="store_true", help=about)
+    rarely_used.add_argument("--keep-noise", action="store_true", help=about)
     add_layout(parser, but=("unit", "f_max", "rate_hz"))
     parser.set_defaults(run=_calibrate)
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
-    if out.suffix != ".toml":
-        raise SkinFileError(f"--out {out}: expected a name that ends in .toml")
-    for path in (out, out.with_suffix(".npz")):
-        if path.exists():  # before a person has pressed
-            raise OutputError(f"--out {path}: {TAKEN}")
+    # A person presses once: what can fail is checked before.
+    _check_out(out)
     layout = layout_of(arguments)
+    invert = arguments.invert == "true"
     reader = open_frames(arguments.source, layout)
     try:
+        # A live source is closed even where the questions are broken off.
         steps = _Steps(arguments, reader, layout)
         untouched = steps.untouched()
         presses = steps.presses()
     finally:
         reader.close()
+
     skin = reader.skin
-    pitch_mm = None if skin.pitch_m is None else 1000 * skin.pitch_m
-    found = fit(
+    # With presses the range follows from the largest of them.
+    f_max = arguments.f_max
+    if not f_max and not presses:
+        f_max = skin.f_max
+    # The file states millimetres, the skin metres.
+    pitch_mm = arguments.pitch_mm
+    if not pitch_mm and skin.pitch_m is not None:
+        pitch_mm = 1000 * skin.pitch_m
+    calibration = fit(
         arguments.name or out.stem,
         untouched,
         presses,
-        f_max=arguments.f_max or (None if presses else skin.f_max),
+        f_max=f_max,
         unit=arguments.unit or skin.unit,
-        pitch_mm=arguments.pitch_mm or pitch_mm,
+        pitch_mm=pitch_mm,
         mask=skin.mask,
         curve=arguments.curve,
         keep_noise=arguments.keep_noise,
-        invert=arguments.invert == "true",
+        invert=invert,
     )
     if not presses and isinstance(reader, Recorded):
-        line = line_on_sign(found.skin, reader.frames, arguments.invert == "true")
-        found.remarks.extend([as_options(line)] if line else [])
-    print("\n".join(report(found)))
-    for path in save_skin(out, found.skin):
+        line = line_on_sign(calibration.skin, reader.frames, invert)
+        if line:
+            calibration.remarks.append(as_options(line))
+
+    print("\n".join(report(calibration)))
+    for path in save_skin(out, calibration.skin):
         print(f"{path}: written")
+    # The next command of most people.
     settings = (f"sensor.source={arguments.source}", f"sensor.skin={out}")
-    words = " ".join(f"--set {shlex.quote(one)}" for one in settings)
+    words = " ".join(f"--set {shlex.quote(setting)}" for setting in settings)
     print(f"use it: sparseskin launch replay {words}")
     return 0
+
+
+def _check_out(out: Path) -> None:
+    """Raise an error if the file cannot be written, before a person has pressed."""
+    if out.suffix != ".toml":
+        raise SkinFileError(f"--out {out}: expected a name that ends in .toml")
+    for path in (out, out.with_suffix(".npz")):
+        if path.exists():
+            raise OutputError(f"--out {path}: {TAKEN}")
 
 
 class _Steps:
@@ -143,37 +163,50 @@ class _Steps:
         """Loads and their frames: those of --press, or those that a person states."""
         if self._arguments.press or self._arguments.no_questions:
             return [self._stated(text) for text in self._arguments.press or ()]
-        found: list[Press] = []
-        while force := self._answer(f"Load on the skin ({LOADS}; empty: no more): ", read_load):
-            question = f"Area that carries it evenly ({AREAS}; empty: not known): "
-            answer = self._answer(question, lambda text: (f"@{text}", read_area(text, self._shape)))
-            at, area = answer or ("", None)
-            label = f"{force:.4g}N{at}"
-            if self._reader.is_live:
-                frames = self._frames(f"{STEP_S:g}s", f"Put {label} on")
-            else:
-                question = "Part of the recording (START-STOPs), or a file: "
-                frames = self._answer(question, lambda text: self._frames(text, ""))
-            if frames is None:
+
+        presses: list[Press] = []
+        # An empty line ends the list of presses.
+        question = f"Load on the skin ({LOADS}; empty: no more): "
+        force = self._answer(question, read_load)
+        while force:
+            press = self._asked(force)
+            if press is None:
                 break
-            found.append(Press(label, force, frames, area))
-        return found
+            presses.append(press)
+            force = self._answer(question, read_load)
+        return presses
+
+    def _asked(self, force: float) -> Press | None:
+        """Area and frames of a load that a person states; None if there are no frames."""
+        question = f"Area that carries it evenly ({AREAS}; empty: not known): "
+        answer = self._answer(question, lambda text: (f"@{text}", read_area(text, self._shape)))
+        at, area = answer or ("", None)
+        label = f"{force:.4g}N{at}"
+        if self._reader.is_live:
+            frames = self._frames(f"{STEP_S:g}s", f"Put {label} on")
+        else:
+            question = "Part of the recording (START-STOPs), or a file: "
+            frames = self._answer(question, lambda text: self._frames(text, ""))
+        if frames is None:
+            return None
+        return Press(label, force, frames, area)
 
     def _stated(self, text: str) -> Press:
-        what, colon, where = text.partition(":")
+        load_at_area, colon, where = text.partition(":")
         if not (colon and where):
             raise CalibrationError(
                 f"--press {text}: expected LOAD[@AREA]:WHERE, LOAD as {LOADS}, WHERE as 5-8s or "
                 "a file"
             )
-        load, at, area = what.partition("@")
+        # An error of any part names the option as it was typed.
+        load, at, area = load_at_area.partition("@")
         try:
             force = read_load(load)
             cells = read_area(area, self._shape) if at else None
-            frames = self._frames(where, f"Put {what} on the skin")
+            frames = self._frames(where, f"Put {load_at_area} on the skin")
         except SparseskinError as error:
             raise CalibrationError(f"--press {text}: {error}") from error
-        return Press(what, force, frames, cells)
+        return Press(load_at_area, force, frames, cells)
 
     def _answer(self, question: str, read: Callable[[str], Any]) -> Any:
         """What a person answers, asked again until it can be read; None for an empty line."""
@@ -188,22 +221,28 @@ class _Steps:
 
     def _frames(self, where: str, request: str) -> Any:
         """Frames of a part of the source, or of a file."""
+        # START-STOPs of the source, or else the name of a file.
         part = read_part(where)
         if part is None:
             if not Path(where).exists():
                 raise CalibrationError(f"{where}: no such file; allowed: {PARTS}, or a file")
             return open_file(where, self._layout, raw=True).frames
         if self._reader.is_live:
-            seconds = part[1] - part[0]
-            wait_s = self._arguments.wait
-            if wait_s is None and self._arguments.no_questions:
-                wait_s = 0.0
-            if wait_s is not None:
-                print(f"{request}: {seconds:g} s in {wait_s:g} s", flush=True)
-                time.sleep(wait_s)
-            else:
-                _line(f"{request}, then press Enter ({seconds:g} s): ")
+            begin_s, end_s = part
+            self._wait(f"{end_s - begin_s:g} s", request)
         return self._reader.part(*part)
+
+    def _wait(self, duration: str, request: str) -> None:
+        """Wait for a person to do what is requested: for Enter, or the stated time."""
+        # A script waits for a time, a person answers.
+        wait_s = self._arguments.wait
+        if wait_s is None and self._arguments.no_questions:
+            wait_s = 0.0
+        if wait_s is None:
+            _line(f"{request}, then press Enter ({duration}): ")
+        else:
+            print(f"{request}: {duration} in {wait_s:g} s", flush=True)
+            time.sleep(wait_s)
 
 
 def _line(question: str) -> str:
@@ -212,6 +251,7 @@ def _line(question: str) -> str:
     """
     print(question, end="", flush=True)
     text = sys.stdin.readline()
+    # The terminal shows the line break that a person types, a pipe shows none.
     if not (text and sys.stdin.isatty()):
         print()
     if not text:
@@ -222,36 +262,45 @@ def _line(question: str) -> str:
     return text.strip()
 
 
-def report(found: Fit) -> list[str]:
+def report(calibration: Fit) -> list[str]:
     """Lines about a calibration: the skin, its faulty taxels, how well it measures its presses."""
-    skin = found.skin
-    masked = found.stuck + found.noisy + found.dead
-    noise = skin.noise or 0.0
-    kinds = f": {found.stuck} stuck, {found.noisy} noisy, {found.dead} dead" if masked else ""
-    named = {
-        "noise": f"{noise:.3g} {skin.unit} ({found.noise_raw:.3g} raw), "
-        f"of {found.n_frames} untouched frames",
-        "masked": f"{masked} taxels{kinds}",
+    skin = calibration.skin
+    size = f"{skin.n_rows} x {skin.n_cols} taxels, {skin.f_min:g}..{skin.f_max:g} {skin.unit}"
+    lines = [f"{skin.name}: {size}", *facts(_properties(calibration))]
+    if calibration.presses:
+        head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")
+        rows = []
+        for press in calibration.presses:
+            # What a person reads first: how far off each press is.
+            error = 100 * (press.measured / press.force - 1)
+            spreads = [_percent(press.spread), _percent(press.spread_before)]
+            rows.append([press.label, press.force, press.measured, error, *spreads])
+        lines += ["", *table(head, rows)]
+    return [*lines, *(f"note: {remark}" for remark in calibration.remarks)]
+
+
+def _properties(calibration: Fit) -> dict[str, str]:
+    skin = calibration.skin
+    noise = f"{skin.noise or 0.0:.3g} {skin.unit} ({calibration.noise_raw:.3g} raw)"
+    n_masked = calibration.stuck + calibration.noisy + calibration.dead
+    masked = f"{n_masked} taxels"
+    if n_masked:
+        masked += f": {calibration.stuck} stuck, {calibration.noisy} noisy, "
+        masked += f"{calibration.dead} dead"
+    properties = {
+        "noise": f"{noise}, of {calibration.n_frames} untouched frames",
+        "masked": masked,
     }
     if skin.response is not None:
-        own = "each taxel" if skin.response.reading.ndim == 3 else "all taxels"
-        named["response"] = f"{len(skin.response.force)} knots for {own}"
-    size = f"{skin.n_rows} x {skin.n_cols} taxels, {skin.f_min:g}..{skin.f_max:g} {skin.unit}"
-    lines = [f"{skin.name}: {size}", *facts(named)]
-    if found.presses:
-        head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")
-        rows = [
-            [
-                one.label,
-                one.force,
-                one.measured,
-                100 * (one.measured / one.force - 1),
-                *(None if v is None else 100 * v for v in (one.spread, one.spread_before)),
-            ]
-            for one in found.presses
-        ]
-        lines += ["", *table(head, rows)]
-    return [*lines, *(f"note: {remark}" for remark in found.remarks)]
+        taxels = "each taxel" if skin.response.reading.ndim == 3 else "all taxels"
+        properties["response"] = f"{len(skin.response.force)} knots for {taxels}"
+    return properties
+
+
+def _percent(share: float | None) -> float | None:
+    if share is None:
+        return None
+    return 100 * share
 
 
 TARE = "tare"
@@ -275,6 +324,7 @@ def configure_tare(parser: argparse.ArgumentParser) -> None:
 
 def _tare(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
+    # All are started before the first is waited for.
     names = arguments.nodes or _calibrated(graph)
     for name in names:
         ask_node(graph, name, TARE, arguments.frames)
@@ -285,27 +335,28 @@ def _tare(arguments: argparse.Namespace) -> int:
 
 def _calibrated(graph: RunningGraph) -> list[str]:
     nodes: list[dict[str, Any]] = describe(graph)["nodes"]
-    sensors = [node["name"] for node in nodes if node["type"] == "sensor"]
-    found = [node["name"] for node in nodes if "tare_left" in node["state"]]
-    if not found:
-        hint = "; state sensor.skin, or sensor.tare, in the launch file" if sensors else ""
-        raise GraphError(f"{graph.label}: has no sensor with a calibration{hint}")
-    return found
+    names = [node["name"] for node in nodes if "tare_left" in node["state"]]
+    if names:
+        return names
+    hint = ""
+    if any(node["type"] == "sensor" for node in nodes):
+        hint = "; state sensor.skin, or sensor.tare, in the launch file"
+    raise GraphError(f"{graph.label}: has no sensor with a calibration{hint}")
 
 
 def _wait_for_tare(graph: RunningGraph, name: str) -> str:
     """Wait for the end of a tare; return its result."""
     heard_s = time.monotonic()
-    before = None
+    n_missing = None
     while time.monotonic() - heard_s < PATIENCE_S:
         state = describe_node(graph, name)["state"]
-        left = state.get("tare_left")
-        if left == 0:
+        n_now = state.get("tare_left")
+        if n_now == 0:
             return str(state.get("tared", ""))
-        if left is None:
+        if n_now is None:
             raise GraphError(f"{name}: has no calibration")
-        if left != before:
+        if n_now != n_missing:
             heard_s = time.monotonic()
-            before = left
+            n_missing = n_now
         time.sleep(POLL_S)
-    raise GraphError(f"{name}: no frame for {PATIENCE_S:g} s; {before} frames are missing")
+    raise GraphError(f"{name}: no frame for {PATIENCE_S:g} s; {n_missing} frames are missing")

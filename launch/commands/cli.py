@@ -69,12 +69,17 @@ def about(name: str) -> tuple[str, str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    # `sparseskin` alone prints help, and `sparseskin help X` that of X.
+    if argv is None:
+        argv = sys.argv[1:]
+    words = list(argv) or ["--help"]
     if words[0] == "help":
         words = [*words[1:], "--help"]
-    everything = "--all" in words and bool({"-h", "--help"} & {*words})
+    asks_for_help = "-h" in words or "--help" in words
+    everything = "--all" in words and asks_for_help
     if everything:
         words.remove("--all")
+
     try:
         arguments = make_parser(words, everything).parse_args(words)
         return int(arguments.run(arguments))
@@ -87,13 +92,17 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
     """The parser of a command line; only the command that is named there has its arguments.
     Without `everything`, help leaves out what is rarely used.
     """
-    named = next((word for word in words if not word.startswith("-")), None)
-    # Where one of the core is named, no other is listed.
-    names = [*COMMANDS] if named in COMMANDS else [*COMMANDS, *plugins()]
+    # Options of the command follow its name.
+    command_word = next((word for word in words if not word.startswith("-")), None)
+    names = [*COMMANDS]
+    if command_word not in COMMANDS:
+        # Where one of the core is named, no other is listed.
+        names += plugins()
+    # The overview stands in place of the list of commands that argparse makes.
     parser = _Parser(
         prog="sparseskin",
         usage="sparseskin COMMAND ...",
-        description="" if named else _overview(names, everything),
+        description="" if command_word else _overview(names, everything),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="sparseskin COMMAND --help describes a command. With --all, help names commands\n"
         "and options that are rarely used, too.",
@@ -102,8 +111,9 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
     commands = parser.add_subparsers(prog="sparseskin", metavar="COMMAND", help=argparse.SUPPRESS)
     commands.required = True
     for name in names:
+        # The others are names alone: their modules are not imported.
         command = commands.add_parser(name)
-        if name == named:
+        if name == command_word:
             _configure(name, command)
             if not everything:
                 command.hide_rare()
@@ -112,27 +122,37 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
 
 def _overview(names: Sequence[str], everything: bool) -> str:
     """Commands in groups, a line each."""
-    groups: dict[str, list[str]] = {group: [] for group in (RUN, LOOK, DATA, BUILD, OTHERS, MORE)}
+    # In this order; a plug-in may add a group.
+    order = (RUN, LOOK, DATA, BUILD, OTHERS, MORE)
+    groups: dict[str, list[str]] = {group: [] for group in order}
     for name in names:
         group, line = about(name)
         groups.setdefault(group, []).append(f"  {name:<10}  {line}")
-    shown = {g: lines for g, lines in groups.items() if lines and (everything or g != MORE)}
+
     parts = ["Compressed sensing for robot tactile skins."]
-    return "\n\n".join(parts + ["\n".join([g, *lines]) for g, lines in shown.items()])
+    for group, lines in groups.items():
+        if lines and (everything or group != MORE):
+            parts.append("\n".join([group, *lines]))
+    return "\n\n".join(parts)
 
 
 def _configure(name: str, parser: argparse.ArgumentParser) -> None:
     """Add the arguments of a command to its parser."""
     if name in COMMANDS:
-        module = import_module(COMMANDS[name][1], __package__)
-        (getattr(module, f"configure_{name}", None) or module.configure)(parser)
+        _, module_name, _ = COMMANDS[name]
+        module = import_module(module_name, __package__)
+        # A module may have several commands.
+        configure = getattr(module, f"configure_{name}", None) or module.configure
+        configure(parser)
         return
+
     plugin = extensions.load(extensions.COMMANDS, name, SparseskinError)
     try:
         plugin.configure(parser)
     except SparseskinError:
         raise
-    except Exception as error:  # a plug-in may raise anything
+    except Exception as error:
+        # A plug-in may raise anything.
         raise SparseskinError(f"{name}: plug-in {plugin.__name__}: {one_line(error)}") from error
 
 
@@ -147,36 +167,46 @@ class _Parser(argparse.ArgumentParser):
 
     def hide_rare(self) -> None:
         """Leave options that are rarely used out of help, here and in the commands below."""
-        rare = [a for g in self._action_groups if g.title == RARE for a in g._group_actions]
-        self._n_hidden = len(rare)
-        for action in rare:
-            action.help = argparse.SUPPRESS
+        for group in self._action_groups:
+            if group.title != RARE:
+                continue
+            self._n_hidden = len(group._group_actions)
+            for action in group._group_actions:
+                action.help = argparse.SUPPRESS
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
-                for one in action.choices.values():
-                    one.hide_rare()
+                for parser in action.choices.values():
+                    parser.hide_rare()
 
     def format_help(self) -> str:
         """Help, and how many options it leaves out."""
-        more = f"\n{self._n_hidden} more options: {self.prog} --help --all\n"
-        return super().format_help() + more * bool(self._n_hidden)
+        # So that nobody takes the short help for the whole.
+        text = super().format_help()
+        if self._n_hidden:
+            text += f"\n{self._n_hidden} more options: {self.prog} --help --all\n"
+        return text
 
-    def parse_known_args(self, *given: Any, **more: Any) -> Any:
+    def parse_known_args(self, *words: Any, **options: Any) -> Any:
         """Refuse unknown words here, where the command that they belong to is known."""
-        namespace, unknown = super().parse_known_args(*given, **more)
-        if unknown:
-            options = [word for word in unknown if word.startswith("-")]
-            if options:  # what else is unknown may be the value of one
-                known = {name for name in self._option_string_actions if name[:2] == "--"}
-                hint = suggestion(options[0].partition("=")[0], known)
-                self.error(f"unrecognized arguments: {options[0]}{hint}")
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return namespace, unknown
+        # argparse itself would report them for the command `sparseskin`.
+        namespace, unknown = super().parse_known_args(*words, **options)
+        if not unknown:
+            return namespace, unknown
+        wrong_options = [word for word in unknown if word.startswith("-")]
+        if wrong_options:
+            # Words beside it that are unknown may be its value.
+            allowed = {name for name in self._option_string_actions if name[:2] == "--"}
+            hint = suggestion(wrong_options[0].partition("=")[0], allowed)
+            self.error(f"unrecognized arguments: {wrong_options[0]}{hint}")
+        self.error(f"unrecognized arguments: {' '.join(unknown)}")
 
     def error(self, message: str) -> NoReturn:
-        if refused := _CHOICE.fullmatch(message):
-            place, word, allowed = refused.groups()
-            hint = nearest_of(word, [one.strip("'") for one in allowed.split(", ")])
+        # argparse lists all choices; the nearest one is of more use.
+        refused = _CHOICE.fullmatch(message)
+        if refused:
+            place, word, listing = refused.groups()
+            allowed = [choice.strip("'") for choice in listing.split(", ")]
+            hint = nearest_of(word, allowed)
             message = f"{place}: invalid choice: '{word}'{hint}"
         self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)} (see {self.prog} --help)\n")
 
@@ -201,6 +231,7 @@ def complete() -> NoReturn:
 
     line = os.environ.get("COMP_LINE", "")
     point = os.environ.get("COMP_POINT", "")
+    # Only what stands before the cursor is completed.
     typed = line[: int(point)] if point.isdecimal() else line
     parser = make_parser(typed.split()[1:])
     argcomplete.autocomplete(
@@ -208,4 +239,5 @@ def complete() -> NoReturn:
         always_complete_options=False,
         default_completer=candidates,  # type: ignore[arg-type]
     )
-    sys.exit(1)  # the environment was not one of argcomplete: it has returned
+    # The environment was not one of argcomplete: it has returned.
+    sys.exit(1)

@@ -7,7 +7,7 @@ recordings, and nodes, topics and parameters of the graph that runs as the key i
 import argparse
 import glob
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,10 +61,12 @@ def candidates(
 ) -> Words:
     """Values of an argument that begin with what has been typed; its metavar names their kind."""
     try:
-        found = _values(prefix, str(action.metavar), parsed_args)
+        # No word is offered where an error would be printed into the prompt.
+        words = _values(prefix, str(action.metavar), parsed_args)
     except SparseskinError:
-        return {}  # no graph runs, or it is not clear which is meant
-    return {word: about for word, about in found.items() if word.startswith(prefix)}
+        # No graph runs, or it is not clear which is meant.
+        return {}
+    return {word: about for word, about in words.items() if word.startswith(prefix)}
 
 
 def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
@@ -76,22 +78,24 @@ def _values(prefix: str, metavar: str, typed: argparse.Namespace) -> Words:
         case "NAME|PID":
             from sparseskin.launch.run.running import running_graphs
 
-            graphs = running_graphs()
-            names = [one.name for one in graphs]
-            return _bare(one.name if names.count(one.name) == 1 else one.label for one in graphs)
+            return _bare(_labels(running_graphs()))
         case "KEY" | "VALUE":
             return _parameters(metavar, typed)
         case "FIELD":
             from sparseskin.messages.base import wire_fields
             from sparseskin.messages.wire import SCHEMAS
 
-            cls = SCHEMAS.get((typed.topic or "").rpartition("/")[2])
-            return _bare(wire_fields(cls) if cls is not None else ())
+            schema = (typed.topic or "").rpartition("/")[2]
+            if schema not in SCHEMAS:
+                return {}
+            return _bare(wire_fields(SCHEMAS[schema]))
         case "NODE.KEY=VALUE":
             if "name" not in typed:
                 return _overrides(prefix, REPROCESSED)
             types = node_types(typed.name or "")
-            return _overrides(prefix, {GRAPH: f"[{GRAPH}]"} | types if types else types)
+            if not types:
+                return {}
+            return _overrides(prefix, {GRAPH: f"[{GRAPH}]"} | types)
         case "SOURCE":
             return sources(prefix)
         case "NAME|FILE":
@@ -105,6 +109,16 @@ def _bare(words: Any) -> dict[str, str]:
     return dict.fromkeys(words, "")
 
 
+def _labels(graphs: Sequence["RunningGraph"]) -> list[str]:
+    """Names of graphs; of those of one name the labels."""
+    names = [graph.name for graph in graphs]
+    labels = []
+    for graph in graphs:
+        is_unique = names.count(graph.name) == 1
+        labels.append(graph.name if is_unique else graph.label)
+    return labels
+
+
 def _graph(typed: argparse.Namespace) -> "RunningGraph":
     from sparseskin.launch.run.running import choose_graph
 
@@ -115,10 +129,16 @@ def _parameters(metavar: str, typed: argparse.Namespace) -> Words:
     """Parameters of a node of the running graph, those that can be set for `param set`; values."""
     from sparseskin.launch.attach.client import describe_node
 
+    # Only live settings can be set; all can be read.
     entries = describe_node(_graph(typed), typed.node)["settings"]
+    is_set = "value" in typed
     if metavar == "KEY":
-        return {e["key"]: e["doc"] for e in entries if e["live"] or "value" not in typed}
-    return _bare(word for e in entries if e["key"] == typed.key for word in offered_values(e))
+        return {entry["key"]: entry["doc"] for entry in entries if entry["live"] or not is_set}
+    words: list[str] = []
+    for entry in entries:
+        if entry["key"] == typed.key:
+            words += offered_values(entry)
+    return _bare(words)
 
 
 def offered_values(entry: Mapping[str, Any]) -> list[str]:
@@ -126,24 +146,35 @@ def offered_values(entry: Mapping[str, Any]) -> list[str]:
     words = [*entry["choices"], *entry["known"]]
     if entry["type"] == "bool":
         words += ["true", "false"]
-    return words + ["none"] * ("None" in entry["type"])
+    if "None" in entry["type"]:
+        words.append("none")
+    return words
 
 
 def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
     """Of NODE.KEY=VALUE the nodes, or the keys of the only node that fits, or the values."""
-    node, dot, rest = prefix.partition(".")
-    fitting = [name for name in types if (name == node if dot else name.startswith(node))]
+    # What has been typed decides what comes next: node, key or value.
+    node, dot, setting = prefix.partition(".")
+    if dot:
+        fitting = [name for name in types if name == node]
+    else:
+        fitting = [name for name in types if name.startswith(node)]
     if len(fitting) != 1:
         return {f"{name}.": types[name] for name in fitting}
+
     name = fitting[0]
+    # No graph runs yet: these are the declared ones.
     entries = declared_settings(types[name])
-    key, equals, _ = rest.partition("=")
+    key, equals, value = setting.partition("=")
     if not equals:
-        return {f"{name}.{e['key']}=": e["doc"] for e in entries}
+        return {f"{name}.{entry['key']}=": entry["doc"] for entry in entries}
     if types[name] == "sensor" and key == "source":
-        return {f"{name}.source={word}": about for word, about in sources(rest[7:]).items()}
-    values = (value for e in entries if e["key"] == key for value in offered_values(e))
-    return _bare(f"{name}.{key}={value}" for value in values)
+        return {f"{name}.source={word}": about for word, about in sources(value).items()}
+    values: list[str] = []
+    for entry in entries:
+        if entry["key"] == key:
+            values += offered_values(entry)
+    return _bare(f"{name}.{key}={word}" for word in values)
 
 
 def sources(prefix: str) -> Words:
@@ -152,18 +183,18 @@ def sources(prefix: str) -> Words:
     """
     from sparseskin.nodes.sensor.scenes.scenes import SCENES
 
-    kind, colon, rest = prefix.partition(":")
+    # The kind of a source decides what may follow it.
+    kind, colon, address = prefix.partition(":")
     offers = extensions.offered(extensions.ADDRESSES)
     if not colon:
-        return _bare(f"{one}:" for one in ("scene", "file", *offers))
-    match kind:
-        case "scene":
-            return _bare(f"scene:{name}" for name in SCENES)
-        case "file":
-            return {f"file:{path}": "" for path in _paths(rest, folders_only=False)}
-        case _ if kind in offers:
-            found = extensions.load(extensions.ADDRESSES, kind, SparseskinError)
-            return dict(found.completions(prefix))
+        return _bare(f"{name}:" for name in ("scene", "file", *offers))
+    if kind == "scene":
+        return _bare(f"scene:{name}" for name in SCENES)
+    if kind == "file":
+        return _bare(f"file:{path}" for path in _paths(address, folders_only=False))
+    if kind in offers:
+        plugin = extensions.load(extensions.ADDRESSES, kind, SparseskinError)
+        return dict(plugin.completions(prefix))
     return {}
 
 
@@ -180,7 +211,8 @@ def declared_settings(type_name: str) -> list[Mapping[str, Any]]:
     target = registry.NODE_TYPES.get(type_name, "")
     if not target.startswith("sparseskin."):
         return []
-    described: list[Mapping[str, Any]] = registry.node_class(type_name).Settings.described()
+    settings = registry.node_class(type_name).Settings
+    described: list[Mapping[str, Any]] = settings.described()
     return described
 
 
@@ -189,20 +221,28 @@ def node_types(name: str) -> dict[str, str]:
     import tomllib
 
     try:
+        # A bundled launch file, or one that is named by its path.
         path = Path(name).expanduser()
         if path.suffix != ".toml" and len(path.parts) < 2:
             path = BUNDLED / f"{name}.toml"
-        tables = tomllib.loads(path.read_text(encoding="utf-8")).get("nodes", {})
+        launch = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = launch.get("nodes", {})
         return {name: str(table.get("type", "")) for name, table in tables.items()}
     except (OSError, ValueError, RuntimeError, AttributeError):
-        return {}  # the command names the fault when it is run
+        # The command names the fault when it is run.
+        return {}
 
 
 def _paths(prefix: str, folders_only: bool) -> dict[str, str]:
     """Files and folders that begin with a path as it was typed; a folder ends in "/"."""
     folder, slash, begun = prefix.rpartition("/")
-    place = Path(os.path.expanduser(folder + slash))
-    names = sorted(glob.glob(f"{glob.escape(begun)}*", root_dir=place))
-    folders = {name for name in names if (place / name).is_dir()}
-    shown = folders if folders_only else names
-    return _bare(folder + slash + name + "/" * (name in folders) for name in sorted(shown))
+    # What was typed stays as it is, "~" too.
+    typed = folder + slash
+    place = Path(os.path.expanduser(typed))
+    words = []
+    for name in sorted(glob.glob(f"{glob.escape(begun)}*", root_dir=place)):
+        if (place / name).is_dir():
+            words.append(f"{typed}{name}/")
+        elif not folders_only:
+            words.append(f"{typed}{name}")
+    return _bare(words)

@@ -16,6 +16,7 @@ def main() -> int:
     try:
         return _run()
     except KeyboardInterrupt as error:
+        # `Terminated` is an interrupt, too, with an exit code of its own.
         return getattr(error, "exit_code", EXIT_INTERRUPTED)
     except OSError as error:
         # stdout is closed or full; the rest of its buffer must not be written again at exit.
@@ -42,7 +43,9 @@ def _run() -> int:
 
     code = complete() if "_ARGCOMPLETE" in os.environ else run()
     sys.stdout.flush()
-    return Terminated.exit_code if TERMINATION.has_come else code
+    if TERMINATION.has_come:
+        return Terminated.exit_code
+    return code
 
 
 def open_standard_files() -> None:
@@ -54,9 +57,13 @@ def open_standard_files() -> None:
             os.fstat(number)
         except OSError:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
-    for name, number, mode in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+    # Python sets those that were closed when it started to None.
+    if sys.stdin is None:
+        sys.stdin = os.fdopen(0, "r", closefd=False)
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(2, "w", closefd=False)
 
 
 if __name__ == "__main__":

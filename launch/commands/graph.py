@@ -45,12 +45,17 @@ def _list_graphs(arguments: argparse.Namespace) -> int:
     one that is not ready.
     """
     graphs = running_graphs(starting=True)
-    rows = [[g.name, g.pid, ", ".join(g.nodes) or "(starting)"] for g in graphs]
-    lines = table(["GRAPH", "PID", "NODES"], rows) if graphs else ["no graph runs on this host"]
-    described = [
-        {"name": g.name, "pid": g.pid, "nodes": list(g.nodes), "starting": not g.nodes}
-        for g in graphs
-    ]
+    rows = []
+    described = []
+    for graph in graphs:
+        nodes = list(graph.nodes)
+        rows.append([graph.name, graph.pid, ", ".join(nodes) or "(starting)"])
+        described.append(
+            {"name": graph.name, "pid": graph.pid, "nodes": nodes, "starting": not nodes}
+        )
+    lines = ["no graph runs on this host"]
+    if rows:
+        lines = table(["GRAPH", "PID", "NODES"], rows)
     return show(arguments, "graph-list", {"graphs": described}, lines)
 
 
@@ -76,14 +81,15 @@ def configure_node(parser: argparse.ArgumentParser) -> None:
     listing = add("list", _list_nodes, "list the nodes")
     info = add("info", _info, "describe one node")
     info.add_argument("node", metavar="NODE", help="name of the node")
-    for one in (listing, info):
-        add_graph(one, "one JSON document")
+    for command in (listing, info):
+        add_graph(command, "one JSON document")
 
 
 def _list_nodes(arguments: argparse.Namespace) -> int:
     """List the nodes of a running graph: type, condition, process, restarts."""
     graph = choose_graph(arguments.graph)
     described = describe(graph)
+    # Settings and topics of a node are shown by `node info`.
     keys = ("name", "type", "condition", "pid", "restarts")
     nodes = [{key: node[key] for key in keys} for node in described["nodes"]]
     head = ["NODE", "TYPE", "CONDITION", "PID", "RESTARTS"]
@@ -99,59 +105,89 @@ def _info(arguments: argparse.Namespace) -> int:
     node = describe_node(graph, arguments.node)
     described = describe(graph)
     node["host"] = described["host"]
+    # Only processes of this host can be looked at.
     if node["host"] == socket.gethostname():
-        with contextlib.suppress(OSError):  # the process is gone
-            used_s = cpu_s(node["pid"])
-            node |= {
-                "cpu_s": used_s,
-                "cpu_percent": round(100 * used_s / age_s(node["pid"]), 1),
-                "memory_mb": round(resident_bytes(node["pid"]) / 1e6, 1),
-            }
+        with contextlib.suppress(OSError):
+            # The process is gone.
+            node |= _process_figures(node["pid"])
+
+    # The other ends of its topics are known to the graph alone.
     topics = topics_of(described)
     for entry in node["inputs"]:
         entry["publisher"] = topics[entry["topic"]]["publisher"]
     for entry in node["outputs"]:
-        entry["subscribers"] = [one["node"] for one in topics[entry["topic"]]["subscribers"]]
+        readers = topics[entry["topic"]]["subscribers"]
+        entry["subscribers"] = [reader["node"] for reader in readers]
     return show(arguments, "node-info", node, _node_text(node))
 
 
+def _process_figures(pid: int) -> dict[str, float]:
+    """Time on a processor, seconds and % of the age, and memory of a process, MB."""
+    used_s = cpu_s(pid)
+    return {
+        "cpu_s": used_s,
+        "cpu_percent": round(100 * used_s / age_s(pid), 1),
+        "memory_mb": round(resident_bytes(pid) / 1e6, 1),
+    }
+
+
 def _node_text(node: dict[str, Any]) -> list[str]:
-    restarts = f", restarted {node['restarts']} times" if node["restarts"] else ""
-    shared = f", with {', '.join(node['companions'])}" if node["companions"] else ""
-    named = {
+    lines = [node["name"], *facts(_node_properties(node), "  ")]
+    for head, rows in _node_tables(node).items():
+        if rows:
+            lines += ["", *table(head, rows, "  ")]
+    return lines
+
+
+def _node_properties(node: dict[str, Any]) -> dict[str, str]:
+    condition = node["condition"]
+    if node["restarts"]:
+        condition += f", restarted {node['restarts']} times"
+    process = f"{node['pid']} on {node['host']}"
+    if node["companions"]:
+        process += f", with {', '.join(node['companions'])}"
+    properties = {
         "type": node["type"],
-        "condition": node["condition"] + restarts,
-        "process": f"{node['pid']} on {node['host']}{shared}",
+        "condition": condition,
+        "process": process,
         "transport": f"{node['transport']} (ZeroMQ)",
     }
     if "cpu_s" in node:
-        shares = f"{node['cpu_percent']:.1f} % of a core since it started"
-        named["uses"] = f"{shares}, {node['memory_mb']:.0f} MB of memory"
+        share = f"{node['cpu_percent']:.1f} % of a core since it started"
+        properties["uses"] = f"{share}, {node['memory_mb']:.0f} MB of memory"
     if node["line"]:
-        named["reports"] = node["line"]
+        properties["reports"] = node["line"]
     if node["refused"]:
+        # Refused messages by their reason.
         counts = ", ".join(f"{reason} {n}" for reason, n in node["refused"].items())
-        named["refused"] = f"{counts}; the last: {node['refusal']}"
+        properties["refused"] = f"{counts}; the last: {node['refusal']}"
+    return properties
+
+
+def _node_tables(node: dict[str, Any]) -> dict[tuple[str, ...], list[list[Any]]]:
+    """Rows of each table about a node, by the head of the table."""
+    inputs = []
+    for entry in node["inputs"]:
+        counts = [entry[count] for count in COUNTED]
+        inputs.append([entry["topic"], entry["publisher"] or ELSEWHERE, *counts])
+    outputs = []
+    for entry in node["outputs"]:
+        outputs.append([entry["topic"], entry["sent"], ", ".join(entry["subscribers"])])
+    settings = []
     preset = preset_of(node["settings"])
-    tables: dict[tuple[str, ...], list[list[Any]]] = {
-        ("INPUT", "FROM", *(what.upper() for what in COUNTED)): [
-            [e["topic"], e["publisher"] or ELSEWHERE, *(e[what] for what in COUNTED)]
-            for e in node["inputs"]
-        ],
-        ("OUTPUT", "SENT", "READ BY"): [
-            [e["topic"], e["sent"], ", ".join(e["subscribers"])] for e in node["outputs"]
-        ],
-        ("STATE", "VALUE"): [[key, shown_value(value)] for key, value in node["state"].items()],
-        ("COMMAND", "ACTION"): [[*command] for command in node["commands"].items()],
-        ("SETTING", "", "VALUE"): [
-            [e["key"], "live" * e["live"], shown_value(e["value"]) + in_force_text(e, preset)]
-            for e in node["settings"]
-        ],
+    for entry in node["settings"]:
+        mark = "live" if entry["live"] else ""
+        value = shown_value(entry["value"]) + in_force_text(entry, preset)
+        settings.append([entry["key"], mark, value])
+    state = [[key, shown_value(value)] for key, value in node["state"].items()]
+    commands = [list(command) for command in node["commands"].items()]
+    return {
+        ("INPUT", "FROM", *(count.upper() for count in COUNTED)): inputs,
+        ("OUTPUT", "SENT", "READ BY"): outputs,
+        ("STATE", "VALUE"): state,
+        ("COMMAND", "ACTION"): commands,
+        ("SETTING", "", "VALUE"): settings,
     }
-    lines = [node["name"], *facts(named, "  ")]
-    for head, rows in tables.items():
-        lines += ["", *table(head, rows, "  ")] if rows else []
-    return lines
 
 
 def configure_param(parser: argparse.ArgumentParser) -> None:
@@ -160,13 +196,13 @@ def configure_param(parser: argparse.ArgumentParser) -> None:
     listing.add_argument("node", metavar="NODE", nargs="?", help="name of a node; all by default")
     get = add("get", _get, "print one setting")
     change = add("set", _set, "set one setting, or several at once")
-    for one in (get, change):
-        one.add_argument("node", metavar="NODE", help="name of the node")
-        one.add_argument("key", metavar="KEY", help="name of the setting")
+    for command in (get, change):
+        command.add_argument("node", metavar="NODE", help="name of the node")
+        command.add_argument("key", metavar="KEY", help="name of the setting")
     change.add_argument("value", metavar="VALUE", help="as in a launch file; none: not stated")
     change.add_argument("more", metavar="KEY VALUE", nargs="*", default=[], help="further settings")
-    for one in (listing, get, change):
-        add_graph(one, "one JSON document")
+    for command in (listing, get, change):
+        add_graph(command, "one JSON document")
 
 
 def _list_settings(arguments: argparse.Namespace) -> int:
@@ -174,20 +210,25 @@ def _list_settings(arguments: argparse.Namespace) -> int:
     live can be set while the graph runs.
     """
     graph = choose_graph(arguments.graph)
-    named = arguments.node
-    names = [node["name"] for node in describe(graph)["nodes"]] if named is None else [named]
+    names = [arguments.node]
+    if arguments.node is None:
+        names = [node["name"] for node in describe(graph)["nodes"]]
     settings = {name: describe_node(graph, name)["settings"] for name in names}
-    lines = "\n\n".join("\n".join(_node_lines(name, settings[name])) for name in names)
-    return show(arguments, "param-list", {"graph": graph.label, "nodes": settings}, [lines])
+    tables = ["\n".join(_node_lines(name, settings[name])) for name in names]
+    document = {"graph": graph.label, "nodes": settings}
+    return show(arguments, "param-list", document, ["\n\n".join(tables)])
 
 
 def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
     """Two lines a setting at the least: its value and what it may be, then what it means."""
+    # Values of all settings begin in one column.
     widest = max((len(entry["key"]) for entry in entries), default=0)
+    # A setting that is not stated may have a value by the preset.
     preset = preset_of(entries)
     lines = [f"{name} (* can be set while the graph runs)"]
     for entry in entries:
-        start = f"{'* ' if entry['live'] else '  '}{entry['key']:<{widest}} = "
+        mark = "*" if entry["live"] else " "
+        start = f"{mark} {entry['key']:<{widest}} = "
         value = flowing(shown_value(entry["value"]) + in_force_text(entry, preset))
         lines += wrapped(start, f"{value}   ({allowed_text(entry)})")
         lines += wrapped(" " * len(start), flowing(entry["doc"]))
@@ -202,9 +243,11 @@ def _get(arguments: argparse.Namespace) -> int:
     entries = {entry["key"]: entry for entry in settings}
     if key not in entries:
         raise GraphError(f"{node}: {key}: no such setting{did_you_mean(key, entries)}")
-    value = entries[key]["value"]
-    in_force = in_force_text(entries[key], preset_of(settings))
-    text = value if isinstance(value, str) else shown_value(value) + in_force
+
+    # A text is printed as it is, for a script to use.
+    text = entries[key]["value"]
+    if not isinstance(text, str):
+        text = shown_value(text) + in_force_text(entries[key], preset_of(settings))
     document = {"node": node, **entries[key]}
     return show(arguments, "param-get", document, map(printable, text.split("\n")))
 
@@ -215,19 +258,27 @@ def _set(arguments: argparse.Namespace) -> int:
     """
     if len(arguments.more) % 2:
         raise SettingsError(f"{arguments.more[-1]}: a setting without a value")
-    typed = dict(zip(arguments.more[::2], arguments.more[1::2], strict=True))
-    typed = {arguments.key: arguments.value} | typed
+    # All of them go in one request: all are set between two frames, or none.
+    typed_texts = {arguments.key: arguments.value}
+    words = iter(arguments.more)
+    for key in words:
+        typed_texts[key] = next(words)
+
     graph = choose_graph(arguments.graph)
-    entries = {entry["key"]: entry for entry in describe_node(graph, arguments.node)["settings"]}
+    settings = describe_node(graph, arguments.node)["settings"]
+    entries = {entry["key"]: entry for entry in settings}
     values: dict[str, Any] = {}
-    for key, text in typed.items():
-        table, dot, part = key.partition(".")
-        if dot and table in entries:  # one value of a table: the others stay
-            before = values.get(table, entries[table]["value"])
-            kept = before if isinstance(before, dict) else {}
-            values[table] = {**kept, part: typed_value(text, None)}
-        else:
+    for key, text in typed_texts.items():
+        # A dot may also be part of the name of a setting.
+        table_key, dot, part = key.partition(".")
+        if not dot or table_key not in entries:
             values[key] = typed_value(text, entries.get(key))
+            continue
+        # One value of a table: the others stay.
+        table_values = values.get(table_key, entries[table_key]["value"])
+        if not isinstance(table_values, dict):
+            table_values = {}
+        values[table_key] = {**table_values, part: typed_value(text, None)}
     answer = ask_node(graph, arguments.node, "set", values)
     done = {"node": arguments.node, "set": values, "answer": answer}
     return show(arguments, "param-set", done, [f"{arguments.node}: {answer}"])

@@ -7,7 +7,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.text import table
 from sparseskin.launch.launchfile import bundled_names
@@ -26,7 +26,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from sparseskin.launch.launchfile.spec import LaunchFile
+    from sparseskin.launch.launchfile.spec import LaunchFile, NodeSpec
     from sparseskin.launch.run.run_log import RunLog
 
 REPLAY = "replay"
@@ -46,7 +46,6 @@ Your own file:  {0} launch F"""
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
     parser.epilog = f"Bundled launch files: {', '.join(bundled_names())}. {STATUS_LINE}"
-    more = rare(parser)
     about = "launch file; or a recording, which is replayed as a skin"
     parser.add_argument("name", metavar="NAME|FILE", help=about)
     add_set(
@@ -63,7 +62,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = "check the launch file (modules that it names are imported), print the graph"
     parser.add_argument("--dry-run", action="store_true", help=about)
     about = "run the part of this host, of a graph of several"
-    more.add_argument("--host", metavar="NAME", help=about)
+    rare(parser).add_argument("--host", metavar="NAME", help=about)
     parser.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
     about = "open the live page in a browser; a scene or recording is shown again and again"
     add_page(parser, about)
@@ -73,25 +72,39 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _launch(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.launchfile.load import load
-    from sparseskin.nodes.monitor.node import Monitor
 
+    # A recording in place of a launch file is replayed as a skin.
     source = _source_of(arguments.name)
     if source:
         arguments.name = REPLAY
         arguments.set = [f"sensor.source={source}", *arguments.set]
+    # Loaded once without the page: which node is a monitor is known then.
     launch = load(arguments.name, arguments.set, arguments.record)
-    wanted = ["browser=true"] * arguments.open + ["token=false"] * arguments.no_token
-    if wanted:
-        nodes = launch.nodes.values()
-        monitors = [node.name for node in nodes if issubclass(node.cls, Monitor)]
-        changes = [f"{name}.{change}" for name in monitors for change in wanted]
-        again = arguments.open and arguments.record is None
-        loops = [f"{node.name}.loop=true" for node in nodes if again and _ends(node.settings)]
-        launch = load(arguments.name, [*loops, *arguments.set, *changes], arguments.record)
+    if arguments.open or arguments.no_token:
+        settings = _with_page(launch, arguments)
+        launch = load(arguments.name, settings, arguments.record)
+
     if arguments.dry_run:
         print(graph_text(launch))
         return 0
     return _run(launch.part(arguments.host), arguments)
+
+
+def _with_page(launch: "LaunchFile", arguments: argparse.Namespace) -> list[str]:
+    """The settings of a command line with those that its options of the page stand for."""
+    from sparseskin.nodes.monitor.node import Monitor
+
+    loops = []
+    changes = []
+    for node in launch.nodes.values():
+        # A recording has its end.
+        if arguments.open and arguments.record is None and _ends(node.settings):
+            loops.append(f"{node.name}.loop=true")
+        if issubclass(node.cls, Monitor) and arguments.open:
+            changes.append(f"{node.name}.browser=true")
+        if issubclass(node.cls, Monitor) and arguments.no_token:
+            changes.append(f"{node.name}.token=false")
+    return [*loops, *arguments.set, *changes]
 
 
 def _source_of(name: str) -> str:
@@ -100,40 +113,57 @@ def _source_of(name: str) -> str:
     """
     if name.partition(":")[0] in ("file", "example"):
         return name
+    # A name that is neither is reported as an unknown launch file.
     is_launch_file = name in bundled_names() or name.endswith(".toml")
-    return f"file:{name}" if not is_launch_file and Path(name).exists() else ""
+    if is_launch_file or not Path(name).exists():
+        return ""
+    return f"file:{name}"
 
 
 def graph_text(launch: "LaunchFile") -> str:
     """Nodes with their settings, then hosts, then topics with those that write and read them."""
     nodes = []
     for node in launch.nodes.values():
-        stated = {
-            "host": node.host,
-            **{key: value for key, value in node.values.items() if key != "launch"},
-            "cpus": list(node.scheduling.cpus),
-            "priority": node.scheduling.priority,
-            "process": node.process,
-        }
-        shown = [  # of the keys of all nodes those that are stated
-            f"{key} = {value!r}" for key, value in stated.items() if value or key in node.values
-        ]
-        nodes.append([node.name, node.type_name, ", ".join(shown)])
-    hosts = [
-        [name, host.address, ", ".join(f"{n.name} at {n.public}" for n in here if n.public)]
-        for name, host in launch.hosts.items()
-        for here in ([n for n in launch.nodes.values() if n.host == name],)
-    ]
-    topics = [
-        [topic, links[0].writer, ", ".join(link.reader for link in links)]
-        for topic in dict.fromkeys(link.topic for link in launch.links)
-        for links in ([link for link in launch.links if link.topic == topic],)
-    ]
+        nodes.append([node.name, node.type_name, _settings_text(node)])
+
+    hosts = []
+    for name, host in launch.hosts.items():
+        # A node is public where another host reads it.
+        at_host = [node for node in launch.nodes.values() if node.host == name]
+        public = [f"{node.name} at {node.public}" for node in at_host if node.public]
+        hosts.append([name, host.address, ", ".join(public)])
+
+    writers: dict[str, str] = {}
+    readers: dict[str, list[str]] = {}
+    for link in launch.links:
+        writers.setdefault(link.topic, link.writer)
+        readers.setdefault(link.topic, []).append(link.reader)
+    topics = []
+    for topic, writer in writers.items():
+        topics.append([topic, writer, ", ".join(readers[topic])])
+
     lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", ""]
     lines += table(["NODE", "TYPE", "SETTINGS"], nodes)
-    lines += ["", *table(["HOST", "ADDRESS", "NODES"], hosts)] if hosts else []
+    if hosts:
+        lines += ["", *table(["HOST", "ADDRESS", "NODES"], hosts)]
     lines += ["", *table(["TOPIC (/PATCH/SCHEMA)", "PUBLISHER", "SUBSCRIBERS"], topics)]
     return "\n".join(map(printable, lines))
+
+
+def _settings_text(node: "NodeSpec") -> str:
+    """Settings of a node; of the keys of all nodes those that are stated."""
+    values: dict[str, Any] = {"host": node.host}
+    # The text of the launch file is itself a value of the recorder.
+    values |= {key: value for key, value in node.values.items() if key != "launch"}
+    values["cpus"] = list(node.scheduling.cpus)
+    values["priority"] = node.scheduling.priority
+    values["process"] = node.process
+
+    stated = []
+    for key, value in values.items():
+        if value or key in node.values:
+            stated.append(f"{key} = {value!r}")
+    return ", ".join(stated)
 
 
 def _ends(settings: object) -> bool:
@@ -149,35 +179,48 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE
     from sparseskin.launch.run.launcher import Launcher
     from sparseskin.launch.run.terminal import Terminal
-    from sparseskin.nodes.monitor.table import summary_table
 
+    # Before the run: it may take hours.
     check_summary(arguments.summary)
     run_log = _run_log(launch)
     launcher = Launcher(launch, Terminal(run_log), arguments.frames)
     code = launcher.run()
     if run_log is not None:
         run_log.close()
+
     summary = launcher.summary()
-    sensed = {name: p for name, p in summary["patches"].items() if p["frames"]["sensed"]}
-    patches = sensed or summary["patches"]  # none where the monitor is on another host
+    # None where the monitor is on another host.
+    patches = summary["patches"]
+    # A patch of which no frame came has nothing to show beside others.
+    sensed = {name: patch for name, patch in patches.items() if patch["frames"]["sensed"]}
     try:
         if sensed or code != EXIT_USAGE:
-            if patches:
-                print(summary_table(patches))
-            print_ends(summary["nodes"])
-            sys.stdout.flush()
-    finally:  # stdout may be on a full disk
+            _print_summary(sensed or patches, summary["nodes"])
+    finally:
+        # Stdout may be on a full disk.
         write_summary(arguments.summary, "launch-summary", summary)
+
     if run_log is not None and code in (EXIT_FAILED, EXIT_USAGE):
         print(f"logs of the nodes: {run_log.folder}", file=sys.stderr)
     if code == 0 and launch.name in bundled_names() and sys.stderr.isatty():
+        # As it was started here: it may not be on the path.
         program = "sparseskin" if shutil.which("sparseskin") else sys.argv[0]
         print(NEXT.format(program, launch.name), file=sys.stderr)
     for name, patch in sensed.items():
+        # A graph whose frames are all lost has not done its work.
         if not patch["frames"]["reconstructed"]:
             print(f"{name}: not one frame was reconstructed", file=sys.stderr)
             code = code or 1
     return code
+
+
+def _print_summary(patches: dict[str, Any], nodes: dict[str, Any]) -> None:
+    from sparseskin.nodes.monitor.table import summary_table
+
+    if patches:
+        print(summary_table(patches))
+    print_ends(nodes)
+    sys.stdout.flush()
 
 
 def _run_log(launch: "LaunchFile") -> "RunLog | None":
@@ -186,6 +229,7 @@ def _run_log(launch: "LaunchFile") -> "RunLog | None":
     from sparseskin.nodes.errors import SparseskinError
     from sparseskin.nodes.files import user_folder
 
+    # A folder that is stated must be usable; the default one need not be.
     if launch.log_dir:
         return RunLog(Path(launch.log_dir), launch.name, time.time())
     try:

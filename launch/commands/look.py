@@ -14,6 +14,7 @@ from sparseskin.launch.attach.heat_map import heat_map
 from sparseskin.launch.attach.text import facts
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 from sparseskin.nodes.sensor.files.file_source import located, open_file
 from sparseskin.nodes.sensor.files.format import recording_of
@@ -54,47 +55,66 @@ def look(arguments: argparse.Namespace) -> int:
 
 def _head_lines(name: str, layout: Layout) -> list[str]:
     """What the begin of the file shows."""
-    with located(name) as (first, parts), reading(first) as file:
+    # The begin of the file is enough: this also works where the rest cannot be read.
+    with located(name) as (path, parts), reading(path) as file:
         try:
-            recording = recording_of(File(file, first, parts, layout, raw=True))
+            recording = recording_of(File(file, path, parts, layout, raw=True))
         except UnstatedError:
             # If only the times are not clear, the rest can be shown.
             untimed = layout.stating({"time": "none"})
-            recording = recording_of(File(file, first, parts, untimed, raw=True))
+            recording = recording_of(File(file, path, parts, untimed, raw=True))
         head = recording.head()
         block = next(iter(recording.blocks()), None)
-    known = {
-        "file": name + (f" and {len(parts)} more" if parts else ""),
+
+    properties = {
+        "file": f"{name} and {len(parts)} more" if parts else name,
         "numbers": f"{_sides(head)}{_names(head)}",
         "first item": _first_numbers(block, head),
         "times": _times(head, layout),
-        "unit": head.unit or (f"{layout.unit}, as stated" if layout.unit else "not stated"),
+        "unit": _unit(head, layout),
     }
     if head.rate_hz is not None:
-        known["rate"] = f"{head.rate_hz:g} Hz"
+        properties["rate"] = f"{head.rate_hz:g} Hz"
     if head.mask is not None:
-        known["mask"] = f"{int(head.mask.sum())} of {head.mask.size} cells are taxels"
-    return facts(known)
+        properties["mask"] = f"{int(head.mask.sum())} of {head.mask.size} cells are taxels"
+    return facts(properties)
+
+
+def _unit(head: Head, layout: Layout) -> str:
+    if head.unit:
+        return head.unit
+    if layout.unit:
+        return f"{layout.unit}, as stated"
+    return "not stated"
 
 
 def _sides(head: Head) -> str:
     """How many numbers an item has that may be readings."""
-    if head.usable is not None:
-        n_left_out = head.axes[0].size - len(head.usable)
-        left_out = f" (and {n_left_out} of times, counts or texts)" * bool(n_left_out)
-        return f"{len(head.usable)} columns{left_out}"
-    return " x ".join(f"{axis.size} {axis.label}".strip() for axis in head.axes) + " per frame"
+    # All numbers may be readings, or only some columns.
+    if head.usable is None:
+        sides = (f"{axis.size} {axis.label}".strip() for axis in head.axes)
+        return f"{' x '.join(sides)} per frame"
+
+    text = f"{len(head.usable)} columns"
+    n_others = head.axes[0].size - len(head.usable)
+    if n_others:
+        text += f" (and {n_others} of times, counts or texts)"
+    return text
 
 
 def _first_numbers(block: Block | None, head: Head) -> str:
     """The first numbers of the first item that may be readings."""
     if block is None:
         return "none"
-    numbers = np.asarray(block.numbers[0], dtype=np.float64).reshape(-1)
+    # Whatever its shape: it is the order of the file.
+    item = np.asarray(block.numbers[0], dtype=np.float64)
+    numbers = item.reshape(-1)
     if head.usable is not None:
         numbers = numbers[list(head.usable)]
-    shown = ", ".join(f"{number:.6g}" for number in numbers[:MAX_NUMBERS].tolist())
-    return shown + ", ..." * (numbers.size > MAX_NUMBERS)
+    texts = [f"{number:.6g}" for number in numbers[:MAX_NUMBERS].tolist()]
+    if numbers.size > MAX_NUMBERS:
+        texts.append("...")
+    return ", ".join(texts)
 
 
 def _names(head: Head) -> str:
@@ -113,43 +133,61 @@ def _names(head: Head) -> str:
 def _times(head: Head, layout: Layout) -> str:
     if not head.is_timed:
         return "none recognised"
+    # Which times are read decides on the rate, and on the age of frames.
+    times = head.time_name or "of each item"
     if layout.rate_hz is not None:
-        return f"{head.time_name or 'of each item'}, not read: rate_hz is stated"
-    unit = f" in {head.time_unit}" if head.time_unit else ", of no stated unit"
-    return f"{head.time_name or 'of each item'}{unit}"
+        return f"{times}, not read: rate_hz is stated"
+    if not head.time_unit:
+        return f"{times}, of no stated unit"
+    return f"{times} in {head.time_unit}"
 
 
 def _frame_lines(name: str, layout: Layout) -> list[str]:
     """What all of the file shows."""
     source = open_file(name, layout)
+    skin = source.skin
     sample = islice(source, MAX_STEPS)
-    first_ns, first = next(sample)
+    first_ns, forces = next(sample)
     # The frames are not kept: of a large file each pass decodes it.
-    stamp_s = np.array([first_ns, *(stamp_ns for stamp_ns, _ in sample)]) / 1e9
-    known = {
-        "taxels": f"{source.skin.n_rows} x {source.skin.n_cols}"
-        + ("" if source.skin.mask is None else f", {source.skin.n_taxels} exist"),
-        "readings": f"up to {source.skin.f_max:g} {source.skin.unit}",
-    }
-    if len(stamp_s) > 1:
-        steps_ms = 1000 * np.diff(stamp_s)
-        known["time step"] = (
-            f"{np.median(steps_ms):.4g} ms (median), {steps_ms.min():.4g} to {steps_ms.max():.4g}"
-        )
+    stamps_ns = [first_ns, *(stamp_ns for stamp_ns, _ in sample)]
+    taxels = f"{skin.n_rows} x {skin.n_cols}"
+    if skin.mask is not None:
+        taxels += f", {skin.n_taxels} exist"
+
+    properties = {"taxels": taxels, "readings": f"up to {skin.f_max:g} {skin.unit}"}
+    if len(stamps_ns) > 1:
+        properties["time step"] = _steps_text(stamps_ns)
     for k, note in enumerate(source.notes):
-        known[f"note {k + 1}"] = as_options(note)
-    top = max(float(np.nanmax(first)), 1e-9)
+        properties[f"note {k + 1}"] = as_options(note)
+
+    command = _command(name, layout)
+    return [*facts(properties), "", *_picture_lines(forces), "", f"import it: {command}"]
+
+
+def _steps_text(stamps_ns: list[int]) -> str:
+    """Times from frame to frame."""
+    steps_ms = 1000 * np.diff(np.array(stamps_ns) / 1e9)
+    extent = f"{steps_ms.min():.4g} to {steps_ms.max():.4g}"
+    return f"{np.median(steps_ms):.4g} ms (median), {extent}"
+
+
+def _picture_lines(forces: Floats) -> list[str]:
+    """The first frame as a map."""
+    # Missing readings are NaN; the map shows them as 0.
+    largest = float(np.nanmax(forces))
+    title = "first frame:"
+    if not largest > 0:
+        title += " no reading is above 0"
     width = min(MAP_WIDTH, shutil.get_terminal_size().columns - 1)
     coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
-    picture = heat_map(np.nan_to_num(first), top, width, MAP_LINES, coloured)
-    title = "first frame:" if np.nanmax(first) > 0 else "first frame: no reading is above 0"
-    return [*facts(known), "", title, *picture, "", f"import it: {_command(name, layout)}"]
+    top = max(largest, 1e-9)
+    return [title, *heat_map(np.nan_to_num(forces), top, width, MAP_LINES, coloured)]
 
 
 def _command(name: str, layout: Layout) -> str:
     """The command that imports the file as it was looked at."""
-    out = f"{Path(name.partition(':')[2] or name).stem}{FILE_SUFFIX}"
-    words = ["sparseskin", "recording", "import", name, "--out", out]
+    stem = Path(name.partition(":")[2] or name).stem
+    words = ["sparseskin", "recording", "import", name, "--out", f"{stem}{FILE_SUFFIX}"]
     for key in KEYS:
         value = getattr(layout, key)
         if value != getattr(EMPTY, key):

@@ -49,7 +49,9 @@ def run_beside(
     from sparseskin.nodes.graph import Link
 
     writers = graph.writers()
+    # It reads what it needs, and nothing of the graph reads it.
     links = [Link(topic, writers[topic], name) for topic in topics]
+    # A graph of one node, which joins the running one.
     launch = replace(single_node(name, type_name, values), links=links)
     launcher = Launcher(launch, Terminal(), joined=graph)
     return launcher.run(), launcher.summary()
@@ -62,34 +64,30 @@ def batches_of(graph: RunningGraph) -> dict[str, list[str]]:
     from sparseskin.messages.topics import split_topic
     from sparseskin.nodes.recorder.bag.frames import FRAME_SCHEMAS
 
-    writers = {
-        split_topic(topic)[0]: node
-        for topic, node in graph.writers().items()
-        if split_topic(topic)[1] in FRAME_SCHEMAS
-    }
-    settings = {batch: describe_node(graph, node)["settings"] for batch, node in writers.items()}
-    return {
-        batch: list(entry["value"])
-        for batch, entries in settings.items()
-        for entry in entries
-        if entry["key"] == "patches" and entry["value"]
-    }
+    writers = {}
+    for topic, node in graph.writers().items():
+        patch, schema = split_topic(topic)
+        if schema in FRAME_SCHEMAS:
+            writers[patch] = node
+
+    # Names of the patches of a batch are settings of the node that publishes it.
+    batches = {}
+    for batch, node in writers.items():
+        for entry in describe_node(graph, node)["settings"]:
+            if entry["key"] == "patches" and entry["value"]:
+                batches[batch] = list(entry["value"])
+    return batches
 
 
 def _monitor(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.attach.stream import EXIT_NOTHING
-    from sparseskin.messages.topics import split_topic
-    from sparseskin.nodes.monitor.node import WATCHED
     from sparseskin.nodes.monitor.table import summary_table
 
     if arguments.text and (arguments.open or arguments.port is not None):
         raise SettingsError("--text: goes with neither --open nor --port: it has no page")
     graph = choose_graph(arguments.graph)
-    watched = {schema.schema for schema in WATCHED}
-    topics = [topic for topic in graph.writers() if split_topic(topic)[1] in watched]
-    patches = list(dict.fromkeys(split_topic(topic)[0] for topic in topics))
-    if not patches:
-        raise SettingsError(f"{graph.label}: has no topic that a monitor reads")
+    patches, topics = _watched(graph)
+    # A batch is shown as its patches.
     batches = batches_of(graph)
     values = {
         "patches": [patch for patch in patches if patch not in batches],
@@ -103,30 +101,67 @@ def _monitor(arguments: argparse.Namespace) -> int:
         values["port"] = arguments.port
     with naming_options({"port": "--port"}):
         code, summary = run_beside(graph, "monitor", f"monitor_{os.getpid()}", values, topics)
+
     if summary["patches"]:
         print(summary_table(summary["patches"]))
-    read = any(any(patch["frames"].values()) for patch in summary["patches"].values())
-    return code if read else code or EXIT_NOTHING
+    # A monitor that read nothing has failed, though it ended well.
+    counts = [patch["frames"].values() for patch in summary["patches"].values()]
+    if not any(map(any, counts)):
+        return code or EXIT_NOTHING
+    return code
+
+
+def _watched(graph: RunningGraph) -> tuple[list[str], list[str]]:
+    """Patches, or batches of them, and topics that a monitor reads, or SettingsError."""
+    from sparseskin.messages.topics import split_topic
+    from sparseskin.nodes.monitor.node import WATCHED
+
+    schemas = {cls.schema for cls in WATCHED}
+    patches: list[str] = []
+    topics = []
+    for topic in graph.writers():
+        patch, schema = split_topic(topic)
+        if schema in schemas:
+            topics.append(topic)
+            patches.append(patch)
+    if not patches:
+        raise SettingsError(f"{graph.label}: has no topic that a monitor reads")
+    return list(dict.fromkeys(patches)), topics
 
 
 def _record(arguments: argparse.Namespace) -> int:
     from sparseskin.launch.attach.stream import EXIT_NOTHING
 
     graph = choose_graph(arguments.graph)
-    writers = graph.writers()
-    patterns = arguments.topics or ["*"]
-    for pattern in patterns:
-        if not fnmatch.filter(writers, pattern):
-            hint = did_you_mean(pattern, writers)
-            raise SettingsError(f"{pattern}: {graph.label} has no such topic{hint}")
-    topics = [t for t in writers if any(fnmatch.fnmatchcase(t, p) for p in patterns)]
+    topics = _matching(graph, arguments.topics or ["*"])
     out = arguments.out or f"{graph.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
     name = f"record_{os.getpid()}"
-    values = {"out": out, "topics": topics, "launch": graph.launch, "source": graph.name}
+    values = {
+        "out": out,
+        "topics": topics,
+        "launch": graph.launch,
+        "source": graph.name,
+    }
     with naming_options({"out": "--out"}):
         code, summary = run_beside(graph, "recorder", name, values, topics)
     print_ends(summary["nodes"])
+    # The recorder was ended before it had opened its file.
     if code == 0 and "recording" not in summary["nodes"][name]:
         print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
         return EXIT_NOTHING
     return code
+
+
+def _matching(graph: RunningGraph, patterns: list[str]) -> list[str]:
+    """Topics that match one of some patterns; SettingsError if a pattern matches none."""
+    writers = graph.writers()
+    # A pattern without a topic is rather a typing error than a wish.
+    for pattern in patterns:
+        if not fnmatch.filter(writers, pattern):
+            hint = did_you_mean(pattern, writers)
+            raise SettingsError(f"{pattern}: {graph.label} has no such topic{hint}")
+    topics = []
+    for topic in writers:
+        if any(fnmatch.fnmatchcase(topic, pattern) for pattern in patterns):
+            topics.append(topic)
+    return topics

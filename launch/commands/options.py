@@ -41,9 +41,9 @@ def add_commands(
     kinds = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def add(name: str, run: Run, about: str) -> argparse.ArgumentParser:
-        made = kinds.add_parser(name, help=about, description=inspect.getdoc(run))
-        made.set_defaults(run=run)
-        return made
+        command = kinds.add_parser(name, help=about, description=inspect.getdoc(run))
+        command.set_defaults(run=run)
+        return command
 
     return add
 
@@ -54,8 +54,10 @@ RARE = "rarely used options"
 
 def rare(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """The group of the options of a command that are rarely used."""
-    found = (group for group in parser._action_groups if group.title == RARE)
-    return next(found, None) or parser.add_argument_group(RARE)
+    for group in parser._action_groups:
+        if group.title == RARE:
+            return group
+    return parser.add_argument_group(RARE)
 
 
 def add_graph(parser: argparse.ArgumentParser, document: str = "") -> None:
@@ -91,54 +93,68 @@ def _stated_key() -> re.Pattern[str]:
 
 def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None:
     """Add an option for each key of `Layout`, spelled as the settings of the sensor, `but` some."""
-    from sparseskin.nodes.sensor.layout.layout import Layout  # with NumPy, which takes time
+    # Imported here: with it comes numpy, for which other commands need not wait.
+    from sparseskin.nodes.sensor.layout.layout import Layout
 
-    more = rare(parser)
+    rarely_used = rare(parser)
     for entry in Layout.described():
         key = entry["key"]
         if key in but:
             continue
-        name = f"--{key.replace('_', '-')}"
-        group = parser if key in USUAL_KEYS else more
+        # Options that few people need are left out of the short help.
+        group = parser if key in USUAL_KEYS else rarely_used
+        # The first clause is enough for a line of help.
         about = entry["doc"].partition(";")[0]
-        if entry["choices"]:
-            choices = [choice for choice in entry["choices"] if choice]
-            group.add_argument(name, choices=choices, default=None, help=about)
-        else:
-            kind: Any = str
-            if entry["type"].startswith("int"):
-                kind = whole(int(entry["low"]))
-            elif entry["type"].startswith("float"):
-                kind = real(above_0=True)
-            metavar = "TEXT" if kind is str else "N"
-            group.add_argument(name, metavar=metavar, type=kind, default=None, help=about)
+        group.add_argument(_option_of(key), default=None, help=about, **_kind_of(entry))
+
+
+def _option_of(key: str) -> str:
+    """The option of a key of a layout."""
+    return f"--{key.replace('_', '-')}"
+
+
+def _kind_of(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `add_argument` for the values of a described setting."""
+    if entry["choices"]:
+        return {"choices": [choice for choice in entry["choices"] if choice]}
+    if entry["type"].startswith("int"):
+        return {"metavar": "N", "type": whole(int(entry["low"]))}
+    if entry["type"].startswith("float"):
+        return {"metavar": "N", "type": real(above_0=True)}
+    return {"metavar": "TEXT", "type": str}
 
 
 def layout_of(arguments: argparse.Namespace) -> "Layout":
     """The layout that options state. Raises SettingsError, with the option, if a value is wrong."""
     from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 
-    stated = {key: getattr(arguments, key, None) for key in KEYS}
+    # A command may leave out some of the keys.
+    values = {key: getattr(arguments, key, None) for key in KEYS}
+    stated = {key: value for key, value in values.items() if value is not None}
     try:
-        return Layout(**{key: value for key, value in stated.items() if value is not None})
+        return Layout(**stated)
     except SettingsError as error:
-        key, colon, rest = str(error).partition(":")
-        raise SettingsError(f"--{key.replace('_', '-')}{colon}{rest}") from error
+        key, colon, reason = str(error).partition(":")
+        raise SettingsError(f"{_option_of(key)}{colon}{reason}") from error
 
 
 def as_options(text: str) -> str:
     """A line on a file in which the keys of a layout that are to be stated are options."""
     from sparseskin.nodes.sensor.files.recording import spelled
 
-    def option(key: str) -> str:
-        return f"--{key.replace('_', '-')} "
+    def with_value(key: str) -> str:
+        return f"{_option_of(key)} "
+
+    def option(match: re.Match[str]) -> str:
+        key, equals = match.groups()
+        if equals:
+            return with_value(key)
+        return _option_of(key)
 
     def clause(match: re.Match[str]) -> str:
-        return _stated_key().sub(
-            lambda key: option(key[1]) if key[2] else option(key[1])[:-1], match[0]
-        )
+        return _stated_key().sub(option, match[0])
 
-    return TO_STATE.sub(clause, spelled(text, option))
+    return TO_STATE.sub(clause, spelled(text, with_value))
 
 
 def bag_names(names: Sequence[str], out: str) -> list[str]:
@@ -150,14 +166,17 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
     """
     from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 
+    # One recording may have any name; several get theirs from the files.
     folder = Path(out)
     if len(names) == 1 and not folder.is_dir():
         if not out.endswith(FILE_SUFFIX):
             raise SettingsError(f"--out {out}: expected a name that ends in {FILE_SUFFIX}")
         return [out]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise SettingsError(f"--out {out}: two of the files would become {twice[0]}")
+    for name in names:
+        if names.count(name) > 1:
+            raise SettingsError(f"--out {out}: two of the files would become {name}")
     if not folder.is_dir():
+        # It would be made as a folder with the name of a recording.
         if folder.suffix == FILE_SUFFIX:
             raise SettingsError(f"--out {out}: several files need a folder, one recording each")
         with os_errors(folder):
@@ -177,15 +196,15 @@ def stated_values(words: Iterable[str], entries: Iterable[Mapping[str, Any]]) ->
     `entries` describe the settings that are allowed, as `Settings.described`. Raises SettingsError
     if a text has no `=`, or the key is none of them.
     """
-    known = {entry["key"]: entry for entry in entries}
+    allowed = {entry["key"]: entry for entry in entries}
     values: dict[str, Any] = {}
     for word in words:
         key, equals, text = word.partition("=")
         if not equals:
             raise SettingsError(f"--set {word}: expected KEY=VALUE")
-        if key not in known:
-            raise SettingsError(f"--set {word}: unknown key{did_you_mean(key, known)}")
-        values[key] = typed_value(text, known[key])
+        if key not in allowed:
+            raise SettingsError(f"--set {word}: unknown key{did_you_mean(key, allowed)}")
+        values[key] = typed_value(text, allowed[key])
     return values
 
 
@@ -203,12 +222,15 @@ def check_summary(path: Path | None) -> None:
         check_link(path)
     except OSError as error:
         raise OutputError(f"--summary {path}: {error.strerror}") from error
+    # A link is followed to where the file will be.
     folder = path.resolve().parent
     if path.is_dir():
         raise OutputError(f"--summary {path}: is a folder")
     if not folder.is_dir():
         raise OutputError(f"--summary {path}: {NO_FOLDER}")
-    if not os.access(path if path.exists() else folder, os.W_OK):
+    # A new file needs the right to write to its folder.
+    written = path if path.exists() else folder
+    if not os.access(written, os.W_OK):
         raise OutputError(f"--summary {path}: {NO_WRITING}")
 
 
@@ -218,12 +240,15 @@ def write_summary(path: Path | None, name: str, summary: Mapping[str, Any]) -> N
     """
     from importlib.metadata import version
 
-    if path is not None:
-        document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
-        try:
-            overwrite(path, (json.dumps(document, indent=2) + "\n").encode())
-        except OSError as error:
-            raise SettingsError(f"--summary {path}: {error.strerror}") from error
+    if path is None:
+        return
+    # Which version wrote it is part of the document.
+    document = formatted(name, {"sparseskin": version("sparseskin"), **summary})
+    text = json.dumps(document, indent=2) + "\n"
+    try:
+        overwrite(path, text.encode())
+    except OSError as error:
+        raise SettingsError(f"--summary {path}: {error.strerror}") from error
 
 
 @contextlib.contextmanager
@@ -232,10 +257,10 @@ def naming_options(options: Mapping[str, str]) -> Iterator[None]:
     try:
         yield
     except SparseskinError as error:
-        key, colon, rest = str(error).partition(":")
+        key, colon, reason = str(error).partition(":")
         if key not in options:
             raise
-        raise SettingsError(f"{options[key]}{colon}{rest}") from error
+        raise SettingsError(f"{options[key]}{colon}{reason}") from error
 
 
 def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
@@ -243,36 +268,63 @@ def print_ends(nodes: Mapping[str, Mapping[str, Any]]) -> None:
     wrote and players played.
     """
     for name, node in nodes.items():
-        if n := node.get("restarts", 0):
-            times = "time" if n == 1 else "times"
-            last = printable(node["failures"][-1])
-            print(f"{name}: restarted {n} {times} after a failure; the last: {last}")
-        for line in node.get("lines", ()):
-            print(f"{name}: {line}")
-        if n := node.get("missing"):
-            print(f"{name}: {n} readings were missing")
-        if node["type"] == "sensor" and node.get("clipped"):
-            from sparseskin.nodes.sensor.saturation import clipped_text
+        for line in _end_lines(name, node):
+            print(line)
 
-            print(f"{name}: {clipped_text(node)}")
-        elif node["type"] == "sensor" and (invalid := node.get("invalid")):
-            print(
-                f"{name}: of the file's readings {invalid['not_finite']} were not finite and "
-                f"{invalid['negative']} below 0 ({invalid['masked_taxels']} taxels masked)"
-            )
-        elif node["type"] == "recorder" and (recording := node.get("recording")):
-            dropped = sum(node.get("lost", {}).values())
-            if not recording["error"]:
-                n = recording["n_messages"]
-                count = f"{n} messages recorded" if n else "no message came, so there is no file"
-                count += f", {dropped} dropped" if n or dropped else ""
-                print(f"{printable(recording['out'])}: {count}")
-        elif bridge := node.get("bridge"):
-            dropped = bridge["dropped"] + sum(node.get("lost", {}).values())
-            where = printable(bridge["where"])
-            print(f"{name}: {bridge['sent']} frames published at {where}, {dropped} dropped")
-        elif node["type"] == "player" and "played" in node:
-            print(f"{printable(node['played']['file'])}: {node['played']['frames']} frames played")
+
+def _end_lines(name: str, node: Mapping[str, Any]) -> Iterator[str]:
+    """Lines about one node, by its report."""
+    # What went wrong comes before what was done.
+    n_restarts = node.get("restarts", 0)
+    if n_restarts:
+        times = "time" if n_restarts == 1 else "times"
+        failure = printable(node["failures"][-1])
+        yield f"{name}: restarted {n_restarts} {times} after a failure; the last: {failure}"
+    for line in node.get("lines", ()):
+        yield f"{name}: {line}"
+    if node.get("missing"):
+        yield f"{name}: {node['missing']} readings were missing"
+
+    kind = node["type"]
+    if kind == "sensor" and node.get("clipped"):
+        from sparseskin.nodes.sensor.saturation import clipped_text
+
+        yield f"{name}: {clipped_text(node)}"
+    elif kind == "sensor" and node.get("invalid"):
+        invalid = node["invalid"]
+        yield (
+            f"{name}: of the file's readings {invalid['not_finite']} were not finite and "
+            f"{invalid['negative']} below 0 ({invalid['masked_taxels']} taxels masked)"
+        )
+    elif kind == "recorder" and node.get("recording"):
+        if not node["recording"]["error"]:
+            yield _recording_line(node)
+    elif node.get("bridge"):
+        bridge = node["bridge"]
+        n_dropped = bridge["dropped"] + _n_lost(node)
+        where = printable(bridge["where"])
+        yield f"{name}: {bridge['sent']} frames published at {where}, {n_dropped} dropped"
+    elif kind == "player" and "played" in node:
+        played = node["played"]
+        yield f"{printable(played['file'])}: {played['frames']} frames played"
+
+
+def _recording_line(node: Mapping[str, Any]) -> str:
+    """What a recorder wrote."""
+    recording = node["recording"]
+    n_messages = recording["n_messages"]
+    n_dropped = _n_lost(node)
+    text = "no message came, so there is no file"
+    if n_messages:
+        text = f"{n_messages} messages recorded"
+    if n_messages or n_dropped:
+        text += f", {n_dropped} dropped"
+    return f"{printable(recording['out'])}: {text}"
+
+
+def _n_lost(node: Mapping[str, Any]) -> int:
+    """Number of messages that a node lost, of all topics."""
+    return sum(node.get("lost", {}).values())
 
 
 def show(
@@ -293,6 +345,7 @@ def whole(low: int, high: int | None = None) -> Callable[[str], int]:
     allowed = f"{low} or more" if high is None else f"{low}..{high}"
 
     def read(text: str) -> int:
+        # int() would also read other digits, spaces and underscores.
         is_number = text.isascii() and text.isdigit() and len(text) < 16
         if not is_number or int(text) < low or (high is not None and int(text) > high):
             raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {allowed}")

@@ -51,32 +51,46 @@ def configure_sources(parser: argparse.ArgumentParser) -> None:
 
 
 def _sources(arguments: argparse.Namespace) -> int:
-    found = [listing for kind in KINDS for listing in find_kind(kind).listings()]
-    found.append(Listing("drivers", "drivers of installed packages", drivers()))
-    for kind, made in loaded(ADDRESSES).items():
+    listings = [listing for kind in KINDS for listing in find_kind(kind).listings()]
+    # Drivers of other packages are named by their entry points.
+    listings.append(Listing("drivers", "drivers of installed packages", drivers()))
+    for kind, plugin in loaded(ADDRESSES).items():
+        if kind in KINDS:
+            continue
         try:
-            found += made.listings() if kind not in KINDS else ()
-        except Exception as error:  # of any package
-            found.append(Listing(kind, f"{kind}: cannot be listed: {one_line(error)}", ()))
-    document = {one.key: list(one.entries) for one in found}
-    return show(arguments, "source-list", document, _lines(found))
+            listings += plugin.listings()
+        except Exception as error:
+            # The plug-in of any package may raise anything.
+            title = f"{kind}: cannot be listed: {one_line(error)}"
+            listings.append(Listing(kind, title, ()))
+    document = {listing.key: list(listing.entries) for listing in listings}
+    return show(arguments, "source-list", document, _lines(listings))
 
 
-def _lines(found: Iterable[Listing]) -> Iterator[str]:
-    for one in found:
-        yield one.title
-        rows = [[entry.get("source") or entry["name"], entry["about"]] for entry in one.entries]
-        yield from table(["SOURCE", "ABOUT"], rows, "  ") if rows else ["  none"]
-    if absent := failures(ADDRESSES):
+def _lines(listings: Iterable[Listing]) -> Iterator[str]:
+    for listing in listings:
+        yield listing.title
+        rows = []
+        for entry in listing.entries:
+            rows.append([entry.get("source") or entry["name"], entry["about"]])
+        if rows:
+            yield from table(["SOURCE", "ABOUT"], rows, "  ")
+        else:
+            yield "  none"
+    absent = failures(ADDRESSES)
+    if absent:
         yield absent.removeprefix("; ")
 
 
 def drivers() -> list[dict[str, str]]:
     """Drivers that installed packages offer as entry points."""
-    return [
-        {"source": one.value, "about": one.name + (f", of {one.dist.name}" if one.dist else "")}
-        for one in offered(DRIVERS).values()
-    ]
+    entries = []
+    for driver in offered(DRIVERS).values():
+        about = driver.name
+        if driver.dist:
+            about += f", of {driver.dist.name}"
+        entries.append({"source": driver.value, "about": about})
+    return entries
 
 
 def configure_scope(parser: argparse.ArgumentParser) -> None:
@@ -97,35 +111,53 @@ def _scope(arguments: argparse.Namespace) -> int:
         source = open_source(arguments.source, layout=_stated(arguments.set))
     except SourceError as error:
         raise SourceError(spelled(str(error), lambda key: f"--set {key}=")) from error
+
+    # The last picture goes with the other screen of the terminal: figures are printed after it.
     view = View(source)
-    terminal = Terminal()
     lively = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
-    begin_s = time.monotonic()
-    next_s = begin_s if lively else begin_s + TEXT_S
     try:
-        with contextlib.suppress(KeyboardInterrupt), terminal.keyboard(lively):
-            if lively:
-                sys.stdout.write("\x1b[?1049h\x1b[?25l")
-            for frame in _frames(source):
-                now_s = time.monotonic()
-                if frame is not None:
-                    view.add(frame, now_s)
-                for line in () if lively else view.take_lines():
-                    print(line, flush=True)
-                if now_s >= next_s:
-                    next_s = now_s + (DRAW_S if lively else TEXT_S)
-                    size = shutil.get_terminal_size()
-                    text = _picture(view, now_s, size) if lively else f"{view.text(now_s)}\n"
-                    print(text, end="", flush=True)
-                late = arguments.seconds is not None and now_s >= begin_s + arguments.seconds
-                if view.n_frames == arguments.frames or late or "q" in terminal.pressed():
-                    break
+        with contextlib.suppress(KeyboardInterrupt):
+            _show_frames(arguments, source, view, lively)
     finally:
         if lively:
             sys.stdout.write("\x1b[0m\x1b[?25h\x1b[?1049l")
         source.close()
     print(view.summary())
     return 0 if view.n_frames else 1
+
+
+def _show_frames(arguments: argparse.Namespace, source: Source, view: "View", lively: bool) -> None:
+    """Show frames until their number, the time, or a person ends it."""
+    terminal = Terminal()
+    # A log would be flooded by what a person can watch.
+    period_s = DRAW_S if lively else TEXT_S
+    begin_s = time.monotonic()
+    next_s = begin_s if lively else begin_s + period_s
+    end_s = np.inf
+    if arguments.seconds is not None:
+        end_s = begin_s + arguments.seconds
+
+    with terminal.keyboard(lively):
+        if lively:
+            sys.stdout.write("\x1b[?1049h\x1b[?25l")
+        for frame in _frames(source):
+            now_s = time.monotonic()
+            if frame is not None:
+                view.add(frame, now_s)
+            if not lively:
+                for line in view.take_lines():
+                    print(line, flush=True)
+            if now_s >= next_s:
+                next_s = now_s + period_s
+                print(_shown_text(view, now_s, lively), end="", flush=True)
+            if view.n_frames == arguments.frames or now_s >= end_s or "q" in terminal.pressed():
+                break
+
+
+def _shown_text(view: "View", now_s: float, lively: bool) -> str:
+    if lively:
+        return _picture(view, now_s, shutil.get_terminal_size())
+    return f"{view.text(now_s)}\n"
 
 
 def _stated(words: list[str]) -> Layout:
@@ -138,17 +170,26 @@ def _frames(source: Source) -> Iterator[Floats | None]:
     """Frames in the time of the source, None while there is none."""
     if source.arrives:
         while True:
-            frame = source.next_frame(WAIT_S)
-            yield None if frame is None else frame[1]
+            arrival = source.next_frame(WAIT_S)
+            yield None if arrival is None else arrival[1]
+
     period_s = 1 / (source.rate_hz or DEFAULT_RATE_HZ)
-    paced = not source.is_live  # a driver has its own pace
     begin_s = time.monotonic()
     for k, (_, forces) in enumerate(source):
-        while paced and (left_s := begin_s + k * period_s - time.monotonic()) > 0:
-            time.sleep(min(left_s, WAIT_S))
-            if left_s > WAIT_S:
-                yield None
+        if not source.is_live:
+            # A live driver has its own pace.
+            yield from _pauses(begin_s + k * period_s)
         yield forces
+
+
+def _pauses(until_s: float) -> Iterator[None]:
+    """Wait until a time, with a None after each longer wait."""
+    wait_s = until_s - time.monotonic()
+    while wait_s > 0:
+        time.sleep(min(wait_s, WAIT_S))
+        if wait_s > WAIT_S:
+            yield None
+        wait_s = until_s - time.monotonic()
 
 
 class View:
@@ -173,46 +214,58 @@ class View:
         self._times.append(now_s)
         low = float(forces.min())
         high = float(forces.max())
-        self.lowest, self.highest = min(self.lowest, low), max(self.highest, high)
-        self._peak = max(high, self._peak * float(np.exp((self._peak_s - now_s) / PEAK_S)))
+        self.lowest = min(self.lowest, low)
+        self.highest = max(self.highest, high)
+        # The brightest colour follows a peak that falls, slowly, so that a map does not flicker.
+        fallen = float(np.exp((self._peak_s - now_s) / PEAK_S))
+        self._peak = max(high, self._peak * fallen)
         self._peak_s = now_s
 
     def take_lines(self) -> list[str]:
         """Lines that the source has logged since the last call."""
-        found = [printable(line) for line in self._source.take_lines()]
-        self._last_line = found[-1] if found else self._last_line
-        return found
+        lines = [printable(line) for line in self._source.take_lines()]
+        if lines:
+            self._last_line = lines[-1]
+        return lines
 
     @property
     def top(self) -> float:
         """Reading of the brightest colour."""
         return max(self._peak, LEAST_TOP * self._source.skin.f_max)
 
-    def _line(self, first: str, *figures: str) -> str:
+    def _line(self, *figures: str) -> str:
         """Figures in one line, with what was dropped."""
-        dropped = self._source.dropped()
-        last = "" if dropped is None else f"dropped: {dropped or 'nothing'}"
-        return "; ".join(filter(None, (first, *figures, last)))
+        parts = list(filter(None, figures))
+        n_dropped = self._source.dropped()
+        if n_dropped is not None:
+            parts.append(f"dropped: {n_dropped or 'nothing'}")
+        return "; ".join(parts)
 
     def head(self, now_s: float) -> list[str]:
         """Name, figures, what was dropped, and the last line of the source."""
-        skin = self._source.skin
-        forces = self.forces
         self.take_lines()
+        skin = self._source.skin
         title = f"{printable(self._source.name)}   {skin.n_rows} x {skin.n_cols} taxels, "
         title += f"0..{skin.f_max:g} {printable(skin.unit)}   (q: quit)"
-        scale = "" if forces is None else f"mean {forces.mean():.4g}, brightest {self.top:.4g}"
-        return [*filter(None, (title, self.text(now_s), scale, self._last_line))]
+        lines = [title, self.text(now_s)]
+        if self.forces is not None:
+            lines.append(f"mean {self.forces.mean():.4g}, brightest {self.top:.4g}")
+        if self._last_line:
+            lines.append(self._last_line)
+        return lines
 
     def text(self, now_s: float) -> str:
         """Figures of the last frame."""
-        since = f"{now_s - self._begin_s:.0f} s: "
+        elapsed_s = now_s - self._begin_s
+        since = f"{elapsed_s:.0f} s: "
         forces = self.forces
         if forces is None:
             return f"{since}no frame yet"
+        # The rate is that of the last seconds.
         while self._times and self._times[0] < now_s - RATE_S:
             self._times.popleft()
-        rate_hz = len(self._times) / min(RATE_S, max(now_s - self._begin_s, 1e-3))
+        span_s = min(RATE_S, max(elapsed_s, 1e-3))
+        rate_hz = len(self._times) / span_s
         extent = self._extent(forces.min(), forces.max())
         return self._line(f"{since}{rate_hz:.1f} Hz", f"frame {self.n_frames}", extent)
 
@@ -230,6 +283,7 @@ class View:
 
 def _picture(view: View, now_s: float, size: os.terminal_size) -> str:
     """All that is shown, as it is written to a terminal of a size."""
+    # The map has the room that the lines of text leave.
     head = [line[: size.columns - 1] for line in view.head(now_s)]
     lines = head[: max(1, size.lines - 1)]
     room = size.lines - len(lines) - 1

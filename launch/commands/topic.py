@@ -37,20 +37,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
     info = add("info", _info, "describe one topic")
     echo = add("echo", _echo, "print messages")
     hz = add("hz", _hz, "measure their rate, bytes and age")
-    for one in (info, echo, hz):
-        one.add_argument("topic", metavar="TOPIC", help="the topic, /PATCH/SCHEMA")
+    for command in (info, echo, hz):
+        command.add_argument("topic", metavar="TOPIC", help="the topic, /PATCH/SCHEMA")
     echo.add_argument("--once", action="store_true", help="end after one message")
-    for one in (echo, hz):
-        one.add_argument("--duration", metavar="S", type=real(True), help="end after S seconds")
-        rare(one).add_argument("-n", metavar="K", type=whole(1), help="end after K messages")
+    for command in (echo, hz):
+        about = "end after S seconds"
+        command.add_argument("--duration", metavar="S", type=real(True), help=about)
+        rare(command).add_argument("-n", metavar="K", type=whole(1), help="end after K messages")
     about = "print one field; FIELD[I,J]: one element of an array"
     echo.add_argument("--field", metavar="FIELD", help=about)
     rare(echo).add_argument("--full", action="store_true", help="print all elements of arrays")
     about = "print R messages a second at most, 0: all (default: 10; all with --json or -n)"
     rare(echo).add_argument("--max-hz", metavar="R", type=real(False), help=about)
-    for one in (listing, info, echo, hz):
-        document = "one JSON document" if one in (listing, info) else "one JSON object a line"
-        add_graph(one, document)
+    for command in (listing, info):
+        add_graph(command, "one JSON document")
+    for command in (echo, hz):
+        add_graph(command, "one JSON object a line")
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -59,15 +61,11 @@ def _list(arguments: argparse.Namespace) -> int:
     """
     graph = choose_graph(arguments.graph)
     topics = list(topics_of(describe(graph)).values())
-    rows = [
-        [
-            topic["topic"],
-            "latched" if topic["latched"] else "",
-            topic["publisher"] or ELSEWHERE,
-            ", ".join(reader["node"] for reader in topic["subscribers"]),
-        ]
-        for topic in topics
-    ]
+    rows = []
+    for topic in topics:
+        kind = "latched" if topic["latched"] else ""
+        readers = ", ".join(reader["node"] for reader in topic["subscribers"])
+        rows.append([topic["topic"], kind, topic["publisher"] or ELSEWHERE, readers])
     head = ["TOPIC (/PATCH/SCHEMA)", "", "PUBLISHER", "SUBSCRIBERS"]
     document = {"graph": graph.label, "topics": topics}
     return show(arguments, "topic-list", document, table(head, rows))
@@ -83,23 +81,38 @@ def _info(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
     name = find_topic(graph, arguments.topic)
     topic = topics_of(describe(graph))[name]
+    # The schema is the last part of the name of each topic.
     cls = SCHEMAS[topic["schema"]]
     fields = {field: kind_text(kind) for field, kind in wire_fields(cls).items()}
-    named = {
+    # A program of another language connects to it.
+    address = graph.nodes[topic["publisher"]].endpoint
+    properties = {
         "schema": f"{cls.schema}, version {cls.version}",
         "about": about(cls),
         "kind": "state: latched" if topic["latched"] else "a stream",
         "publisher": f"{topic['publisher']}, {topic['sent']} sent",
-        "address": graph.nodes[topic["publisher"]].endpoint,
+        "address": address,
         "clock offset": f"{graph.offset_ns} ns",
     }
-    readers = [[one["node"], *(one[what] for what in COUNTED)] for one in topic["subscribers"]]
-    lines = [name, *facts(named, "  "), ""]
-    lines += table(["SUBSCRIBER", *(what.upper() for what in COUNTED)], readers, "  ")
-    lines += ["", *table(["FIELD", "TYPE"], list(fields.items()), "  ")]
-    described = {"graph": graph.label, **topic, "version": cls.version, "about": about(cls)}
-    described |= {"address": named["address"], "clock_offset_ns": graph.offset_ns}
-    return show(arguments, "topic-info", {**described, "fields": fields}, lines)
+    rows = []
+    for reader in topic["subscribers"]:
+        counts = [reader[count] for count in COUNTED]
+        rows.append([reader["node"], *counts])
+    lines = [name, *facts(properties, "  "), ""]
+    head = ["SUBSCRIBER", *(count.upper() for count in COUNTED)]
+    lines += [*table(head, rows, "  "), ""]
+    lines += table(["FIELD", "TYPE"], list(fields.items()), "  ")
+
+    document = {
+        "graph": graph.label,
+        **topic,
+        "version": cls.version,
+        "about": about(cls),
+        "address": address,
+        "clock_offset_ns": graph.offset_ns,
+        "fields": fields,
+    }
+    return show(arguments, "topic-info", document, lines)
 
 
 def _echo(arguments: argparse.Namespace) -> int:
@@ -114,13 +127,26 @@ def _echo(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
     topic = find_topic(graph, arguments.topic)
     cls = SCHEMAS[topic.rpartition("/")[2]]
-    field = FieldPath(arguments.field, cls) if arguments.field is not None else None
+    field = None
+    if arguments.field is not None:
+        field = FieldPath(arguments.field, cls)
     n = 1 if arguments.once else arguments.n
+    # A few messages are over before reading them could disturb a graph.
     if n is None or n > FEW_MESSAGES:
         give_way()
-    options = {"max_hz": arguments.max_hz, "in_json": arguments.json, "full": arguments.full}
-    unit = unit_of(graph, topic) if cls is Contacts else ""
-    echo = Echo(topic, field, n=n, unit=unit, **options)
+    # Forces of contacts are printed with their unit, which the skin states.
+    unit = ""
+    if cls is Contacts:
+        unit = unit_of(graph, topic)
+    echo = Echo(
+        topic,
+        field,
+        n=n,
+        max_hz=arguments.max_hz,
+        in_json=arguments.json,
+        full=arguments.full,
+        unit=unit,
+    )
     return observe(graph, topic, echo, n, arguments.duration)
 
 
@@ -145,6 +171,7 @@ def _hz(arguments: argparse.Namespace) -> int:
 def give_way() -> None:
     """Let this command run only where the graph leaves it room."""
     with contextlib.suppress(OSError):
+        # SCHED_IDLE may not be allowed; a low priority always is.
         os.nice(19)
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
@@ -172,4 +199,6 @@ def kind_text(kind: "FieldKind") -> str:
             text = f"array of {np.dtype(kind.dtype)}, {sides}"
         case _:
             text = WORDS[type(kind).__name__]
-    return text + (" or none" if getattr(kind, "optional", False) else "")
+    if getattr(kind, "optional", False):
+        text += " or none"
+    return text

@@ -122,34 +122,45 @@ class PatchMetrics:
     ) -> None:
         self.since_ns = since_ns
         late = since_ns is not None
+        self._late = late
+        # How messages are paired.
         self._clock_of = clock_of
-        self._sensed_schema = Taxels.schema  # its publisher states the time of acquisition
+        # Its publisher states the time of acquisition.
+        self._sensed_schema = Taxels.schema
+        self._sensed = TopicCount(late)
+        self._reconstructed = TopicCount(late)
+        # Frames sensed before the first that a late subscriber can compare.
+        self._n_before = 0
+        self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
+        self._noise = MeasuredNoise()
+
+        # What was measured, in the order of the summary.
         self.latency_ns: int | None = None
         self.latency_uncertainty_ns = 0
         self.skin: SkinState | None = None
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
         self.changes: list[dict[str, Any]] = []
+
         self.noisy = Quality()
         self.reconstruction = Quality()
         self.trust = Quality()
         self.relative_error = Extent()
         self.latency = Quantiles()
         self.solve = Quantiles()
-        self._sensed = TopicCount(late)
-        self._reconstructed = TopicCount(late)
-        self._late = late
-        self._n_before = 0  # frames sensed before the first that a late subscriber can compare
-        self.bytes_in = self.bytes_out = 0
+
+        self.bytes_in = 0
+        self.bytes_out = 0
         self.bits: int | None = None
-        self.lost_so_far = self.skipped = self.unchanged = 0
+        self.lost_so_far = 0
+        self.skipped = 0
+        self.unchanged = 0
+        self.unpaired = 0
+        self.compared = 0
+        self.doubts: Counter[str] = Counter()
         self.idle = False
         self.contacts: Contacts | None = None
         self.load: float | None = None
-        self.doubts: Counter[str] = Counter()
-        self._noise = MeasuredNoise()
-        self.unpaired = self.compared = 0
-        self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
 
     @property
     def sensed(self) -> int:
@@ -173,6 +184,7 @@ class PatchMetrics:
     def add(self, message: Message) -> FrameMetrics | None:
         """Add one message of the patch alone; return the frame that it completes, if any."""
         stamp_ns = message.stamp_ns
+        # The newest count of sensed frames goes with the frame.
         if message.schema == self._sensed_schema:
             self._sensed.admit(message)
             self._pair(stamp_ns).n_sensed = self._sensed.total
@@ -185,22 +197,11 @@ class PatchMetrics:
                 self._note_changes(self.phi, message, "kind", "m", "rows")
                 self.phi = message
             case SolverState():
-                stated = self.solver is not None and self.solver.preset and message.preset
-                fields = ("preset",) if stated else _OF_SOLVER  # a preset states the others
-                self._note_changes(self.solver, message, *fields)
-                self.solver = message
-            case Measurements(y=y):
-                self.bytes_out += size_bytes(message)
-                bits = y.bits if isinstance(y, Quantised) else 8 * y.itemsize
-                self._note_change("bits", self.bits, bits)
-                self.bits = bits
+                self._add_solver(message)
+            case Measurements():
+                self._add_measurements(message)
             case Taxels():
-                self.bytes_in += size_bytes(message)
-                if self.skin is not None and self.skin.mask is not None:
-                    # A real skin has no wires in masked cells.
-                    n_absent = message.forces.size - self.skin.skin.n_taxels
-                    self.bytes_in -= n_absent * message.forces.itemsize
-                self._pair(stamp_ns).taxels = message
+                self._add_taxels(message)
             case Truth():
                 self._pair(stamp_ns).truth = message
             case Contacts():
@@ -209,34 +210,63 @@ class PatchMetrics:
                 self._add_reconstruction(message)
         return self._evaluate(stamp_ns)
 
+    def _add_solver(self, message: SolverState) -> None:
+        fields: tuple[str, ...] = _OF_SOLVER
+        if self.solver is not None and self.solver.preset and message.preset:
+            # The preset states the others.
+            fields = ("preset",)
+        self._note_changes(self.solver, message, *fields)
+        self.solver = message
+
+    def _add_measurements(self, message: Measurements) -> None:
+        self.bytes_out += size_bytes(message)
+        y = message.y
+        bits = y.bits if isinstance(y, Quantised) else 8 * y.itemsize
+        self._note_change("bits", self.bits, bits)
+        self.bits = bits
+
+    def _add_taxels(self, message: Taxels) -> None:
+        self.bytes_in += size_bytes(message)
+        if self.skin is not None and self.skin.mask is not None:
+            # A real skin has no wires in masked cells.
+            n_absent = message.forces.size - self.skin.skin.n_taxels
+            self.bytes_in -= n_absent * message.forces.itemsize
+        self._pair(message.stamp_ns).taxels = message
+
     def _add_reconstruction(self, message: Reconstruction) -> None:
         self.latency_ns = self._latency_ns(message)
-        (self.idle,) = message.unchanged
-        (solve_ns,) = message.solve_ns
+        self.idle = message.unchanged[0]
         self.unchanged += self.idle
-        self.solve.add(solve_ns)
+        # Skips before the first reconstruction that a late monitor read are not its own.
         if self.reconstructed or not self._late:
             self.skipped += message.skipped
+
         frame = self._pair(message.stamp_ns)
         frame.reconstruction = message
+        solve_ns = message.solve_ns[0]
+        self.solve.add(solve_ns)
         frame.solve_ms = solve_ns / 1e6
         if self.latency_ns is not None:
             self.latency.add(self.latency_ns)
             frame.latency_ms = self.latency_ns / 1e6
+
         self._reconstructed.admit(message)
         frame.n_answered = self.reconstructed + self.skipped
 
     def _latency_ns(self, message: Reconstruction) -> int | None:
         """Time from acquisition to reconstruction; None where it is unknown."""
-        acquired, reconstructed = (
-            self._clock_of(topic_of(message.patch, schema))
-            for schema in (self._sensed_schema, message.schema)
-        )
-        if acquired is None or reconstructed is None or message.done_ns == message.stamp_ns:
+        acquired = self._clock_of(topic_of(message.patch, self._sensed_schema))
+        reconstructed = self._clock_of(topic_of(message.patch, message.schema))
+        if acquired is None or reconstructed is None:
             return None
+        if message.done_ns == message.stamp_ns:
+            # No time passes where a recording is computed offline.
+            return None
+
         if acquired is not reconstructed:
             uncertainty_ns = acquired.uncertainty_ns + reconstructed.uncertainty_ns
             self.latency_uncertainty_ns = max(self.latency_uncertainty_ns, uncertainty_ns)
+        # The stamps are by two clocks, where the nodes are on two hosts.
         ahead_ns = reconstructed.offset_ns - acquired.offset_ns
         return message.done_ns - message.stamp_ns - ahead_ns
 
@@ -246,11 +276,11 @@ class PatchMetrics:
 
     def _note_change(self, name: str, old: Any, new: Any) -> None:
         """Note a setting that changes after the first frame, but none that is or becomes empty."""
-        room = self.reconstructed > 0 and len(self.changes) < MAX_CHANGES
-        if room and old != new and old not in (None, "") and new != "":
-            self.changes.append(
-                {"frame": self.reconstructed, "setting": name, "from": old, "to": new}
-            )
+        if not self.reconstructed or len(self.changes) >= MAX_CHANGES:
+            return
+        if old != new and old not in (None, "") and new != "":
+            change = {"frame": self.reconstructed, "setting": name, "from": old, "to": new}
+            self.changes.append(change)
 
     def end(self, schema: str, n_messages: int) -> None:
         """End a topic after n_messages: the publisher's own count is the right one."""
@@ -260,6 +290,7 @@ class PatchMetrics:
             self._reconstructed.end(self._reconstructed.run_id, n_messages)
 
     def _pair(self, stamp_ns: int) -> FrameMetrics:
+        # Messages of one frame share its stamp.
         if stamp_ns not in self._pending:
             self._pending[stamp_ns] = FrameMetrics()
             if len(self._pending) > MAX_PENDING:
@@ -271,40 +302,58 @@ class PatchMetrics:
         """Evaluate a frame once all its messages have arrived."""
         frame = self._pending.get(stamp_ns)
         skin = self.skin
-        if frame is None or skin is None or not frame.n_sensed or frame.reconstruction is None:
+        if frame is None or skin is None or not frame.n_sensed:
+            return None
+        if frame.reconstruction is None:
             return None
         if skin.has_truth and frame.truth is None:
             return None
+
         del self._pending[stamp_ns]
-        if self._late and not self.compared:  # what came of the frames before is incomplete
+        self._count(frame, stamp_ns)
+        self._compare(frame, frame.reconstruction, skin)
+        return frame
+
+    def _count(self, frame: FrameMetrics, stamp_ns: int) -> None:
+        """Count a complete frame, and those lost up to it."""
+        if self._late and not self.compared:
+            # What came of the frames before is incomplete.
             self._n_before = frame.n_sensed - frame.n_answered
-            self._pending = OrderedDict(
-                (ns, later) for ns, later in self._pending.items() if ns > stamp_ns
-            )
+            for pending_ns in list(self._pending):
+                if pending_ns <= stamp_ns:
+                    del self._pending[pending_ns]
         self.compared += 1
+
         # Both streams count the same frames: the difference of their counts is lost.
-        frame.lost = self.lost_so_far = max(0, frame.n_sensed - frame.n_answered - self._n_before)
-        cells: Any = skin.mask if skin.mask is not None else slice(None)
-        missing = frame.reconstruction.missing_cells((skin.n_rows, skin.n_cols))
-        if missing is not None and not missing.all():
-            cells = ~missing if skin.mask is None else skin.mask & ~missing
-        forces = frame.reconstruction.forces[0][cells]
-        taxels = None if frame.taxels is None else frame.taxels.forces[0][cells]
-        reference = taxels if frame.truth is None else frame.truth.forces[0][cells]
-        judged = forces if reference is None else reference  # nothing to compare with
-        noise = 0.0 if frame.truth else skin.sigma_end or self._noise.update(judged)
+        n_lost = frame.n_sensed - frame.n_answered - self._n_before
+        self.lost_so_far = max(0, n_lost)
+        frame.lost = self.lost_so_far
+
+    def _compare(
+        self, frame: FrameMetrics, reconstruction: Reconstruction, skin: SkinState
+    ) -> None:
+        """Add the figures of a complete frame, in the taxels that gave readings."""
+        # A reading that was filled in is no reference.
+        cells = _cells_read(skin, reconstruction)
+        forces: Floats = reconstruction.forces[0][cells]
+        taxels = _forces_in(cells, frame.taxels)
+        truth = _forces_in(cells, frame.truth)
+        reference = taxels if truth is None else truth
+
+        # Without a reference, contact is judged by the reconstruction.
+        judged = forces if reference is None else reference
+        # A true force is without noise.
+        noise = 0.0
+        if truth is None:
+            noise = skin.sigma_end or self._noise.update(judged)
         is_contact = in_contact(judged, skin.f_max, noise)
         self.load = float(forces.sum()) if is_contact else 0.0
-        (estimate,) = frame.reconstruction.error
-        (trusted,) = frame.reconstruction.trusted
-        if estimate is not None or not trusted:  # else the solver estimates no error
-            self.trust.add(float(trusted), is_contact)
-        if not trusted:
-            (reason,) = frame.reconstruction.reason
-            self.doubts[str(reason or Reason.ERROR)] += 1
+        self._add_trust(reconstruction, is_contact)
+
         if reference is None or taxels is None:
-            return frame
-        if frame.truth is not None:
+            return
+        # Taxels are compared with the truth; without it they are the reference.
+        if truth is not None:
             frame.psnr_noisy_db = psnr_db(taxels - reference, skin.f_max)
             self.noisy.add(frame.psnr_noisy_db, is_contact)
         error = forces - reference
@@ -312,38 +361,65 @@ class PatchMetrics:
         self.reconstruction.add(frame.psnr_db, is_contact)
         if is_contact:
             self.relative_error.add(math.sqrt(_energy(error) / _energy(reference)))
-        return frame
+
+    def _add_trust(self, reconstruction: Reconstruction, is_contact: bool) -> None:
+        estimate = reconstruction.error[0]
+        is_trusted = reconstruction.trusted[0]
+        if estimate is not None or not is_trusted:
+            # Trusted without an estimate, it is no statement of the solver.
+            self.trust.add(float(is_trusted), is_contact)
+        if not is_trusted:
+            reason = reconstruction.reason[0] or Reason.ERROR
+            self.doubts[str(reason)] += 1
 
     def summary(self) -> dict[str, Any]:
         """The patch's part of the summary; unknown figures are None."""
-        skin = self.skin
         phi = self.phi
-        n, m = (phi.n, phi.m) if phi else (0, 0)
-        begun = self.compared > 0 or not self._late
-        reference = None
-        if skin is not None and (skin.has_truth or skin.has_taxels):
-            reference = "truth" if skin.has_truth else "taxels"
-        return {
-            "scene": skin.source if skin else None,
-            "phi": phi.kind if phi else None,
+        # Frames that a late monitor read in part are not counted.
+        n_unpaired = self.unpaired
+        if self.compared or not self._late:
+            n_unpaired += len(self._pending)
+        summary = {
+            "scene": getattr(self.skin, "source", None),
+            "phi": getattr(phi, "kind", None),
             **_fields(self.solver, "basis", "solver", "preset", "iterations", "max_iterations"),
             **_fields(self.solver, "frame_ms"),
             **_fields(phi, "rows", "n", "m"),
-            **_fields(skin, "f_min", "f_max", "unit"),
-            "ratio": n / m if m else None,
+            **_fields(self.skin, "f_min", "f_max", "unit"),
+            "ratio": None,
             "bits": self.bits,
             "changes": [*self.changes],
-            "ratio_bits": FLOAT_BITS * n / (m * self.bits) if m and self.bits else None,
+            "ratio_bits": None,
             "frames": {
                 "sensed": self.sensed,
                 "reconstructed": self.reconstructed,
                 "skipped": self.skipped,
                 "lost": self.lost,
-                "unpaired": self.unpaired + (begun and len(self._pending)),
+                "unpaired": n_unpaired,
             },
             "unchanged": self.unchanged,
             "compared": self.compared,
             "since_ns": self.since_ns,
+            **self._accuracy_summary(),
+            "latency_ms": self.latency.summary(),
+            "latency_uncertainty_ms": self.latency_uncertainty_ns / 1e6,
+            "solve_ms": self.solve.summary(),
+            "bytes_in": self.bytes_in,
+            "bytes_out": self.bytes_out,
+        }
+        if phi is not None:
+            summary["ratio"] = phi.n / phi.m
+        if phi is not None and self.bits is not None:
+            summary["ratio_bits"] = FLOAT_BITS * phi.n / (phi.m * self.bits)
+        return summary
+
+    def _accuracy_summary(self) -> dict[str, Any]:
+        reference = None
+        if self.skin is not None and self.skin.has_truth:
+            reference = "truth"
+        elif self.skin is not None and self.skin.has_taxels:
+            reference = "taxels"
+        return {
             "reference": reference,
             "psnr_db": {
                 "noisy": self.noisy.summary(),
@@ -355,12 +431,28 @@ class PatchMetrics:
                 "contact": _trust_summary(self.trust.contact),
             },
             "doubts": dict(self.doubts),
-            "latency_ms": self.latency.summary(),
-            "latency_uncertainty_ms": self.latency_uncertainty_ns / 1e6,
-            "solve_ms": self.solve.summary(),
-            "bytes_in": self.bytes_in,
-            "bytes_out": self.bytes_out,
         }
+
+
+def _cells_read(skin: SkinState, reconstruction: Reconstruction) -> Any:
+    """Index of the cells that exist and gave a reading; of all that exist where none did."""
+    cells: Any = slice(None)
+    if skin.mask is not None:
+        cells = skin.mask
+    missing = reconstruction.missing_cells((skin.n_rows, skin.n_cols))
+    if missing is None or missing.all():
+        return cells
+    read = ~missing
+    if skin.mask is not None:
+        read &= skin.mask
+    return read
+
+
+def _forces_in(cells: Any, message: Taxels | Truth | None) -> Floats | None:
+    if message is None:
+        return None
+    forces: Floats = message.forces[0][cells]
+    return forces
 
 
 def _fields(state: Message | None, *names: str) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -77,29 +77,34 @@ class MonitorSettings(Settings):
             check_patch(f"patches[{k}]", patch)
         for batch, names in (self.batches or {}).items():
             with naming(f"batches.{batch}"):
-                check_patch("name", batch)
-                if not isinstance(names, list | tuple) or not names:
-                    raise SettingsError(f"expected a list of names, got {names!r}")
-                check_patches("patches", tuple(names))
+                _check_batch(batch, names)
+
+        all_patches = self.all_patches
         for patch, pose in (self.poses or {}).items():
-            if patch not in self.all_patches:
-                raise SettingsError(
-                    f"poses.{patch}: no patch{did_you_mean(patch, self.all_patches)}"
-                )
+            if patch not in all_patches:
+                raise SettingsError(f"poses.{patch}: no patch{did_you_mean(patch, all_patches)}")
             check_pose(f"poses.{patch}", pose)
-        if len(set(self.all_patches)) < len(self.all_patches):
+        # Messages of a patch could not be told apart.
+        if len(set(all_patches)) < len(all_patches):
             raise SettingsError("batches: a patch occurs twice")
 
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Names of the patches of each batch, by its name; of a single patch its own."""
-        batches = {batch: tuple(names) for batch, names in (self.batches or {}).items()}
-        return {patch: (patch,) for patch in self.patches} | batches
+        groups: dict[str, tuple[str, ...]] = {}
+        for patch in self.patches:
+            groups[patch] = (patch,)
+        for batch, names in (self.batches or {}).items():
+            groups[batch] = tuple(names)
+        return groups
 
     @property
     def all_patches(self) -> tuple[str, ...]:
         """Names of all patches, those of batches too."""
-        return tuple(name for names in self.groups.values() for name in names)
+        names: tuple[str, ...] = ()
+        for of_group in self.groups.values():
+            names += of_group
+        return names
 
 
 class Monitor(Node[MonitorSettings]):
@@ -115,14 +120,17 @@ class Monitor(Node[MonitorSettings]):
 
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
-        since_ns = context.clock.now_ns() if context.late else None
+        # A monitor that joins late states from when its figures are.
+        since_ns = None
+        if context.late:
+            since_ns = context.clock.now_ns()
         self._groups = settings.groups
-        self._patches = {
-            name: PatchMetrics(since_ns, partial(_clock_of, context, group))
-            for group, names in self._groups.items()
-            for name in names
-        }
-        self._held: dict[str, Any] = {}
+        self._patches: dict[str, PatchMetrics] = {}
+        for group, names in self._groups.items():
+            clock_of = partial(_clock_of, context, group)
+            for name in names:
+                self._patches[name] = PatchMetrics(since_ns, clock_of)
+        self._last_forces: dict[str, Any] = {}
         self._feed: Feed | None = None
         self._page: PageServer | None = None
         self._opener: Path | None = None
@@ -146,70 +154,82 @@ class Monitor(Node[MonitorSettings]):
         counts: Iterable[Any],
         again: bool,
     ) -> dict[str, Any]:
-        group_of = {name: group for group, names in settings.groups.items() for name in names}
-        by = {topic: found for found in counts for topic in found["published"]}
+        # Counts of nodes are by topic, those of a batch being of all its patches.
+        counts_of = {}
+        for of_node in counts:
+            for topic in of_node["published"]:
+                counts_of[topic] = of_node
+
         patches = dict(report.get("patches", {}))
-        for name, patch in patches.items():
-            taxels, measured, answered = (
-                topic_of(group_of[name], kind.schema)
-                for kind in (Taxels, Measurements, Reconstruction)
-            )
-            sensed = taxels if taxels in by else measured
-            if not ({sensed, answered} if again else {sensed}) <= by.keys():
-                continue  # some are of another host
-            found = {**patch["frames"], "sensed": by[sensed]["published"][sensed]}
-            if again:
-                found["reconstructed"] = by[answered]["published"][answered]
-                found["skipped"] = by[answered]["skipped"].get(measured, 0)
-            found["lost"] = max(0, found["sensed"] - found["reconstructed"] - found["skipped"])
-            patches[name] = {**patch, "frames": found}
+        for group, names in settings.groups.items():
+            for name in names:
+                if name not in patches:
+                    continue
+                patch = patches[name]
+                frames = _published_frames(patch["frames"], group, counts_of, again)
+                patches[name] = {**patch, "frames": frames}
         return {"patches": patches}
 
     def start(self) -> Iterable[Message]:
-        ask = self.context.ask
-        if (self.settings.page and ask is not None) or self.settings.screen:
-            from .live.feed import Feed
-            from .live.notices import Notices
+        # Without a launcher nobody answers a page: there is none then.
+        ask = self.context.ask if self.settings.page else None
+        if ask is None and not self.settings.screen:
+            return ()
 
-            self._feed = Feed(self.settings.all_patches, self.settings.poses)
-            self._notices = Notices(self._feed)
-        if self._feed is not None and self.settings.page and ask is not None:
-            from .live.server import PageServer
+        from .live.feed import Feed
+        from .live.notices import Notices
 
-            port = self.settings.port
-            token = self.context.page_token if self.settings.token else ""
-            self._page = PageServer(self._feed, self._notices, port, ask, token)
-            taken = f" (port {port} is taken)" if port not in (0, self._page.port) else ""
-            self.context.log(f"live page: {self._page.url}{taken}")
-            if self.settings.browser and not self._open_browser(self._page.url):
-                self.context.log("no browser could be opened here; open the address yourself")
+        self._feed = Feed(self.settings.all_patches, self.settings.poses)
+        self._notices = Notices(self._feed)
+        if ask is not None:
+            self._serve_page(self._feed, ask)
         return ()
+
+    def _serve_page(self, feed: Feed, ask: Callable[[dict[str, Any]], None]) -> None:
+        from .live.server import PageServer
+
+        port = self.settings.port
+        token = self.context.page_token if self.settings.token else ""
+        self._page = PageServer(feed, self._notices, port, ask, token)
+        line = f"live page: {self._page.url}"
+        if port not in (0, self._page.port):
+            line += f" (port {port} is taken)"
+        self.context.log(line)
+        if self.settings.browser and not self._open_browser(self._page.url):
+            self.context.log("no browser could be opened here; open the address yourself")
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, Frames):
-            for part in message.split(self._held):
+            for part in message.split(self._last_forces):
                 self._add(part)
-        else:
-            for name in self._groups.get(message.patch, (message.patch,)):
-                self._add(replace(message, patch=name) if name != message.patch else message)
+            return ()
+        # A state of a batch is one of each of its patches.
+        for name in self._groups.get(message.patch, (message.patch,)):
+            if name == message.patch:
+                self._add(message)
+            else:
+                self._add(replace(message, patch=name))
         return ()
 
     def _add(self, message: Message) -> None:
         metrics = self._patches.get(message.patch)
         if metrics is None:
             raise RefusedError(f"{message.topic}: patch {message.patch} is not watched")
+        # A page shows the frame that this message completes.
         complete = metrics.add(message)
         if self._feed is not None:
             self._feed.frame(message.patch, message, complete, metrics.latency_ns)
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
+        # The end of a batch is that of all its patches.
         patch, schema = split_topic(topic)
         names = self._groups[patch]
         for name in names:
             self._patches[name].end(schema, n_messages)
         if self._feed is not None and schema == Reconstruction.schema:
             for name in names:
-                self._feed.update(summaries={name: self._patches[name].summary()}, ended=name)
+                summary = self._patches[name].summary()
+                self._feed.update(summaries={name: summary}, ended=name)
         return ()
 
     def idle(self) -> None:
@@ -217,6 +237,7 @@ class Monitor(Node[MonitorSettings]):
             return
         self._feed.pulse()
         now_ns = self.context.clock.now_ns()
+        # A summary costs more than a frame.
         if now_ns >= self._next_summary_ns:
             self._next_summary_ns = now_ns + SUMMARY_EVERY_NS
             self._feed.update(summaries=self.report()["patches"])
@@ -246,15 +267,23 @@ class Monitor(Node[MonitorSettings]):
         return screen(self._feed, self._notices, line)
 
     def _status_line(self) -> str:
-        earlier, self._status_ns = self._status_ns, self.context.clock.now_ns()
-        seconds = max(self._status_ns - earlier, 1) / 1e9
-        each = [{name: metrics} for name, metrics in self._patches.items()]
-        before = self._status_frames
+        now_ns = self.context.clock.now_ns()
+        seconds = max(now_ns - self._status_ns, 1) / 1e9
+        self._status_ns = now_ns
+
+        # Of few patches each has a line.
+        parts = [{name: metrics} for name, metrics in self._patches.items()]
+        if len(parts) > FEW:
+            parts = [self._patches]
         lines = []
-        for patches in [self._patches] if len(each) > FEW else each:
-            new = sum(m.reconstructed - before[name] for name, m in patches.items())
-            lines.append(status_line(patches, new / seconds / len(patches)))
-        self._status_frames = {name: m.reconstructed for name, m in self._patches.items()}
+        for patches in parts:
+            n_new = 0
+            for name, metrics in patches.items():
+                n_new += metrics.reconstructed - self._status_frames[name]
+            rate_hz = n_new / seconds / len(patches)
+            lines.append(status_line(patches, rate_hz))
+        for name, metrics in self._patches.items():
+            self._status_frames[name] = metrics.reconstructed
         return "\n".join(lines)
 
     def report(self) -> dict[str, Any]:
@@ -267,9 +296,11 @@ class Monitor(Node[MonitorSettings]):
         has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
         if not has_display or not self.context.page_file:
             return False
+
         # Any user can list the arguments of a browser: its token is in a file of this user's.
         self._opener = Path(self.context.page_file)
-        self._opener.unlink(missing_ok=True)  # the monitor has been killed and started again
+        # It is there already if the monitor has been killed and started again.
+        self._opener.unlink(missing_ok=True)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
         with os.fdopen(os.open(self._opener, flags, 0o600), "w") as file:
             file.write(f'<meta http-equiv="refresh" content="0; url={url}">\n')
@@ -278,10 +309,41 @@ class Monitor(Node[MonitorSettings]):
 
 def check_pose(place: str, pose: object) -> None:
     """Raise SettingsError unless this is x, y, z in mm and three angles in degrees."""
-    if not isinstance(pose, list | tuple) or [is_real(v, -1e6, 1e6) for v in pose] != [True] * 6:
-        raise SettingsError(
-            f"{place}: expected [x, y, z, roll, pitch, yaw], in mm and degrees, got {pose!r:.80}"
-        )
+    values = list(pose) if isinstance(pose, list | tuple) else []
+    if len(values) != 6 or not all(is_real(value, -1e6, 1e6) for value in values):
+        expected = "expected [x, y, z, roll, pitch, yaw], in mm and degrees"
+        raise SettingsError(f"{place}: {expected}, got {pose!r:.80}")
+
+
+def _check_batch(batch: str, names: Any) -> None:
+    check_patch("name", batch)
+    if not isinstance(names, list | tuple) or not names:
+        raise SettingsError(f"expected a list of names, got {names!r}")
+    check_patches("patches", tuple(names))
+
+
+def _published_frames(
+    frames: Mapping[str, Any], group: str, counts_of: Mapping[str, Any], again: bool
+) -> Mapping[str, Any]:
+    """Numbers of frames of a patch by the counts of the nodes that publish them; as they are where
+    one of these is on another host.
+    """
+    taxels = topic_of(group, Taxels.schema)
+    measured = topic_of(group, Measurements.schema)
+    answered = topic_of(group, Reconstruction.schema)
+    # A compressor outside the graph publishes no taxels.
+    sensed = taxels if taxels in counts_of else measured
+    needed = {sensed, answered} if again else {sensed}
+    if not needed <= counts_of.keys():
+        return frames
+
+    published = {**frames, "sensed": counts_of[sensed]["published"][sensed]}
+    if again:
+        published["reconstructed"] = counts_of[answered]["published"][answered]
+        published["skipped"] = counts_of[answered]["skipped"].get(measured, 0)
+    n_lost = published["sensed"] - published["reconstructed"] - published["skipped"]
+    published["lost"] = max(0, n_lost)
+    return published
 
 
 def _topics(settings: MonitorSettings, classes: tuple[type[Message], ...]) -> tuple[str, ...]:

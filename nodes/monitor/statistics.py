@@ -51,18 +51,24 @@ class Quantiles:
     _WIDTH = math.log(1.005)
 
     def __init__(self) -> None:
-        n_bins = math.ceil(math.log(self._HIGH_NS / self._LOW_NS) / self._WIDTH)
+        span = math.log(self._HIGH_NS / self._LOW_NS)
+        n_bins = math.ceil(span / self._WIDTH)
         self._bins = np.zeros(n_bins, np.int64)
 
     def add(self, duration_ns: float) -> None:
-        k = int(math.log(max(duration_ns, self._LOW_NS) / self._LOW_NS) / self._WIDTH)
-        self._bins[min(k, len(self._bins) - 1)] += 1
+        # Shorter durations count in the first bin, longer ones in the last.
+        bounded_ns = max(duration_ns, self._LOW_NS)
+        k = int(math.log(bounded_ns / self._LOW_NS) / self._WIDTH)
+        k_last = len(self._bins) - 1
+        self._bins[min(k, k_last)] += 1
 
     def quantile_ms(self, q: float) -> float:
         """The smallest duration in ms that at least the fraction q of all do not exceed."""
         cumulative = np.cumsum(self._bins)
         k = int(np.searchsorted(cumulative, q * cumulative[-1], side="left"))
-        return self._LOW_NS * math.exp((k + 0.5) * self._WIDTH) / 1e6
+        # The middle of the bin, on the logarithmic scale.
+        middle_ns = self._LOW_NS * math.exp((k + 0.5) * self._WIDTH)
+        return middle_ns / 1e6
 
     def summary(self) -> dict[str, float] | None:
         """{p50, p99} in ms; None without durations."""
@@ -78,29 +84,43 @@ class History:
 
     def __init__(self, columns: tuple[str, ...] = COLUMNS) -> None:
         self.columns = columns
-        self.n = self._first = 0
+        self.n = 0
+        #: Number of the first row that is kept.
+        self._first = 0
         #: Row number k is at k modulo the capacity.
         self._rows = np.empty((MIN_CAPACITY, len(columns)))
 
     def add(self, *row: float) -> None:
         """Add one row with the values of the columns; time must not decrease."""
-        rows = self._rows
-        capacity = len(self._rows)
-        while self.n - self._first >= MIN_CAPACITY and (
-            self.n - self._first >= MAX_CAPACITY
-            or row[0] - rows[(self._first + 1) % capacity, 0] >= SPAN_S
-        ):
+        while self._first_is_over(row[0]):
             self._first += 1
-        if self.n - self._first == capacity:
-            first, held = self.since(0)
-            self._rows = rows = np.empty((2 * capacity, len(self.columns)))
-            rows[np.arange(first, self.n) % len(rows)] = held
-        rows[self.n % len(rows)] = row
+        if self.n - self._first == len(self._rows):
+            self._double_capacity()
+        self._rows[self.n % len(self._rows)] = row
         self.n += 1
+
+    def _first_is_over(self, time_s: float) -> bool:
+        """True if the first row can go: the rows behind it span enough time, or are too many."""
+        # Rows are counted first: of a slow stream old ones stay.
+        n_rows = self.n - self._first
+        if n_rows < MIN_CAPACITY:
+            return False
+        if n_rows >= MAX_CAPACITY:
+            return True
+        second_s = self._rows[(self._first + 1) % len(self._rows), 0]
+        return bool(time_s - second_s >= SPAN_S)
+
+    def _double_capacity(self) -> None:
+        n_first, rows = self.since(0)
+        capacity = 2 * len(self._rows)
+        self._rows = np.empty((capacity, len(self.columns)))
+        # Each row moves to its place modulo the new capacity.
+        self._rows[np.arange(n_first, self.n) % capacity] = rows
 
     def since(self, n: int) -> tuple[int, npt.NDArray[np.float64]]:
         """The rows from number `n`, or a later one if that is removed: the number of the first, and
         a copy of them, float64 (k, n_columns).
         """
-        first = max(n, self._first)
-        return first, self._rows[np.arange(first, self.n) % len(self._rows)]
+        n_first = max(n, self._first)
+        places = np.arange(n_first, self.n) % len(self._rows)
+        return n_first, self._rows[places]

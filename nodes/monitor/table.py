@@ -37,6 +37,7 @@ def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     """
     metrics = list(patches.values())
     latency, p50_ms = _latency(metrics)
+    # The last parts are left out where the terminal is narrow.
     is_late = p50_ms >= LATE_MS
 
     parts = [_progress(patches, rate_hz)]
@@ -67,6 +68,7 @@ def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     rate = f"{rate_hz:.0f} Hz"
     if len(metrics) > 1:
         name = f"{len(metrics)} patches"
+        # One rate stands for all: patches of a graph are sensed together.
         asked_hz = max((m.skin.rate_hz for m in metrics if m.skin is not None), default=0.0)
         if asked_hz:
             rate = f"{rate_hz:.0f} of {asked_hz:g} Hz"
@@ -131,12 +133,14 @@ def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
 
 def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     """Number of frames that are not to be trusted, their reasons, and what may help; "" of none."""
+    # A patch without any judged frame has no trust to report.
     judged = [patch for patch in patches if patch["trust"]["all"]]
     n_untrusted = sum(patch["trust"]["all"]["untrusted"] for patch in judged)
     n_frames = sum(patch["trust"]["all"]["frames"] for patch in judged)
     if not n_untrusted:
         return ""
 
+    # Reasons of all patches are counted together.
     counts: Counter[str] = Counter()
     for patch in judged:
         counts.update(patch["doubts"])
@@ -153,16 +157,18 @@ def _reasons(counts: Counter[str]) -> str:
     """The reasons of frames, each with its number of frames where there are several reasons."""
     if len(counts) == 1:
         return "".join(f": {phrase_of(word)}" for word in counts)
-    return "".join(
-        f"; in {count} {'frame' if count == 1 else 'frames'}: {phrase_of(word)}"
-        for word, count in counts.most_common()
-    )
+    text = ""
+    for word, count in counts.most_common():
+        frames = "frame" if count == 1 else "frames"
+        text += f"; in {count} {frames}: {phrase_of(word)}"
+    return text
 
 
 def patch_table(name: str, patch: Mapping[str, Any]) -> str:
     """The summary of one patch as text, `WIDTH` characters wide."""
     patch = {key: _cell(value) for key, value in patch.items()}
     frames = patch["frames"]
+    # A table of nothing would be all dashes.
     if not frames["sensed"] and not frames["reconstructed"]:
         scene = "" if patch["scene"] == NONE else f"{patch['scene']}: "
         return f"{printable(name)}: {scene}ended before the first frame"
@@ -185,7 +191,9 @@ def _cell(value: Any) -> Any:
     """A value of the summary as the table holds it: "-" for None, texts without control codes."""
     if value is None:
         return NONE
-    return printable(value) if isinstance(value, str) else value
+    if isinstance(value, str):
+        return printable(value)
+    return value
 
 
 def _frames_text(patch: Mapping[str, Any]) -> str:
@@ -201,9 +209,11 @@ def _frames_text(patch: Mapping[str, Any]) -> str:
 
 
 def _measured_text(patch: Mapping[str, Any]) -> str:
-    rotating = ", rotating rows" if patch["rows"] == "rotating" else ""
+    phi = patch["phi"]
+    if patch["rows"] == "rotating":
+        phi += ", rotating rows"
     text = (
-        f"{patch['phi']}{rotating}: "
+        f"{phi}: "
         f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
         f"range {shown(patch['f_min'], 'g')}..{shown(patch['f_max'], 'g')} {patch['unit']}"
     )
@@ -257,7 +267,8 @@ def _score_rows(patch: Mapping[str, Any]) -> Iterator[str]:
         "  noisy taxels": patch["psnr_db"]["noisy"],
         "  reconstruction": patch["psnr_db"]["reconstruction"],
     }
-    if patch["reference"] == "taxels":  # then PSNR has no noise beside it
+    if patch["reference"] == "taxels":
+        # Noise of the taxels, to compare PSNR with, is not known then.
         scores["relative error"] = {"contact": patch["relative_error"]}
     scores["trusted by the solver"] = patch["trust"]
 
@@ -278,9 +289,9 @@ def _since(stamp_ns: Any) -> str:
 
 def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
     """One row a patch: counts of frames, mean PSNR of all and of contact frames, latency."""
-    first = next(iter(patches.values()))
+    scene = next(iter(patches.values()))["scene"]
     rows = [
-        f" {len(patches)} patches: {printable(str(first['scene']))} ".center(WIDTH, "="),
+        f" {len(patches)} patches: {printable(str(scene))} ".center(WIDTH, "="),
         f"{'':<12}{'frames':>8}{'skipped':>8}{'lost':>6}{'idle':>7}"
         f"{'PSNR dB':>10}{'contact':>8}{'latency p50':>12}{'p99 ms':>7}",
     ]
@@ -341,7 +352,9 @@ def shown(value: float | str | None, form: str) -> str:
     """A number in a format; "-" if unknown."""
     if value is None:
         return NONE
-    return printable(value) if isinstance(value, str) else format(value, form)
+    if isinstance(value, str):
+        return printable(value)
+    return format(value, form)
 
 
 def _times(quantiles: Mapping[str, float] | str) -> str:

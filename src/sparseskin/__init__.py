@@ -67,9 +67,11 @@ if not TYPE_CHECKING:  # which know the names above, and no others
         if name not in __all__:
             raise AttributeError(f"module 'sparseskin' has no attribute {name!r}")
         module = import_module(_HOMES.get(name, "sparseskin.arrays"))
-        found = getattr(module, "load" if name == "load_launch" else name)
-        globals()[name] = found
-        return found
+        name_there = "load" if name == "load_launch" else name
+        value = getattr(module, name_there)
+        # So that it is looked up once.
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

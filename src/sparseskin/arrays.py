@@ -101,41 +101,59 @@ def compress(
     >>> sparseskin.compress(np.ones((16, 16), np.float32), phi).shape
     (85,)
     """
-    if not hasattr(phi, "forward"):
-        raise PhiError(f"phi: got {type(phi).__name__}; expected what make_phi returns")
-    if phi_fact(phi, "choice"):
-        fault = f'phi "{phi.kind}" chooses rows by what it reads, and measurements alone do not '
-        raise PhiError(f"compress: {fault}state which; allowed: other kinds, or a graph")
-    if np.issubdtype(getattr(forces, "dtype", float), np.integer):
-        allowed = "newtons, as of float32 (counts become newtons by sparseskin calibrate)"
-        raise PhiError(f"compress: forces: type {forces.dtype}; allowed: {allowed}")
+    _check_measurable(forces, phi)
     forces = real_floats(forces, "compress: forces", PhiError)
     if forces.ndim not in (2, 3):
         expected = "expected (n_rows, n_cols) or (k, n_rows, n_cols)"
         raise PhiError(f"compress: forces: shape {forces.shape}; {expected}")
-    shape = forces.shape[-2:]
-    exists = np.ones(shape, dtype=np.bool_) if mask is None else np.asarray(mask)
-    if exists.shape != shape or exists.dtype != np.bool_:
-        given = f"{exists.dtype} of shape {exists.shape}"
-        raise PhiError(f"compress: the mask is {given}; expected bool of shape {shape}")
-    if (n := np.count_nonzero(exists)) != phi.n:
+    exists = _exists(forces.shape[-2:], mask)
+    n = np.count_nonzero(exists)
+    if n != phi.n:
         raise PhiError(f"compress: {n} taxels of {exists.shape} exist; {phi} is for {phi.n}")
+    # The solver of this phi must reconstruct the same grid.
     _keep_grid(phi, exists.shape)
-    x = forces[..., exists]
-    is_number = np.abs(x) <= LARGEST
-    if not is_number.all():
-        place = tuple(np.argwhere(exists & ~(np.abs(forces) <= LARGEST))[0].tolist())
+    # Cells where no taxel exists may hold anything.
+    is_wrong = exists & ~(np.abs(forces) <= LARGEST)
+    if is_wrong.any():
+        place = tuple(np.argwhere(is_wrong)[0].tolist())
         reads = f"forces{list(place)} is {forces[place]:g}"
         raise PhiError(f"compress: {reads}; allowed: {WITHIN}")
-    frames = _zeroed(forces.reshape(-1, *shape), exists, phi, tare, invert)
+
+    frames = _zeroed(forces.reshape(-1, *exists.shape), exists, phi, tare, invert)
     x = frames.reshape(forces.shape)[..., exists]
     subsets = row_subsets(phi, rows)
-    if x.ndim != 2:
+    if x.ndim == 1:
         return subsets[0].forward(x)
     y = np.empty((len(x), phi.m), dtype=np.float32)
-    for first, subset in enumerate(subsets):
-        y[first :: len(subsets)] = subset.forward(x[first :: len(subsets)])
+    for k, subset in enumerate(subsets):
+        in_turn = slice(k, None, len(subsets))
+        y[in_turn] = subset.forward(x[in_turn])
     return y
+
+
+def _check_measurable(forces: Floats, phi: Phi) -> None:
+    """Raise PhiError if phi is no matrix for frames alone, or forces are counts."""
+    if not hasattr(phi, "forward"):
+        raise PhiError(f"phi: got {type(phi).__name__}; expected what make_phi returns")
+    if phi_fact(phi, "choice"):
+        raise PhiError(
+            f'compress: phi "{phi.kind}" chooses rows by what it reads, and measurements alone do '
+            "not state which; allowed: other kinds, or a graph"
+        )
+    if np.issubdtype(getattr(forces, "dtype", float), np.integer):
+        allowed = "newtons, as of float32 (counts become newtons by sparseskin calibrate)"
+        raise PhiError(f"compress: forces: type {forces.dtype}; allowed: {allowed}")
+
+
+def _exists(shape: tuple[int, ...], mask: Mask | None) -> Mask:
+    """True where a taxel exists, by a mask that is checked."""
+    if mask is None:
+        return np.ones(shape, dtype=np.bool_)
+    exists = np.asarray(mask)
+    if exists.shape != shape or exists.dtype != np.bool_:
+        got = f"{exists.dtype} of shape {exists.shape}"
+        raise PhiError(f"compress: the mask is {got}; expected bool of shape {shape}")
+    return exists
 
 
 def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bool) -> Floats:
@@ -144,20 +162,25 @@ def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bo
     """
     if len(frames) < (tare or 0):
         raise PhiError(f"compress: tare = {tare}: there are {len(frames)} frames")
-    largest = float(np.abs(frames[:, exists]).max(initial=0.0))
+    readings = frames[:, exists]
+    # The range is not stated: the largest reading stands for it.
+    f_max = float(np.abs(readings).max(initial=0.0)) or 1.0
     n_rows, n_cols = exists.shape
-    skin = Skin(n_rows, n_cols, largest or 1.0, mask=None if exists.all() else exists)
+    skin = Skin(n_rows, n_cols, f_max, mask=None if exists.all() else exists)
     try:
         zero = Zero(skin, tare, invert)
     except SettingsError as error:
         raise PhiError(f"compress: {error}") from error
+
     forces = frames.copy() if zero.changes_readings else frames
-    can_fall = zero.changes_readings or bool((frames[:, exists] < 0).any())
+    can_fall = zero.changes_readings or bool((readings < 0).any())
+    # Once nothing more can be found out, frames are forces as they are.
     for k, frame in enumerate(frames):
         if zero.doubt.is_settled and not can_fall:
             break
         forces[k] = zero.forces(frame)
     phi.sensed = str(zero.reason)
+
     line = zero.doubt.line
     # A frame alone may show a level, but not whether it stays.
     if line and len(frames) > 1:
@@ -205,10 +228,11 @@ def make_solver(
         If the name or a setting is unknown or not allowed, phi, basis and mask do not fit, a class
         of your own is not a solver; fast is "on" without numba; rows of phi cannot rotate.
     """
-    made = make_rotating_solver(name, row_subsets(phi, rows), basis, mask, fast=fast, **settings)
+    subsets = row_subsets(phi, rows)
+    solver = make_rotating_solver(name, subsets, basis, mask, fast=fast, **settings)
     _keep_grid(phi, (basis.n_rows, basis.n_cols))
-    made.measured_by = phi
-    return made
+    solver.measured_by = phi
+    return solver
 
 
 @checked(SolverError)
@@ -253,45 +277,64 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     """
     if solver_fact(solver, "uses_blas"):
         warn_of_threads()
+    _check_solver(solver)
+    y = real_floats(measurements, "measurements", SolverError)
+    if y.ndim not in (1, 2):
+        raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
+    if y.ndim == 1:
+        # A single frame may be any of a stream: its row subset is stated.
+        return _reconstructed(y, solver)
+
+    # Frames in order begin with the first row subset, as `compress` does.
+    subsets = getattr(solver, "subsets", ())
+    frames: list[Floats] = []
+    for k, of_frame in enumerate(y):
+        if subsets:
+            solver.use(subsets[k % len(subsets)])
+        frames.append(_reconstructed(of_frame, solver))
+    if not frames:
+        return np.zeros((0, *solver.mask.shape), dtype=np.float32)
+    return np.stack(frames)
+
+
+def _check_solver(solver: Solver) -> None:
+    """Raise SolverError if this is no solver, or what was set of its noise is not allowed."""
     if not hasattr(solver, "solve"):
         raise SolverError(f"solver: got {type(solver).__name__}; expected what make_solver returns")
     newtons("solver", "noise_sd", getattr(solver, "noise_sd", 0.0))
     model = getattr(solver, "noise_model", None)
-    if not (model is None or isinstance(model, NoiseModel)):
-        shown = f"{model!r:.60}"
-        raise SolverError(f"solver: noise_model = {shown} is not allowed; allowed: a NoiseModel")
-    y = real_floats(measurements, "measurements", SolverError)
-    if y.ndim not in (1, 2):
-        raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
-    # A single frame may be any of a stream.
-    subsets = getattr(solver, "subsets", ()) if y.ndim == 2 else ()
-    made: list[Floats] = []
-    for k, measured in enumerate(np.atleast_2d(y)):
-        if subsets:
-            solver.use(subsets[k % len(subsets)])
-        verdict = solve_watched(solver, watch_of(solver), solver.phi, measured)
-        sensed = getattr(getattr(solver, "measured_by", None), "sensed", "")
-        solver.reason = str(first_reason(verdict.reason, sensed))
-        solver.trusted = not solver.reason
-        made.append(verdict.forces)
-    if y.ndim == 1:
-        return made[0]
-    return np.stack(made) if made else np.zeros((0, *solver.mask.shape), dtype=np.float32)
+    if model is not None and not isinstance(model, NoiseModel):
+        allowed = "allowed: a NoiseModel"
+        raise SolverError(f"solver: noise_model = {model!r:.60} is not allowed; {allowed}")
+
+
+def _reconstructed(y: Floats, solver: Solver) -> Floats:
+    """Forces of one frame; the solver notes why they are not to be trusted."""
+    verdict = solve_watched(solver, watch_of(solver), solver.phi, y)
+    # What the edge found of the readings goes on with the frame.
+    phi = getattr(solver, "measured_by", None)
+    sensed = getattr(phi, "sensed", "")
+    solver.reason = str(first_reason(verdict.reason, sensed))
+    solver.trusted = not solver.reason
+    return verdict.forces
 
 
 @cache
 def warn_of_threads() -> None:
     """Warn, once, where threads of OpenBLAS slow down the small products of the solver."""
+    # Which library numpy was built with is known from this alone.
     config: Any = np.show_config(mode="dicts")
+    # Other libraries do not make small products wait.
     is_openblas = "openblas" in config["Build Dependencies"]["blas"]["name"]
-    stated = any(name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"))
-    if is_openblas and not stated and (os.cpu_count() or 1) > 1:
-        warnings.warn(
-            "solver skin: threads of OpenBLAS wait for each other; set OPENBLAS_NUM_THREADS=1 "
-            "before Python starts",
-            RuntimeWarning,
-            stacklevel=3,
-        )
+    is_stated = any(name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"))
+    if not is_openblas or is_stated or (os.cpu_count() or 1) == 1:
+        return
+    warnings.warn(
+        "solver skin: threads of OpenBLAS wait for each other; set OPENBLAS_NUM_THREADS=1 "
+        "before Python starts",
+        RuntimeWarning,
+        stacklevel=3,
+    )
 
 
 @checked(SparseskinError)
@@ -316,27 +359,39 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     SparseskinError
         If the shapes differ or are no frames, or the reference exceeds the range.
     """
-    for name, frames in (("forces", forces), ("truth", truth)):
-        is_number = np.abs(real_floats(frames, f"psnr_db: {name}", SparseskinError)) <= LARGEST
-        if not is_number.all():
-            place = tuple(np.argwhere(~is_number)[0].tolist())
-            reads = f"{name}{list(place)} is {np.asarray(frames)[place]:g}"
-            raise SparseskinError(f"psnr_db: {reads}; allowed: {WITHIN}")
+    _check_numbers("forces", forces)
+    _check_numbers("truth", truth)
     if not f_max > 0:
         raise SparseskinError(f"psnr_db: f_max = {f_max:g} is not allowed; allowed: above 0")
-    forces, truth = np.asarray(forces), np.asarray(truth)
+    forces = np.asarray(forces)
+    truth = np.asarray(truth)
     if forces.shape != truth.shape or forces.ndim not in (2, 3):
         raise SparseskinError(
             f"psnr_db: shapes {forces.shape} and {truth.shape}; "
             "expected the same, (n_rows, n_cols) or (k, n_rows, n_cols)"
         )
-    if truth.size and (most := float(truth.max())) > f_max:
-        what = f"the reference reaches {most:g}, above f_max = {f_max:g}"
-        raise SparseskinError(f"psnr_db: {what}; state f_max, the upper end of its range")
-    error = np.subtract(forces, truth, dtype=np.result_type(forces, truth, np.float32))
+    # A reference beyond the range would give a PSNR that is too low.
+    peak = float(truth.max()) if truth.size else 0.0
+    if peak > f_max:
+        text = f"the reference reaches {peak:g}, above f_max = {f_max:g}"
+        raise SparseskinError(f"psnr_db: {text}; state f_max, the upper end of its range")
+
+    dtype = np.result_type(forces, truth, np.float32)
+    # Not in their own type, which may be unsigned.
+    error = np.subtract(forces, truth, dtype=dtype)
     if error.ndim == 2:
         return psnr_of_error(error, f_max)
     return np.array([psnr_of_error(frame, f_max) for frame in error])
+
+
+def _check_numbers(name: str, frames: Floats) -> None:
+    """Raise SparseskinError at the first force that is not finite, or beyond any range."""
+    values = real_floats(frames, f"psnr_db: {name}", SparseskinError)
+    is_number = np.abs(values) <= LARGEST
+    if not is_number.all():
+        place = tuple(np.argwhere(~is_number)[0].tolist())
+        reads = f"{name}{list(place)} is {np.asarray(frames)[place]:g}"
+        raise SparseskinError(f"psnr_db: {reads}; allowed: {WITHIN}")
 
 
 @checked(SparseskinError)
@@ -367,11 +422,15 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
     from sparseskin.nodes.sensor.node import Sensor
 
     _check_frames("simulate", n_frames)
-    bus = Bus({"sensor": (Sensor, Sensor.Settings(source=f"scene:{scene}", seed=seed))})
-    made = [message for messages in bus.frames(n_frames) for message in messages]
+    settings = Sensor.Settings(source=f"scene:{scene}", seed=seed)
+    # The same node as in a graph, so that frames have the same bits.
+    bus = Bus({"sensor": (Sensor, settings)})
+    truth = []
+    taxels = []
+    for messages in bus.frames(n_frames):
+        truth += [message.forces[0] for message in messages if isinstance(message, Truth)]
+        taxels += [message.forces[0] for message in messages if isinstance(message, Taxels)]
     bus.check()
-    truth = [message.forces[0] for message in made if isinstance(message, Truth)]
-    taxels = [message.forces[0] for message in made if isinstance(message, Taxels)]
     return np.stack(truth), np.stack(taxels)
 
 
@@ -452,38 +511,52 @@ def run_launch(
         launch = load(launch, settings)
     elif settings:
         raise SparseskinError("run_launch: settings go to load_launch where the file is loaded")
-    bus = Bus({node.name: (node.cls, node.settings) for node in launch.nodes.values()})
-    held: dict[str, Floats] = {}
+    nodes = launch.nodes.values()
+    bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
+    last_forces: dict[str, Floats] = {}
     try:
         for messages in bus.frames(n_frames):
             bus.check()
-            yield from _frames_of(messages, held)
+            yield from _frames_of(messages, last_forces)
     finally:
         bus.close()
     bus.check()
 
 
-_PARTS = {Truth: "truth", Taxels: "taxels", Measurements: "measurements", Reconstruction: "forces"}
+_PARTS: dict[type[Frames], str] = {
+    Truth: "truth",
+    Taxels: "taxels",
+    Measurements: "measurements",
+    Reconstruction: "forces",
+}
 
 
-def _frames_of(messages: Sequence[Message], held: dict[str, Floats]) -> Iterator[Frame]:
-    found: dict[tuple[str, int], dict[str, Any]] = {}
+def _frames_of(messages: Sequence[Message], last_forces: dict[str, Floats]) -> Iterator[Frame]:
+    """Frames of messages that came together; `last_forces` as of `Frames.split`."""
+    # Messages of one frame share patch and stamp.
+    frames: dict[tuple[str, int], dict[str, Any]] = {}
     for message in messages:
         if isinstance(message, Labels):
-            found.setdefault((message.patch, message.stamp_ns), {})["label"] = message
+            frames.setdefault((message.patch, message.stamp_ns), {})["label"] = message
         if not isinstance(message, Frames):
             continue
-        for one in message.split(held):
-            parts = found.setdefault((one.patch, one.stamp_ns), {})
-            if isinstance(one, Contacts):
-                parts["contacts"] = one
-                continue
-            values = values_alone(one)
-            if isinstance(one, Taxels | Reconstruction):
-                parts["missing"] = one.missing_cells(one.forces.shape[1:])
-            parts[_PARTS[type(one)]] = values.get("y", values.get("forces"))
-            parts |= {
-                name: values[name] for name in ("error", "trusted", "reason") if name in values
-            }
-    for (patch, stamp_ns), parts in found.items():
+        for of_patch in message.split(last_forces):
+            parts = frames.setdefault((of_patch.patch, of_patch.stamp_ns), {})
+            parts |= _parts_of(of_patch)
+    for (patch, stamp_ns), parts in frames.items():
         yield Frame(patch, stamp_ns, **parts)
+
+
+def _parts_of(message: Frames) -> dict[str, Any]:
+    """Fields of `Frame` that a message of one patch gives."""
+    if isinstance(message, Contacts):
+        return {"contacts": message}
+    values = values_alone(message)
+    parts = {}
+    parts[_PARTS[type(message)]] = values.get("y", values.get("forces"))
+    if isinstance(message, Taxels | Reconstruction):
+        parts["missing"] = message.missing_cells(message.forces.shape[1:])
+    for name in ("error", "trusted", "reason"):
+        if name in values:
+            parts[name] = values[name]
+    return parts

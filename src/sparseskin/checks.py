@@ -38,17 +38,24 @@ def check_phi(phi: Phi) -> dict[str, float]:
     """
     if not isinstance(phi, Phi):
         raise PhiError(f"phi: got {phi!r}; expected what make_phi returns")
+    # Random vectors: what holds for them holds for all, as the products are linear.
     test = _Test(PhiError, f"phi {phi.kind}")
+    # Two of each: a batch must give the same bits as its frames alone.
     x = _normal((2, phi.n))
     y = _normal((2, phi.m))
+
     measured = test.applied("forward", phi.forward, x, (2, phi.m))
     spread = test.applied("adjoint", phi.adjoint, y, (2, phi.n))
     dot = test.dot_error("adjoint", (measured, y), (x, spread))
+
+    # The dense form is the reference for the fast ones.
     dense = phi.dense()
     if dense.shape != (phi.m, phi.n) or dense.dtype != np.float64:
         test.fail(": dense", f"{dense.dtype} {dense.shape}", f"float64 {phi.m, phi.n}")
     test.compare("forward", measured, x @ dense.T, "the product with dense()")
     test.compare("adjoint", spread, y @ dense, "the product with dense()")
+
+    # The largest singular value, squared.
     largest = float(np.linalg.norm(dense, 2)) ** 2
     if not phi.lipschitz >= largest * (1 - ROUNDING):
         test.fail(": lipschitz", phi.lipschitz, f"at least {largest:.7g}")
@@ -77,11 +84,13 @@ def check_basis(basis: Basis) -> dict[str, float]:
     shape = (2, basis.n_rows, basis.n_cols)
     image = _normal(shape)
     theta = _normal(shape, 1)
-    found = test.applied("analysis", basis.analysis, image, shape)
-    made = test.applied("synthesis", basis.synthesis, theta, shape)
-    dot = test.dot_error("synthesis", (found, theta), (image, made))
-    back = basis.synthesis(found)
-    again = basis.analysis(made)
+
+    # Orthonormal: each of the two is the transpose and the inverse of the other.
+    coefficients = test.applied("analysis", basis.analysis, image, shape)
+    spread = test.applied("synthesis", basis.synthesis, theta, shape)
+    dot = test.dot_error("synthesis", (coefficients, theta), (image, spread))
+    back = basis.synthesis(coefficients)
+    again = basis.analysis(spread)
     test.compare("synthesis of analysis", back, image, "the image")
     test.compare("analysis of synthesis", again, theta, "the coefficients")
     return {"dot": dot}
@@ -107,79 +116,41 @@ def check_solver(solver: Solver) -> dict[str, float]:
     """
     if not isinstance(solver, Solver):
         raise SolverError(f"solver: got {solver!r}; expected what make_solver returns")
-    test = _Test(SolverError, f"solver {solver.name}")
-    shape = solver.mask.shape
-    frames = _disc(shape) * solver.mask
-    subsets = solver.subsets or (solver.phi,)
-    phis = [subsets[k % len(subsets)] for k in range(N_FRAMES)]
-    given = [phi.forward(f[solver.mask]) for phi, f in zip(phis, frames, strict=True)]
-
-    def solved(how: Callable[[Phi, Floats], Floats]) -> list[Floats]:
-        solver.reset()
-        found: list[Floats] = []
-        for phi, y in zip(phis, given, strict=True):
-            solver.use(phi)
-            kept = y.copy()
-            forces = how(phi, y)
-            if forces.shape != shape or forces.dtype != np.float32:
-                test.fail("", f"{forces.dtype} {forces.shape}", f"float32 {shape}")
-            if not (np.isfinite(forces).all() and float(forces.min(initial=0)) >= 0):
-                test.fail("", "forces below 0 or not finite", "at least 0, finite")
-            if forces[~solver.mask].any():
-                test.fail("", "forces outside the mask", "0 there")
-            if not np.array_equal(y, kept):
-                test.fail("", "other measurements than were given", "y unchanged")
-            found.append(forces)
-        return found
-
-    def straight(phi: Phi, y: Floats) -> Floats:
-        return solver.solve(y)
-
-    def stepped(phi: Phi, y: Floats) -> Floats:
-        solver.setup(y)
-        for _ in range(solver.n_steps):
-            solver.step()
-        return solver.finish()
-
-    def troubled(phi: Phi, y: Floats) -> Floats:
-        try:
-            solver.solve(np.where(np.arange(y.size) == y.size // 2, np.float32(np.nan), y))
-        except SolverError:
-            solver.use(phi)
-            return solver.solve(y)
-        test.fail("", "a NaN among the measurements is taken", "SolverError")
-
-    first = solved(straight)
-    copies = [one.copy() for one in first]
-    for what, how in (
-        ("a second run after reset()", straight),
-        ("setup(), step() and finish()", stepped),
-        ("frames after one that is refused", troubled),
+    test = _SolverTest(solver)
+    results = test.run(test.straight)
+    # Later frames must not change earlier results.
+    copies = [forces.copy() for forces in results]
+    for runs, solve in (
+        ("a second run after reset()", test.straight),
+        ("setup(), step() and finish()", test.stepped),
+        ("frames after one that is refused", test.troubled),
     ):
-        if not all(map(np.array_equal, solved(how), copies)):
-            test.fail("", f"{what} differ from solve()", "the same bits")
-    if not all(map(np.array_equal, first, copies)):
+        if not all(map(np.array_equal, test.run(solve), copies)):
+            test.fail("", f"{runs} differ from solve()", "the same bits")
+    if not all(map(np.array_equal, results, copies)):
         test.fail("", "a result that a later frame changes", "the caller's own array")
+
+    test.check_nothing()
     solver.reset()
-    solver.use(phis[0])
-    if solver.solve(np.zeros(solver.phi.m, np.float32)).any():
-        test.fail("", "forces for measurements of 0", "0")
-    solver.reset()
-    off = float(np.linalg.norm(first[-1] - frames[-1]))
-    return {"error": off / max(float(np.linalg.norm(frames[-1])), TINY)}
+    frame = test.frames[-1]
+    error = float(np.linalg.norm(results[-1] - frame))
+    size = float(np.linalg.norm(frame))
+    return {"error": error / max(size, TINY)}
 
 
 def _normal(shape: tuple[int, ...], seed: int = 0) -> Floats:
-    made: Floats = np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
-    return made
+    values = np.random.default_rng(seed).standard_normal(shape)
+    return values.astype(np.float32)
 
 
 def _disc(shape: tuple[int, ...]) -> Floats:
     """Frames of a disc of force 1 that slides along the middle row, (N_FRAMES, n_rows, n_cols)."""
-    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    n_rows, n_cols = shape
+    rows, cols = np.mgrid[:n_rows, :n_cols]
     radius = max(1.0, min(shape) / 6)
-    at = shape[1] / 4 + 0.5 * np.arange(N_FRAMES)[:, None, None]
-    inside: Mask = np.hypot(rows - shape[0] // 2, cols - at) < radius
+    # Half a taxel a frame: solvers that start from the last one are followed.
+    middle = n_cols / 4 + 0.5 * np.arange(N_FRAMES)[:, None, None]
+    inside: Mask = np.hypot(rows - n_rows // 2, cols - middle) < radius
     return inside.astype(np.float32)
 
 
@@ -190,39 +161,125 @@ class _Test:
         self._kind = kind
         self._name = name
 
-    def fail(self, what: str, found: object, expected: str) -> NoReturn:
-        raise self._kind(f"{self._name}{what}: {found}; expected: {expected}")
+    def fail(self, place: str, result: object, expected: str) -> NoReturn:
+        raise self._kind(f"{self._name}{place}: {result}; expected: {expected}")
 
     def applied(
-        self, name: str, apply: Callable[[Floats], Floats], given: Floats, shape: tuple[int, ...]
+        self, name: str, apply: Callable[[Floats], Floats], batch: Floats, shape: tuple[int, ...]
     ) -> Floats:
         """Apply to a batch of two frames, with checks of shape, type, values and bits."""
-        what = f": {name}"
-        kept = given.copy()
-        found = apply(given)
-        if found.shape != shape or found.dtype != np.float32:
-            self.fail(what, f"{found.dtype} of shape {found.shape}", f"float32 of shape {shape}")
-        if not np.isfinite(found).all():
-            self.fail(what, "not finite", "finite numbers")
-        if not np.array_equal(given, kept):
-            self.fail(what, "its input is changed", "an input that is left as it is")
-        again = np.stack([apply(one) for one in given])
-        if not np.array_equal(again, found):
-            self.fail(what, "other bits on a second call", "the same bits, alone and in a batch")
-        return found
+        place = f": {name}"
+        copy = batch.copy()
+        result = apply(batch)
+        if result.shape != shape or result.dtype != np.float32:
+            self.fail(place, f"{result.dtype} of shape {result.shape}", f"float32 of shape {shape}")
+        if not np.isfinite(result).all():
+            self.fail(place, "not finite", "finite numbers")
+        if not np.array_equal(batch, copy):
+            self.fail(place, "its input is changed", "an input that is left as it is")
 
-    def dot_error(self, name: str, left: tuple[Floats, ...], right: tuple[Floats, ...]) -> float:
+        # The same bits, alone and in a batch, twice.
+        frame_by_frame = np.stack([apply(frame) for frame in batch])
+        if not np.array_equal(frame_by_frame, result):
+            self.fail(place, "other bits on a second call", "the same bits, alone and in a batch")
+        return result
+
+    def dot_error(
+        self, name: str, factors: tuple[Floats, Floats], transposed: tuple[Floats, Floats]
+    ) -> float:
         """Relative difference of two inner products of the first frames, as they are equal."""
-        pairs = [[part[0].astype(np.float64) for part in parts] for parts in (left, right)]
-        one, other = (float(np.vdot(a, b)) for a, b in pairs)
-        length = max(float(np.linalg.norm(a) * np.linalg.norm(b)) for a, b in pairs)
-        error = abs(one - other) / max(length, TINY)
+        product, length = _inner_product(*factors)
+        expected, expected_length = _inner_product(*transposed)
+        error = abs(product - expected) / max(length, expected_length, TINY)
         if not error <= ROUNDING:
-            found = f"inner products of {one:.6g} and {other:.6g}"
-            self.fail(f": {name}", found, "the transpose, so equal")
+            products = f"inner products of {product:.6g} and {expected:.6g}"
+            self.fail(f": {name}", products, "the transpose, so equal")
         return error
 
     def compare(self, name: str, found: Floats, expected: npt.NDArray[Any], by: str) -> None:
-        error = float(np.abs(found - expected).max()) / max(float(np.linalg.norm(expected)), TINY)
+        largest = float(np.abs(found - expected).max())
+        error = largest / max(float(np.linalg.norm(expected)), TINY)
         if not error <= ROUNDING:
             self.fail(f": {name}", f"a relative error of {error:.2g}", by)
+
+
+def _inner_product(a: Floats, b: Floats) -> tuple[float, float]:
+    """Inner product of two first frames, and the product of their lengths, in float64."""
+    u = a[0].astype(np.float64)
+    v = b[0].astype(np.float64)
+    product = float(np.vdot(u, v))
+    length = float(np.linalg.norm(u) * np.linalg.norm(v))
+    return product, length
+
+
+class _SolverTest(_Test):
+    """The test of a solver by frames of a disc."""
+
+    def __init__(self, solver: Solver) -> None:
+        super().__init__(SolverError, f"solver {solver.name}")
+        mask = solver.mask
+        # Rows that rotate measure each frame by another matrix.
+        subsets = solver.subsets or (solver.phi,)
+        self.solver = solver
+        self.frames = _disc(mask.shape) * mask
+        self.phis = [subsets[k % len(subsets)] for k in range(N_FRAMES)]
+        self.measurements = []
+        for phi, frame in zip(self.phis, self.frames, strict=True):
+            self.measurements.append(phi.forward(frame[mask]))
+
+    def run(self, solve: Callable[[Phi, Floats], Floats]) -> list[Floats]:
+        """Forces of all frames, checked, after a reset."""
+        self.solver.reset()
+        results: list[Floats] = []
+        for phi, y in zip(self.phis, self.measurements, strict=True):
+            self.solver.use(phi)
+            copy = y.copy()
+            forces = solve(phi, y)
+            self._check_forces(forces)
+            # The caller may use its measurements again.
+            if not np.array_equal(y, copy):
+                self.fail("", "other measurements than were given", "y unchanged")
+            results.append(forces)
+        return results
+
+    def _check_forces(self, forces: Floats) -> None:
+        mask = self.solver.mask
+        if forces.shape != mask.shape or forces.dtype != np.float32:
+            self.fail("", f"{forces.dtype} {forces.shape}", f"float32 {mask.shape}")
+        lowest = float(forces.min(initial=0))
+        if not (np.isfinite(forces).all() and lowest >= 0):
+            self.fail("", "forces below 0 or not finite", "at least 0, finite")
+        if forces[~mask].any():
+            self.fail("", "forces outside the mask", "0 there")
+
+    def straight(self, phi: Phi, y: Floats) -> Floats:
+        """By `solve`."""
+        return self.solver.solve(y)
+
+    def stepped(self, phi: Phi, y: Floats) -> Floats:
+        """Step by step."""
+        self.solver.setup(y)
+        for _ in range(self.solver.n_steps):
+            self.solver.step()
+        return self.solver.finish()
+
+    def troubled(self, phi: Phi, y: Floats) -> Floats:
+        """After measurements that are refused."""
+        # A refused frame must leave no trace in the next one.
+        broken = y.copy()
+        broken[y.size // 2] = np.nan
+        try:
+            self.solver.solve(broken)
+        except SolverError:
+            self.solver.use(phi)
+            return self.solver.solve(y)
+        self.fail("", "a NaN among the measurements is taken", "SolverError")
+
+    def check_nothing(self) -> None:
+        """Measurements of 0 give forces of 0."""
+        zeros = np.zeros(self.solver.phi.m, np.float32)
+        self.solver.reset()
+        self.solver.use(self.phis[0])
+        forces = self.solver.solve(zeros)
+        if forces.any():
+            self.fail("", "forces for measurements of 0", "0")

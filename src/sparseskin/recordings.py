@@ -68,6 +68,7 @@ def read_recording(
         if stated:
             raise SparseskinError(f"{path}: a recording states {', '.join(stated)} itself")
         return _read_bag(path, patch)
+    # A recording of another program: the layout states what it does not.
     for word in stated:
         if word not in KEYS:
             raise SparseskinError(f"{word}: unknown argument{nearest_of(word, KEYS)}")
@@ -83,35 +84,54 @@ def read_recording(
 
 def _is_bag(path: str | os.PathLike[str]) -> bool:
     """True for a recording of sparseskin; other programs write .mcap, too."""
+    # An incomplete recording has a name that no other program uses.
     name = Path(path).name
     if name.endswith(PART_SUFFIX):
         return True
-    if not (name.endswith(BAG_SUFFIX) and Path(path).is_file()):
-        return name.endswith(BAG_SUFFIX)
+    if not name.endswith(BAG_SUFFIX):
+        return False
+    if not Path(path).is_file():
+        # The reader reports that it is missing.
+        return True
     with Path(path).open("rb") as file:
         return is_bag(file.read(HEAD_BYTES))
 
 
 def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]:
     # Most recordings are of other programs: these need none of it.
-    from sparseskin.nodes.recorder.bag.frames import array_names, frame_topics, patch_of, skin_of
+    from sparseskin.nodes.recorder.bag.frames import array_names, frame_topics, skin_of
     from sparseskin.nodes.recorder.bag.patches import split_bag
     from sparseskin.nodes.recorder.bag.reader import BagReader
     from sparseskin.nodes.recorder.convert.npz import export_npz
 
     with BagReader(path) as whole, tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
+        # Patches that were recorded in batches are read one by one.
         bag = split_bag(whole)
-        topics = frame_topics(bag, None)
-        patches = sorted({patch_of(topic) for topic in topics})
-        if patch is None and len(patches) > 1:
-            raise SparseskinError(f"{path}: has patches {', '.join(patches)}: state one of them")
-        patch = patch or patches[0]
-        wanted = [topic for topic in topics if patch_of(topic) == patch]
-        if not wanted:
-            raise SparseskinError(f"{path}: has no patch {patch!r} (it has {', '.join(patches)})")
-        (written,) = export_npz(bag, Path(folder) / "frames.npz", wanted)
+        patch, topics = _topics_of(path, frame_topics(bag, None), patch)
+        # By way of the export, so that names and arrays are the same.
+        (written,) = export_npz(bag, Path(folder) / "frames.npz", topics)
         skin = skin_of(bag, patch)
-        names = [name for topic in wanted for name in array_names(bag.topics[topic].schema)]
-        with np.load(written) as held:
-            found: dict[str, Any] = {name: held[name] for name in names}
-    return found | ({} if skin is None else described(skin, skin.rate_hz))
+        names: list[str] = []
+        for topic in topics:
+            names += array_names(bag.topics[topic].schema)
+        with np.load(written) as file:
+            arrays: dict[str, Any] = {name: file[name] for name in names}
+    if skin is not None:
+        arrays |= described(skin, skin.rate_hz)
+    return arrays
+
+
+def _topics_of(
+    path: str | os.PathLike[str], topics: list[str], patch: str | None
+) -> tuple[str, list[str]]:
+    """The stated patch of a recording, or the only one, and its topics."""
+    from sparseskin.nodes.recorder.bag.frames import patch_of
+
+    patches = sorted({patch_of(topic) for topic in topics})
+    if patch is None and len(patches) > 1:
+        raise SparseskinError(f"{path}: has patches {', '.join(patches)}: state one of them")
+    patch = patch or patches[0]
+    of_patch = [topic for topic in topics if patch_of(topic) == patch]
+    if not of_patch:
+        raise SparseskinError(f"{path}: has no patch {patch!r} (it has {', '.join(patches)})")
+    return patch, of_patch

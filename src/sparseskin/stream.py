@@ -137,13 +137,8 @@ class Stream:
         invert: bool = False,
         **settings: Any,
     ) -> None:
-        if np.shape(shape) != (2,) or not all(is_whole(side, 1, MAX_SIDE) for side in shape):
-            allowed = f"allowed: (n_rows, n_cols), whole numbers 1..{MAX_SIDE}"
-            raise SparseskinError(f"stream: shape = {shape!r} is not allowed; {allowed}")
-        try:
-            self._skin = Skin(*shape, f_max, mask=None if mask is None else np.array(mask))
-        except MessageError as error:
-            raise SparseskinError(f"stream: {error}") from error
+        # The skin, and its reading at rest.
+        self._skin = _checked_skin(shape, f_max, mask)
         try:
             self._zero = Zero(self._skin, tare, invert)
         except SettingsError as error:
@@ -151,6 +146,8 @@ class Stream:
         if sigmas is not None and np.shape(sigmas) != (2,):
             allowed = "allowed: standard deviations at mid-range and at the ends"
             raise SparseskinError(f"stream: sigmas = {sigmas!r} is not allowed; {allowed}")
+
+        # The edge: the matrices that measure frames in turn.
         edge = CompressorSettings(phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed)
         edge.check()
         if phi_fact(phi_class(phi), "choice"):
@@ -161,42 +158,41 @@ class Stream:
         self._phis = edge.phis(self._skin)
         self.n = self._phis[0].n
         self.m = self._phis[0].m
-        self._noise_model = None if sigmas is None else NoiseModel(f_max, *sigmas)
-        noise_sd = noise_sd if sigmas is None else CLIP_SD * min(sigmas)
+
+        # The host: what it knows of the noise, and its settings.
+        self._noise_model = None
+        if sigmas is not None:
+            self._noise_model = NoiseModel(f_max, *sigmas)
+            noise_sd = CLIP_SD * min(sigmas)
         self._noise_sd = newtons("stream", "noise_sd", noise_sd)
-        options = {name: value for name, value in settings.items() if name not in _NAMED}
-        stated = {name: value for name, value in settings.items() if name in _NAMED}
-        own = [*_NAMED, *(name for name in signature(Stream).parameters if name != "settings")]
-        for name in options:
-            if ":" not in str(stated.get("solver")) and (hint := suggestion(name, own)):
-                raise SparseskinError(f"stream: {name}: is not known{hint}")
-        self._host = ReconstructorSettings(phi=phi, preset=preset, options=options, **stated)
-        self._host.check()
-        self._host.check_phi(phi)
-        self._n_compressed = self._n_reconstructed = 0
-        self._doubts: dict[int, str] = {}  # of frames that wait to be reconstructed
+        self._host = _host_settings(phi, preset, settings)
+
+        self._n_compressed = 0
+        self._n_reconstructed = 0
+        # Of frames that wait to be reconstructed.
+        self._doubts: dict[int, str] = {}
         self.sensed = ""
         self.error: float | None = None
         self.reason = ""
         self.trusted = True
 
     def __repr__(self) -> str:
-        rows, cols = self._skin.shape
-        turns = f", {len(self._phis)} row subsets" if len(self._phis) > 1 else ""
-        phi = f"m = {self.m} of {self.n} taxels by {self._phis[0].kind}{turns}"
-        return f"<Stream {rows} x {cols}: {phi}; solver {self._host.chosen()['solver']}>"
+        n_rows, n_cols = self._skin.shape
+        phi = f"m = {self.m} of {self.n} taxels by {self._phis[0].kind}"
+        if len(self._phis) > 1:
+            phi += f", {len(self._phis)} row subsets"
+        return f"<Stream {n_rows} x {n_cols}: {phi}; solver {self._host.chosen()['solver']}>"
 
     @cached_property
     def _solver(self) -> Solver:
         """The solver, made when it is first used: an edge needs none."""
-        chosen = dict(self._host.chosen())
         skin = self._skin
-        phi = self._phis[0]
-        name = chosen.pop("solver")
-        basis = make_basis(chosen.pop("basis"), *skin.shape)
+        settings = dict(self._host.chosen())
+        name = settings.pop("solver")
+        basis = make_basis(settings.pop("basis"), *skin.shape)
         if solver_fact(solver_class(name), "uses_blas"):
             warn_of_threads()
-        options = options_for_range(name, chosen, skin.f_max, phi)
+        options = options_for_range(name, settings, skin.f_max, self._phis[0])
         fast = self._host.fast
         solver = make_rotating_solver(name, self._phis, basis, skin.mask, fast=fast, **options)
         solver.noise_sd = self._noise_sd
@@ -228,19 +224,24 @@ class Stream:
             If the frame has another shape or type, a reading is not finite, or is beyond 10 f_max,
             as counts are where newtons are expected; it is not counted.
         """
+        # A frame that is refused is not counted: all checks come first.
         forces = real_floats(frame, "stream: readings", SparseskinError)
         if forces.shape != self._skin.shape:
             expected = f"expected {self._skin.shape}"
             raise SparseskinError(f"stream: the frame has shape {forces.shape}; {expected}")
+        # Nothing is filled in here: that is a decision of the caller.
         bad = self._skin.exists & ~np.isfinite(forces)
         if bad.any():
             row, col = np.argwhere(bad)[0]
             reads = f"reads {forces[row, col]}; allowed: finite numbers; fill in what is missing"
             raise SparseskinError(f"stream: taxel ({row}, {col}) {reads}")
+        # Raw readings of a tared skin have a range of their own.
         if not self._zero.changes_readings:
             self._check_range(forces)
         forces = self._zero.forces(forces)
         self._note_doubt()
+
+        # Row subsets take turns, by the number of the frame.
         phi = self._phis[self._n_compressed % len(self._phis)]
         self._n_compressed += 1
         return phi.forward(forces[self._skin.exists])
@@ -248,21 +249,25 @@ class Stream:
     def _check_range(self, forces: Floats) -> None:
         """Raise SparseskinError if readings are far beyond the range."""
         readings = forces[self._skin.exists]
-        most = float(readings[np.abs(readings).argmax()])
-        if abs(most) > MOST_RANGES * self._skin.f_max:
-            what = f"a taxel reads {most:g}, far beyond f_max = {self._skin.f_max:g}"
-            raise SparseskinError(f"stream: {what}; state f_max in the unit of the readings")
-        if abs(most) > LARGEST:
-            raise SparseskinError(f"stream: a taxel reads {most:g}; allowed: within +-{LARGEST:g}")
+        largest = float(readings[np.abs(readings).argmax()])
+        if abs(largest) > MOST_RANGES * self._skin.f_max:
+            text = f"a taxel reads {largest:g}, far beyond f_max = {self._skin.f_max:g}"
+            raise SparseskinError(f"stream: {text}; state f_max in the unit of the readings")
+        if abs(largest) > LARGEST:
+            allowed = f"allowed: within +-{LARGEST:g}"
+            raise SparseskinError(f"stream: a taxel reads {largest:g}; {allowed}")
 
     def _note_doubt(self) -> None:
         """Keep what is found of the readings of the next frame for its reconstruction."""
         self.sensed = str(self._zero.reason)
         if self.sensed:
+            # A host in another program never asks for them: their number is limited.
             self._doubts[self._n_compressed] = self.sensed
             if len(self._doubts) > MOST_WAITING:
-                del self._doubts[next(iter(self._doubts))]
-        if line := self._zero.doubt.take_line():
+                oldest = next(iter(self._doubts))
+                del self._doubts[oldest]
+        line = self._zero.doubt.take_line()
+        if line:
             warnings.warn(f"stream: {line}", RuntimeWarning, stacklevel=3)
 
     def reconstruct(self, y: Floats, k: int | None = None, sensed: str = "") -> Floats:
@@ -295,13 +300,17 @@ class Stream:
             allowed = "allowed: a whole number, 0 or more"
             raise SolverError(f"stream: k = {k!r} is not allowed; {allowed}")
         self._n_reconstructed = int(k) + 1
+
         phi = self._phis[k % len(self._phis)]
         if len(self._phis) > 1:
             self._solver.use(phi)
+        # As in a graph: faulty measurements are looked for, too.
         verdict = solve_watched(self._solver, self._watch, phi, y)
         self.error = None
         if verdict.is_solved:
             self.error, _ = estimated_error(self._solver)
+
+        # What the edge found of the readings goes on with the frame.
         doubt = self._doubts.pop(int(k), sensed)
         self.reason = str(first_reason(verdict.reason, doubt))
         self.trusted = not self.reason
@@ -312,10 +321,45 @@ class Stream:
         self._zero.reset()
         self._doubts.clear()
         self.sensed = ""
-        self._n_compressed = self._n_reconstructed = 0
+        self._n_compressed = 0
+        self._n_reconstructed = 0
         self.error = None
         self.reason = ""
         self.trusted = True
+        # The solver of an edge was never made.
         if "_solver" in vars(self):
             self._solver.reset()
             self._watch.reset()
+
+
+def _checked_skin(shape: tuple[int, int], f_max: float, mask: Mask | None) -> Skin:
+    is_pair = np.shape(shape) == (2,)
+    if not is_pair or not all(is_whole(side, 1, MAX_SIDE) for side in shape):
+        allowed = f"allowed: (n_rows, n_cols), whole numbers 1..{MAX_SIDE}"
+        raise SparseskinError(f"stream: shape = {shape!r} is not allowed; {allowed}")
+    if mask is not None:
+        # The caller's own may change.
+        mask = np.array(mask)
+    try:
+        return Skin(*shape, f_max, mask=mask)
+    except MessageError as error:
+        raise SparseskinError(f"stream: {error}") from error
+
+
+def _host_settings(phi: str, preset: str, settings: dict[str, Any]) -> ReconstructorSettings:
+    """Settings of the reconstructor: those named here, and options of the solver."""
+    # Other names are options of the solver.
+    stated = {name: value for name, value in settings.items() if name in _NAMED}
+    options = {name: value for name, value in settings.items() if name not in _NAMED}
+    # What a user's own solver takes is not known here.
+    if ":" not in str(stated.get("solver")):
+        # A misspelled argument would pass for an option of the solver.
+        parameters = [name for name in signature(Stream).parameters if name != "settings"]
+        for name in options:
+            hint = suggestion(name, [*_NAMED, *parameters])
+            if hint:
+                raise SparseskinError(f"stream: {name}: is not known{hint}")
+    host = ReconstructorSettings(phi=phi, preset=preset, options=options, **stated)
+    host.check()
+    host.check_phi(phi)
+    return host

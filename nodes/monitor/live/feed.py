@@ -63,8 +63,9 @@ class Start:
         # Nodes are ready together; until then, those that compile are waited for.
         counts = [node["compiled"] for node in waiting if node["compiled"]]
         if counts:
-            done, of = (sum(numbers) for numbers in zip(*counts, strict=True))
-            return cls(done, of, compiles=True)
+            n_done = sum(done for done, _ in counts)
+            n_all = sum(of for _, of in counts)
+            return cls(n_done, n_all, compiles=True)
         return cls(len(nodes) - len(waiting), len(nodes), compiles=False)
 
 
@@ -105,20 +106,31 @@ class PatchFeed:
     @property
     def stale_s(self) -> float:
         """Age in seconds beyond which maps are stale: at least 2.5 periods of the skin."""
-        rate_hz = self.skin.rate_hz if self.skin is not None else 0.0
-        return max(STALE_S, 2.5 / rate_hz) if rate_hz else STALE_S
+        if self.skin is None or not self.skin.rate_hz:
+            return STALE_S
+        return max(STALE_S, 2.5 / self.skin.rate_hz)
 
     def trusted(self, now_s: float) -> bool:
         """False while a reconstruction shown, or one just before it, is not to be trusted."""
         return self.newest_trusted and now_s - self.untrusted_s > UNTRUSTED_S
 
+    def begin(self, skin: SkinState) -> None:
+        """Forget what was shown of another skin."""
+        self.skin = skin
+        self.maps.clear()
+        self.measurements.clear()
+        self.contacts = None
+        self.label = None
+        self.newest_trusted = True
+        self.untrusted_s = -math.inf
+
     def note(self, reconstruction: Reconstruction, now_s: float) -> None:
         """Note which reconstruction is shown, and if it is to be trusted."""
         self.stamp_ns = reconstruction.stamp_ns
-        (self.newest_trusted,) = reconstruction.trusted
+        self.newest_trusted = reconstruction.trusted[0]
         if not self.newest_trusted:
             self.untrusted_s = now_s
-            (self.reason,) = reconstruction.reason
+            self.reason = reconstruction.reason[0]
 
 
 class Feed:
@@ -139,7 +151,9 @@ class Feed:
         #: The start of the graph, until all its nodes run for the first time; None after it.
         self.start: Start | None = None
         self._has_started = False
-        self.graph_came_s = self.pulse_s = time.monotonic()
+        now_s = time.monotonic()
+        self.graph_came_s = now_s
+        self.pulse_s = now_s
         self.answers: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MAX_ANSWERS)
         self.n_answers = 0
         self.closed = False
@@ -157,50 +171,55 @@ class Feed:
         now_s = time.monotonic()
         feed = self.patches[patch]
         with self.changed:
+            # Latency of a state would be its age.
             if isinstance(message, SkinState):
-                feed.skin = message
-                feed.maps.clear()
-                feed.measurements.clear()
-                feed.contacts = None
-                feed.label = None
-                feed.newest_trusted = True
-                feed.untrusted_s = -math.inf
+                feed.begin(message)
             elif latency_ns is not None:
                 feed.latency_s = latency_ns / 1e9
+
             if isinstance(message, Measurements):
                 feed.measurements.append(message)
             if isinstance(message, Labels):
                 feed.label = message
                 feed.label_came_s = now_s
-                return
-            if isinstance(message, Contacts):
-                feed.contacts = message
-                if message.events is not None:
-                    counts = np.bincount(message.events[:, 2], minlength=len(EVENTS))
-                    feed.events.add(now_s, *counts.tolist())
-                if message.stamp_ns == feed.stamp_ns:
-                    self._show(feed)
-                return
-            if complete is None:
+            elif isinstance(message, Contacts):
+                self._add_contacts(feed, message, now_s)
+            elif complete is None:
                 self._add_unpaired(feed, message, now_s)
-                return
-            maps = (complete.taxels, complete.reconstruction, complete.truth)
-            feed.maps = {each.schema: known_forces(each) for each in maps if each is not None}
-            if complete.reconstruction is not None:
-                (feed.idle,) = complete.reconstruction.unchanged
-                feed.note(complete.reconstruction, now_s)
-            feed.came_s.update(dict.fromkeys(feed.maps, now_s))
-            feed.lost = complete.lost
-            feed.ended = False
-            feed.history.add(now_s, *(getattr(complete, name) for name in COLUMNS[1:]))
+            else:
+                self._add_frame(feed, complete, now_s)
+
+    def _add_contacts(self, feed: PatchFeed, contacts: Contacts, now_s: float) -> None:
+        feed.contacts = contacts
+        if contacts.events is not None:
+            # One row for the frame, with the number of each kind.
+            counts = np.bincount(contacts.events[:, 2], minlength=len(EVENTS))
+            feed.events.add(now_s, *counts.tolist())
+        # Earlier ones are shown with the frame that they belong to.
+        if contacts.stamp_ns == feed.stamp_ns:
             self._show(feed)
+
+    def _add_frame(self, feed: PatchFeed, frame: FrameMetrics, now_s: float) -> None:
+        messages = (frame.taxels, frame.reconstruction, frame.truth)
+        feed.maps = {each.schema: known_forces(each) for each in messages if each is not None}
+        if frame.reconstruction is not None:
+            feed.idle = frame.reconstruction.unchanged[0]
+            feed.note(frame.reconstruction, now_s)
+        # A map that is of no later frame keeps its age.
+        feed.came_s.update(dict.fromkeys(feed.maps, now_s))
+        feed.lost = frame.lost
+        feed.ended = False
+        figures = [getattr(frame, name) for name in COLUMNS[1:]]
+        feed.history.add(now_s, *figures)
+        self._show(feed)
 
     @property
     def paused(self) -> bool:
         """True if all sources are paused."""
         nodes = (self.graph or {}).get("nodes", [])
-        sources = [node["state"].get("paused") for node in nodes if "pause" in node["commands"]]
-        return bool(sources) and all(sources)
+        # Only sources can be paused: the others wait for them.
+        sources = [node for node in nodes if "pause" in node["commands"]]
+        return bool(sources) and all(node["state"].get("paused") for node in sources)
 
     def pulse(self) -> None:
         """Note that the monitor's own loop is alive."""
@@ -210,7 +229,9 @@ class Feed:
         """Show a map without the rest of its frame, if no frame was complete for a while."""
         if not isinstance(message, Taxels | Truth | Reconstruction):
             return
-        if now_s - feed.came_s.get(Reconstruction.schema, -math.inf) > feed.stale_s:
+        # A frame that will be complete is shown whole.
+        came_s = feed.came_s.get(Reconstruction.schema, -math.inf)
+        if now_s - came_s > feed.stale_s:
             feed.maps = {**feed.maps, message.schema: known_forces(message)}
             if isinstance(message, Reconstruction):
                 feed.note(message, now_s)
@@ -231,24 +252,31 @@ class Feed:
             for patch, summary in (summaries or {}).items():
                 self.patches[patch].summary = summary
             if graph is not None:
-                was_paused = self.paused
-                now_s = time.monotonic()
-                self.graph = graph
-                self.graph_came_s = now_s
-                self.start = None if self._has_started else Start.of_nodes(graph["nodes"])
-                self._has_started = self.start is None
-                if was_paused and not self.paused:
-                    for feed in self.patches.values():  # no frame could have come until now
-                        feed.came_s = dict.fromkeys(feed.came_s, now_s)
+                self._set_graph(graph)
             if answer is not None:
                 self.n_answers += 1
                 self.answers.append((self.n_answers, answer))
             if ended is not None:
-                self.patches[ended].ended = True
-                self.patches[ended].lost = self.patches[ended].summary["frames"]["lost"]
+                feed = self.patches[ended]
+                feed.ended = True
+                feed.lost = feed.summary["frames"]["lost"]
             self.closed = self.closed or closed
+            # A page waits for these even where it shows no frame.
             if answer is not None or closed:
                 self.changed.notify_all()
+
+    def _set_graph(self, graph: dict[str, Any]) -> None:
+        # By the state before this one.
+        was_paused = self.paused
+        now_s = time.monotonic()
+        self.graph = graph
+        self.graph_came_s = now_s
+        self.start = None if self._has_started else Start.of_nodes(graph["nodes"])
+        self._has_started = self.start is None
+        if was_paused and not self.paused:
+            # No frame could have come until now.
+            for feed in self.patches.values():
+                feed.came_s = dict.fromkeys(feed.came_s, now_s)
 
     def _show(self, feed: PatchFeed) -> None:
         """Offer what is new to readers; where contacts are published, with those of its frame."""

@@ -2,12 +2,14 @@
 
 import textwrap
 import time
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from sparseskin.messages.reasons import phrase_of
 from sparseskin.nodes.monitor.table import summary_table
 
 from .feed import Feed
-from .notices import BAD, START, Notices, host_lines
+from .notices import BAD, START, Notice, Notices, host_lines
 
 WIDTH = 79
 
@@ -18,23 +20,50 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
     """
     with feed.changed:
         now_s = time.monotonic()
-        found = notices.all(now_s)
         graph = feed.graph or {}
-        tones = {tone for tone, _ in found}
-        live = "FAULT" if BAD in tones else "starting" if START in tones else "live"
-        head = f"sparseskin  {graph.get('name', '')}"
-        lines = [f"{head[: WIDTH - len(live) - 2]:<{WIDTH - len(live)}}{live}"]
-        lines += [f"recording {graph['recording']}"] if graph.get("recording") else []
+        current = notices.all(now_s)
+
+        # The graph: its name and state, its nodes, other hosts.
+        lines = [_title(graph, current)]
+        if graph.get("recording"):
+            lines.append(f"recording {graph['recording']}")
         states = [f"{node['name']}: {node['condition']}" for node in graph.get("nodes", [])]
         lines += textwrap.wrap(", ".join(states), WIDTH)
         lines += [text for _, text in host_lines(graph)]
-        lines += [f"{'!!' if tone == BAD else ' *'} {text}" for tone, text in found]
+
+        # What is wrong.
+        for tone, text in current:
+            mark = "!!" if tone == BAD else " *"
+            lines.append(f"{mark} {text}")
         for name, patch in feed.patches.items():
             if not patch.trusted(now_s):
-                why = f": {phrase_of(patch.reason)}" if patch.reason else ""
-                text = f"!! {name}: not trusted{why}"
-                lines += textwrap.wrap(text, WIDTH, subsequent_indent="   ")
-        lines += [part for line in status.split("\n") for part in textwrap.wrap(line, WIDTH)]
-        if summaries := {name: p.summary for name, p in feed.patches.items() if p.summary}:
+                lines += _untrusted_lines(name, patch.reason)
+
+        # What was measured.
+        for line in status.split("\n"):
+            lines += textwrap.wrap(line, WIDTH)
+        summaries = {name: patch.summary for name, patch in feed.patches.items() if patch.summary}
+        if summaries:
             lines += summary_table(summaries).split("\n")
     return "\n".join(line[:WIDTH] for line in lines)
+
+
+def _title(graph: Mapping[str, Any], current: Iterable[Notice]) -> str:
+    """Name of the graph, and its state flush right."""
+    tones = {tone for tone, _ in current}
+    if BAD in tones:
+        state = "FAULT"
+    elif START in tones:
+        state = "starting"
+    else:
+        state = "live"
+    name = f"sparseskin  {graph.get('name', '')}"
+    room = WIDTH - len(state)
+    return name[: room - 2].ljust(room) + state
+
+
+def _untrusted_lines(name: str, reason: str) -> list[str]:
+    text = f"!! {name}: not trusted"
+    if reason:
+        text += f": {phrase_of(reason)}"
+    return textwrap.wrap(text, WIDTH, subsequent_indent="   ")

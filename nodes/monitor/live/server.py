@@ -53,6 +53,9 @@ POLICY = (
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 
+TEXTS = ("id", "node", "command")
+"""Fields of a request that are texts; a fourth one, `value`, may be anything."""
+
 Request = Callable[[dict[str, Any]], None]
 
 
@@ -86,6 +89,7 @@ class PageServer(ThreadingHTTPServer):
         self.notices = notices
         self.ask = ask
         self.token = token
+        # Read once: no request reaches the file system.
         self.files = {
             f"/{path.name}": (path.read_bytes(), TYPES[path.suffix])
             for path in PAGE.iterdir()
@@ -93,20 +97,28 @@ class PageServer(ThreadingHTTPServer):
         }
         self.files["/"] = self.files["/index.html"]
         self.port = int(self.server_address[1])
-        self.url = f"http://{ADDRESS}:{self.port}/" + (f"?token={token}" if token else "")
+        self.url = f"http://{ADDRESS}:{self.port}/"
+        if token:
+            self.url += f"?token={token}"
+
         self._lock = threading.Condition()
         self._due_s: dict[socket.socket, float] = {}
         self.n_streams = 0
+
+        # Threads and files are those of the whole process.
         open_files = len(os.listdir("/proc/self/fd")) + SPARE_FILES
         free = resource.getrlimit(resource.RLIMIT_NOFILE)[0] - open_files
+        # At least a page, its stream and its files.
         self._max_connections = max(4, min(MAX_CONNECTIONS, free))
         self.max_pages = min(MAX_PAGES, self._max_connections // 2)
+
         options = {"poll_interval": POLL_S}
         self._thread = threading.Thread(target=self.serve_forever, kwargs=options, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Send the end to the pages, wait at most 1 s for them, and stop."""
+        # Streams end by themselves once the feed is closed.
         self.feed.update(closed=True)
         with self._lock:
             self._lock.wait_for(lambda: not self.n_streams, 1.0)
@@ -116,12 +128,14 @@ class PageServer(ThreadingHTTPServer):
     def get_request(self) -> tuple[socket.socket, Any]:
         try:
             return super().get_request()
-        except OSError:  # no file descriptor is left: not to be tried again at once
+        except OSError:
+            # No file descriptor is left: not to be tried again at once.
             self._end_oldest()
             time.sleep(POLL_S)
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
+        # Whoever opens too many connections ends its oldest one.
         if len(self._due_s) >= self._max_connections:
             self._end_oldest()
         self.expect(request, REQUEST_S)
@@ -137,6 +151,7 @@ class PageServer(ThreadingHTTPServer):
     def expect(self, connection: socket.socket, within_s: float) -> None:
         """End a connection unless it is done, or expected anew, within this time."""
         with self._lock:
+            # Put behind the others: the first one is then the oldest.
             self._due_s.pop(connection, None)
             self._due_s[connection] = time.monotonic() + within_s
 
@@ -181,10 +196,25 @@ def _end(connection: socket.socket) -> None:
         connection.shutdown(socket.SHUT_RDWR)
 
 
+def _is_equal(text: str, token: str) -> bool:
+    return hmac.compare_digest(text.encode(errors="replace"), token.encode())
+
+
 class _RefusedError(Exception):
     def __init__(self, status: HTTPStatus, text: str) -> None:
         super().__init__(text)
         self.status = status
+
+
+def _is_request(body: Any) -> bool:
+    """True for a request of a page."""
+    if not isinstance(body, dict):
+        return False
+    for key in TEXTS:
+        text = body.get(key)
+        if not isinstance(text, str) or len(text) > 64:
+            return False
+    return is_shallow(body.get("value"))
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -204,7 +234,8 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(self._get)
 
     def do_POST(self) -> None:
-        self.close_connection = True  # an unread body must not be parsed as the next request
+        # An unread body must not be parsed as the next request.
+        self.close_connection = True
         self._answer(self._post)
 
     def _answer(self, action: Callable[[SplitResult], None]) -> None:
@@ -223,7 +254,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _get(self, url: SplitResult) -> None:
         if url.path == "/stream":
-            self._stream(parse_qs(url.query).get("patch", [None])[0])
+            patches = parse_qs(url.query).get("patch", [])
+            self._stream(patches[0] if patches else None)
         elif url.path in self.server.files:
             body, kind = self.server.files[url.path]
             self._send(HTTPStatus.OK, body, kind)
@@ -233,31 +265,25 @@ class _Handler(BaseHTTPRequestHandler):
     def _post(self, url: SplitResult) -> None:
         if url.path != "/request":
             raise _RefusedError(HTTPStatus.NOT_FOUND, "requests go to /request")
+        # Without a length, the end of the body is not known.
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal():
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "Content-Length is missing")
         if len(length) > 9 or int(length) > MAX_BODY_BYTES:
-            raise _RefusedError(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {MAX_BODY_BYTES} bytes are allowed"
-            )
+            text = f"at most {MAX_BODY_BYTES} bytes are allowed"
+            raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, text)
+        # A form of another site cannot send this type.
         if self.headers.get_content_type() != "application/json":
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected application/json")
+
         try:
             request = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
             request = None
-        fields = ("id", "node", "command")
-        if (
-            not isinstance(request, dict)
-            or not all(
-                isinstance(request.get(key), str) and len(request[key]) <= 64 for key in fields
-            )
-            or not is_shallow(request.get("value"))
-        ):
-            raise _RefusedError(
-                HTTPStatus.BAD_REQUEST, "expected {id, node, command, value} as JSON"
-            )
-        self.server.ask({key: request.get(key) for key in (*fields, "value")})
+        if not _is_request(request):
+            text = "expected {id, node, command, value} as JSON"
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, text)
+        self.server.ask({key: request.get(key) for key in (*TEXTS, "value")})
         self._send(HTTPStatus.ACCEPTED, b"", "text/plain")
 
     def log_message(self, *args: Any) -> None:
@@ -269,37 +295,52 @@ class _Handler(BaseHTTPRequestHandler):
     def _check_local(self) -> None:
         """Refuse requests that another site makes a browser send: a foreign Host or Origin."""
         host = self.headers.get("Host", "")
-        name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
-        origin = self.headers.get("Origin")
-        site = self.headers.get("Sec-Fetch-Site")
+        name = host
+        if ":" in host and not host.endswith("]"):
+            name = host.rpartition(":")[0]
         if name not in HOSTS:
             raise _RefusedError(HTTPStatus.FORBIDDEN, f"Host {host[:64]!r} is not this page's")
+
+        # A browser states from which site a request comes.
+        origin = self.headers.get("Origin")
         if origin is not None and origin != f"http://{host}":
             raise _RefusedError(HTTPStatus.FORBIDDEN, f"Origin {origin[:64]!r} is not this page's")
 
+        site = self.headers.get("Sec-Fetch-Site")
         if site not in (None, "same-origin", "none") and self.path.partition("?")[0] != "/":
             raise _RefusedError(HTTPStatus.FORBIDDEN, "asked for by a page of another site")
 
     def _check_token(self, url: SplitResult) -> None:
         """Refuse who shows the token neither in the address nor in the page's cookie."""
-        name = f"sparseskin-{self.server.port}"
-        stated = parse_qs(url.query).get("token", [""])[0]
-        pairs = [part.strip().partition("=") for part in self.headers.get("Cookie", "").split(";")]
-        shown = [stated, *(value for key, _, value in pairs if key == name)]
         token = self.server.token
-        equal = [hmac.compare_digest(one.encode(errors="replace"), token.encode()) for one in shown]
-        if token and not any(equal):
+        if not token:
+            return
+        name = f"sparseskin-{self.server.port}"
+        in_address = parse_qs(url.query).get("token", [""])[0]
+        tokens = [in_address, *self._cookies(name)]
+
+        # All are compared: the time to an answer says nothing of which one fits.
+        equal = [_is_equal(text, token) for text in tokens]
+        if not any(equal):
             text = "this page asks for a token: open the address that the graph has printed"
             raise _RefusedError(HTTPStatus.FORBIDDEN, text)
-        if token and stated:
+        if in_address:
             self._cookie = f"{name}={token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def _cookies(self, name: str) -> Iterator[str]:
+        """Values of the cookies of a name."""
+        for part in self.headers.get("Cookie", "").split(";"):
+            key, _, value = part.strip().partition("=")
+            if key == name:
+                yield value
 
     def _stream(self, patch: str | None) -> None:
         feed = self.server.feed
         if patch is not None and patch not in feed.patches:
-            known = ", ".join(feed.patches)
-            raise _RefusedError(HTTPStatus.NOT_FOUND, f"no patch {patch[:64]!r} (known: {known})")
+            text = f"no patch {patch[:64]!r} (known: {', '.join(feed.patches)})"
+            raise _RefusedError(HTTPStatus.NOT_FOUND, text)
         with self.server.stream():
+            # The stream has no end of its own: only a stalled page is disconnected.
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
             self.connection.settimeout(STALLED_S)
             self.server.expect(self.connection, math.inf)

@@ -33,6 +33,10 @@ CONTACT_FIELDS = (
     *("id", "total", "total_sd", "centre", "area", "velocity", "age_s", "over", "sliding"),
     *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
 )
+SKIN_FIELDS = (
+    *("n_rows", "n_cols", "f_max", "unit", "pitch_m", "source", "rate_hz"),
+    *("has_truth", "has_taxels", "sigma_end"),
+)
 LABEL = ("label", "share", "age_s", "trusted")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
@@ -42,8 +46,10 @@ Part = tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]
 
 def record(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray[Any, Any]]) -> bytes:
     """One record as bytes; numbers that are not finite become null in the header."""
-    listed = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
-    head = json.dumps(finite({**header, "arrays": listed}), separators=(",", ":")).encode()
+    # A page reads arrays by these, one after the other, from the data.
+    forms = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
+    body = finite({**header, "arrays": forms})
+    head = json.dumps(body, separators=(",", ":")).encode()
     data = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays.values())
     return struct.pack("<II", len(head), len(data)) + head + data
 
@@ -69,14 +75,19 @@ class StreamReader:
         self._feed = feed
         self._notices = notices
         self._patch = patch
+        # So that an overview costs no more than one of `FULL_RATE` patches.
         slower = max(1.0, len(feed.patches) / FULL_RATE)
-        self._period_s = FRAME_S if patch is not None else OVERVIEW_S * slower
+        self._period_s = OVERVIEW_S * slower
+        self._names = list(feed.patches)
+        if patch is not None:
+            self._period_s = FRAME_S
+            self._names = [patch]
         self._n_maps = dict.fromkeys(feed.patches, -1)
-        self._shown = list(feed.patches) if patch is None else [patch]
         self._n_rows = {"rows": 0, "events": 0}
         self._n_answers = feed.n_answers
         self._sent: dict[str, Any] = {}
-        self._frame_due_s = self._state_at_s = -math.inf
+        self._frame_due_s = -math.inf
+        self._state_at_s = -math.inf
 
     def records(self) -> Iterator[bytes]:
         """Yield records until the feed is closed; waits for new data between them."""
@@ -100,7 +111,7 @@ class StreamReader:
                 return
             if frame_s > 0:
                 feed.changed.wait(min(frame_s, state_s))
-            elif any(feed.patches[name].n_maps != self._n_maps[name] for name in self._shown):
+            elif any(feed.patches[name].n_maps != self._n_maps[name] for name in self._names):
                 return
             else:
                 feed.n_waiting += 1
@@ -113,6 +124,7 @@ class StreamReader:
             if number > self._n_answers:
                 yield {"kind": "answer", **answer}, {}
         self._n_answers = feed.n_answers
+        # The last state is sent whenever it comes.
         if closed or now_s >= self._state_at_s + STATE_S - SLACK_S:
             self._state_at_s = now_s
             yield self._state(now_s, closed), {}
@@ -120,38 +132,50 @@ class StreamReader:
             return
         # The next is due one period after this one was due: delays do not add up.
         self._frame_due_s = max(self._frame_due_s, now_s - SLACK_S) + self._period_s - SLACK_S
-        for name in self._shown:
+        for name in self._names:
             patch = feed.patches[name]
             if patch.skin is None:
                 continue
             if self._is_new(f"skin {name}", patch.skin):
                 yield _skin(name, patch, feed.poses.get(name))
+            # Only the newest maps are sent: those between are skipped.
             if self._n_maps[name] != patch.n_maps and patch.maps:
                 self._n_maps[name] = patch.n_maps
-                names = set(patch.maps) if self._patch else {Reconstruction.schema}
-                maps = {key: array for key, array in patch.maps.items() if key in names}
-                contacts = patch.contacts
-                touched = contacts if contacts is not None and contacts.id.size else None
-                is_new = self._is_new(f"map {name}", maps.get(Reconstruction.schema))
-                is_new |= self._is_new(f"contacts {name}", touched)
-                if self._patch is None and not is_new:
-                    continue  # an idle patch
-                shown = _contacts(patch, now_s)
-                arrays: dict[str, np.ndarray[Any, Any]] = dict(maps)
-                if self._patch is not None and Reconstruction.schema in maps:
-                    arrays |= _measured(patch)
-                yield {"kind": "maps", "patch": name, **shown}, arrays
-        if self._patch is None:
+                yield from self._maps(name, patch, now_s)
+        if self._patch is not None:
+            yield from self._rows(feed.patches[self._patch], now_s)
+
+    def _maps(self, name: str, patch: PatchFeed, now_s: float) -> Iterator[Part]:
+        """New maps of a patch, with the contacts in them; none of an idle patch of an overview."""
+        reconstruction = patch.maps.get(Reconstruction.schema)
+        contacts = patch.contacts
+        if contacts is not None and not contacts.id.size:
+            contacts = None
+        is_new = self._is_new(f"map {name}", reconstruction)
+        is_new |= self._is_new(f"contacts {name}", contacts)
+
+        arrays: dict[str, np.ndarray[Any, Any]] = {}
+        if self._patch is not None:
+            arrays |= patch.maps
+            if reconstruction is not None:
+                arrays |= _measured(patch)
+        elif not is_new:
             return
-        patch = feed.patches[self._patch]
+        elif reconstruction is not None:
+            arrays[Reconstruction.schema] = reconstruction
+        yield {"kind": "maps", "patch": name, **_contacts(patch, now_s)}, arrays
+
+    def _rows(self, patch: PatchFeed, now_s: float) -> Iterator[Part]:
+        """New rows of the history and of the events of a patch."""
         for kind, history in (("rows", patch.history), ("events", patch.events)):
-            first, rows = history.since(self._n_rows[kind])
-            if len(rows):
-                self._n_rows[kind] = first + len(rows)
-                # As ages: float32 holds a minute to 4 us.
-                rows[:, 0] -= now_s
-                header = {"kind": kind, "columns": history.columns, "now_s": now_s}
-                yield header, {"rows": rows.astype(np.float32)}
+            n_first, rows = history.since(self._n_rows[kind])
+            if not len(rows):
+                continue
+            self._n_rows[kind] = n_first + len(rows)
+            # As ages: float32 holds a minute to 4 us.
+            rows[:, 0] -= now_s
+            header = {"kind": kind, "columns": history.columns, "now_s": now_s}
+            yield header, {"rows": rows.astype(np.float32)}
 
     def _state(self, now_s: float, closed: bool) -> dict[str, Any]:
         """The current state: a small record, which also shows that the monitor is alive."""
@@ -162,10 +186,13 @@ class StreamReader:
             "closed": closed,
             "run": feed.run,
             "paused": feed.paused,
-            "start": None if (start := feed.start) is None else [start.done, start.of],
+            "start": None,
             "notices": self._notices.all(now_s),
             "patches": {name: self._patch_state(name, now_s) for name in feed.patches},
         }
+        if feed.start is not None:
+            header["start"] = [feed.start.done, feed.start.of]
+
         if self._is_new("graph", feed.graph):
             header["graph"] = feed.graph
             header["hosts"] = host_lines(feed.graph or {})
@@ -173,21 +200,25 @@ class StreamReader:
 
     def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
         patch = self._feed.patches[name]
-        ended_with = self._feed.closed and patch.summary
-        trusted = patch.trusted(now_s)
         state: dict[str, Any] = {
             "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
             "stale_s": patch.stale_s,
-            # At the end, of all frames.
-            "lost": patch.summary["frames"]["lost"] if ended_with else patch.lost,
+            "lost": patch.lost,
             "ended": patch.ended,
-            "trusted": trusted,
-            "reason": None if trusted else _reason(patch.reason),
+            "trusted": patch.trusted(now_s),
+            "reason": None,
             "idle": patch.idle,
         }
+        if self._feed.closed and patch.summary:
+            # At the end the summary has counted all frames, too.
+            state["lost"] = patch.summary["frames"]["lost"]
+        if not state["trusted"]:
+            state["reason"] = _reason(patch.reason)
+
         if patch.label is not None:
-            state["label"] = {key: getattr(patch.label, key) for key in LABEL}
-            state["label"]["silent_s"] = now_s - patch.label_came_s
+            label = {key: getattr(patch.label, key) for key in LABEL}
+            label["silent_s"] = now_s - patch.label_came_s
+            state["label"] = label
         if self._is_new(f"summary {name}", patch.summary):
             state["summary"] = patch.summary
         return state
@@ -204,9 +235,11 @@ def _measured(patch: PatchFeed) -> dict[str, np.ndarray[Any, Any]]:
     of_frame = [each for each in patch.measurements if each.stamp_ns == patch.stamp_ns]
     if not of_frame:
         return {}
-    (y,) = np.asarray(of_frame[0].y)
+    y = np.asarray(of_frame[0].y)[0]
+    # Measurements of 0 are divided, too.
     largest = max(float(np.abs(y).max(initial=0)), TINY)
-    return {"measurements": np.round(y * (127 / largest)).astype(np.int8)}
+    levels = np.round(y * (127 / largest))
+    return {"measurements": levels.astype(np.int8)}
 
 
 def _reason(word: str) -> dict[str, str] | None:
@@ -218,25 +251,41 @@ def _reason(word: str) -> dict[str, str] | None:
 
 def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
     """Contacts of the frame shown: number and total of all, fields of the strongest."""
-    found = patch.contacts
-    if found is None or abs(found.stamp_ns - patch.stamp_ns) > 1e9 * patch.stale_s:
+    contacts = patch.contacts
+    if contacts is None:
         return {}
-    strongest = np.argsort(-found.total, kind="stable")[:MOST]
-    rows = strongest[np.argsort(found.id[strongest])]
-    fields = {name: getattr(found, name) for name in CONTACT_FIELDS}
-    listed = {name: each[rows].tolist() for name, each in fields.items() if each is not None}
-    head = {"n": found.id.size, "sum": float(found.total.sum()), "trusted": patch.trusted(now_s)}
-    return {"contacts": {**head, **listed}}
+    age_ns = abs(contacts.stamp_ns - patch.stamp_ns)
+    if age_ns > 1e9 * patch.stale_s:
+        return {}
+
+    # In the order of their numbers, so that a list of them does not jump.
+    strongest = np.argsort(-contacts.total, kind="stable")[:MOST]
+    rows = strongest[np.argsort(contacts.id[strongest])]
+    document = {
+        "n": contacts.id.size,
+        "sum": float(contacts.total.sum()),
+        "trusted": patch.trusted(now_s),
+    }
+    for name in CONTACT_FIELDS:
+        column = getattr(contacts, name)
+        if column is not None:
+            document[name] = column[rows].tolist()
+    return {"contacts": document}
 
 
 def _skin(name: str, patch: PatchFeed, pose: Sequence[float] | None) -> Part:
     skin = patch.skin
     assert skin is not None
-    of_grid = ("n_rows", "n_cols", "f_max", "unit", "pitch_m")
-    fields = (*of_grid, "source", "rate_hz", "has_truth", "has_taxels", "sigma_end")
-    values = {key: getattr(skin, key) for key in fields}
-    values["sum_unit"] = sum_unit(skin.unit)
-    header = {"kind": "skin", "patch": name, "pose": pose, **values}
-    mask = None if skin.mask is None else skin.mask.view(np.uint8)
-    arrays = {"mask": mask, "points": skin.points, "point_rows": skin.point_rows}
-    return header, {key: array for key, array in arrays.items() if array is not None}
+    header = {"kind": "skin", "patch": name, "pose": pose}
+    for field in SKIN_FIELDS:
+        header[field] = getattr(skin, field)
+    header["sum_unit"] = sum_unit(skin.unit)
+
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    if skin.mask is not None:
+        arrays["mask"] = skin.mask.view(np.uint8)
+    if skin.points is not None:
+        arrays["points"] = skin.points
+    if skin.point_rows is not None:
+        arrays["point_rows"] = skin.point_rows
+    return header, arrays
