@@ -38,25 +38,36 @@ def torso(n: int = TORSO_POINTS) -> Layout:
     All taxels are about equally far apart, so that rings have different numbers of them, as many
     as their length holds: where it changes, the lattice has dislocations.
     """
+    # The largest pitch at which there are n, to a nanometre.
     low = 0.002
     high = 0.1
-    for _ in range(30):  # the largest pitch at which there are n, to a nanometre
+    for _ in range(30):
         pitch = 0.5 * (low + high)
-        low, high = (pitch, high) if _rings(pitch)[1].sum() >= n else (low, pitch)
-    heights, counts, along = _rings(low)
-    rings = [
-        np.interp(np.arange(count) / count * way[-1], way, _AROUND)
-        for count, way in zip(counts, along, strict=True)
-    ]
+        _, counts, _ = _rings(pitch)
+        if counts.sum() >= n:
+            low = pitch
+        else:
+            high = pitch
+    heights, counts, ways = _rings(low)
+
+    # Taxels at equal steps of the way around their ring.
+    rings = []
+    for count, way in zip(counts, ways, strict=True):
+        steps = np.arange(count) / count * way[-1]
+        rings.append(np.interp(steps, way, _AROUND))
+
     # The last rings, at the neck, lose what is too much.
     angles = np.concatenate(rings)[:n]
     z = np.repeat(heights, counts)[:n]
+
     widths, depths = _sections()
     a = widths(z)
     b = depths(z)
     cos = np.cos(angles)
     sin = np.sin(angles)
     places = np.stack([b * cos, a * sin, z], axis=1)
+
+    # The normal is perpendicular to the ring and to the line upwards.
     around = np.stack([-b * sin, a * cos, np.zeros(n)], axis=1)
     upward = np.stack([depths(z, 1) * cos, widths(z, 1) * sin, np.ones(n)], axis=1)
     normals = np.cross(around, upward)
@@ -65,28 +76,36 @@ def torso(n: int = TORSO_POINTS) -> Layout:
 
 def _sections() -> tuple[PchipInterpolator, PchipInterpolator]:
     """Half width and half depth of the torso by its height, metres."""
-    widths, depths = (PchipInterpolator(_TORSO[:, 0], _TORSO[:, k]) for k in (1, 2))
-    return widths, depths
+    heights = _TORSO[:, 0]
+    return PchipInterpolator(heights, _TORSO[:, 1]), PchipInterpolator(heights, _TORSO[:, 2])
 
 
 def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
     """Heights of the rings, a pitch apart, their taxels, and the way around each at `_AROUND`."""
     widths, depths = _sections()
+
+    # The way up the skin, the mean of that at the side and that in front.
     z = np.linspace(_TORSO[0, 0], _TORSO[-1, 0], 2000)
-    steps = np.mean([np.hypot(np.diff(line(z)), np.diff(z)) for line in (widths, depths)], axis=0)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    heights = np.interp(np.arange(0, way[-1], pitch), way, z)
+    side_steps = np.hypot(np.diff(widths(z)), np.diff(z))
+    front_steps = np.hypot(np.diff(depths(z)), np.diff(z))
+    steps = np.mean([side_steps, front_steps], axis=0)
+    height_way = np.concatenate([[0.0], np.cumsum(steps)])
+    heights = np.interp(np.arange(0, height_way[-1], pitch), height_way, z)
+
+    # The way around each ring.
     a = widths(heights)[:, None]
     b = depths(heights)[:, None]
-    parts = np.hypot(np.diff(b * np.cos(_AROUND)), np.diff(a * np.sin(_AROUND)))
-    along = np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
-    return heights, np.maximum(3, (along[:, -1] / pitch).astype(np.intp)), along
+    ring_steps = np.hypot(np.diff(b * np.cos(_AROUND)), np.diff(a * np.sin(_AROUND)))
+    ways = np.pad(np.cumsum(ring_steps, axis=1), ((0, 0), (1, 0)))
+    counts = np.maximum(3, (ways[:, -1] / pitch).astype(np.intp))
+    return heights, counts, ways
 
 
 def grip() -> Layout:
     """A cylinder of the size of a hand's grip, taxels on a square lattice: 44 x 21."""
     n = round(2 * math.pi * GRIP_RADIUS_M / GRIP_PITCH_M)
-    k, i = np.meshgrid(np.arange(n), np.arange(round(GRIP_LENGTH_M / GRIP_PITCH_M) + 1))
+    n_rings = round(GRIP_LENGTH_M / GRIP_PITCH_M) + 1
+    k, i = np.meshgrid(np.arange(n), np.arange(n_rings))
     angle = 2 * np.pi * k.ravel() / n
     normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(angle.size)], axis=1)
     places = GRIP_RADIUS_M * normals
