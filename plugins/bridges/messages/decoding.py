@@ -142,6 +142,7 @@ class _Readers:
         if kind in self._open or len(self._open) >= MAX_DEPTH:
             raise SourceError(f"the definition of {printable(kind)} is nested too deep")
 
+        # Types within which this one is read, so that none is nested within itself.
         self._open.append(kind)
         members = [
             (member.name, self._member(member)) for member in self._definitions.members(kind)
@@ -215,6 +216,7 @@ class _Readers:
 
         def read(data: Buffer, at: int) -> tuple[npt.NDArray[Any], int]:
             n, at = read_length(data, at)
+            # An empty list is not aligned.
             if n:
                 at = (at + align - 1) & -align
             numbers = np.ndarray((n,), dtype, data, at)
@@ -324,6 +326,7 @@ class _Readers:
             offsets.append(at - phase)
             at += dtype.itemsize
 
+        # A dtype cannot have two fields of one name.
         if not 0 < at - phase <= MAX_FIXED_BYTES or len(set(names)) < len(names):
             return None
         places: Any = {

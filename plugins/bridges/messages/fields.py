@@ -209,8 +209,10 @@ def _joined(walked: _Walked) -> Numbers:
     """Numbers whose axes are labelled, or one."""
     axes = walked.axes
     n = walked.values.size
+    # Axes that nothing names are one, in the order of the message.
     has_labels = any(axis.label.lower() in (*ROWS, *COLS) for axis in axes)
     if len(axes) < 2 or not has_labels:
+        # The last axis may be x, y and z.
         n_channels = 1
         if len(axes) > 1 and walked.has_channels:
             n_channels = axes[-1].size
@@ -230,6 +232,7 @@ def _paths(message: Message) -> list[str]:
     for name, value in message.items():
         if name == "header":
             continue
+        # A message of many members may have any number of paths.
         for ending in _endings(value, False):
             paths.append(name + ending)
             if len(paths) >= MAX_PATHS:

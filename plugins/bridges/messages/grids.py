@@ -110,6 +110,7 @@ def _cloud(message: Message, field: str) -> Numbers:
 
     height = message["height"]
     width = message["width"]
+    # An unordered cloud states a height of 1.
     axes = [Axis(height, "rows"), Axis(width, "cols")]
     if height == 1 or width == 1:
         axes = [Axis(height * width, "taxels")]
@@ -139,6 +140,7 @@ def _cells(
         sizes = f"{n_rows} x {n_cols} of {pitch} bytes"
         raise SourceError(f"rows of {step} bytes, {data.size} bytes in all, for {sizes}")
 
+    # Rows and cells may have padding.
     shape = (n_rows, n_cols, n)
     strides = (step, pitch, dtype.itemsize)
     values: npt.NDArray[Any] = np.ndarray(shape, dtype, data, offset, strides)
