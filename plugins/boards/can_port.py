@@ -238,8 +238,10 @@ class CanPort(Port):
             if message.is_error_frame or message.is_remote_frame:
                 self._n_errors += message.is_error_frame
                 continue
+            # An id of 11 bits may be that of an extended frame, too.
             if message.is_extended_id != (message.arbitration_id > HIGHEST_STANDARD_ID):
                 continue
+
             frames += self._taken(message.arbitration_id, bytes(message.data))
             if frames:
                 break

@@ -230,6 +230,7 @@ class Sequence:
             self._last = number
             return True
 
+        # Numbers begin at 0 again.
         ahead = (number - self._last) % self._modulus
         behind = self._modulus - ahead
         if ahead == 0 or behind <= min(LATE, self._modulus // 8):
@@ -272,6 +273,7 @@ class FrameParser:
         search = self._search_one if self.framing.is_strong else self._search_two
         checks = MAX_CHECKS + 8 * len(self._buffer) // self.framing.n_bytes
         frames: list[Frame] = []
+        # After an error, bytes are searched for the next frame, a bounded number of times.
         while True:
             if self._in_step:
                 if not self._take(frames):
@@ -352,6 +354,7 @@ class FrameParser:
                     fitting.append(at)
             at = buffer.find(start, at + 1)
 
+        # Start bytes may occur among the readings: two places that fit are as good as none.
         if len(fitting) == 1 and n_tried < MAX_CHECKS:
             self._drop(fitting[0])
             self._in_step = True
@@ -361,6 +364,7 @@ class FrameParser:
 
     def _find_start(self) -> bool:
         """Drop what is before the next start bytes, or what may be their begin."""
+        # The last bytes may be the begin of start bytes.
         place = self._buffer.find(self.framing.prefix)
         if place < 0:
             self._drop(max(0, len(self._buffer) - len(self.framing.prefix) + 1))

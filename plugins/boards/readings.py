@@ -93,6 +93,7 @@ class Pieces:
         n_frame_bytes = self._n * self._size
         counts.frames -= 1
         is_in_turn = not self._modulus or piece.sequence == self._number
+        # A piece that was lost is seen by the number of the next one.
         if piece.sequence is not None:
             self._number = (piece.sequence + 1) % max(1, self._modulus)
         if at != len(self._begun) or not is_in_turn:

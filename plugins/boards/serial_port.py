@@ -91,6 +91,7 @@ class SerialPort(Port):
         return frames
 
     def _arrival_of(self, end: int) -> int:
+        # Frames end in the order in which their bytes came.
         while self._arrivals[0][0] < end:
             self._arrivals.popleft()
         return self._arrivals[0][1]

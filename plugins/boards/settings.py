@@ -333,6 +333,7 @@ def read_profile(name: str, cls: type[BoardSettings]) -> dict[str, Any]:
     for key, value in values.items():
         if key not in all_keys:
             raise SourceError(f"profile {name}: {key}: unknown key{did_you_mean(key, all_keys)}")
+        # A list of arbitration ids is a text in the name of a source.
         if isinstance(value, list):
             values[key] = ",".join(map(str, value))
 

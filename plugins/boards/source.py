@@ -200,6 +200,7 @@ class BoardSource(LiveSource):
             readings = self._board.decode(frame.payload, self._layout.missing_numbers)
             forces = self._checked(readings)
             if forces is not None:
+                # Frames that came in one read have one time of arrival.
                 self._last_ns = max(arrived_ns, self._last_ns + 1)
                 return self._last_ns, forces
         return None
@@ -288,7 +289,8 @@ class BoardSource(LiveSource):
         self._bytes_before = self._port.n_bytes
         n = self._board.framing.n_bytes
         settings = self._board.settings
-        if n_bytes > n:  # one may wait for the start bytes of the next
+        # One frame may wait for the start bytes of the next.
+        if n_bytes > n:
             baud = ", baud" if isinstance(settings, SerialSettings) else ""
             return (
                 f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, "
@@ -304,8 +306,10 @@ class BoardSource(LiveSource):
     def _checked(self, forces: Floats) -> Floats | None:
         """Readings clipped to the range; None if one is no number, and that is refused."""
         f_max = self.skin.f_max
-        if 0 <= forces.min() <= forces.max() <= f_max:  # False for a NaN
+        # False for a NaN.
+        if 0 <= forces.min() <= forces.max() <= f_max:
             return forces
+
         missing = ~np.isfinite(forces)
         has_missing = bool(missing.any())
         if has_missing and not self._layout.accepts_missing:

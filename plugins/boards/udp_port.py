@@ -76,6 +76,7 @@ class UdpPort(Port):
             except BlockingIOError:
                 break
             now_ns = time.monotonic_ns()
+            # The kernel states how many packets it has dropped so far.
             for level, kind, value in ancillary:
                 if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL):
                     self._n_dropped = max(self._n_dropped, int.from_bytes(value, sys.byteorder))
@@ -90,6 +91,7 @@ class UdpPort(Port):
         self.n_bytes += len(packet)
         self._last_bytes = len(packet)
         is_new = self._settings.sender is None and sender != self._sender
+        # Its numbers have nothing to do with those of the sender before.
         parser = self._new_parser() if is_new else self._parser
         accepted = parser.feed(packet)
         if accepted:

@@ -207,9 +207,10 @@ class HeldRows:
             self.sums[nodes] = sums
 
             # Details that are not read again grow with the sum of their node.
-            scale = np.clip(sums / np.maximum(self.sums_read[nodes], TINY), 0, MOST_SCALED)
+            growth = sums / np.maximum(self.sums_read[nodes], TINY)
+            scale = np.clip(growth, 0, MOST_SCALED)
             scaled = self.details[nodes] * scale[:, None]
-            np.copyto(details, np.where(self._fresh[nodes], self._read[nodes], scaled))
+            details[:] = np.where(self._fresh[nodes], self._read[nodes], scaled)
             self.now[nodes] = details
         if not self._tree.levels:
             return self._tiles
@@ -225,7 +226,8 @@ class HeldRows:
         """End a frame, of which all rows are read; return which nodes are untouched. What was read
         of a part of a node's details is not kept.
         """
-        whole = np.count_nonzero(self._fresh, axis=1) == self._tree.n_details
+        n_read = np.count_nonzero(self._fresh, axis=1)
+        whole = n_read == self._tree.n_details
         self.details[whole] = self.now[whole]
         self.sums_read[whole] = self.sums[whole]
 
@@ -287,7 +289,8 @@ class AdaptiveChoice:
         # One or two rows of other nodes, up to m.
         phi.choose(chosen)
         details = phi.rows[phi.rows >= tree.n_tiles]
-        self._take(details[~chosen[tree.node_of_row[details]]], read)
+        is_of_chosen = chosen[tree.node_of_row[details]]
+        self._take(details[~is_of_chosen], read)
         rows.update()
 
         self._untouched = rows.end()
@@ -314,15 +317,18 @@ class AdaptiveChoice:
         # All rows of these nodes, ascending.
         is_chosen = np.zeros_like(chosen)
         is_chosen[nodes] = True
-        rows = tree.n_tiles + np.flatnonzero(is_chosen[tree.node_of_row[tree.n_tiles :]])
+        node_of_detail = tree.node_of_row[tree.n_tiles :]
+        rows = tree.n_tiles + np.flatnonzero(is_chosen[node_of_detail])
         self._take(rows, read)
         self._learn_drift(nodes, predicted)
         return int(ends[nodes.size - 1])
 
     def _learn_drift(self, nodes: Indices, predicted: Doubles) -> None:
         measured = self._held._read[nodes]
+        # Noise of both readings is not a change.
         noise = 2 * self._phi.variance * self._phi.tree.n_details[nodes]
-        change2 = np.maximum(np.square(measured - predicted).sum(axis=1) - noise, 0)
+        change2 = np.square(measured - predicted).sum(axis=1)
+        change2 = np.maximum(change2 - noise, 0)
         change2 /= self._age[nodes]
 
         drift = self._drift[nodes]

@@ -122,9 +122,10 @@ class LineInterpolation:
         for k, (line, along) in enumerate(directions):
             cells = np.lexsort((along, line))
             _, starts, lengths = np.unique(line[cells], return_index=True, return_counts=True)
+            ends = starts + lengths - 1
             self._cells[k] = cells
             self._first[k] = k * n + starts.repeat(lengths)
-            self._last[k] = k * n + (starts + lengths - 1).repeat(lengths)
+            self._last[k] = k * n + ends.repeat(lengths)
 
         # The square of a step's length: it is longer on diagonals.
         self._step2 = np.repeat([1.0, 1.0, 2.0, 2.0], n)
@@ -142,6 +143,7 @@ class LineInterpolation:
         while not is_known[self._wanted].all():
             cells, between = self._between(is_known, filled)
             if not cells.size:
+                # No cell lies between others any more.
                 missing = np.flatnonzero(self._wanted & ~is_known)
                 nearest = cKDTree(self._places[known]).query(self._places[missing])[1]
                 filled[missing] = values[nearest]
@@ -154,6 +156,8 @@ class LineInterpolation:
     def _between(self, is_known: Mask, filled: Floats) -> tuple[Indices, Doubles]:
         """Return the cells that lie between known ones on some line, and their values."""
         is_known_step = is_known[self._cells]
+
+        # The known steps before and after each, on its line or beyond it.
         previous = np.maximum.accumulate(np.where(is_known_step, self._steps, -1), axis=1)
         reversed_steps = np.where(is_known_step, self._steps, self._steps.size)[:, ::-1]
         following = np.minimum.accumulate(reversed_steps, axis=1)[:, ::-1]
@@ -204,7 +208,8 @@ def interpolated_from(known: Doubles, wanted: Doubles) -> tuple[Indices, Floats]
 
     # Barycentric coordinates.
     transform = triangles.transform[triangle[inside]]
-    first_two = np.einsum("ijk,ik->ij", transform[:, :2], wanted[inside] - transform[:, 2])
+    offsets = wanted[inside] - transform[:, 2]
+    first_two = np.einsum("ijk,ik->ij", transform[:, :2], offsets)
     weights[inside, :2] = first_two
     weights[inside, 2] = 1 - first_two.sum(axis=1)
 

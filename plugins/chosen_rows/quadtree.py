@@ -106,6 +106,7 @@ class Quadtree:
         sums = np.asarray(x, dtype=np.float64)
         details = np.zeros((self.n_nodes, N_DETAILS))
         for level in reversed(self.levels):
+            # Quarters that do not exist take the 0 at the end.
             parts = np.append(sums, 0.0)[level.parts]
             sums = (level.weights * parts).sum(axis=1)
 
@@ -152,6 +153,7 @@ class Quadtree:
         or a smaller one within it is chosen; then, but for the last level, a bit for each of the
         nodes so marked, set where it is chosen itself.
         """
+        # A node is marked if it or a smaller one within it is chosen.
         marked = chosen.copy()
         for upper, lower in zip(self.levels[-2::-1], self.levels[:0:-1], strict=True):
             marked_below = np.append(marked[lower.first : lower.first + lower.size], False)
@@ -196,6 +198,7 @@ class Quadtree:
 
     def most_code_bytes(self, n_rows: int) -> int:
         """Bytes that `coded` takes at most where nodes have three details, `n_rows` in all."""
+        # On each level no more nodes are marked than are chosen in all.
         n_chosen = -(-n_rows // N_DETAILS)
         n_marked = sum(min(level.size, n_chosen) for level in self.levels[:-1])
         return -(-(self.n_tiles + (1 + N_PARTS) * n_marked) // 8)
@@ -237,6 +240,7 @@ def _numbered(exists: Mask) -> Indices:
 
 def _quarters(grid: Indices, outside: int) -> Indices:
     """Return the four cells of each square of 2 x 2, (rows, columns, 4)."""
+    # A grid of odd sides ends with squares that are cut off.
     n_rows, n_cols = grid.shape
     padding = ((0, n_rows % 2), (0, n_cols % 2))
     padded = np.pad(grid, padding, constant_values=outside)
@@ -247,13 +251,15 @@ def _orthonormal(taxels: Indices) -> tuple[Doubles, Doubles]:
     """Return weights and details of nodes whose quarters have so many taxels, (size, 4)."""
     weights = np.sqrt(taxels / taxels.sum(axis=1, keepdims=True))
     details = np.zeros((len(taxels), N_DETAILS, N_PARTS))
-    details[(taxels == taxels[:, :1]).all(axis=1)] = _HAAR
+    are_equal = (taxels == taxels[:, :1]).all(axis=1)
+    details[are_equal] = _HAAR
 
-    for node in np.flatnonzero((taxels != taxels[:, :1]).any(axis=1)):
+    for node in np.flatnonzero(~are_equal):
         quarters = np.flatnonzero(taxels[node])
         # A reflection that takes the weights to the first axis (Householder).
         normal = weights[node, quarters].copy()
         normal[0] += 1
-        reflection = np.eye(quarters.size) - 2 * np.outer(normal, normal) / (normal @ normal)
+        projection = 2 * np.outer(normal, normal) / (normal @ normal)
+        reflection = np.eye(quarters.size) - projection
         details[node, : quarters.size - 1, quarters] = reflection[1:].T
     return weights, details

@@ -114,9 +114,11 @@ class AdaptiveSkinSolver(Solver):
         y = self._checked_y(y)
         rows = self._rows_of.rows
         if self._predicted is not None:
+            # How well held rows and filter predicted this frame.
             for k, predicted in enumerate(self._predicted):
-                error = float(np.mean(np.square(y - predicted[rows])))
-                self._errors[k] = MEMORY * self._errors[k] + (1 - MEMORY) * error
+                residual = y - predicted[rows]
+                error2 = float(np.mean(np.square(residual)))
+                self._errors[k] = MEMORY * self._errors[k] + (1 - MEMORY) * error2
 
         self._age += 1
         expected = self._expected()
@@ -175,7 +177,8 @@ class AdaptiveSkinSolver(Solver):
         nodes = self._rows_of.chosen
         expected = np.maximum(expected, self._expected())[nodes]
         noise = 2 * self._rows_of.variance * self._rows_of.tree.n_details[nodes]
-        change2 = np.square(self._held.now[nodes] - last_details[nodes]).sum(axis=1)
+        change = self._held.now[nodes] - last_details[nodes]
+        change2 = np.square(change).sum(axis=1)
         change2 = np.maximum(change2 - noise, 0)
 
         total = float(expected.sum())

@@ -166,6 +166,7 @@ def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:
         n_rows = min(conversions, max(1, n_rows_in_shape))
         return n_rows + -(-conversions // n_rows), conversions
 
+    # Points: the smallest near square that holds them, fewer where they are larger.
     if strategy.phi == LARGER:
         n = conversions
     if n_rows is None or n_cols is None:

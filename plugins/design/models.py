@@ -124,6 +124,7 @@ def _serial_s(n: int, baud: float) -> float:
 
 def _can_s(n: int, bit_s: float) -> float:
     """Classic CAN: 34 + 8 n bits, stuff bits, 13 more. Source: ISO 11898-1; Davis et al. 2007."""
+    # At most one stuff bit after each four.
     stuffed = 34 + 8 * n
     return (stuffed + (stuffed - 1) // 4 + 13) / bit_s
 
@@ -143,6 +144,7 @@ def _spi_s(n: int, clock: float) -> float:
 
 def _udp_s(n: int, bit_s: float) -> float:
     """UDP over IPv4 and Ethernet, preamble and gap too. Source: IEEE 802.3; RFC 791, 768."""
+    # A payload of Ethernet has 46 bytes at least.
     return 8 * (8 + 14 + max(46, 28 + n) + 4 + 12) / bit_s
 
 

@@ -103,6 +103,7 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     options: dict[str, Any] = {"rows": strategy.rows, "phi": strategy.phi}
     shape = (mask.shape[0], mask.shape[1])
     n = int(np.count_nonzero(mask))
+    # Readings of single taxels are used as they are: nothing is reconstructed.
     if strategy.phi == LARGER:
         return larger_raster(mask, bits, strategy.m(n))
     if strategy.reads_single:
@@ -218,6 +219,7 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
                 return False
         return True
 
+    # From below the noise, where no touch can be found.
     force_part = noise / 2
     while force_part < LADDER:
         force_part = min(force_part, 1.0)
@@ -247,6 +249,7 @@ def grid_of(design: Design) -> Mask:
     if design.n_rows is not None and design.n_cols is not None:
         return np.ones((design.n_rows, design.n_cols), dtype=np.bool_)
 
+    # The last row may have cells without a taxel.
     side = math.isqrt(design.n_taxels - 1) + 1
     n_rows = -(-design.n_taxels // side)
     cells = np.arange(n_rows * side) < design.n_taxels

@@ -183,6 +183,7 @@ def read_file(path: Path) -> dict[str, Any]:
     except ValueError as error:  # of its text encoding, too
         raise SettingsError(f"{path}: no TOML: {error}") from error
     keys: dict[str, Any] = dict(tree)
+    # A relative path is one from the folder of the file.
     points = keys.get("points")
     if isinstance(points, str) and not points.startswith(EXAMPLE):
         keys["points"] = str(path.parent / points)

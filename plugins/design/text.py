@@ -59,6 +59,7 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
 def breaks(row: Row, design: Design) -> str:
     """What limits a strategy: the stage, what it has to do, its time, the rate that this allows."""
     ms = f"{row.stage_s[row.limit] * 1e3:.3g} ms"
+    # What the limiting stage has to do in a frame.
     if row.limit == "ADC":
         load = f"{row.conversions} conversions take {ms} ({design.adc.label})"
     elif row.limit == "bus":

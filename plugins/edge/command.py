@@ -27,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from sparseskin.nodes.compressor.phi.rotation import RATIO, ROWS
 
     add = add_commands(parser, "A compressor in C99 for the board beside the skin.")
+    # The options that most users leave out are listed apart.
     make = add("export", _export, "write its program")
     rare_options = rare(make)
     make.add_argument("--n-rows", metavar="R", type=int, help="rows of taxels")

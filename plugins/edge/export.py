@@ -170,6 +170,7 @@ def check_counts(description: EdgeDescription, k: int) -> Counts:
         counts[:] = d.full_scale
     elif k == 2:
         counts[d.cells[0]] = 1
+    # Xorshift numbers, in all cells or in one of sixteen.
     elif k > 2:
         state = 2463534242 + k
         for i in range(d.n_cells):

@@ -192,6 +192,7 @@ class Edge(SourceNode[EdgeSettings]):
 
         self._n_frames += 1
         now_ns = self.context.clock.now_ns()
+        # Stamps rise from frame to frame.
         self._stamp_ns = max(now_ns - self._wire.age_ns(arrived_ns), self._stamp_ns + 1)
         yield Measurements(
             stamp_ns=self._stamp_ns,

@@ -71,7 +71,8 @@ def torso(n: int = TORSO_POINTS) -> Layout:
     around = np.stack([-b * sin, a * cos, np.zeros(n)], axis=1)
     upward = np.stack([depths(z, 1) * cos, widths(z, 1) * sin, np.ones(n)], axis=1)
     normals = np.cross(around, upward)
-    return places, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return places, normals / lengths
 
 
 def _sections() -> tuple[PchipInterpolator, PchipInterpolator]:
@@ -90,13 +91,18 @@ def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
     front_steps = np.hypot(np.diff(depths(z)), np.diff(z))
     steps = np.mean([side_steps, front_steps], axis=0)
     height_way = np.concatenate([[0.0], np.cumsum(steps)])
-    heights = np.interp(np.arange(0, height_way[-1], pitch), height_way, z)
+    stops = np.arange(0, height_way[-1], pitch)
+    heights = np.interp(stops, height_way, z)
 
     # The way around each ring.
     a = widths(heights)[:, None]
     b = depths(heights)[:, None]
-    ring_steps = np.hypot(np.diff(b * np.cos(_AROUND)), np.diff(a * np.sin(_AROUND)))
+    x_steps = np.diff(b * np.cos(_AROUND))
+    y_steps = np.diff(a * np.sin(_AROUND))
+    ring_steps = np.hypot(x_steps, y_steps)
     ways = np.pad(np.cumsum(ring_steps, axis=1), ((0, 0), (1, 0)))
+
+    # A ring has three taxels at least.
     counts = np.maximum(3, (ways[:, -1] / pitch).astype(np.intp))
     return heights, counts, ways
 
@@ -108,6 +114,8 @@ def grip() -> Layout:
     k, i = np.meshgrid(np.arange(n), np.arange(n_rings))
     angle = 2 * np.pi * k.ravel() / n
     normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(angle.size)], axis=1)
+
+    # The rings stand one above the other.
     places = GRIP_RADIUS_M * normals
     places[:, 2] = GRIP_PITCH_M * i.ravel()
     return places, normals

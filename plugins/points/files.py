@@ -87,15 +87,20 @@ def estimated_normals(places: Doubles) -> Doubles:
     n = len(places)
     if n < 3:
         return np.tile([0.0, 0.0, 1.0], (n, 1))
+
+    # The direction in which the places around a point spread least.
     _, nearest = cKDTree(places).query(places, k=min(_AROUND, n))
-    offsets = places[nearest] - places[nearest].mean(axis=1, keepdims=True)
+    around = places[nearest]
+    offsets = around - around.mean(axis=1, keepdims=True)
     _, _, axes = np.linalg.svd(offsets)
     normals: Doubles = axes[:, 2]
     outward = np.einsum("ij,ij->i", normals, places - places.mean(axis=0))
+
     # On a flat skin no side is outward: all point to +z, or the axis nearest to it.
     is_flat = np.abs(outward) < 1e-6 * np.abs(places).max()
     outward[is_flat] = normals[is_flat] @ [1e-6, 1e-3, 1.0]
-    return normals * np.where(outward < 0, -1.0, 1.0)[:, None]
+    sign = np.where(outward < 0, -1.0, 1.0)
+    return normals * sign[:, None]
 
 
 def doubled(places: Doubles) -> Mask:

@@ -203,20 +203,27 @@ def _lattice_of_part(places: Doubles, normals: Doubles, edges: Edges) -> Doubles
     angle_of_edge = angle[edges.a] + 0.5 * _wrapped(angle[edges.b] - angle[edges.a], order)
     steps = plane[edges.b] - plane[edges.a]
     steps = _turned(steps, -angle_of_edge) / spacing_of_edge[:, None]
-    lattice = _joined(steps @ np.linalg.inv(_AXES[order]).T, edges, n)
+    steps = steps @ np.linalg.inv(_AXES[order]).T
+    lattice = _joined(steps, edges, n)
     return _upright(lattice, places, order)
 
 
 def _squarest(plane: Doubles) -> Doubles:
     """Points turned such that the rectangle around them is the smallest, (n, 2)."""
+
+    def area(turned: Doubles) -> float:
+        return float(np.prod(np.ptp(turned, axis=0)))
+
     turns = [_turned(plane, np.full(len(plane), angle)) for angle in np.radians(range(90))]
-    return min(turns, key=lambda turned: float(np.prod(np.ptp(turned, axis=0))))
+    return min(turns, key=area)
 
 
 def _cell_size(plane: Doubles) -> float:
     """Side of the cells for points without a lattice: a little less than their distance."""
-    nearest = cKDTree(plane).query(plane, k=min(SQUARE + 1, len(plane)))[0][:, 1:]
-    return math.sqrt(FILLED) * max(float(nearest.mean()), 1e-9)
+    distances, _ = cKDTree(plane).query(plane, k=min(SQUARE + 1, len(plane)))
+    # The nearest point is the point itself.
+    to_others = distances[:, 1:]
+    return math.sqrt(FILLED) * max(float(to_others.mean()), 1e-9)
 
 
 def _spacing(plane: Doubles, edges: Edges) -> Doubles:
@@ -241,6 +248,8 @@ def _orientation(plane: Doubles, edges: Edges) -> tuple[int, Doubles]:
     n = len(plane)
     step = plane[edges.b] - plane[edges.a]
     length = np.linalg.norm(step, axis=1)
+
+    # The nearest neighbours alone have the directions of the lattice.
     spacing = _spacing(plane, edges)[edges.a]
     near = length < 1.25 * spacing
     direction = np.arctan2(step[near, 1], step[near, 0])
@@ -306,7 +315,8 @@ def _joined(steps: Doubles, edges: Edges, n: int) -> Doubles:
     for _ in range(N_ROUNDED):
         rounded_steps = np.rint(steps)
         off = np.abs(steps - rounded_steps).max(axis=1)
-        is_whole = (off < WHOLE) & (np.abs(rounded_steps).max(axis=1) == 1)
+        is_to_next = np.abs(rounded_steps).max(axis=1) == 1
+        is_whole = (off < WHOLE) & is_to_next
         weights = np.where(is_whole, 1.0, LOOSE)
         wanted_steps = np.where(is_whole[:, None], rounded_steps, steps)
         lattice = Joined(edges, n, weights)(wanted_steps)
@@ -323,12 +333,14 @@ def _upright(lattice: Doubles, places: Doubles, order: int) -> Doubles:
     up = places[:, 1] if is_level else places[:, 2]
 
     # Turned by whole steps of the lattice, such that y points up.
-    flat = lattice @ _AXES[order].T
+    axes = _AXES[order]
+    flat = lattice @ axes.T
     centred = flat - flat.mean(axis=0)
-    slope = np.linalg.lstsq(centred, up - up.mean(), rcond=None)[0]
-    turn = np.rint(order * np.arctan2(slope[0], slope[1]) / (2 * np.pi))
-    angle = np.full(len(flat), 2 * np.pi * turn / order)
-    x, y = (_turned(flat, angle) @ np.linalg.inv(_AXES[order]).T).T
+    (slope_x, slope_y), _, _, _ = np.linalg.lstsq(centred, up - up.mean(), rcond=None)
+    n_steps = np.rint(order * np.arctan2(slope_x, slope_y) / (2 * np.pi))
+    angle = np.full(len(flat), 2 * np.pi * n_steps / order)
+    turned = _turned(flat, angle)
+    x, y = (turned @ np.linalg.inv(axes).T).T
 
     # Every second row of hexagons stands half a cell aside.
     y = y - _phase(y)
@@ -346,6 +358,7 @@ def _assigned(wanted: Doubles) -> Indices:
     """A cell for each point, (n, 2), no two the same, near the wanted ones."""
     n = len(wanted)
     rounded = np.rint(wanted).astype(np.intp)
+    # Where points share a cell, all are matched with cells around them.
     if len(np.unique(rounded, axis=0)) < n:
         window = WINDOW
         matched = _matched(wanted, rounded, window)
@@ -363,6 +376,7 @@ def _matched(wanted: Doubles, rounded: Indices, window: int) -> Indices | None:
     offsets = np.arange(-window, window + 1)
     square = np.stack(np.meshgrid(offsets, offsets), -1).reshape(1, -1, 2)
     cells = rounded[:, None, :] + square
+    # The matching takes a cost of 0 for an edge that does not exist.
     cost = ((cells - wanted[:, None, :]) ** 2).sum(axis=-1) + 1e-6
 
     # Cells are numbered in the rectangle around all windows.
@@ -377,8 +391,8 @@ def _matched(wanted: Doubles, rounded: Indices, window: int) -> Indices | None:
         _, chosen_cells = min_weight_full_bipartite_matching(graph)
     except ValueError:  # no full matching
         return None
-    row, col = np.divmod(cells_in_reach[chosen_cells], width)
-    return np.stack([row + low[0], col + low[1]], axis=1)
+    rows, cols = np.divmod(cells_in_reach[chosen_cells], width)
+    return np.stack([rows + low[0], cols + low[1]], axis=1)
 
 
 def _packed(
@@ -387,6 +401,7 @@ def _packed(
     """Rows and columns of all points with the parts side by side, and the size of the grid."""
     rows = np.zeros(n, dtype=np.intp)
     cols = np.zeros(n, dtype=np.intp)
+    # The grid is about square, and as wide as the widest part at least.
     area = sum(int(np.prod(cells.max(axis=0) + 2)) for _, cells in grids)
     widest = max(int(cells[:, 1].max()) + 1 for _, cells in grids)
     width_max = max(math.isqrt(area), widest)

@@ -124,6 +124,7 @@ class PointScene(Source):
             candidates: Indices | None = None
             for step in range(STEPS):
                 t_s = (frame * STEPS + step) * DT_S - start_s
+                # The next press begins at another place.
                 if scene.presses and t_s >= HELD_S + LIFTED_S:
                     course = next(courses)
                     start_s += t_s
@@ -139,6 +140,7 @@ class PointScene(Source):
                     candidates = self._candidates(course, k)
                 bed, touched = self._bed(course, k, q, candidates)
                 total[touched] += bed.forces(q, v)
+                # A press ends with a body that is lifted at a constant speed.
                 if scene.presses and t_s >= HELD_S:
                     v = np.array([SPEED_M_S])
                     q = q + DT_S * v
@@ -174,6 +176,7 @@ class PointScene(Source):
         touching = scene.radius_m + self._radius
         near = np.flatnonzero((distance < touching + _REACH_M) & faces)
 
+        # Gap and its derivative by the height of the body, linear about this height.
         jacobian = (off[near] @ normal / distance[near])[:, None]
         gap = distance[near] - touching - jacobian[:, 0] * q[0]
         stiffness = np.full(near.size, SKIN.stiffness)
@@ -214,13 +217,12 @@ class PointScene(Source):
         """Places on the skin along a way, `SPEED_M_S` times `DT_S` apart, smoothed."""
         points = self._placement.points
         step_m = SPEED_M_S * DT_S
-        lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(lengths)])
-        stops = np.arange(0.0, along[-1] + step_m / 2, step_m)
-        places = np.stack([np.interp(stops, along, axis) for axis in corners.T], axis=1)
+        places = _equidistant(corners, step_m)
+        n = len(places)
 
+        # The skin at a place is the mean of the taxels around it.
         _, nearest = cKDTree(points.places).query(places, k=min(_NEAR, points.n))
-        nearest = nearest.reshape(len(stops), -1)
+        nearest = nearest.reshape(n, -1)
         normals = points.normals[nearest].mean(axis=1)
         middles = points.places[nearest].mean(axis=1)
 
@@ -228,14 +230,32 @@ class PointScene(Source):
         places = gaussian_filter1d(places, width, axis=0, mode="nearest")
         normals = gaussian_filter1d(normals, width, axis=0, mode="nearest")
         middles = gaussian_filter1d(middles, width, axis=0, mode="nearest")
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.maximum(lengths, 1e-9)
+
         # Smoothing cuts corners: back to the mean plane of the taxels there.
-        places += normals * np.einsum("ij,ij->i", middles - places, normals)[:, None]
+        heights = np.einsum("ij,ij->i", middles - places, normals)
+        places += normals * heights[:, None]
 
         # Of a single place any direction will do.
         ahead = np.array([[1.0, 0.3, 0.2]])
-        if len(stops) > 1:
+        if n > 1:
             ahead = np.gradient(places, axis=0)
         across = np.cross(normals, ahead)
-        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+        lengths = np.linalg.norm(across, axis=1, keepdims=True)
+        across /= np.maximum(lengths, 1e-12)
         return _Course(places, normals, across)
+
+
+def _equidistant(corners: Doubles, step_m: float) -> Doubles:
+    """Places on the straight lines between corners, a step apart, float64 (k, 3)."""
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    stops = np.arange(0.0, along[-1] + step_m / 2, step_m)
+    x, y, z = corners.T
+    coordinates = [
+        np.interp(stops, along, x),
+        np.interp(stops, along, y),
+        np.interp(stops, along, z),
+    ]
+    return np.stack(coordinates, axis=1)

@@ -70,24 +70,28 @@ def neighbours(places: Doubles, normals: Doubles) -> Edges:
     distance = distance[:, 1:]
     near = near[:, 1:]
     cosine = np.einsum("ij,ikj->ik", normals, normals[near])
-    one_side = cosine > LEAST_COSINE
-    nearest = np.where(one_side, distance, np.inf).min(axis=1)
-    if not np.isfinite(nearest).any():
+    is_same_side = cosine > LEAST_COSINE
+    nearest = np.where(is_same_side, distance, np.inf).min(axis=1)
+    has_near = np.isfinite(nearest)
+    if not has_near.any():
         return _none()
 
     # Neighbours of a point that lies apart are farther than those of the others.
-    typical = float(np.median(nearest[np.isfinite(nearest)]))
-    reach = np.maximum(typical, np.where(np.isfinite(nearest), nearest, 0.0))
-    limit = LONGEST * reach
-    one_side &= distance < limit[:, None]
-    is_neighbour = one_side & (np.cumsum(one_side, axis=1) <= N_NEIGHBOURS)
+    typical = float(np.median(nearest[has_near]))
+    nearest[~has_near] = 0.0
+    limit = LONGEST * np.maximum(typical, nearest)
+
+    # The first few of those that are near enough, which are sorted by their distance.
+    is_near = is_same_side & (distance < limit[:, None])
+    is_neighbour = is_near & (np.cumsum(is_near, axis=1) <= N_NEIGHBOURS)
 
     # Each pair once in each direction.
     a, k = np.nonzero(is_neighbour)
     pairs = np.stack([a, near[a, k]], axis=1)
-    pairs = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
-    length = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
-    return Edges(pairs[:, 0], pairs[:, 1], length)
+    both_ways = np.concatenate([pairs, pairs[:, ::-1]])
+    a, b = np.unique(both_ways, axis=0).T
+    length = np.linalg.norm(places[a] - places[b], axis=1)
+    return Edges(a, b, length)
 
 
 def _none() -> Edges:
@@ -98,7 +102,8 @@ def _none() -> Edges:
 def parts(edges: Edges, n: int) -> list[Indices]:
     """Points of each connected part, the largest part first."""
     n_parts, label = connected_components(edges.matrix(n), directed=False)
-    order = np.argsort(-np.bincount(label, minlength=n_parts), kind="stable")
+    sizes = np.bincount(label, minlength=n_parts)
+    order = np.argsort(-sizes, kind="stable")
     return [np.flatnonzero(label == k) for k in order]
 
 
@@ -116,6 +121,8 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
     frames = _tangents(places, normals, edges)
     centred = places - places.mean(axis=0)
     _, size, axes = np.linalg.svd(centred, full_matrices=False)
+
+    # A part that is flat already is laid down as it is.
     height = np.abs(centred @ axes[2]).max()
     if height <= FLAT * np.median(edges.length):
         plane: Doubles = centred @ axes[:2].T
@@ -128,6 +135,7 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
     if (np.linalg.det(turned) < 0).mean() > 0.5:
         plane[:, 0] *= -1
 
+    # A part that is not flat is bent as little as possible.
     if size[2] > 0 and height > FLAT * np.median(edges.length):
         plane = _rigid(plane, places, frames, edges)
     return plane
@@ -144,6 +152,7 @@ def _tangents(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
     """
     n = len(places)
     step = places[edges.b] - places[edges.a]
+    # Second moments of the steps to the neighbours.
     products = step[:, :, None] * step[:, None, :]
     moments = summed(edges.a, products.reshape(-1, 9), n)
     _, axes = np.linalg.eigh(moments.reshape(n, 3, 3))
@@ -169,11 +178,17 @@ def _cut(centred: Doubles, normals: Doubles, edges: Edges) -> Mask:
     for axis in range(3):
         x, y = np.delete(centred, axis, axis=1).T
         angle = np.arctan2(y, x)
-        radial = centred * (np.arange(3) != axis)
-        outward = np.einsum("ij,ij->i", radial, normals)
         n_sectors = min(N_SECTORS, max(4, int(np.sqrt(n))))
-        sector = ((angle + np.pi) / (2 * np.pi) * n_sectors).astype(np.intp) % n_sectors
-        if len(np.unique(sector)) < n_sectors or (outward > 0).mean() < MOST_OUTWARD:
+        part_of_turn = (angle + np.pi) / (2 * np.pi)
+        sector = (part_of_turn * n_sectors).astype(np.intp) % n_sectors
+        is_all_around = len(np.unique(sector)) == n_sectors
+
+        # Normals of a band point away from its axis.
+        radial = centred.copy()
+        radial[:, axis] = 0
+        outward = np.einsum("ij,ij->i", radial, normals)
+        is_outward = (outward > 0).mean() >= MOST_OUTWARD
+        if not is_all_around or not is_outward:
             continue
 
         # The longest band is cut, where the fewest edges cross the cut.
@@ -207,16 +222,18 @@ def _scaled(edges: Edges, n: int) -> Doubles:
         lengths.append(dijkstra(graph, directed=False, indices=landmarks[-1]))
         to_nearest = np.minimum(to_nearest, lengths[-1])
 
+    # A cut may leave a point alone: it is as far as the farthest other one.
     squared = np.stack(lengths) ** 2
-    far = np.isfinite(squared)
-    squared[~far] = squared[far].max()  # a cut may leave a point alone
+    is_joined = np.isfinite(squared)
+    squared[~is_joined] = squared[is_joined].max()
 
     # The plane of the landmarks by their squared distances, then all points on it.
     between = squared[:, landmarks]
     mean = between.mean(axis=0)
     inner = -0.5 * (between - mean[:, None] - mean[None, :] + mean.mean())
-    value, vector = np.linalg.eigh(inner)
-    axes = vector[:, -2:] / np.sqrt(np.maximum(value[-2:], 1e-12))
+    values, vectors = np.linalg.eigh(inner)
+    sizes = np.sqrt(np.maximum(values[-2:], 1e-12))
+    axes = vectors[:, -2:] / sizes
     plane: Doubles = -0.5 * (squared - mean[:, None]).T @ axes
     return plane
 
@@ -225,15 +242,18 @@ def _moments(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> 
     """Sum over neighbours of steps in the plane times steps in the tangent plane, (n, 2, 2)."""
     n = len(plane)
     step = plane[edges.b] - plane[edges.a]
-    products = step[:, :, None] * _local(places, frames, edges)[:, None, :]
+    local = _local(places, frames, edges)
+    products = step[:, :, None] * local[:, None, :]
     return summed(edges.a, products.reshape(-1, 4), n).reshape(n, 2, 2)
 
 
 def _local(places: Doubles, frames: Doubles, edges: Edges) -> Doubles:
     """Steps to the neighbours in the tangent plane of the first point, with their full length."""
-    step = np.einsum("eij,ej->ei", frames[edges.a], places[edges.b] - places[edges.a])
+    step = places[edges.b] - places[edges.a]
+    step = np.einsum("eij,ej->ei", frames[edges.a], step)
     flat = np.linalg.norm(step, axis=1)
-    local: Doubles = step * (edges.length / np.maximum(flat, 1e-12))[:, None]
+    stretch = edges.length / np.maximum(flat, 1e-12)
+    local: Doubles = step * stretch[:, None]
     return local
 
 
@@ -245,7 +265,8 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
     for _ in range(N_RIGID):
         # The rotation, without a reflection, that is nearest to each moment.
         u, _, v = np.linalg.svd(_moments(plane, places, frames, edges))
-        u[:, :, 1] *= np.sign(np.linalg.det(u @ v))[:, None]
+        handedness = np.sign(np.linalg.det(u @ v))
+        u[:, :, 1] *= handedness[:, None]
         rotations = u @ v
         step = np.einsum("eij,ej->ei", rotations[edges.a], local)
         plane = solve(0.5 * (step - step[back]))
@@ -255,6 +276,7 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
 def _reverse(edges: Edges) -> Indices:
     """Index of each edge in the other direction."""
     n = int(edges.a.max()) + 1
+    # A number for each pair of points.
     forth = edges.a * n + edges.b
     back = edges.b * n + edges.a
     order = np.argsort(forth)
@@ -279,7 +301,8 @@ class Joined:
 
     def __call__(self, steps: Doubles) -> Doubles:
         """Coordinates, float64 (n, 2), about 0; steps: (n_edges, 2), from a to b, both ways."""
-        right = -summed(self._edges.a, self._weights[:, None] * steps, self._n)
-        coordinates: Doubles = self._solve.solve(right)
+        weighted = self._weights[:, None] * steps
+        right_side = -summed(self._edges.a, weighted, self._n)
+        coordinates: Doubles = self._solve.solve(right_side)
         coordinates -= coordinates.mean(axis=0)
         return coordinates

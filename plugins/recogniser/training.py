@@ -180,6 +180,7 @@ def train(given_examples: Examples, reads: str, phi: str = "") -> tuple[TrainedM
     that was trained without them. Raises SparseskinError if there are too few.
     """
     is_test = held_out(given_examples)
+    # One model for the test alone, and one of all examples for the node.
     trial = TrainedModel(reads).fit(
         given_examples.inputs[~is_test], given_examples.labels[~is_test]
     )

@@ -152,6 +152,7 @@ def find_pad(model: Any, site: str, path: str) -> Pad:
         return value
 
     k = model.site(site).id
+    # Sides of a box site are stated as halves.
     pitch = constant("pitch_m", SKIN.pitch_m, 1e-5, 1.0)
     half_x, half_y, half_z = (float(side) for side in model.site_size[k])
     sides = (2 * half_y / pitch, 2 * half_x / pitch)

@@ -166,6 +166,7 @@ def _follow(model: Any, data: Any, times: Doubles) -> None:
     if model.nmocap:
         data.mocap_pos[:] = between(model.key_mpos).reshape(-1, 3)
         quaternions = between(model.key_mquat).reshape(-1, 4)
+        # A mean of two unit quaternions is shorter than 1.
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
         data.mocap_quat[:] = quaternions / np.maximum(lengths, 1e-12)
 

@@ -61,6 +61,8 @@ class Touch:
         reach = self._places + np.array([0.0, 0.0, APEX_M])
         self._lengths = np.linalg.norm(reach, axis=1)
         self._rays = reach / self._lengths[:, None]
+
+        # Of the circle around all taxels.
         self._radius = 0.5 * pad.pitch_m * float(np.hypot(n_rows, n_cols))
         #: Wrench that the taxels apply to each body.
         self._applied: dict[int, Doubles] = {}
@@ -89,6 +91,7 @@ class Touch:
         bodies_on = bodies[pressed]
 
         for body in set(bodies_on.tolist()):
+            # The sum of its forces, and of their moments; the skin feels the opposite.
             on_it = bodies_on == body
             total = float(forces_on[on_it].sum())
             moment = forces_on[on_it] @ points_on[on_it]
@@ -215,6 +218,8 @@ class Touch:
         depths = (lengths - distance) * (APEX_M / lengths)
         depths[hit < 0] = 0.0
         tops = middle + self._places[taxels] @ axes.T
+
+        # Where the first surface is deeper than is read, a shorter ray looks again.
         for k in np.flatnonzero(depths > self._pad.depth_m):
             depths[k], hit[k] = self._deep(tops[k], normal)
         return depths, hit, tops

@@ -166,6 +166,7 @@ def _columns(line: str, n_cols: int, where: str) -> tuple[list[int], bool]:
     if corner.strip():
         raise SourceError(f"{where}: {shown(corner)} stands where a row of column labels should")
     has_sums = bool(labels) and labels[-1].strip() == "Force"
+    # The last column is that of the sums of the rows.
     if has_sums:
         labels.pop()
     columns = [

@@ -82,6 +82,7 @@ class Hdf5File(ArrayFile):
         n_entries = max(1, dataset.shape[axis])
         n_together = dataset.size // n_entries * min(length, n_entries)
         row_bytes = n_together * dataset.dtype.itemsize
+        # HDF5 inflates a chunk whole, whatever part of it is read.
         needed = max(row_bytes, math.prod(dataset.chunks) * dataset.dtype.itemsize)
         if needed > MAX_CHUNK_BYTES:
             fault = f"chunks of {length} entries of axis {axis + 1} need {needed} bytes"

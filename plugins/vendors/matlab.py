@@ -71,6 +71,7 @@ class MatlabRecording(DatasetRecording):
     """
 
     def __init__(self, file: File) -> None:
+        # Version 7.3 is HDF5 behind a block of 512 bytes.
         begin = file.file.read(_HEAD_BYTES + 512)
         file.file.seek(0)
         arrays: ArrayFile
@@ -236,6 +237,7 @@ class MatlabFile(StoredArrays):
             raise ArrayFileError("numbers of an unknown type")
         dtype = np.dtype(part.order + stored)
         n_bytes = math.prod(sides) * dtype.itemsize
+        # A length is believed once it agrees with the sides.
         if n_bytes != tag.n_bytes or n_bytes > self._limit:
             sides_text = " x ".join(map(str, sides[:8]))
             raise ArrayFileError(f"states {sides_text} numbers in {tag.n_bytes} bytes")

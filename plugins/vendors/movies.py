@@ -73,6 +73,7 @@ def read_cells(
         if len(cells) != n_cols:
             raise SourceError(f"{where}: row {row} has {len(cells)} cells, {keyword} is {n_cols}")
 
+        # A cell without a sensel reads 0.
         for col, token in enumerate(cells):
             if token.upper() == absent:
                 exists[row, col] = False

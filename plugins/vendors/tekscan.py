@@ -114,6 +114,7 @@ class TekscanRecording(WholeRecording):
             if match is None:
                 raise SourceError(f"{where}: {shown(line)} stands where 'Frame N' should")
             number = parse_whole(match[1], where, 0, LARGEST_NUMBER)
+            # Frames are numbered from that in the header on, or from any.
             if self._number is not None:
                 check_number(number, self._number, where)
             self._number = number + 1

@@ -146,6 +146,7 @@ class XsensorRecording(WholeRecording):
         number = self._number
         begin = self._lines.where
         entries = self._frame_entries(begin)
+        # What a frame must state; all else it may.
         for keyword in ("SENSOR", "Rows", "Columns"):
             if keyword not in entries:
                 raise SourceError(f"{begin}: frame {number} states no {keyword}")

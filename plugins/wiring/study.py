@@ -154,6 +154,7 @@ def _table(rows: pd.DataFrame) -> str:
     table = by_kind[["length", "crossings", "lines", "conversions"]].first()
     table["lines"] /= math.prod(SHAPE)
     table.insert(0, "kind", table.index)
+    # Mean, loss and the range of the losses with each preset.
     for preset in PRESET_ROWS:
         of_preset = rows[rows["preset"] == preset].groupby("kind", sort=False)
         table[f"{preset}: mean dB"] = of_preset["mean_db"].mean()

@@ -111,6 +111,7 @@ def _names(topics: Sequence[str], side: str) -> dict[str, tuple[str, str]]:
     """Side and group of each topic."""
     names = {}
     patches = [patch_of(topic) for topic in topics]
+    # The words of a patch, skin_left, may have its side.
     for topic, patch in zip(topics, patches, strict=True):
         words = patch.split("_")
         sides_in_name = [word for word in words if word in SIDES]
@@ -177,6 +178,7 @@ class _Rows:
 
     def finish(self, attributes: dict[str, Any]) -> None:
         """Write the last chunk and what states the array."""
+        # The rest of the last chunk is written, too.
         if self.n % len(self._chunk):
             self._chunk[self.n % len(self._chunk) :] = 0
             self._write()

@@ -208,6 +208,7 @@ class ZarrFolder(ArrayFile):
             if chunk is None:
                 continue
 
+            # What the chunk and the part have in common.
             places_in_part: list[slice] = []
             places_in_chunk: list[slice] = []
             for at, span, side in zip(place, ranges, stored.chunks, strict=True):
@@ -247,6 +248,7 @@ class ZarrFolder(ArrayFile):
         """Add an array; one of objects, or with filters, is listed and cannot be read."""
         where = self.where(path)
         head = _json(folder / path / ARRAY, where) or {}
+        # An array of objects is listed too, as one that cannot be read.
         try:
             sides = tuple(map(int, head["shape"]))
             chunks = tuple(map(int, head["chunks"]))
@@ -365,6 +367,7 @@ def _decoded(codec: dict[str, Any] | None, raw: bytes, n_bytes: int) -> bytes:
     error at malformed ones.
     """
     kind = codec.get("id") if isinstance(codec, dict) else codec
+    # One byte more than expected shows that there are too many.
     if kind is None:
         return raw
     if kind in ("zlib", "gzip"):
