@@ -125,7 +125,9 @@ class Framing:
         """The sequence number."""
         if not self.sequence_bytes:
             return None
-        at = len(self.start) if self.sequence_at is None else self.sequence_at
+        at = self.sequence_at
+        if at is None:
+            at = len(self.start)
         return Field(at, self.sequence_bytes)
 
     @cached_property
@@ -145,8 +147,11 @@ class Framing:
     @cached_property
     def payload_at(self) -> int:
         """Place of the payload."""
-        n_sequence = self.sequence_bytes if self.sequence_at is None else 0
-        return len(self.start) + n_sequence + self.skip
+        at = len(self.start) + self.skip
+        # A number at a place of its own is among the skipped bytes.
+        if self.sequence_at is None:
+            at += self.sequence_bytes
+        return at
 
     def encode(self, payload: bytes, sequence: int = 0, stamp: int = 0, first: int = 0) -> bytes:
         """A frame as a board sends it; bytes that are not used are 0. For emulators and tests."""

@@ -103,7 +103,9 @@ class Pieces:
         used = piece.payload
         if at != len(self._begun):
             ends_frame = at < n_frame_bytes < at + len(used)
-            used = used[n_frame_bytes - at :] if ends_frame else b""
+            used = b""
+            if ends_frame:
+                used = piece.payload[n_frame_bytes - at :]
             counts.dropped_bytes += len(piece.payload) - len(used)
         self._begun += used
         if len(self._begun) < n_frame_bytes:

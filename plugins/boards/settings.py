@@ -109,7 +109,9 @@ class BoardSettings(GridLayout):
             raise SourceError(
                 f"zero = {self.zero:g} leaves no range: the largest reading is {f_max:g}"
             )
-        pitch_m = None if self.pitch_mm is None else self.pitch_mm / 1000
+        pitch_m = None
+        if self.pitch_mm is not None:
+            pitch_m = self.pitch_mm / 1000
         return Skin(self.n_rows or 0, self.n_cols or 0, f_max, self.unit, pitch_m)
 
     def framing(self, n_bytes: int) -> Framing:
@@ -146,6 +148,7 @@ class BoardSettings(GridLayout):
 
     def fields(self) -> dict[str, tuple[str, int | None]]:
         """Types and places of the numbers in a frame, by their keys."""
+        # After the start bytes, it has no place that could be wrong.
         kind = "none" if self.sequence_at is None else self.sequence
         return {"sequence": (kind, self.sequence_at), "stamp": (self.stamp, self.stamp_at)}
 
@@ -163,7 +166,9 @@ class BoardSettings(GridLayout):
         end = begin + framing.payload_bytes
         if at is not None and (at + n <= begin or end <= at <= end + framing.after - n):
             return Field(at, n)
-        place = "is not stated" if at is None else at
+        place = "is not stated"
+        if at is not None:
+            place = str(at)
         raise SourceError(
             f"{key}_at: {place}; allowed are the {n} bytes of {key} before the readings, "
             f"0..{begin - n}, or after them: skip, after"

@@ -291,7 +291,9 @@ class BoardSource(LiveSource):
         settings = self._board.settings
         # One frame may wait for the start bytes of the next.
         if n_bytes > n:
-            baud = ", baud" if isinstance(settings, SerialSettings) else ""
+            baud = ""
+            if isinstance(settings, SerialSettings):
+                baud = ", baud"
             return (
                 f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, "
                 f"n_rows, n_cols, dtype, checksum{baud}{self._port.hint()}"

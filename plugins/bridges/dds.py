@@ -106,7 +106,7 @@ class Member:
         sockets_before = _udp_sockets()
         try:
             if interface and _domains.get(domain, ("",))[0] != interface:
-                _domains[domain] = interface, Domain(domain, _config(interface))
+                _domains[domain] = (interface, Domain(domain, _config(interface)))
             self.participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
             address_of = {
                 fd: address for fd, address in _udp_sockets().items() if fd not in sockets_before
@@ -162,10 +162,9 @@ class Member:
 
         def take(wait_s: float, n: int) -> list[bytes]:
             waiting.wait(duration(seconds=wait_s))
+            # A sample without bytes notes that its writer is gone.
             payloads = (getattr(sample, "cdr", None) for sample in reader.take(N=n))
-            return [
-                data for data in payloads if data is not None
-            ]  # or a note that its writer is gone
+            return [data for data in payloads if data is not None]
 
         return Reader(take, lambda: reader.get_sample_lost_status().total_count)
 
@@ -178,7 +177,7 @@ class Member:
             if name.startswith(f"{TOPIC_PREFIX}/"):
                 reliable = Policy.Reliability.BestEffort not in publication.qos
                 kind = type_name.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
-                self._publications[name.removeprefix(TOPIC_PREFIX)] = kind, reliable
+                self._publications[name.removeprefix(TOPIC_PREFIX)] = (kind, reliable)
         return self._publications
 
     def close(self) -> None:

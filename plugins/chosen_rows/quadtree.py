@@ -77,6 +77,7 @@ class Quadtree:
             if k > 0:
                 n_below = len(squares[k - 1].parts)
             weights, details = _orthonormal(taxels)
+            # The place behind the last one stands for quarters that do not exist.
             places = np.where(parts >= 0, parts, n_below)
             self.levels.append(Level(n_nodes, len(parts), places, weights, details))
             n_nodes += len(parts)

@@ -49,6 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _design(arguments: argparse.Namespace) -> int:
     design = design_of(arguments)
+    # A file that cannot be written is refused before anything is simulated.
     with ExitStack() as stack:
         draft = arguments.csv and stack.enter_context(whole_file(arguments.csv))
         if not arguments.no_accuracy:
@@ -89,6 +90,7 @@ def design_of(arguments: argparse.Namespace) -> Design:
     of_file = {}
     if arguments.file is not None:
         of_file = read_file(arguments.file)
+    # Options that state a size replace all of that in the file.
     if any(key in options for key in SIZE_KEYS):
         of_file = {key: value for key, value in of_file.items() if key not in SIZE_KEYS}
 

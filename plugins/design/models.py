@@ -190,6 +190,7 @@ class Bus:
         """
         kind = KINDS[self.kind]
         frame_bytes = kind.most_bytes or n_bytes
+        # Full frames of the bus, and a shorter one for the rest.
         n_full, n_last = divmod(n_bytes, frame_bytes)
         last_s = 0.0
         if n_last:
@@ -260,6 +261,7 @@ def cost(strategy: str, n_taxels: int) -> Cost:
     in log(taxels); below the smallest, the cost is that of the smallest, and beyond `LARGEST` in
     proportion to the taxels.
     """
+    # Only the sizes that were measured are in the table.
     table = stored()["cost"]
     sizes = sorted(int(size) for size in table)
     seconds = []

@@ -13,7 +13,9 @@ from .spec import Design
 
 def hertz(rate: float) -> str:
     """A rate in whole Hz, below 10 Hz with three digits."""
-    return f"{rate:.0f}" if rate >= 10 else f"{rate:.3g}"
+    if rate >= 10:
+        return f"{rate:.0f}"
+    return f"{rate:.3g}"
 
 
 def _db(text: Callable[[Accuracy], str]) -> Callable[[Row], str]:
@@ -29,8 +31,16 @@ def _db(text: Callable[[Accuracy], str]) -> Callable[[Row], str]:
 
 def _rate(row: Row) -> str:
     """Cell of the rate that is reached, marked where it is less than asked for."""
-    mark = "" if row.is_met else "!"
-    return f"{hertz(row.reached_hz)}{mark}"
+    if row.is_met:
+        return hertz(row.reached_hz)
+    return f"{hertz(row.reached_hz)}!"
+
+
+def _limit(row: Row) -> str:
+    """Cell of the limiting stage, in brackets where it does not limit what is asked for."""
+    if row.is_met:
+        return f"({row.limit})"
+    return row.limit
 
 
 def _touch(row: Row) -> str:
@@ -46,7 +56,7 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
     "wires": lambda row: str(row.lines),
     "bytes": lambda row: str(row.n_bytes),
     "Hz": _rate,
-    "limit": lambda row: f"({row.limit})" if row.is_met else row.limit,
+    "limit": _limit,
     "PSNR\ndB": _db(lambda a: f"{a.psnr_db:.1f}"),
     "90 % of\nscenes": _db(lambda a: f"{a.low_db:.0f}..{a.high_db:.0f}"),
     "touch\nmN": _touch,

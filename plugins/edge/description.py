@@ -226,10 +226,11 @@ class EdgeDescription(Settings):
             if field.name not in {*values, "mask"}:
                 raise SettingsError(f"{field.name}: is missing")
         if description.phi.fingerprint != fingerprint:
-            here = description.phi.fingerprint
+            seed = description.seed
             raise SettingsError(
-                f"fingerprint: {fingerprint!r}, but seed {description.seed} gives Phi {here} here: "
-                "the file was changed, or the generators differ"
+                f"fingerprint: {fingerprint!r}, but seed {seed} gives Phi "
+                f"{description.phi.fingerprint} here: the file was changed, or the generators "
+                "differ"
             )
         _ = description.tags  # it raises if two are the same
         return description

@@ -94,17 +94,18 @@ def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
     stops = np.arange(0, height_way[-1], pitch)
     heights = np.interp(stops, height_way, z)
 
-    # The way around each ring.
-    a = widths(heights)[:, None]
-    b = depths(heights)[:, None]
-    x_steps = np.diff(b * np.cos(_AROUND))
-    y_steps = np.diff(a * np.sin(_AROUND))
-    ring_steps = np.hypot(x_steps, y_steps)
-    ways = np.pad(np.cumsum(ring_steps, axis=1), ((0, 0), (1, 0)))
-
     # A ring has three taxels at least.
+    ways = _around_ellipses(widths(heights), depths(heights))
     counts = np.maximum(3, (ways[:, -1] / pitch).astype(np.intp))
     return heights, counts, ways
+
+
+def _around_ellipses(a: Doubles, b: Doubles) -> Doubles:
+    """The way around ellipses of half axes a and b at each angle of `_AROUND`, (n_rings, 721)."""
+    x_steps = np.diff(b[:, None] * np.cos(_AROUND))
+    y_steps = np.diff(a[:, None] * np.sin(_AROUND))
+    ring_steps = np.hypot(x_steps, y_steps)
+    return np.pad(np.cumsum(ring_steps, axis=1), ((0, 0), (1, 0)))
 
 
 def grip() -> Layout:

@@ -416,6 +416,7 @@ def _packed(
             top += height + 1
             left_edge = 0
             height = 0
+
         rows[part] = cells[:, 0] + top
         cols[part] = cells[:, 1] + left_edge
         left_edge += n_cols + 1

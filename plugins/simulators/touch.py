@@ -52,18 +52,14 @@ class Touch:
         self._group = np.zeros(6, np.uint8)
         self._group[_SEEN] = 1
 
-        # Places of the taxels from the middle of their plane, and rays from the apex to them.
-        n_rows, n_cols = pad.shape
-        col, row = np.meshgrid(np.arange(n_cols), np.arange(n_rows))
-        x = (col.ravel() - (n_cols - 1) / 2) * pad.pitch_m
-        y = (row.ravel() - (n_rows - 1) / 2) * pad.pitch_m
-        self._places = np.stack([x, y, np.zeros(n_rows * n_cols)], axis=1)
+        # Rays from the apex to the taxels.
+        self._places = _places_on(pad)
         reach = self._places + np.array([0.0, 0.0, APEX_M])
         self._lengths = np.linalg.norm(reach, axis=1)
         self._rays = reach / self._lengths[:, None]
 
         # Of the circle around all taxels.
-        self._radius = 0.5 * pad.pitch_m * float(np.hypot(n_rows, n_cols))
+        self._radius = 0.5 * pad.pitch_m * float(np.hypot(*pad.shape))
         #: Wrench that the taxels apply to each body.
         self._applied: dict[int, Doubles] = {}
 
@@ -248,6 +244,15 @@ class Touch:
         across = _cross(normal, rates[:3])
         speeds: Doubles = (points - centre) @ across + rates[3:] @ normal
         return speeds
+
+
+def _places_on(pad: Pad) -> Doubles:
+    """Places of the taxels from the middle of their plane, metres, float64 (n, 3)."""
+    n_rows, n_cols = pad.shape
+    col, row = np.meshgrid(np.arange(n_cols), np.arange(n_rows))
+    x = (col.ravel() - (n_cols - 1) / 2) * pad.pitch_m
+    y = (row.ravel() - (n_rows - 1) / 2) * pad.pitch_m
+    return np.stack([x, y, np.zeros(x.size)], axis=1)
 
 
 def _cross(a: Doubles, b: Doubles) -> Doubles:

@@ -188,6 +188,7 @@ def _parse_header(properties: Stated, where: str) -> _Header:
     def quantity(pattern: re.Pattern[str], expected: str, noun: str, unit: str) -> list[float]:
         match, place = find(pattern, f"{expected} {unit}")
         *numbers, unit_stated = match.groups()
+
         # A superscript two has one byte or two, by the encoding of the file.
         if not re.fullmatch(unit.replace("2", r"\S*"), unit_stated):
             raise SourceError(f"{place}: {noun} in {shown(unit_stated)}; allowed is {unit}")
@@ -195,7 +196,9 @@ def _parse_header(properties: Stated, where: str) -> _Header:
 
     matrix, place = find(_MATRIX, "Matrix: COLUMNSxROWS")
     cols, _, rows = matrix[1].partition("x")
-    n_rows, n_cols = parse_shape((rows, f"{place}, Matrix"), (cols, f"{place}, Matrix"))
+    place = f"{place}, Matrix"
+    n_rows, n_cols = parse_shape((rows, place), (cols, place))
+
     (area_cm2,) = quantity(_AREA, "Sensor area: ...", "sensor area", "cm2")
     (period_ms,) = quantity(_PERIOD, "Time/picture: ...", "time per picture", "ms")
     width_cm, height_cm = quantity(_SIZE, "Sensor size: ...x...", "sensor size", "cm")

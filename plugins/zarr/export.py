@@ -223,13 +223,16 @@ def _write_whole(folder: Path, array: npt.NDArray[Any]) -> None:
 
 
 def _write_head(folder: Path, sides: tuple[int, ...], chunk: npt.NDArray[Any]) -> None:
+    fill_value: int | str = ""
+    if chunk.dtype.kind in "if":
+        fill_value = 0
     head = {
         "zarr_format": 2,
         "shape": sides,
         "chunks": chunk.shape,
         "dtype": chunk.dtype.newbyteorder("<").str,
         "compressor": {"id": "zstd", "level": LEVEL},
-        "fill_value": 0 if chunk.dtype.kind in "if" else "",
+        "fill_value": fill_value,
         "order": "C",
         "filters": None,
     }

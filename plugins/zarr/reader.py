@@ -199,9 +199,13 @@ class ZarrFolder(ArrayFile):
         """The numbers of an array in a range of each axis."""
         stored = self._stored[key]
         part = np.full([len(span) for span in ranges], stored.fill, stored.dtype)
+        # Numbers of the chunks along each axis.
         numbers = []
         for span, side in zip(ranges, stored.chunks, strict=True):
-            numbers.append(range(span.start // side, -(-span.stop // side)) if span else range(0))
+            of_axis = range(0)
+            if span:
+                of_axis = range(span.start // side, -(-span.stop // side))
+            numbers.append(of_axis)
 
         for place in itertools.product(*numbers):
             chunk = self._chunk(key, place)
@@ -212,10 +216,11 @@ class ZarrFolder(ArrayFile):
             places_in_part: list[slice] = []
             places_in_chunk: list[slice] = []
             for at, span, side in zip(place, ranges, stored.chunks, strict=True):
-                start = max(span.start, at * side)
-                stop = min(span.stop, (at + 1) * side)
+                begin = at * side
+                start = max(span.start, begin)
+                stop = min(span.stop, begin + side)
                 places_in_part.append(slice(start - span.start, stop - span.start))
-                places_in_chunk.append(slice(start - at * side, stop - at * side))
+                places_in_chunk.append(slice(start - begin, stop - begin))
             part[tuple(places_in_part)] = chunk[tuple(places_in_chunk)]
         return part
 
@@ -276,19 +281,26 @@ class ZarrFolder(ArrayFile):
         )
 
         labels: tuple[str, ...] = ()
+        names: dict[int, tuple[str, ...]] = {}
         axis_names = attributes.get(LABELS)
         if isinstance(axis_names, list) and len(axis_names) == len(sides):
             labels = tuple(map(str, axis_names))
-
-        # Arrays of the tactile datasets state no labels.
-        names: dict[int, tuple[str, ...]] = {}
         if SENSORS.search(path) and len(sides) > 1 and not labels:
-            labels = ("frames", *("",) * (len(sides) - 1))
-            if len(sides) > 3:
-                # One of several sensors is read, as a channel is.
-                labels = ("frames", "channel", *labels[2:])
-                names = {1: tuple(f"sensor{k}" for k in range(min(sides[1], MAX_ARRAYS)))}
+            labels, names = _tactile_axes(sides)
         self.datasets[path] = Dataset(sides, dtype, labels, attributes, names)
+
+
+def _tactile_axes(sides: tuple[int, ...]) -> tuple[tuple[str, ...], dict[int, tuple[str, ...]]]:
+    """Labels of the axes of an array of the tactile datasets, which state none, and names of the
+    entries of some.
+    """
+    if len(sides) <= 3:
+        return ("frames", *[""] * (len(sides) - 1)), {}
+
+    # One of several sensors is read, as a channel is.
+    labels = ("frames", "channel", *[""] * (len(sides) - 2))
+    n_sensors = min(sides[1], MAX_ARRAYS)
+    return labels, {1: tuple(f"sensor{k}" for k in range(n_sensors))}
 
 
 def _arrays_of(
