@@ -351,7 +351,9 @@ class BoardSource(LiveSource):
         if dropped:
             lines.append(f"dropped: {dropped}")
         if self.n_gone:
-            times = "time" if self.n_gone == 1 else "times"
+            times = "times"
+            if self.n_gone == 1:
+                times = "time"
             lines.append(f"the device was gone {self.n_gone} {times}")
         return {"board": figures, "lines": lines}
 

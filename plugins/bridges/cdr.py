@@ -5,7 +5,7 @@ rosbags, which needs no ROS.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -137,8 +137,27 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
     """A visualization_msgs/MarkerArray, which replaces the one before: of each contact a sphere, an
     arrow and a text, in the namespaces of these names, with its id.
     """
+    colour = types().types["std_msgs/msg/ColorRGBA"](*COLOURS[contacts.trusted[0]])
+    marker = _marker_maker(_header(stamp, contacts.patch), colour)
+
+    # The first one deletes those of the frame before.
+    markers = [marker("", SPHERE, 0, (0.0, 0.0, 0.0), ORIGIN, action=DELETE_ALL)]
+    for shape in shapes(contacts, skin):
+        number = shape.id
+        d = shape.diameter
+        tail = shape.tail
+        tip = shape.centre
+        markers += [
+            marker("sphere", SPHERE, number, (d, d, d / 4), tip),
+            marker("arrow", ARROW, number, (d / 4, d / 2, 0.0), ORIGIN, ends=(tail, tip)),
+            marker("text", TEXT, number, (0.0, 0.0, d), tail, text=shape.text),
+        ]
+    return encoded(MARKERS, markers=markers)
+
+
+def _marker_maker(header: Any, colour: Any) -> Callable[..., Any]:
+    """A function that makes markers of one header and colour."""
     message_types = types().types
-    header = _header(stamp, contacts.patch)
     point = message_types["geometry_msgs/msg/Point"]
     vector = message_types["geometry_msgs/msg/Vector3"]
 
@@ -148,7 +167,6 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
     none = np.zeros(0, np.uint8)
     texture = message_types["sensor_msgs/msg/CompressedImage"](header, "", none)
     mesh = message_types["visualization_msgs/msg/MeshFile"]("", none)
-    colour = message_types["std_msgs/msg/ColorRGBA"](*COLOURS[contacts.trusted[0]])
 
     def marker(
         name: str,
@@ -183,16 +201,4 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
             mesh_use_embedded_materials=False,
         )
 
-    # The first one deletes those of the frame before.
-    markers = [marker("", SPHERE, 0, (0.0, 0.0, 0.0), ORIGIN, action=DELETE_ALL)]
-    for shape in shapes(contacts, skin):
-        number = shape.id
-        d = shape.diameter
-        tail = shape.tail
-        tip = shape.centre
-        markers += [
-            marker("sphere", SPHERE, number, (d, d, d / 4), tip),
-            marker("arrow", ARROW, number, (d / 4, d / 2, 0.0), ORIGIN, ends=(tail, tip)),
-            marker("text", TEXT, number, (0.0, 0.0, d), tail, text=shape.text),
-        ]
-    return encoded(MARKERS, markers=markers)
+    return marker
